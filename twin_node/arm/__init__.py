@@ -1,0 +1,1 @@
+"""From obstacles to the arm's speed: collision scene, checker, separation law."""

@@ -1,0 +1,1 @@
+"""Logs: MCAP files and rosbag2 folders, read and written by stream."""

@@ -1,0 +1,1 @@
+"""The simulated cell: actors, rendered rig, exact truth."""

@@ -1,0 +1,1 @@
+"""What will be occupied, up to 200 ms ahead."""

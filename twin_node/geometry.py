@@ -1,0 +1,74 @@
+"""Rigid motions, rotations and pinhole projection on numpy arrays; quaternions are w, x, y, z, units are metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+
+def rotation_from_quat(quats: NDArray[np.floating]) -> Float:
+    """Rotation matrices [..., 3, 3] of quaternions [..., 4] (w, x, y, z), which need not be normalised."""
+    q = np.asarray(quats, dtype=np.float64)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def quat_from_rotation(rotations: NDArray[np.floating]) -> Float:
+    """Unit quaternions [..., 4] (w, x, y, z, w >= 0) of rotation matrices [..., 3, 3] (Bar-Itzhack)."""
+    R = np.asarray(rotations, dtype=np.float64)
+    xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    A = np.empty((*R.shape[:-2], 4, 4))
+    A[..., 0, 0] = xx + yy + zz
+    A[..., 1, 1], A[..., 2, 2], A[..., 3, 3] = xx - yy - zz, yy - xx - zz, zz - xx - yy
+    A[..., 0, 1] = A[..., 1, 0] = R[..., 2, 1] - R[..., 1, 2]
+    A[..., 0, 2] = A[..., 2, 0] = R[..., 0, 2] - R[..., 2, 0]
+    A[..., 0, 3] = A[..., 3, 0] = R[..., 1, 0] - R[..., 0, 1]
+    A[..., 1, 2] = A[..., 2, 1] = R[..., 0, 1] + R[..., 1, 0]
+    A[..., 1, 3] = A[..., 3, 1] = R[..., 0, 2] + R[..., 2, 0]
+    A[..., 2, 3] = A[..., 3, 2] = R[..., 1, 2] + R[..., 2, 1]
+    q: Float = np.linalg.eigh(A)[1][..., -1]
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def pose(rotation: NDArray[np.floating], translation: NDArray[np.floating]) -> Float:
+    """4x4 rigid motion from a rotation matrix [3, 3] and a translation [3] in metres."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = translation
+    return T
+
+
+def inverse_pose(T: NDArray[np.floating]) -> Float:
+    """Inverse of rigid motions [..., 4, 4]."""
+    out = np.zeros(T.shape)
+    R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
+    out[..., :3, :3] = R_inv
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", R_inv, T[..., :3, 3])
+    out[..., 3, 3] = 1
+    return out
+
+
+def transform(T: NDArray[np.floating], points: NDArray[np.floating]) -> Float:
+    """Points [N, 3] moved by a rigid motion [4, 4]."""
+    moved: Float = points @ T[:3, :3].T + T[:3, 3]
+    return moved
+
+
+def project(K: NDArray[np.floating], viewmat: NDArray[np.floating], points: NDArray[np.floating]) -> Float:
+    """Pixels and depth [N, 3] = (u, v, z) of base-frame points [N, 3]; z in metres, negative behind the camera.
+
+    The centre of the top-left pixel is (0.5, 0.5), as in gsplat. u, v are meaningless where z <= 0.
+    """
+    p = transform(viewmat, points)
+    z = p[:, 2]
+    safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
+    u = K[0, 0] * p[:, 0] / safe + K[0, 2]
+    v = K[1, 1] * p[:, 1] / safe + K[1, 2]
+    return np.stack([u, v, z], axis=1)

@@ -1,0 +1,1 @@
+"""ROS 2 messages: types made from `msgs/`, wire format, conversions."""

@@ -1,0 +1,1 @@
+"""Thin nodes that wire the rooms to topics, and the chains made of them."""

@@ -1,0 +1,36 @@
+"""Finds the data folders (`msgs`, `launch`, `sim`, `calibration`) in a checkout and in an installed package alike."""
+
+from __future__ import annotations
+
+import sys
+import sysconfig
+from pathlib import Path
+
+from twin_node.errors import TwinError
+
+
+class ResourceError(TwinError):
+    """A file that ships with the package, or that the user named, is not there."""
+
+
+def roots() -> list[Path]:
+    """Folders that may hold the data folders, in order of preference: the checkout, then the installation's `share`."""
+    checkout = Path(__file__).resolve().parent.parent
+    shares = [Path(sysconfig.get_path("data")), Path(sys.prefix)]
+    return [checkout, *(share / "share" / "twin_node" for share in dict.fromkeys(shares))]
+
+
+def find(name: str | Path) -> Path:
+    """Path of `name`: as given if it exists, else below one of the data roots (`launch/replay.yaml`).
+
+    Raises `ResourceError` naming where it was looked for.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    candidates = [] if path.is_absolute() else [root / path for root in roots()]
+    for candidate in candidates:
+        if candidate.exists():
+            return candidate
+    places = ", ".join(str(candidate.parent) for candidate in candidates) or str(path.parent)
+    raise ResourceError(f"{name}: no such file (looked in {Path.cwd()}, {places}); check the spelling of the path")

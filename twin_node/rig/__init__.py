@@ -1,0 +1,1 @@
+"""From cameras to synchronised, undistorted images."""

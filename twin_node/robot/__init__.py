@@ -1,0 +1,1 @@
+"""The arm's kinematics and shapes, and what it hides from the cameras."""

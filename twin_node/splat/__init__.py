@@ -1,0 +1,1 @@
+"""Rasterising Gaussians: one public function, `rasterize`, with gsplat's signature and semantics."""
