@@ -1,0 +1,44 @@
+# `make demo` and `make test` set up all they need and run; a second call starts at once.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+OUT := out
+
+.PHONY: demo test lint bench clean
+
+demo: $(READY)
+	$(BIN)/twin_node demo --out $(OUT)/demo
+
+test: lint
+	$(BIN)/pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(READY)
+	$(BIN)/twin_node bench raster
+
+# Open3D needs libusb and libGL, and Debian ships venv apart from Python: installed when we may, named when we may not.
+$(READY): pyproject.toml setup.py constraints.txt constraints-cpu.txt
+	@missing=; for lib in libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1; do \
+	  ldconfig -p | grep -q "$${lib%%:*}" || missing="$$missing $${lib##*:}"; done; \
+	$(PYTHON) -c 'import ensurepip' 2>/dev/null || missing="$$missing python3-venv"; \
+	if [ -n "$$missing" ]; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$missing; \
+	  else echo "note: install these system packages for full function:$$missing" >&2; fi; fi
+	@if $(PYTHON) -c 'import torch, sys; sys.exit(torch.version.cuda is None)' 2>/dev/null; then \
+	  echo "using the torch of $(PYTHON), which has CUDA"; $(PYTHON) -m venv --system-site-packages $(VENV); \
+	else \
+	  $(PYTHON) -m venv $(VENV); $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -r constraints-cpu.txt; fi
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $(READY)
+
+clean:
+	rm -rf $(VENV) $(OUT) build *.egg-info

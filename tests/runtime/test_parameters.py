@@ -1,0 +1,58 @@
+"""Parameter files and the dataclasses they fill."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from twin_node.runtime.parameters import ParameterError, fill, read_parameters
+
+
+@dataclass(frozen=True)
+class Inner:
+    gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class Outer:
+    width: int | None = None
+    rate_hz: float = 30.0
+    name: str = "twin"
+    horizons: tuple[float, ...] = (0.0,)
+    inner: Inner = field(default_factory=Inner)
+
+
+def test_values_replace_defaults_at_any_depth() -> None:
+    filled = fill(Outer, {"width": 160, "rate_hz": 55, "horizons": [0, 0.2], "inner": {"gain": 2}}, "model")
+    assert filled == Outer(width=160, rate_hz=55.0, horizons=(0.0, 0.2), inner=Inner(gain=2.0))
+    assert fill(Outer, {"width": None}, "model") == Outer()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"widht": 1}, r"model: unknown parameter 'widht'; did you mean 'width'\?"),
+        ({"inner": {"gian": 1}}, r"model.inner: unknown parameter 'gian'; did you mean 'gain'\?"),
+        ({"name": 3}, "model.name: expected str, found 3"),
+        ({"rate_hz": True}, "model.rate_hz: expected float, found True"),
+        ({"horizons": 0.2}, "model.horizons: expected a list, found 0.2"),
+        ({"inner": 3}, "model.inner: expected keys and values, found 3"),
+    ],
+)
+def test_a_wrong_key_or_value_is_named(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        fill(Outer, values, "model")
+
+
+@pytest.mark.parametrize("text", ["- 1", "model: {width: 3}", "model: {ros__parameters: {}, extra: 1}", "a: [", "\x00"])
+def test_a_file_that_is_no_parameter_file_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=r"p\.yaml"):
+        read_parameters(path)
+
+
+def test_a_ros_parameter_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text("model:\n  ros__parameters: {width: 3}\nforecast:\n  ros__parameters:\n")
+    assert read_parameters(path) == {"model": {"width": 3}, "forecast": {}}

@@ -1,0 +1,108 @@
+"""Topic names of the graph, and which topics of a foreign log belong to which camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from twin_node.errors import TwinError
+
+FRAMES = "/twin/frames"
+"""`scene.FrameSet`, inside a process only."""
+STATE = "/twin/state"
+"""`scene.TwinState`, inside a process only."""
+GAUSSIANS = "/twin/gaussians"
+GAUSSIANS_MOVING = "/twin/gaussians/moving"
+OCCUPANCY = "/twin/occupancy"
+OBSTACLES = "/twin/obstacles"
+SEPARATION = "/twin/separation"
+STATUS = "/twin/status"
+RECORDED = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, SEPARATION, STATUS)
+"""What a twin publishes to the world, and what its log holds."""
+
+JOINT_STATES = "/joint_states"
+TRAJECTORY = "/arm/trajectory"
+TF_STATIC = "/tf_static"
+TRUTH_OCCUPANCY = "/truth/occupancy"
+LATCHED = frozenset({GAUSSIANS, TF_STATIC, "/robot_description"})
+
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+RAW = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+
+
+class GraphError(TwinError):
+    """A log or a rig does not give the graph what it needs."""
+
+
+@dataclass(frozen=True)
+class CameraTopics:
+    """Where one camera's messages are."""
+
+    name: str
+    image: str
+    image_type: str
+    info: str
+    depth: str | None = None
+    depth_type: str | None = None
+
+
+def parse_remaps(remaps: list[str]) -> dict[str, str]:
+    """`from:=to` pairs as a mapping. Raises `GraphError` for anything else."""
+    pairs = {}
+    for remap in remaps:
+        source, separator, target = remap.partition(":=")
+        if not (separator and source and target):
+            raise GraphError(f"--remap {remap}: expected FROM:=TO, for example /front/rgb:=/front/image_raw")
+        pairs[_absolute(source)] = _absolute(target)
+    return pairs
+
+
+def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, ...]:
+    """Cameras among the topics (name -> type) of a log, by ROS naming, sorted by name.
+
+    A topic of an image type is a depth image when its path says `depth`, else a colour image; the camera is the path
+    before `image...`, `color...` or `rgb...`. A camera with both a raw and a compressed colour topic is read from the
+    compressed one. Raises `GraphError` naming `source` when there is no colour image at all.
+    """
+    colour: dict[str, str] = {}
+    depth: dict[str, str] = {}
+    for topic in sorted(types, key=lambda t: (types[t] != COMPRESSED, t)):
+        if types[topic] in (COMPRESSED, RAW):
+            (depth if "depth" in topic else colour).setdefault(camera_of(topic), topic)
+    if not colour:
+        held = ", ".join(sorted(types)) or "none"
+        raise GraphError(
+            f"{source}: no image topic; expected sensor_msgs/CompressedImage or Image on /<camera>/image_raw, found "
+            f"topics: {held}; record the cameras too, or import videos with 'twin_node import video'"
+        )
+    return tuple(
+        CameraTopics(
+            name=name,
+            image=topic,
+            image_type=types[topic],
+            info=_info_topic(name, topic, types),
+            depth=depth.get(name),
+            depth_type=types[depth[name]] if name in depth else None,
+        )
+        for name, topic in sorted(colour.items())
+    )
+
+
+def camera_of(topic: str) -> str:
+    """Camera name of an image topic: the path before `image...`, `color`, `rgb` or `depth`, joined by `_`."""
+    parts = topic.strip("/").split("/")
+    for i, part in enumerate(parts):
+        if i and part.startswith(("image", "color", "rgb", "depth", "compressed")):
+            return "_".join(parts[:i])
+    return "_".join(parts[:-1]) or parts[0]
+
+
+def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:
+    beside = image.removesuffix("/compressed").rpartition("/")[0] + "/camera_info"
+    candidates = [beside, *sorted(t for t in types if types[t] == CAMERA_INFO and camera_of(t) == name)]
+    return next((t for t in candidates if types.get(t) == CAMERA_INFO and "depth" not in t), beside)
+
+
+def _absolute(topic: str) -> str:
+    return topic if topic.startswith("/") else f"/{topic}"

@@ -1,0 +1,81 @@
+"""Parameters: frozen dataclasses filled from ROS parameter files, unknown keys refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from twin_node.errors import TwinError
+
+T = TypeVar("T")
+
+
+class ParameterError(TwinError):
+    """A parameter file or a value in it is wrong."""
+
+
+def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
+    """Node name -> its `ros__parameters`, of a ROS 2 parameter file.
+
+    Raises `ParameterError` when the file is not one.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ParameterError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise ParameterError(f"{path}: expected 'node: {{ros__parameters: {{...}}}}', found {type(content).__name__}")
+    for node, section in content.items():
+        if not isinstance(section, dict) or set(section) != {"ros__parameters"}:
+            raise ParameterError(f"{path}: node '{node}' must hold exactly one key, 'ros__parameters'")
+    return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
+
+
+def fill(kind: type[T], values: Mapping[str, Any], where: str) -> T:
+    """An instance of the dataclass `kind` with the given values in place of its defaults.
+
+    Nested dataclasses take nested mappings; lists become tuples. Raises `ParameterError` that names `where` and the key
+    for an unknown key (with the nearest known one) or a value of the wrong type.
+    """
+    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(kind)
+    filled = {}
+    for key, value in values.items():
+        if key not in fields:
+            near = difflib.get_close_matches(key, fields, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(fields))}"
+            raise ParameterError(f"{where}: unknown parameter '{key}'; {hint}")
+        filled[key] = _convert(hints[key], value, f"{where}.{key}")
+    return kind(**filled)
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin = typing.get_origin(hint)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        if not isinstance(value, Mapping):
+            raise ParameterError(f"{where}: expected keys and values, found {value!r}")
+        return fill(hint, value, where)
+    if origin in (types.UnionType, typing.Union):
+        if value is None and type(None) in typing.get_args(hint):
+            return None
+        return _convert(next(a for a in typing.get_args(hint) if a is not type(None)), value, where)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ParameterError(f"{where}: expected a list, found {value!r}")
+        arguments = typing.get_args(hint)
+        inner = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else list(arguments)
+        if len(inner) != len(value):
+            raise ParameterError(f"{where}: expected {len(inner)} values, found {len(value)}")
+        return tuple(_convert(a, v, where) for a, v in zip(inner, value, strict=True))
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):
+        raise ParameterError(f"{where}: expected {hint.__name__}, found {value!r}")
+    return value
