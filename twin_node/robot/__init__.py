@@ -1,1 +1,19 @@
 """The arm's kinematics and shapes, and what it hides from the cameras."""
+
+from twin_node.robot.kinematics import PlacedCapsules, forward_kinematics, place_capsules
+from twin_node.robot.model import ArmModel, Capsules, RobotError
+from twin_node.robot.self_filter import robot_mask
+from twin_node.robot.ur import UR_NAMES, ur_dh, ur_model
+
+__all__ = [
+    "UR_NAMES",
+    "ArmModel",
+    "Capsules",
+    "PlacedCapsules",
+    "RobotError",
+    "forward_kinematics",
+    "place_capsules",
+    "robot_mask",
+    "ur_dh",
+    "ur_model",
+]

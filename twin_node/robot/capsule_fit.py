@@ -1,0 +1,142 @@
+"""Encloses a triangle mesh in few capsules: made the tables of `ur.py`, and reads other arms' meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, QhullError
+
+from twin_node.scene import Float64
+
+_LLOYD_ROUNDS = 6
+"""Rounds of assigning triangles to capsules and fitting again; the volume stops falling after three or four."""
+
+
+_END_SHARES = (0.1, 0.15, 0.2, 0.25)
+"""Shares of a link's length tried for the housings at its ends."""
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within `radius` of the segment between two ends, in a link's frame."""
+
+    ends: Float64
+    """[2, 3] m; equal ends make a sphere."""
+    radius: float
+
+    @property
+    def volume(self) -> float:
+        """Volume, m^3."""
+        length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
+        return float(np.pi * self.radius**2 * (length + 4 / 3 * self.radius))
+
+
+def fit_capsule(points: NDArray[np.floating]) -> Capsule:
+    """Small capsule that holds all points [N, 3] (m): a local minimum of its volume, started from their main axis.
+
+    The radius is the largest distance from a point to the segment, so enclosure is exact whatever the minimiser does.
+    """
+    cloud = _extreme_points(np.asarray(points, dtype=np.float64))
+    center = (cloud.min(0) + cloud.max(0)) / 2
+    axes = np.linalg.svd(cloud - cloud.mean(0), full_matrices=False)[2]
+    reach = np.abs((cloud - center) @ axes.T).max(0)
+    best: Capsule | None = None
+    for axis, half in zip(axes, reach, strict=True):
+        start = np.concatenate([center - axis * half / 2, center + axis * half / 2])
+        found = minimize(_volume_holding, start, args=(cloud,), method="Nelder-Mead", options={"maxiter": 1500})
+        candidate = _capsule_holding(found.x, cloud)
+        if best is None or candidate.volume < best.volume:
+            best = candidate
+    assert best is not None
+    return best
+
+
+def fit_capsules(triangles: NDArray[np.floating], count: int, max_edge: float = 0.01) -> tuple[Capsule, ...]:
+    """`count` capsules that together hold a mesh's surface, triangles [T, 3, 3] in metres.
+
+    Triangles are split until no edge is longer than `max_edge` (m); each piece lies inside one capsule, and a
+    capsule is convex, so the union holds the whole surface. Pieces move between capsules by Lloyd's scheme; the
+    smallest total volume met is kept.
+    """
+    pieces = _split(np.asarray(triangles, dtype=np.float64), max_edge)
+    centers = pieces.mean(1)
+    axis = np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0]
+    along = centers @ axis
+    along = (along - along.min()) / max(float(np.ptp(along)), 1e-12)
+    fits = [_lloyd(pieces, np.searchsorted(cuts, along)) for cuts in _first_cuts(count)]
+    return min(fits, key=_total_volume)
+
+
+def distance_to_segment(points: NDArray[np.floating], ends: NDArray[np.floating]) -> Float64:
+    """Distances [...] in metres of points [..., 3] to the segment between ends [2, 3]."""
+    axis = ends[1] - ends[0]
+    t = np.clip((points - ends[0]) @ axis / max(float(axis @ axis), 1e-18), 0.0, 1.0)
+    distances: Float64 = np.linalg.norm(points - ends[0] - t[..., None] * axis, axis=-1)
+    return distances
+
+
+def _first_cuts(count: int) -> list[Float64]:
+    """Shares of the length at which the mesh is first cut: evenly, and with short ends (the joints' housings)."""
+    cuts = [np.linspace(0, 1, count + 1)[1:-1]]
+    if count >= 3:
+        cuts += [np.linspace(end, 1 - end, count - 1) for end in _END_SHARES]
+    return cuts
+
+
+def _lloyd(pieces: Float64, owner: NDArray[np.integer]) -> tuple[Capsule, ...]:
+    """Fits a capsule to each owner's pieces, gives each piece to the capsule that holds it best, and again."""
+    best: tuple[Capsule, ...] = ()
+    for _ in range(_LLOYD_ROUNDS):
+        capsules = tuple(fit_capsule(pieces[owner == k].reshape(-1, 3)) for k in np.unique(owner))
+        if not best or _total_volume(capsules) < _total_volume(best):
+            best = capsules
+        owner = np.argmin(np.stack([_outside(pieces, capsule) for capsule in capsules]), axis=0)
+    return best
+
+
+def _capsule_holding(parameters: Float64, cloud: Float64) -> Capsule:
+    ends = parameters.reshape(2, 3)
+    return Capsule(ends, float(distance_to_segment(cloud, ends).max()))
+
+
+def _volume_holding(parameters: Float64, cloud: Float64) -> float:
+    return _capsule_holding(parameters, cloud).volume
+
+
+def _total_volume(capsules: tuple[Capsule, ...]) -> float:
+    return sum(capsule.volume for capsule in capsules)
+
+
+def _outside(pieces: Float64, capsule: Capsule) -> Float64:
+    """How far [P] each piece's farthest corner is outside a capsule, m; negative inside."""
+    farthest: Float64 = distance_to_segment(pieces, capsule.ends).max(1)
+    return farthest - capsule.radius
+
+
+def _extreme_points(points: Float64) -> Float64:
+    """The convex hull's corners: all that an enclosing convex shape has to hold."""
+    try:
+        corners: Float64 = points[ConvexHull(points).vertices]
+    except QhullError:  # flat or too few points: they are all extreme as far as the fit is concerned
+        corners = np.unique(points, axis=0)
+    return corners
+
+
+def _split(triangles: Float64, max_edge: float) -> Float64:
+    """Triangles [T', 3, 3] of the same surface with no edge longer than `max_edge`, by halving the longest edges."""
+    done = []
+    rest = triangles
+    while len(rest):
+        lengths = np.linalg.norm(rest - np.roll(rest, -1, axis=1), axis=2)
+        small = lengths.max(1) <= max_edge
+        done.append(rest[small])
+        rest, lengths = rest[~small], lengths[~small]
+        first = lengths.argmax(1)
+        rows = np.arange(len(rest))
+        a, b, c = rest[rows, first], rest[rows, (first + 1) % 3], rest[rows, (first + 2) % 3]
+        middle = (a + b) / 2
+        rest = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+    return np.concatenate(done)

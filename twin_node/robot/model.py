@@ -1,0 +1,99 @@
+"""What an arm is: joints, limits and the capsules that enclose its links. Nothing here changes while it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.errors import TwinError
+from twin_node.scene import Float64, JointSample
+
+
+class RobotError(TwinError):
+    """An arm's model, joint values or kinematics file is wrong."""
+
+
+@dataclass(frozen=True)
+class Capsules:
+    """Capsules fixed to the links of an arm; equal ends make a sphere."""
+
+    links: NDArray[np.int64]
+    """[C] index of the link that carries each."""
+    ends: Float64
+    """[C, 2, 3] m, in the link's frame."""
+    radii: Float64
+    """[C] m."""
+
+    def __len__(self) -> int:
+        return len(self.radii)
+
+    def joined(self, other: Capsules) -> Capsules:
+        """These and the other's capsules."""
+        return Capsules(
+            np.concatenate([self.links, other.links]),
+            np.concatenate([self.ends, other.ends]),
+            np.concatenate([self.radii, other.radii]),
+        )
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """A serial arm of revolute joints, standing at `base_link`.
+
+    Link 0 is `base_link` itself; link j turns about the z axis of its own frame by joint j - 1. For a UR arm these are
+    the link frames of UR's ROS description, so the last link is `tool0` too.
+    """
+
+    name: str
+    link_names: tuple[str, ...]
+    """[J + 1]."""
+    joint_names: tuple[str, ...]
+    """[J]."""
+    origins: Float64
+    """[J, 4, 4] pose of joint j at angle zero in the frame of the link before it."""
+    lower: Float64
+    """[J] rad."""
+    upper: Float64
+    """[J] rad."""
+    max_velocity: Float64
+    """[J] rad/s."""
+    max_acceleration: Float64
+    """[J] rad/s^2."""
+    capsules: Capsules
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    def order(self, names: Sequence[str], values: NDArray[np.floating]) -> Float64:
+        """Values [..., n] given under `names` as [..., J] in the model's own order: drivers publish joints in any.
+
+        Raises `RobotError` where a joint is missing, or a value is not finite.
+        """
+        missing = [name for name in self.joint_names if name not in names]
+        if missing:
+            raise RobotError(
+                f"joint values: expected {', '.join(self.joint_names)}, found {', '.join(names) or 'none'}; "
+                f"publish {', '.join(missing)} too, or choose another arm than {self.name}"
+            )
+        ordered = np.asarray(values, dtype=np.float64)[..., [list(names).index(name) for name in self.joint_names]]
+        if not np.isfinite(ordered).all():
+            raise RobotError(f"joint values: expected finite angles, found {ordered.tolist()}; check the arm's driver")
+        return ordered
+
+    def ordered_positions(self, sample: JointSample) -> Float64:
+        """Angles [J] of a sample in the model's own order; raises `RobotError` as `order` does."""
+        return self.order(sample.names, sample.positions)
+
+    def check_positions(self, q: NDArray[np.floating]) -> Float64:
+        """Angles [..., J] as float64; raises `RobotError` for a wrong count or a value that is not finite."""
+        angles = np.asarray(q, dtype=np.float64)
+        if angles.ndim == 0 or angles.shape[-1] != self.joints:
+            raise RobotError(f"joint values: expected {self.joints} angles for {self.name}, found shape {angles.shape}")
+        if not np.isfinite(angles).all():
+            raise RobotError(f"joint values: expected finite angles, found {angles.tolist()}; check the arm's driver")
+        return angles

@@ -1,0 +1,98 @@
+"""Which pixels the arm hides: its capsules, grown by a margin, as a camera sees them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.robot.kinematics import forward_kinematics, place_capsules
+from twin_node.robot.model import ArmModel
+from twin_node.scene import Bool, Camera, Float64, UInt8
+
+_RIM_POINTS = 16
+"""Corners of the polygon drawn around each end's outline; it stands out by less than 2 % of the radius."""
+_SIGMAS = 2.0
+"""How many standard errors of the camera's pose the arm is grown by (95 % of errors in one direction)."""
+_SUBPIXEL_BITS = 4
+"""Fractional bits of corners given to OpenCV, 1/16 pixel."""
+_FAR_PIXEL = 2.0**24
+"""Corners are kept within this many pixels, so that they fit OpenCV's fixed-point numbers."""
+
+
+def robot_mask(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_m: float = 0.03) -> Bool:
+    """True [H, W] where the arm, at joint angles [J] (rad), may be seen by the camera.
+
+    Every capsule is grown by `margin_m` plus twice the camera's calibration error `sigma_m`. Its outline is the convex
+    hull of those of its two end spheres; a pixel whose centre is inside always counts. Raises `RobotError` for joint
+    angles that are not usable.
+    """
+    placed = place_capsules(model, forward_kinematics(model, q))
+    ends = placed.ends @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    radii = placed.radii + margin_m + _SIGMAS * camera.sigma_m
+    in_front = ends[..., 2].min(1) > radii * 1.01
+    behind = ends[..., 2].max(1) <= -radii
+    mask = np.zeros((camera.height, camera.width), np.uint8)
+    if in_front.any():
+        _draw_outlines(mask, _rims(ends[in_front], radii[in_front]), camera.K)
+    for index in np.flatnonzero(~in_front & ~behind):
+        mask |= _ray_hits(camera, ends[index], float(radii[index]))
+    return mask.astype(bool)
+
+
+def _rims(ends: Float64, radii: Float64) -> Float64:
+    """Points [C, 2 * _RIM_POINTS, 3] around the circles in which the camera's rays touch the end spheres [C, 2, 3]."""
+    distance = np.linalg.norm(ends, axis=-1)
+    ratio = radii[:, None] / distance
+    center = ends * (1 - ratio**2)[..., None]
+    circumscribed = radii[:, None] * np.sqrt(1 - ratio**2) / np.cos(np.pi / _RIM_POINTS)
+    axis = ends / distance[..., None]
+    across = np.cross(axis, [1.0, 0.0, 0.0])  # z is positive, so the axis is never x itself
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    other = np.cross(axis, across)
+    turn = np.linspace(0, 2 * np.pi, _RIM_POINTS, endpoint=False)
+    rim = across[..., None, :] * np.cos(turn)[:, None] + other[..., None, :] * np.sin(turn)[:, None]
+    points: Float64 = center[..., None, :] + circumscribed[..., None, None] * rim
+    return points.reshape(len(ends), -1, 3)
+
+
+def _draw_outlines(mask: UInt8, rims: Float64, K: Float64) -> None:
+    """Fills the hull of each capsule's rim points; half a pixel turns corner-based coordinates into OpenCV's."""
+    depth = np.maximum(rims[..., 2], 1e-6)
+    pixels = rims[..., :2] / depth[..., None] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]] - 0.5
+    corners = np.clip(pixels, -_FAR_PIXEL, _FAR_PIXEL).astype(np.float32)
+    for outline in corners:
+        hull = cv2.convexHull(outline)
+        fixed = np.rint(hull.astype(np.float64) * 2**_SUBPIXEL_BITS).astype(np.int32)
+        cv2.fillConvexPoly(mask, fixed, 1, cv2.LINE_8, _SUBPIXEL_BITS)
+
+
+def _ray_hits(camera: Camera, ends: Float64, radius: float) -> UInt8:
+    """1 [H, W] where a pixel's ray passes a capsule within its radius, which may reach behind the camera."""
+    columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    K = camera.K
+    rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(columns)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    return (_ray_segment_distance(rays, ends) <= radius).astype(np.uint8)
+
+
+def _ray_segment_distance(rays: Float64, ends: Float64) -> Float64:
+    """Distances [...] in metres between rays from the origin along unit vectors [..., 3] and a segment [2, 3]."""
+    axis = ends[1] - ends[0]
+    along, length_sq, first = rays @ axis, float(axis @ axis), rays @ ends[0]
+    determinant = length_sq - along**2
+    parallel = determinant < 1e-12
+    t = np.where(parallel, 0.0, (first * along - ends[0] @ axis) / np.where(parallel, 1.0, determinant))
+    best = np.full(rays.shape[:-1], np.inf)
+    for candidate in (np.clip(t, 0, 1), np.zeros_like(t), np.ones_like(t), _foot_of_origin(ends)):
+        point = ends[0] + np.asarray(candidate)[..., None] * axis
+        reach = np.maximum((rays * point).sum(-1), 0.0)
+        best = np.minimum(best, np.linalg.norm(point - reach[..., None] * rays, axis=-1))
+    return best
+
+
+def _foot_of_origin(ends: Float64) -> Float64:
+    """Where [0, 1] along a segment [2, 3] it comes closest to the origin."""
+    axis = ends[1] - ends[0]
+    foot: Float64 = np.clip(-(ends[0] @ axis) / max(float(axis @ axis), 1e-18), 0.0, 1.0)
+    return foot
