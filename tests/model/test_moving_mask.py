@@ -1,0 +1,122 @@
+"""The moving mask on made-up scenes: a textured floor, noise, drifting exposure, and boxes that come, stop and go."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from twin_node.model.moving_mask import MovingMask
+from twin_node.scene import Bool, Camera, FrameSet, UInt8, View
+
+HEIGHT, WIDTH = 90, 160
+STEP_NS = 33_000_000
+CAMERA = Camera("cam", WIDTH, HEIGHT, np.eye(3), np.eye(4))
+
+
+def floor() -> UInt8:
+    """A static background [H, W, 3] with gentle texture."""
+    rng = np.random.default_rng(1)
+    return cv2.resize(rng.uniform(80, 160, (6, 10, 3)), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC).astype(np.uint8)
+
+
+def box(left: int, top: int = 30, size: int = 20) -> Bool:
+    shape = np.zeros((HEIGHT, WIDTH), np.bool_)
+    shape[top : top + size, max(left, 0) : max(left + size, 0)] = True
+    return shape
+
+
+class Scene:
+    """Renders boxes over the floor with sensor noise and plays them into a mask."""
+
+    def __init__(self) -> None:
+        self.mask = MovingMask()
+        self.floor = floor()
+        self.tick = 0
+
+    def show(self, shape: Bool | None = None, gain: float = 1.0, robot: Bool | None = None, noise: float = 1.5) -> Bool:
+        rng = np.random.default_rng(100 + self.tick)
+        image = self.floor.astype(np.float64)
+        if shape is not None:
+            image[shape] = (230, 60, 30)
+        image = image * gain + rng.normal(0, noise, image.shape)
+        self.tick += 1
+        view = View(CAMERA, self.tick * STEP_NS, np.clip(image, 0, 255).astype(np.uint8))
+        return self.mask.update(FrameSet(view.stamp, (view,)), [robot])[0]
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene()
+
+
+def share(found: Bool, truth: Bool) -> float:
+    return float((found & truth).sum() / truth.sum())
+
+
+def test_nothing_moves_nothing_is_masked(scene: Scene) -> None:
+    assert not any(scene.show(noise=3.0).any() for _ in range(15))
+
+
+def test_drifting_exposure_is_not_motion(scene: Scene) -> None:
+    assert not any(scene.show(gain=1.0 + 0.02 * tick).any() for tick in range(20))
+
+
+def test_moving_box_is_covered_and_its_trail_is_freed(scene: Scene) -> None:
+    for _ in range(3):
+        scene.show()
+    for left in range(0, 120, 4):
+        shape = box(left)
+        found = scene.show(shape)
+        assert share(found, shape) == 1.0
+    assert found.sum() < 2.2 * shape.sum()
+
+
+def test_stopping_never_frees(scene: Scene) -> None:
+    scene.show()
+    for left in range(0, 60, 4):
+        found = scene.show(box(left))
+    for _ in range(90):
+        found = scene.show(box(56))
+        assert share(found, box(56)) == 1.0
+
+
+def test_box_present_from_the_start_is_found_whole_and_its_place_is_freed(scene: Scene) -> None:
+    for _ in range(5):
+        assert not scene.show(box(40)).any()
+    for left in range(40, 120, 3):
+        shape = box(left)
+        found = scene.show(shape)
+    assert share(found, shape) == 1.0
+    for _ in range(15):
+        found = scene.show(shape)
+    assert share(found, shape) == 1.0
+    assert share(found, box(40)) < 0.1
+
+
+def test_robot_is_left_out(scene: Scene) -> None:
+    scene.show()
+    for left in range(0, 60, 4):
+        found = scene.show(box(left), robot=box(left))
+        assert not (found & box(left)).any()
+
+
+def test_same_images_give_the_same_masks() -> None:
+    first, second = Scene(), Scene()
+    for left in range(0, 60, 4):
+        assert np.array_equal(first.show(box(left)), second.show(box(left)))
+
+
+def test_depth_finds_what_colour_cannot(scene: Scene) -> None:
+    far = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    mask = MovingMask()
+    for tick in range(12):
+        depth = far.copy()
+        shape = box(4 * tick)
+        if tick > 1:
+            depth[shape] = 1.5
+        view = View(CAMERA, tick * STEP_NS, scene.floor, depth)
+        found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
+        if tick > 1:
+            assert share(found, shape) > 0.8
+    assert found.sum() < 2 * shape.sum()
