@@ -1,0 +1,231 @@
+"""What happens in a simulated cell: a scenario as data, read from YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+
+import numpy as np
+import yaml
+
+from twin_node import resources
+from twin_node.cell.errors import CellError
+from twin_node.cell.motion import Path
+from twin_node.cell.shapes import Form
+from twin_node.cell.textures import Texture
+from twin_node.runtime.parameters import ParameterError, fill
+
+Triple = tuple[float, float, float]
+
+SIZES = {Form.SPHERE: 1, Form.CAPSULE: 2, Form.BOX: 3}
+"""Numbers that give a form its size."""
+
+FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen")
+"""Faults a camera can be given."""
+
+
+SHIRT = Texture(pattern="checker", color=(60, 80, 160), color2=(220, 220, 230), scale_m=0.06)
+SKIN = Texture(pattern="speckle", color=(205, 150, 120), color2=(165, 105, 80), scale_m=0.04)
+TROUSERS = Texture(pattern="stripes", color=(50, 50, 60), color2=(80, 80, 95), scale_m=0.08)
+ARM_PAINT = Texture(pattern="stripes", color=(200, 205, 210), color2=(95, 130, 170), scale_m=0.12)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One primitive of a body, in the body's frame."""
+
+    form: str = "box"
+    """sphere, capsule or box."""
+    size: tuple[float, ...] = (0.1, 0.1, 0.1)
+    """m; sphere: radius; capsule: radius, distance of the end centres (along z); box: extents in x, y, z."""
+    position: Triple = (0.0, 0.0, 0.0)
+    """Centre, m."""
+    rpy_deg: Triple = (0.0, 0.0, 0.0)
+    texture: Texture = field(default_factory=Texture)
+
+    def __post_init__(self) -> None:
+        forms = {form.value: count for form, count in SIZES.items()}
+        if self.form not in forms:
+            raise CellError(f"part: form must be one of {', '.join(forms)}, found '{self.form}'")
+        if len(self.size) != forms[self.form] or min(self.size) <= 0:
+            raise CellError(
+                f"part: a {self.form} takes {forms[self.form]} positive sizes in metres, found {list(self.size)}"
+            )
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body of the cell: furniture when its path has one waypoint, else a moving object."""
+
+    name: str = ""
+    parts: tuple[Part, ...] = ()
+    path: Path = field(default_factory=Path)
+
+
+@dataclass(frozen=True)
+class Person:
+    """A standing person of capsules whose right hand follows a path; limb lengths are fractions of the height."""
+
+    name: str = "person"
+    shoulder: Path = field(default_factory=Path)
+    """The right shoulder; yaw is the way the person faces (0: along +x)."""
+    hand: Path = field(default_factory=Path)
+    """The middle of the right hand; held at the arm's length where it is out of reach."""
+    height_m: float = 1.75
+    shirt: Texture = field(
+        default_factory=lambda: Texture(pattern="checker", color=(60, 80, 160), color2=(220, 220, 230), scale_m=0.06)
+    )
+    skin: Texture = field(
+        default_factory=lambda: Texture(pattern="speckle", color=(205, 150, 120), color2=(165, 105, 80), scale_m=0.04)
+    )
+    trousers: Texture = field(
+        default_factory=lambda: Texture(pattern="stripes", color=(50, 50, 60), color2=(80, 80, 95), scale_m=0.08)
+    )
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """A pinhole RGB-D camera."""
+
+    name: str = ""
+    position: Triple = (1.0, 0.0, 1.0)
+    """Optical centre, m in `base_link`."""
+    look_at: Triple = (0.0, 0.0, 0.0)
+    """Point in the middle of the image, m."""
+    fov_deg: float = 65.0
+    """Horizontal field of view."""
+    skew_ms: float = 0.0
+    """Constant delay of this camera's exposures behind the rig's tick."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with one camera's stream for a while."""
+
+    kind: str = "frozen"
+    """nan_depth: depth in 32FC1, all NaN; unsorted_stamps: every second image is stamped 50 ms early; missing: no
+    images; frozen: the same image again and again under new stamps."""
+    camera: str = ""
+    from_s: float = 0.0
+    to_s: float = 1e9
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULTS:
+            raise CellError(f"fault: kind must be one of {', '.join(FAULTS)}, found '{self.kind}'")
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """How the cameras sample and err."""
+
+    width: int = 320
+    height: int = 240
+    rate_hz: float = 30.0
+    jitter_ms: float = 1.0
+    """1 sigma of an exposure's time about its tick (cut at 3 sigma); the stamp tells the true time."""
+    rgb_sigma: float = 2.0
+    """1 sigma of the colour noise, levels of 255."""
+    depth_sigma_at_1m_mm: float = 2.0
+    """1 sigma of the depth noise at 1 m; grows with the square of the depth, as for stereo (Khoshelham 2012)."""
+    depth_dropout: float = 0.005
+    """Share of depth pixels without a value anywhere."""
+    edge_dropout: float = 0.5
+    """The same within a pixel of a depth step, which a stereo matcher straddles."""
+
+
+@dataclass(frozen=True)
+class ArmSpec:
+    """The UR arm of the cell, which follows its default pick-and-place path."""
+
+    model: str = "ur5e"
+    joint_rate_hz: float = 125.0
+    """Rate of the joint states (a UR e-series controller allows up to 500 Hz)."""
+    texture: Texture = field(
+        default_factory=lambda: Texture(pattern="stripes", color=(200, 205, 210), color2=(95, 130, 170), scale_m=0.12)
+    )
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How far a seed moves what acts away from the scenario as written."""
+
+    position_m: float = 0.0
+    """1 sigma of one shift per body or person."""
+    time_s: float = 0.0
+    """1 sigma of one delay per body or person."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A cell, what acts in it, and what looks at it. Times are seconds after the start."""
+
+    name: str = "cell"
+    seed: int = 0
+    duration_s: float = 8.0
+    start_ns: int = 1_700_000_000_000_000_000
+    """Stamp of the start, ns."""
+    workspace: tuple[Triple, Triple] = ((0.0, -0.6, 0.0), (1.0, 0.6, 0.8))
+    """Lower and upper corner of the modelled volume, m in `base_link`."""
+    voxel_size_m: float = 0.02
+    """Of the recorded truth."""
+    bodies: tuple[Body, ...] = ()
+    people: tuple[Person, ...] = ()
+    cameras: tuple[CameraSpec, ...] = ()
+    sensing: Sensing = field(default_factory=Sensing)
+    arm: ArmSpec | None = None
+    variation: Variation = field(default_factory=Variation)
+    faults: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        where = f"scenario '{self.name}'"
+        names = [body.name for body in self.bodies] + [person.name for person in self.people]
+        _require_names(where, "body or person", names)
+        _require_names(where, "camera", [camera.name for camera in self.cameras])
+        if not self.cameras:
+            raise CellError(f"{where}: expected at least one camera under 'cameras', found none")
+        if not 0 < self.duration_s <= 3600:
+            raise CellError(f"{where}: duration_s must be above 0 and at most 3600, found {self.duration_s}")
+        if np.any(np.array(self.workspace[0]) >= np.array(self.workspace[1])):
+            raise CellError(f"{where}: workspace must be a lower and an upper corner, found {self.workspace}")
+        known = {camera.name for camera in self.cameras}
+        for fault in self.faults:
+            if fault.camera not in known:
+                cameras = ", ".join(sorted(known))
+                raise CellError(
+                    f"{where}: fault '{fault.kind}' names camera '{fault.camera}'; known cameras: {cameras}"
+                )
+
+    def with_seed(self, seed: int) -> Scenario:
+        """The same scenario under another seed: other noise and stamps, and other motion where it varies."""
+        return replace(self, seed=seed)
+
+
+def _require_names(where: str, kind: str, names: list[str]) -> None:
+    for i, name in enumerate(names):
+        if not name or name in names[:i]:
+            raise CellError(f"{where}: every {kind} needs a name of its own, found '{name}' as number {i + 1}")
+
+
+def load_scenario(name: str | FilePath) -> Scenario:
+    """Read a scenario from a YAML file, as given or below the `sim` data folder (`demo`, `sim/demo.yaml`).
+
+    Raises `CellError` naming the file and the key for anything unknown, missing or out of range.
+    """
+    path = _find(name)
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise CellError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise CellError(f"{path}: expected a scenario's keys and values, found {type(content).__name__}")
+    try:
+        return fill(Scenario, content, path.name)
+    except ParameterError as error:
+        raise CellError(str(error)) from error
+    except CellError as error:
+        raise CellError(f"{path}: {error}") from error
+
+
+def _find(name: str | FilePath) -> FilePath:
+    bare = FilePath(name)
+    return resources.find(f"sim/{bare}.yaml" if not bare.suffix and not bare.exists() else bare)

@@ -1,0 +1,58 @@
+"""An RGB-D camera's own errors: lens blur, colour noise, depth noise that grows with distance, missing depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.cell.renderer import Rendering
+from twin_node.cell.scenario import Sensing
+from twin_node.scene import Bool, Float32, UInt8
+
+LENS_SIGMA_PX = 0.6
+"""Blur of lens and pixel area, 1 sigma, pixels."""
+
+DEPTH_STEP = 0.04
+"""Change of depth inside 3 x 3 pixels, as a share of the depth, that counts as a step."""
+
+
+@dataclass(frozen=True)
+class RawImage:
+    """What a camera sends."""
+
+    camera: str
+    stamp: int
+    """Mid-exposure as the camera tells it, ns."""
+    rgb: UInt8
+    """[H, W, 3]."""
+    depth_mm: NDArray[np.uint16]
+    """[H, W] along the optical axis; 0 where unknown."""
+    depth_is_nan: bool = False
+    """The camera sends NaN instead of `depth_mm`."""
+
+
+def sense(camera: str, stamp: int, rendering: Rendering, sensing: Sensing, rng: np.random.Generator) -> RawImage:
+    """The image that a camera with the errors of `sensing` makes of a perfect one."""
+    return RawImage(camera, stamp, _noisy_rgb(rendering.rgb, sensing, rng), _noisy_depth(rendering.depth, sensing, rng))
+
+
+def _noisy_rgb(rgb: UInt8, sensing: Sensing, rng: np.random.Generator) -> UInt8:
+    blurred = cv2.GaussianBlur(rgb, (3, 3), LENS_SIGMA_PX).astype(np.float32)
+    noise = rng.standard_normal(rgb.shape, dtype=np.float32) * np.float32(sensing.rgb_sigma)
+    return np.clip(blurred + noise + 0.5, 0, 255).astype(np.uint8)
+
+
+def _noisy_depth(depth: Float32, sensing: Sensing, rng: np.random.Generator) -> NDArray[np.uint16]:
+    noise = rng.standard_normal(depth.shape, dtype=np.float32)
+    millimetres = 1000 * depth + np.float32(sensing.depth_sigma_at_1m_mm) * depth * depth * noise
+    chance = np.where(_steps(depth), np.float32(sensing.edge_dropout), np.float32(sensing.depth_dropout))
+    lost = (depth == 0) | (rng.random(depth.shape, dtype=np.float32) < chance)
+    return np.where(lost, 0, np.clip(millimetres + 0.5, 0, 65535)).astype(np.uint16)
+
+
+def _steps(depth: Float32) -> Bool:
+    kernel = np.ones((3, 3), np.uint8)
+    return (cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)) > DEPTH_STEP * np.maximum(depth, 0.1)

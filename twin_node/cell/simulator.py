@@ -1,0 +1,140 @@
+"""The simulated rig: a scenario's images in rising order of time, one by one or as synchronised sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.cell.raycast import RayCaster
+from twin_node.cell.renderer import Renderer, Rendering
+from twin_node.cell.rig import make_rig, pinhole
+from twin_node.cell.scenario import Fault, Scenario
+from twin_node.cell.sensor import RawImage, sense
+from twin_node.cell.world import World
+from twin_node.scene import Camera, FrameSet, Rig, View
+
+_STAMPS, _NOISE = 2, 3
+"""Distinguish these uses of the scenario's seed from each other and from the world's."""
+
+UNSORTED_STEP_NS = 50_000_000
+"""How early every second image is stamped under the fault `unsorted_stamps`."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One image to be taken."""
+
+    camera: int
+    """Index in the rig."""
+    tick: int
+    """Number of the set that it belongs to."""
+    stamp: int
+    """Its true time, ns."""
+
+
+class SimulatedRig:
+    """A scenario's cameras: when they look and what they see. The same scenario gives the same bytes."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.world = World(scenario)
+        self.rig: Rig = make_rig(scenario)
+        self.cameras: tuple[Camera, ...] = tuple(pinhole(camera) for camera in self.rig.cameras)
+        self.renderers: tuple[Renderer, ...] = tuple(RayCaster(camera, self.world.static) for camera in self.cameras)
+        self._stamps = self._draw_stamps()
+
+    @property
+    def ticks(self) -> int:
+        """Number of image sets."""
+        return int(np.floor(self.scenario.duration_s * self.scenario.sensing.rate_hz))
+
+    def exposures(self) -> list[Exposure]:
+        """All images that the cameras take, in rising order of true time; those of missing cameras left out."""
+        taken = [
+            Exposure(camera, tick, int(self._stamps[tick, camera]))
+            for tick in range(self.ticks)
+            for camera in range(len(self.cameras))
+        ]
+        seen = [e for e in taken if self._fault(e, "missing") is None]
+        return sorted(seen, key=lambda e: (e.stamp, e.camera))
+
+    def render(self, exposure: Exposure) -> Rendering:
+        """The noiseless image at an exposure's true time."""
+        return self.see(exposure.camera, exposure.stamp)
+
+    def see(self, camera: int, stamp: int) -> Rendering:
+        """The noiseless image of a camera of the rig at any time."""
+        return self.renderers[camera].render((*self.world.moving(stamp), *self.world.arm_solids(stamp)))
+
+    def take(self, exposure: Exposure) -> RawImage:
+        """The image as the camera sends it, with its noise and its faults."""
+        frozen = self._fault(exposure, "frozen")
+        source = exposure if frozen is None else self._first_in(frozen, exposure)
+        rng = np.random.default_rng([self.scenario.seed, _NOISE, source.camera, source.tick])
+        stamp = exposure.stamp
+        if self._fault(exposure, "unsorted_stamps") is not None and exposure.tick % 2:
+            stamp -= UNSORTED_STEP_NS
+        image = sense(self.cameras[exposure.camera].name, stamp, self.render(source), self.scenario.sensing, rng)
+        return replace(image, depth_is_nan=self._fault(exposure, "nan_depth") is not None)
+
+    def _first_in(self, fault: Fault, exposure: Exposure) -> Exposure:
+        stamps = self._stamps[:, exposure.camera]
+        tick = int(np.argmax(stamps >= self.scenario.start_ns + fault.from_s * 1e9))
+        return Exposure(exposure.camera, tick, int(stamps[tick]))
+
+    def _fault(self, exposure: Exposure, kind: str) -> Fault | None:
+        t = self.world.seconds(exposure.stamp)
+        name = self.cameras[exposure.camera].name
+        for fault in self.scenario.faults:
+            if fault.kind == kind and fault.camera == name and fault.from_s <= t < fault.to_s:
+                return fault
+        return None
+
+    def _draw_stamps(self) -> NDArray[np.int64]:
+        """[ticks, cameras] true times of all exposures, ns."""
+        sensing = self.scenario.sensing
+        rng = np.random.default_rng([self.scenario.seed, _STAMPS])
+        jitter_ms = np.clip(rng.normal(size=(self.ticks, len(self.cameras))), -3, 3) * sensing.jitter_ms
+        skews_ms = np.array([camera.skew_ms for camera in self.scenario.cameras])
+        ticks_ms = (np.arange(self.ticks) + 0.5)[:, None] * 1000 / sensing.rate_hz
+        late_ms = ticks_ms + skews_ms + jitter_ms
+        stamps: NDArray[np.int64] = np.rint(late_ms * 1e6).astype(np.int64) + self.scenario.start_ns
+        return stamps
+
+
+class CellSource:
+    """The simulated rig as a source of synchronised sets; see `scene.FrameSource`."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.simulated = SimulatedRig(scenario)
+
+    @property
+    def rig(self) -> Rig:
+        """The calibrated cameras and the workspace."""
+        return self.simulated.rig
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """All cameras of the rig, in the order of every set's views."""
+        return self.simulated.cameras
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        """One set per tick of the rig; a tick that no camera answers gives none."""
+        by_tick: dict[int, list[Exposure]] = {}
+        for exposure in self.simulated.exposures():
+            by_tick.setdefault(exposure.tick, []).append(exposure)
+        for tick in sorted(by_tick):
+            views = tuple(self._view(e) for e in sorted(by_tick[tick], key=lambda e: e.camera))
+            stamp = max(view.stamp for view in views)
+            arm = self.simulated.world.arm
+            yield FrameSet(stamp, views, None if arm is None else arm.sample(stamp), tick)
+
+    def _view(self, exposure: Exposure) -> View:
+        image = self.simulated.take(exposure)
+        depth = image.depth_mm.astype(np.float32) / np.float32(1000)
+        return View(
+            self.cameras[exposure.camera], image.stamp, image.rgb, np.zeros_like(depth) if image.depth_is_nan else depth
+        )

@@ -1,0 +1,81 @@
+"""The cell's solids at any time: furniture, moving bodies, people and the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.cell.people import person_solids
+from twin_node.cell.scenario import Body, Person, Scenario
+from twin_node.cell.solids import Solid, body_solids
+from twin_node.cell.ur_arm import ArmInCell
+from twin_node.scene import Float64
+
+_VARIATION = 1
+"""Distinguishes this use of the scenario's seed from the sensors'."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What the seed does to one actor's motion."""
+
+    shift: Float64
+    """[3] m."""
+    delay_s: float
+
+
+class World:
+    """A scenario's geometry as a function of time."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self._furniture = tuple(body for body in scenario.bodies if not body.path.moves)
+        self._movers = tuple(body for body in scenario.bodies if body.path.moves)
+        self.arm = None if scenario.arm is None else ArmInCell(scenario.arm, scenario)
+        actors: tuple[Body | Person, ...] = (*self._furniture, *self._movers, *scenario.people)
+        self.names: tuple[str, ...] = (*(actor.name for actor in actors), *(("arm",) if self.arm else ()))
+        """Everything in the cell; `Solid.owner` is an index into this."""
+        self.static: tuple[Solid, ...] = tuple(
+            solid for i, body in enumerate(self._furniture) for solid in body_solids(body, body.path.pose(0.0), i)
+        )
+        """The furniture."""
+        rng = np.random.default_rng([scenario.seed, _VARIATION])
+        self._changes = [self._change(rng) for _ in (*self._movers, *scenario.people)]
+
+    @property
+    def moving_owners(self) -> tuple[int, ...]:
+        """Indices in `names` of the moving bodies and people: all that moves but the arm."""
+        first = len(self._furniture)
+        return tuple(range(first, first + len(self._movers) + len(self.scenario.people)))
+
+    def seconds(self, stamp: int) -> float:
+        """Time after the scenario's start of a stamp in ns."""
+        return (stamp - self.scenario.start_ns) / 1e9
+
+    def moving(self, stamp: int) -> tuple[Solid, ...]:
+        """Moving bodies and people at a stamp, the arm left out."""
+        t = self.seconds(stamp)
+        solids: list[Solid] = []
+        changes = iter(self._changes)
+        owners = iter(self.moving_owners)
+        for body in self._movers:
+            change = next(changes)
+            T = body.path.pose(t - change.delay_s)
+            T[:3, 3] += change.shift
+            solids += body_solids(body, T, next(owners))
+        for person in self.scenario.people:
+            change = next(changes)
+            T = person.shoulder.pose(t - change.delay_s)
+            T[:3, 3] += change.shift
+            hand = person.hand.position(t - change.delay_s) + change.shift
+            solids += person_solids(person, T, hand, next(owners))
+        return tuple(solids)
+
+    def arm_solids(self, stamp: int) -> tuple[Solid, ...]:
+        """The arm's links at a stamp; none without an arm."""
+        return () if self.arm is None else self.arm.solids(stamp, len(self.names) - 1)
+
+    def _change(self, rng: np.random.Generator) -> Change:
+        variation = self.scenario.variation
+        return Change(rng.normal(size=3) * variation.position_m, float(rng.normal() * variation.time_s))
