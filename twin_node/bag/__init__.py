@@ -1,1 +1,7 @@
-"""Logs: MCAP files and rosbag2 folders, read and written by stream."""
+"""Logs: MCAP files and rosbag2 folders, read and written by stream, and importers of foreign recordings."""
+
+from twin_node.bag.log import BagError, LogMessage, Topic
+from twin_node.bag.reader import LogReader, open_log
+from twin_node.bag.writer import LogWriter
+
+__all__ = ["BagError", "LogMessage", "LogReader", "LogWriter", "Topic", "open_log"]

@@ -1,0 +1,218 @@
+"""MCAP files: read through the index where there is one, else through one pass over the file."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import error as StructError
+from typing import BinaryIO
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Chunk, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
+from zstandard import ZstdError
+
+from twin_node.bag.log import BagError, Channel, Part, Record
+from twin_node.bag.qos import offers_latched
+
+MAGIC = b"\x89MCAP0\r\n"
+
+DAMAGED = (McapError, StructError, ZstdError, EOFError, ValueError, KeyError, RuntimeError, MemoryError)
+"""What the mcap package lets out when bytes are not what they should be (decompressors and decoding included)."""
+
+LOOSE_PART_BYTES = 1 << 20
+"""Messages outside of chunks are read in parts of this size: the default chunk size of mcap writers."""
+
+
+@dataclass
+class _Index:
+    """What one pass over a file gathers; equal to what an intact file says in its summary."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    parts: list[Part] = field(default_factory=list)
+    metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
+
+
+class McapStorage:
+    """An MCAP file. Raises `BagError` where no message can be read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: BinaryIO = path.open("rb")
+        self._damage: str | None = None
+        try:
+            self._index = self._from_summary() or self._from_scan()
+        except BaseException:
+            self._file.close()
+            raise
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What the file holds."""
+        return tuple(
+            Channel(
+                topic=channel.topic,
+                msgtype=self._msgtype(channel),
+                encoding=channel.message_encoding,
+                count=self._index.counts[channel.id],
+                latched=offers_latched(channel.metadata.get("offered_qos_profiles", "")),
+            )
+            for channel in self._index.channels.values()
+        )
+
+    @property
+    def definitions(self) -> Mapping[str, str]:
+        """Message definitions that the file carries."""
+        return {
+            schema.name: schema.data.decode("utf-8", errors="replace")
+            for schema in self._index.schemas.values()
+            if schema.encoding in ("ros2msg", "ros2idl", "omgidl")
+        }
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Metadata records by name."""
+        return self._index.metadata
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Chunks, and runs of messages outside of chunks."""
+        return tuple(self._index.parts)
+
+    @property
+    def damage(self) -> str | None:
+        """Where the file is damaged, as far as it has been read."""
+        return self._damage
+
+    def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
+        """Messages of a chunk in log-time order; of a damaged one none, and `damage` tells."""
+        self._file.seek(part.offset)
+        data = self._file.read(part.size)
+        try:
+            messages = [
+                message
+                for message in _messages(data)
+                if start <= message.log_time < stop and (topics is None or self._topic(message) in topics)
+            ]
+        except DAMAGED as error:
+            self._damage = f"{self._path}: damaged at byte {part.offset} ({_reason(error)}); read up to there"
+            return
+        for message in sorted(messages, key=lambda message: message.log_time):
+            channel = self._index.channels[message.channel_id]
+            yield Record(channel.topic, self._msgtype(channel), message.log_time, message.data)
+
+    def close(self) -> None:
+        """Releases the file."""
+        self._file.close()
+
+    def _topic(self, message: Message) -> str:
+        return str(self._index.channels[message.channel_id].topic)
+
+    def _msgtype(self, channel: ChannelRecord) -> str:
+        schema = self._index.schemas.get(channel.schema_id)
+        return schema.name if schema else ""
+
+    def _from_summary(self) -> _Index | None:
+        """Index from the file's summary; None where the file has none, or one that leaves messages out."""
+        try:
+            self._file.seek(0)
+            reader = make_reader(self._file)
+            reader.get_header()
+            summary = reader.get_summary()
+            if summary is None or summary.statistics is None or not _complete(summary, summary.statistics):
+                return None
+            metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        except (*DAMAGED, OSError):
+            return None
+        parts = [
+            Part(self, chunk.message_start_time, chunk.message_end_time, chunk.chunk_start_offset, chunk.chunk_length)
+            for chunk in sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+        ]
+        counts = Counter(summary.statistics.channel_message_counts)
+        return _Index(summary.schemas, summary.channels, counts, parts, metadata)
+
+    def _from_scan(self) -> _Index:
+        """Index from one pass over all records, up to the damage where the file is damaged or was never closed."""
+        index = _Index()
+        self._file.seek(0)
+        reader = StreamReader(self._file, emit_chunks=True)
+        size = self._path.stat().st_size
+        start = len(MAGIC)
+        try:
+            for record in reader.records:
+                end = self._file.tell()
+                if end > size:
+                    raise EOFError
+                self._take(index, record, start, end)
+                start = end
+        except DAMAGED as error:
+            self._damage = f"{self._path}: damaged at byte {start} of {size} ({_reason(error)}); read up to there"
+        if not index.parts:
+            raise BagError(self._damage or f"{self._path}: the log holds no messages; record it again")
+        return index
+
+    def _take(self, index: _Index, record: object, start: int, end: int) -> None:
+        if isinstance(record, Chunk):
+            contents = breakup_chunk(record, validate_crc=True)
+            stamps = []
+            for item in contents:
+                if isinstance(item, Message):
+                    stamps.append(item.log_time)
+                    index.counts[item.channel_id] += 1
+                else:
+                    self._take(index, item, start, end)
+            if stamps:
+                index.parts.append(Part(self, min(stamps), max(stamps), start, end - start))
+        elif isinstance(record, Message):
+            index.counts[record.channel_id] += 1
+            _append_loose(index, Part(self, record.log_time, record.log_time, start, end - start))
+        elif isinstance(record, Schema):
+            index.schemas[record.id] = record
+        elif isinstance(record, ChannelRecord):
+            index.channels[record.id] = record
+        elif isinstance(record, Metadata):
+            index.metadata[record.name] = record.metadata
+
+
+def _append_loose(index: _Index, message: Part) -> None:
+    """Joins a message outside of chunks to the run of such messages that it follows."""
+    last = index.parts[-1] if index.parts else None
+    if last and last.offset + last.size == message.offset and last.size < LOOSE_PART_BYTES:
+        start, end = min(last.start, message.start), max(last.end, message.end)
+        index.parts[-1] = Part(message.storage, start, end, last.offset, last.size + message.size)
+    else:
+        index.parts.append(message)
+
+
+def _messages(data: bytes) -> Iterator[Message]:
+    """Messages of a run of whole records, chunks opened and their checksums compared."""
+    stream = io.BytesIO(data)
+    records = StreamReader(stream, skip_magic=True, emit_chunks=True).records
+    while stream.tell() < len(data):
+        record = next(records)
+        contents = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+        yield from (item for item in contents if isinstance(item, Message))
+
+
+def _complete(summary: Summary, statistics: Statistics) -> bool:
+    """Whether the summary leads to all messages: every one in an indexed chunk and on a channel that it repeats."""
+    return (
+        len(summary.chunk_indexes) == statistics.chunk_count
+        and (statistics.chunk_count > 0 or statistics.message_count == 0)
+        and all(channel in summary.channels for channel in statistics.channel_message_counts)
+        and all(not channel.schema_id or channel.schema_id in summary.schemas for channel in summary.channels.values())
+    )
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, EOFError | StructError) or type(error).__name__ == "EndOfFile":
+        return "the file ends in the middle of a record"
+    return str(error) or type(error).__name__

@@ -1,0 +1,226 @@
+"""Logs read by stream: MCAP files, rosbag2 folders of MCAP or SQLite files, split or whole, and single `.db3` files."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from types import TracebackType
+from typing import Any
+
+import yaml
+
+from twin_node.bag import mcap_storage, sqlite_storage
+from twin_node.bag.log import BagError, LogMessage, Part, Record, Storage, Topic
+from twin_node.bag.mcap_storage import McapStorage
+from twin_node.bag.sqlite_storage import SqliteStorage
+from twin_node.messages import MessageTypes, builtin_types
+
+METADATA_FILE = "metadata.yaml"
+NO_START, NO_STOP = 0, 2**63 - 1
+"""Bounds in ns that every log lies within: rosbag2's log times are non-negative int64."""
+
+
+class LogReader:
+    """A log, opened for reading; close it, or use it as a context manager.
+
+    Messages can be read any number of times, and by several iterators at once in one thread.
+    """
+
+    def __init__(self, path: Path, storages: Collection[Storage], metadata: Mapping[str, Mapping[str, str]]) -> None:
+        self.path = path
+        self._storages = tuple(storages)
+        self._metadata = {name: record for storage in storages for name, record in storage.metadata.items()}
+        self._metadata.update(metadata)
+        self._parts = tuple(part for storage in storages for part in storage.parts)
+        self._topics = _merge_topics(path, storages)
+        self._types = builtin_types().extended(
+            {name: text for storage in storages for name, text in storage.definitions.items()}
+        )
+        if not self._parts:
+            raise BagError(f"{path}: the log holds no messages; record it again")
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """All topics, by name."""
+        return self._topics
+
+    @property
+    def types(self) -> MessageTypes:
+        """Message types as this log defines them, beside the built-in ones."""
+        return self._types
+
+    @property
+    def start_ns(self) -> int:
+        """Log time of the first message, ns."""
+        return min(part.start for part in self._parts)
+
+    @property
+    def end_ns(self) -> int:
+        """Log time of the last message, ns."""
+        return max(part.end for part in self._parts)
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Metadata records by name."""
+        return self._metadata
+
+    @property
+    def damage(self) -> str | None:
+        """One line that says where the log is damaged; None where no damage has been met.
+
+        A missing end is known once the log is open, a damaged chunk once iteration has come to it.
+        """
+        return "; ".join(storage.damage for storage in self._storages if storage.damage) or None
+
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None, stop_ns: int | None = None
+    ) -> Iterator[LogMessage]:
+        """Messages in log-time order (ties as stored), at most a few parts of the log in memory at a time.
+
+        `topics`: names, None for all. From `start_ns` on and before `stop_ns`. Where a part is damaged, reading ends.
+        """
+        start = NO_START if start_ns is None else start_ns
+        stop = NO_STOP if stop_ns is None else stop_ns
+        streams = [
+            _stream(index, part, topics, start, stop)
+            for index, part in enumerate(self._parts)
+            if part.start < stop and part.end >= start
+        ]
+        known_damage = self.damage
+        for entry in heapq.merge(*streams, key=_Entry.order):
+            if self.damage != known_damage:
+                return
+            if entry.record is not None:
+                record = entry.record
+                yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, self._types)
+
+    def close(self) -> None:
+        """Releases the files."""
+        for storage in self._storages:
+            storage.close()
+
+    def __enter__(self) -> LogReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Entry:
+    """A message on its way through the merge; without a record, it announces a part that begins at that time."""
+
+    __slots__ = ("part", "record", "stamp")
+
+    def __init__(self, stamp: int, part: int, record: Record | None) -> None:
+        self.stamp, self.part, self.record = stamp, part, record
+
+    def order(self) -> tuple[int, int]:
+        return self.stamp, self.part
+
+
+def _stream(index: int, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[_Entry]:
+    """The part's messages after an announcement, so that merging opens no part before its time has come."""
+    yield _Entry(max(part.start, start), index, None)
+    for record in part.storage.records(part, topics, start, stop):
+        yield _Entry(record.stamp, index, record)
+
+
+def open_log(path: Path | str) -> LogReader:
+    """Opens an MCAP file, a `.db3` file, or a rosbag2 folder (the kind is told by content, not by name).
+
+    Raises `BagError` with one line for a path that is missing, empty, no log, holds no messages, or none in CDR. A
+    damaged or unfinished MCAP file opens up to its damage, and `LogReader.damage` tells.
+    """
+    path = Path(path)
+    try:
+        return _open_folder(path) if path.is_dir() else _open_files(path, [path], {})
+    except OSError as error:
+        raise BagError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
+
+
+def _open_folder(folder: Path) -> LogReader:
+    file = folder / METADATA_FILE
+    logs = sorted(entry.name for entry in folder.iterdir() if entry.suffix in (".mcap", ".db3"))
+    if not file.is_file():
+        hint = f"give one of its files ({logs[0]})" if logs else "expected a rosbag2 folder or an MCAP file"
+        raise BagError(f"{folder}: no {METADATA_FILE} in this folder; {hint}")
+    information = _bag_information(file)
+    formats = {topic["topic_metadata"]["serialization_format"] for topic in information["topics_with_message_count"]}
+    if formats - {"cdr"}:
+        raise BagError(f"{file}: expected messages in cdr, found {', '.join(sorted(formats))}; convert the bag to cdr")
+    if information.get("compression_mode"):
+        raise BagError(
+            f"{file}: rosbag2 {information['compression_mode']} compression; expected none (or MCAP's own); convert it "
+            "with `ros2 bag convert`"
+        )
+    paths = [folder / PurePosixPath(name).name for name in information["relative_file_paths"]]
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing or not paths:
+        raise BagError(
+            f"{file}: names files that are not there: {', '.join(missing) or 'none at all'}; copy the whole bag"
+        )
+    return _open_files(folder, paths, _custom_data(information))
+
+
+def _bag_information(file: Path) -> Any:
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        information = content["rosbag2_bagfile_information"]
+        for key in ("relative_file_paths", "topics_with_message_count"):
+            information[key]
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise BagError(f"{file}: not the metadata of a rosbag2 folder ({reason}); run `ros2 bag reindex`") from None
+    return information
+
+
+def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
+    """Metadata records that `LogWriter` put into the folder's custom data as JSON; other custom data as they are."""
+    records: dict[str, Mapping[str, str]] = {}
+    for name, text in (information.get("custom_data") or {}).items():
+        try:
+            content = json.loads(text)
+        except ValueError:
+            content = text
+        records[name] = content if isinstance(content, dict) else {"value": str(text)}
+    return records
+
+
+def _open_files(path: Path, files: Collection[Path], metadata: Mapping[str, Mapping[str, str]]) -> LogReader:
+    storages: list[Storage] = []
+    try:
+        storages.extend(_open_file(file) for file in files)
+        return LogReader(path, storages, metadata)
+    except BaseException:
+        for storage in storages:
+            storage.close()
+        raise
+
+
+def _open_file(path: Path) -> Storage:
+    with path.open("rb") as file:
+        head = file.read(len(sqlite_storage.MAGIC))
+    if head.startswith(mcap_storage.MAGIC):
+        return McapStorage(path)
+    if head == sqlite_storage.MAGIC:
+        return SqliteStorage(path)
+    found = f"a file that begins with {head[:8]!r}" if head else "an empty file"
+    raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")
+
+
+def _merge_topics(path: Path, storages: Collection[Storage]) -> tuple[Topic, ...]:
+    channels = [channel for storage in storages for channel in storage.channels]
+    encodings = sorted({channel.encoding for channel in channels})
+    if channels and "cdr" not in encodings:
+        raise BagError(f"{path}: expected messages in cdr, found {', '.join(encodings)}; convert the log to ROS 2")
+    merged: dict[str, Topic] = {}
+    for channel in sorted(channels, key=lambda channel: channel.topic):
+        known = merged.get(channel.topic, Topic(channel.topic, channel.msgtype, 0))
+        merged[channel.topic] = Topic(
+            channel.topic, channel.msgtype, known.count + channel.count, known.latched or channel.latched
+        )
+    return tuple(merged.values())

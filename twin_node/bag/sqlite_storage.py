@@ -1,0 +1,85 @@
+"""SQLite files of rosbag2 (`.db3`), read by rosbags."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import cast
+
+from rosbags.interfaces import ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader, ReaderError
+
+from twin_node.bag.log import BagError, Channel, Part, Record
+from twin_node.bag.qos import any_transient_local
+
+MAGIC = b"SQLite format 3\x00"
+
+
+class SqliteStorage:
+    """A `.db3` file. Raises `BagError` if it is damaged from the start or not a rosbag2 file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._damage: str | None = None
+        try:
+            self._reader = Reader(path)
+            self._reader.open()
+        except (ReaderError, KeyError, TypeError) as error:
+            raise BagError(f"{path}: not a readable rosbag2 SQLite file ({error}); record it again") from None
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What the file holds."""
+        return tuple(
+            Channel(
+                topic=connection.topic,
+                msgtype=connection.msgtype,
+                encoding=cast("ConnectionExtRosbag2", connection.ext).serialization_format,
+                count=connection.msgcount,
+                latched=any_transient_local(cast("ConnectionExtRosbag2", connection.ext).offered_qos_profiles),
+            )
+            for connection in self._reader.connections
+        )
+
+    @property
+    def definitions(self) -> Mapping[str, str]:
+        """Message definitions that the file carries (rosbag2 since Iron)."""
+        return {c.msgtype: c.msgdef.data for c in self._reader.connections if c.msgdef.data}
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Nothing: rosbag2 keeps custom data in `metadata.yaml`."""
+        return {}
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The whole file: SQLite streams it in log-time order by its own index."""
+        if not self._reader.message_count:
+            return ()
+        return (Part(self, self._reader.start_time, self._reader.end_time - 1),)
+
+    @property
+    def damage(self) -> str | None:
+        """Where reading stopped, if it did."""
+        return self._damage
+
+    def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
+        """Messages of the file in log-time order, up to the first page that SQLite cannot read."""
+        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        if not wanted:
+            return
+        messages = self._reader.messages(wanted, start, stop)
+        stamp = max(start, part.start)
+        while True:
+            try:
+                connection, stamp, data = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:  # what was read stands; SQLite bindings raise classes of their own
+                self._damage = f"{self._path}: damaged after the message at {stamp} ns ({error}); read up to there"
+                return
+            yield Record(connection.topic, connection.msgtype, stamp, data)
+
+    def close(self) -> None:
+        """Releases the file."""
+        self._reader.close()

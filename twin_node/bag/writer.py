@@ -1,0 +1,243 @@
+"""Logs written by stream: one MCAP file of the `ros2` profile, or a rosbag2 folder around one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Protocol
+
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
+
+from twin_node.bag.log import BagError
+from twin_node.bag.qos import is_latched, offered_qos_profiles, profile
+from twin_node.messages import Message, builtin_types, serialize
+
+PROFILE, LIBRARY = "ros2", "twin_node"
+CHUNK_BYTES = 1 << 20
+"""Uncompressed size at which a chunk is closed: mcap's default, half a second of one 640x480 JPEG stream."""
+
+BAG_VERSION: Literal[8] = 8
+"""rosbag2 metadata version with numeric QoS policies, read by every distribution since Humble."""
+
+PARTIAL = ".partial"
+"""Ending of the sibling that is written until the log is closed."""
+
+
+@dataclass(frozen=True)
+class _Definition:
+    msgtype: str
+    text: str
+    type_hash: str
+
+
+class _Sink(Protocol):
+    """Where a log goes: a file or a folder."""
+
+    def add_topic(self, name: str, definition: _Definition, latched: bool) -> None: ...
+
+    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int) -> None: ...
+
+    def add_metadata(self, name: str, record: Mapping[str, str]) -> None: ...
+
+    def flush(self) -> None: ...
+
+    def commit(self) -> None: ...
+
+    def abort(self) -> None: ...
+
+
+class LogWriter:
+    """Writes a log by stream; use it as a context manager.
+
+    `path` ends in `.mcap` for one MCAP file (an existing one is replaced at the end), or has no suffix for a new
+    rosbag2 folder. All goes to a sibling ending in `.partial`, which takes the name when the log is closed; if the
+    context ends with an exception it is removed, and whatever stood at `path` is untouched. The same calls give the
+    same bytes.
+
+    `compression` of the chunks of an MCAP file: none by default, as `ros2 bag record`, because images are compressed.
+    Raises `BagError` for a wrong path, stamp or type, and when the disk refuses.
+    """
+
+    def __init__(self, path: Path | str, compression: Literal["none", "zstd", "lz4"] = "none") -> None:
+        self.path = Path(path)
+        if not self.path.parent.is_dir():
+            raise BagError(f"{self.path}: folder {self.path.parent} does not exist; create it first")
+        self._topics: dict[str, str] = {}
+        self._closed = False
+        try:
+            self._sink = _open_sink(self.path, compression)
+        except OSError as error:
+            raise self._refused(error) from None
+
+    def add_topic(self, name: str, msgtype: str, *, definition: str | None = None, latched: bool | None = None) -> None:
+        """Announces a topic; needed only for what `write` cannot know.
+
+        `definition`: `ros2msg` text of a type outside of the built-in set. `latched`: None follows `qos.is_latched`.
+        """
+        if self._topics.setdefault(name, msgtype) != msgtype:
+            raise BagError(f"{self.path}: topic {name} holds {self._topics[name]}, found a message of {msgtype}")
+        types = builtin_types()
+        if definition is not None and msgtype not in types:
+            types = types.extended({msgtype: definition})
+        text = types.definition(msgtype) if definition is None else definition
+        latched = is_latched(name) if latched is None else latched
+        self._sink.add_topic(name, _Definition(msgtype, text, types.type_hash(msgtype)), latched)
+
+    def write(self, topic: str, message: Message, stamp_ns: int) -> None:
+        """Writes a message at a log time in ns."""
+        self.write_raw(topic, message.__msgtype__, serialize(message), stamp_ns)
+
+    def write_raw(self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int) -> None:
+        """Writes CDR bytes of a message at a log time in ns."""
+        if not 0 <= stamp_ns < 2**63:
+            raise BagError(
+                f"{self.path}: message on {topic} at {stamp_ns} ns; expected a log time from 0 to 2^63 - 1 ns"
+            )
+        try:
+            if self._topics.get(topic) != msgtype:
+                self.add_topic(topic, msgtype)
+            self._sink.write(topic, data, stamp_ns)
+        except OSError as error:
+            raise self._refused(error) from None
+
+    def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
+        """Adds a record of strings that is kept beside the messages (MCAP Metadata; custom data of a folder)."""
+        self._sink.add_metadata(name, record)
+
+    def flush(self) -> None:
+        """Hands all that was written to the operating system, so that a crash loses nothing of it (MCAP file only)."""
+        try:
+            self._sink.flush()
+        except OSError as error:
+            raise self._refused(error) from None
+
+    def close(self) -> None:
+        """Finishes the log and gives it its name; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._sink.commit()
+        except OSError as error:
+            self._sink.abort()
+            raise self._refused(error) from None
+
+    def abort(self) -> None:
+        """Throws away what was written; a call after `close` does nothing."""
+        if not self._closed:
+            self._closed = True
+            self._sink.abort()
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _refused(self, error: OSError) -> BagError:
+        return BagError(f"{self.path}: cannot be written ({error.strerror}); free space or choose another place")
+
+
+def _open_sink(path: Path, compression: Literal["none", "zstd", "lz4"]) -> _Sink:
+    if path.suffix == ".mcap":
+        if path.is_dir():
+            raise BagError(f"{path}: is a folder; expected the name of a file")
+        return _FileSink(path, CompressionType[compression.upper()])
+    if path.suffix:
+        raise BagError(f"{path}: expected a name ending in .mcap, or one without an ending for a rosbag2 folder")
+    if path.exists():
+        raise BagError(f"{path}: exists already; remove it or choose another name")
+    return _FolderSink(path)
+
+
+class _FileSink:
+    """One MCAP file."""
+
+    def __init__(self, path: Path, compression: CompressionType) -> None:
+        self._path = path
+        self._partial = path.with_name(path.name + PARTIAL)
+        self._file = self._partial.open("wb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=compression)
+        self._writer.start(PROFILE, LIBRARY)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequences: dict[str, int] = {}
+
+    def add_topic(self, name: str, definition: _Definition, latched: bool) -> None:
+        msgtype = definition.msgtype
+        if msgtype not in self._schemas:
+            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.text.encode())
+        qos = {"offered_qos_profiles": offered_qos_profiles(latched), "topic_type_hash": definition.type_hash}
+        self._channels[name] = self._writer.register_channel(name, "cdr", self._schemas[msgtype], qos)
+        self._sequences[name] = 0
+
+    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int) -> None:
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._sequences[topic])
+        self._sequences[topic] += 1
+
+    def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(record))
+
+    def flush(self) -> None:
+        self._writer.flush()
+
+    def commit(self) -> None:
+        self._writer.finish()
+        self._file.close()
+        self._partial.replace(self._path)
+
+    def abort(self) -> None:
+        self._file.close()
+        self._partial.unlink(missing_ok=True)
+
+
+class _FolderSink:
+    """A rosbag2 folder; its files carry the folder's name, so it grows inside a `.partial` folder."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._partial = path.with_name(path.name + PARTIAL)
+        shutil.rmtree(self._partial, ignore_errors=True)
+        self._partial.mkdir()
+        self._writer = FolderWriter(self._partial / path.name, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        self._connections: dict[str, Connection] = {}
+
+    def add_topic(self, name: str, definition: _Definition, latched: bool) -> None:
+        self._connections[name] = self._writer.add_connection(
+            name,
+            definition.msgtype,
+            msgdef=definition.text,
+            rihs01=definition.type_hash,
+            offered_qos_profiles=[profile(latched)],
+        )
+
+    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int) -> None:
+        self._writer.write(self._connections[topic], stamp_ns, data)
+
+    def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
+        self._writer.set_custom_data(name, json.dumps(dict(record), sort_keys=True))
+
+    def flush(self) -> None:
+        """Nothing: rosbags writes whole chunks only."""
+
+    def commit(self) -> None:
+        self._writer.close()
+        (self._partial / self._path.name).rename(self._path)
+        self._partial.rmdir()
+
+    def abort(self) -> None:
+        self._writer.abort()
+        shutil.rmtree(self._partial, ignore_errors=True)

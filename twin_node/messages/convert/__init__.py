@@ -1,0 +1,76 @@
+"""The records of `twin_node.scene` as messages, and back."""
+
+from twin_node.messages.convert.arm import (
+    joint_path_from_message,
+    joint_path_to_message,
+    joint_sample_from_message,
+    joint_sample_to_message,
+    separation_from_message,
+    separation_to_message,
+)
+from twin_node.messages.convert.camera import (
+    BASE_FRAME,
+    TransformTree,
+    camera_info,
+    optical_frame,
+    rig_camera,
+    tf_static,
+    transform_stamped,
+)
+from twin_node.messages.convert.forecast import (
+    obstacles_from_message,
+    obstacles_to_message,
+    occupancy_from_message,
+    occupancy_to_message,
+)
+from twin_node.messages.convert.gaussians import gaussians_from_pointcloud2, gaussians_to_pointcloud2
+from twin_node.messages.convert.image import (
+    JPEG_QUALITY,
+    compressed_depth_image,
+    compressed_image,
+    depth_from_message,
+    depth_image,
+    raw_image,
+    rgb_from_message,
+)
+from twin_node.messages.convert.status import (
+    Status,
+    clock_from_message,
+    clock_to_message,
+    status_from_message,
+    status_to_message,
+)
+
+__all__ = [
+    "BASE_FRAME",
+    "JPEG_QUALITY",
+    "Status",
+    "TransformTree",
+    "camera_info",
+    "clock_from_message",
+    "clock_to_message",
+    "compressed_depth_image",
+    "compressed_image",
+    "depth_from_message",
+    "depth_image",
+    "gaussians_from_pointcloud2",
+    "gaussians_to_pointcloud2",
+    "joint_path_from_message",
+    "joint_path_to_message",
+    "joint_sample_from_message",
+    "joint_sample_to_message",
+    "obstacles_from_message",
+    "obstacles_to_message",
+    "occupancy_from_message",
+    "occupancy_to_message",
+    "optical_frame",
+    "raw_image",
+    "rgb_from_message",
+    "rig_camera",
+    "separation_from_message",
+    "separation_to_message",
+    "status_from_message",
+    "status_to_message",
+    "tf_static",
+    "transform_stamped",
+]

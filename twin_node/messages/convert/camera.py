@@ -1,0 +1,147 @@
+"""Calibration and transforms: `RigCamera` and `Rig` to CameraInfo and TF, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.geometry import inverse_pose, pose, quat_from_rotation, rotation_from_quat
+from twin_node.messages.stamps import header
+from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.scene import Float64, Rig, RigCamera
+
+BASE_FRAME = "base_link"
+
+DISTORTION_SIZES = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
+"""Numbers of coefficients that each ROS distortion model may have (sensor_msgs/distortion_models.hpp)."""
+
+
+def optical_frame(camera: str) -> str:
+    """Frame of a camera's images (REP-103 suffix: z forward, x right, y down)."""
+    return f"{camera}_optical_frame"
+
+
+def camera_info(camera: RigCamera, stamp: int) -> Message:
+    """`sensor_msgs/msg/CameraInfo` of a calibrated camera; P = [K | 0] and R = I: no stereo pair is rectified."""
+    roi = message_type("sensor_msgs/msg/RegionOfInterest")
+    projection = np.zeros((3, 4))
+    projection[:, :3] = camera.K
+    return message_type("sensor_msgs/msg/CameraInfo")(
+        header=header(stamp, optical_frame(camera.name)),
+        height=camera.height,
+        width=camera.width,
+        distortion_model=camera.distortion_model,
+        d=np.array(camera.D, dtype=np.float64),
+        k=np.array(camera.K, dtype=np.float64).reshape(9),
+        r=np.eye(3).reshape(9),
+        p=projection.reshape(12),
+        binning_x=0,
+        binning_y=0,
+        roi=roi(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+
+
+def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0.0) -> RigCamera:
+    """Camera `name` from a CameraInfo and its pose [4, 4] in `base_link`.
+
+    K is made to fit the image as sent: a region of interest shifts it, binning scales it (CameraInfo.msg).
+    Raises `MessageError` for an uncalibrated camera, an unknown distortion model or a wrong number of coefficients.
+    """
+    K = np.array(info.k, dtype=np.float64).reshape(3, 3)
+    if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
+        raise MessageError(
+            f"camera {name}: CameraInfo holds no calibration (fx = {K[0, 0]:g}, fy = {K[1, 1]:g}); calibrate the "
+            "camera or give a rig file"
+        )
+    width = int(info.roi.width or info.width)
+    height = int(info.roi.height or info.height)
+    bins = np.array([max(info.binning_x, 1), max(info.binning_y, 1)], dtype=np.float64)
+    K[:2, 2] -= [info.roi.x_offset, info.roi.y_offset]
+    K[:2, :2] /= bins[:, None]
+    K[:2, 2] = (K[:2, 2] + 0.5) / bins - 0.5
+    model = str(info.distortion_model) or "plumb_bob"
+    return RigCamera(
+        name=name,
+        width=width // int(bins[0]),
+        height=height // int(bins[1]),
+        K=K,
+        T_base_cam=np.array(T_base_cam, dtype=np.float64),
+        distortion_model=model,
+        D=_coefficients(name, model, np.array(info.d, dtype=np.float64)),
+        sigma_m=sigma_m,
+    )
+
+
+def _coefficients(name: str, model: str, D: Float64) -> Float64:
+    sizes = DISTORTION_SIZES.get(model)
+    if sizes is None:
+        raise MessageError(
+            f"camera {name}: distortion model {model!r}; expected one of {', '.join(DISTORTION_SIZES)}; "
+            "recalibrate with one of them"
+        )
+    if len(D) == 0:
+        return np.zeros(sizes[-1])
+    if len(D) not in sizes or not np.all(np.isfinite(D)):
+        raise MessageError(
+            f"camera {name}: {model} needs {' or '.join(map(str, sizes))} finite distortion coefficients, "
+            f"found {D.tolist()}; correct D of its CameraInfo"
+        )
+    return D
+
+
+def transform_stamped(parent: str, child: str, T_parent_child: Float64, stamp: int) -> Message:
+    """`geometry_msgs/msg/TransformStamped` of a pose [4, 4] that maps child coordinates to the parent's."""
+    vector = message_type("geometry_msgs/msg/Vector3")
+    quaternion = message_type("geometry_msgs/msg/Quaternion")
+    x, y, z = (float(v) for v in T_parent_child[:3, 3])
+    qw, qx, qy, qz = (float(v) for v in quat_from_rotation(T_parent_child[:3, :3]))
+    return message_type("geometry_msgs/msg/TransformStamped")(
+        header=header(stamp, parent),
+        child_frame_id=child,
+        transform=message_type("geometry_msgs/msg/Transform")(
+            translation=vector(x=x, y=y, z=z), rotation=quaternion(x=qx, y=qy, z=qz, w=qw)
+        ),
+    )
+
+
+def tf_static(rig: Rig, stamp: int) -> Message:
+    """`tf2_msgs/msg/TFMessage` with `base_link` -> `<cam>_optical_frame` of every camera."""
+    return message_type("tf2_msgs/msg/TFMessage")(
+        transforms=[transform_stamped(BASE_FRAME, optical_frame(c.name), c.T_base_cam, stamp) for c in rig.cameras]
+    )
+
+
+class TransformTree:
+    """Frames and the transforms between them, as gathered from `/tf_static`."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, Float64]] = {}
+
+    def add(self, message: Message) -> None:
+        """Takes every transform of a `tf2_msgs/msg/TFMessage`; a newer one replaces an older one of the same child."""
+        for stamped in message.transforms:
+            t, q = stamped.transform.translation, stamped.transform.rotation
+            rotation = rotation_from_quat(np.array([q.w, q.x, q.y, q.z]))
+            parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+            self._parents[child] = (parent, pose(rotation, np.array([t.x, t.y, t.z])))
+
+    def lookup(self, frame: str, base: str = BASE_FRAME) -> Float64:
+        """[4, 4] maps coordinates of `frame` to `base`; raises `MessageError` where no transforms join them."""
+        root_of_frame, T_root_frame = self._to_root(frame)
+        root_of_base, T_root_base = self._to_root(base)
+        if root_of_frame != root_of_base:
+            known = ", ".join(sorted({*self._parents, *(parent for parent, _ in self._parents.values())})) or "none"
+            raise MessageError(
+                f"frame {frame}: no transforms join it to {base} (known frames: {known}); add them to /tf_static or "
+                "give a rig file"
+            )
+        joined: Float64 = inverse_pose(T_root_base) @ T_root_frame
+        return joined
+
+    def _to_root(self, frame: str) -> tuple[str, Float64]:
+        T = np.eye(4)
+        for _ in range(len(self._parents) + 1):
+            if frame not in self._parents:
+                return frame, T
+            frame, T_parent = self._parents[frame]
+            T = T_parent @ T
+        raise MessageError(f"frame {frame}: the transforms of /tf_static form a loop; give every frame one parent")

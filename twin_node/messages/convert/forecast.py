@@ -1,0 +1,138 @@
+"""What the twin foresees: occupancy and obstacles to messages and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.messages.convert.camera import BASE_FRAME
+from twin_node.messages.stamps import from_duration, from_time, header, header_stamp, to_duration, to_time
+from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.scene import Grid, Obstacles, Occupancy, OccupancyLayer
+
+
+def occupancy_to_message(occupancy: Occupancy) -> Message:
+    """`twin_msgs/msg/OccupancyForecast` of an occupancy; arrays are taken as they are."""
+    grid = occupancy.grid
+    x, y, z = (float(v) for v in grid.origin)
+    return message_type("twin_msgs/msg/OccupancyForecast")(
+        header=header(occupancy.stamp, BASE_FRAME),
+        publish_stamp=to_time(occupancy.publish_stamp),
+        origin=message_type("geometry_msgs/msg/Point")(x=x, y=y, z=z),
+        voxel_size=float(grid.voxel_size),
+        dims=np.array(grid.dims, dtype=np.uint32),
+        layers=[_layer_to_message(layer) for layer in occupancy.layers],
+        static_layer=_layer_to_message(occupancy.static),
+        unknown_runs=np.ascontiguousarray(occupancy.unknown_runs, dtype=np.uint32).reshape(-1),
+    )
+
+
+def occupancy_from_message(message: Message) -> Occupancy:
+    """Occupancy from a `twin_msgs/msg/OccupancyForecast`; arrays are views of the message.
+
+    Raises `MessageError` where indices and probabilities differ in number or an index is outside of the grid.
+    """
+    dims = (int(message.dims[0]), int(message.dims[1]), int(message.dims[2]))
+    origin = np.array([message.origin.x, message.origin.y, message.origin.z])
+    grid = Grid(origin=origin, voxel_size=float(message.voxel_size), dims=dims)
+    runs = np.asarray(message.unknown_runs)
+    if len(runs) % 2:
+        raise MessageError(
+            f"OccupancyForecast: unknown_runs needs pairs of start and length, found {len(runs)} numbers"
+        )
+    return Occupancy(
+        stamp=header_stamp(message),
+        publish_stamp=from_time(message.publish_stamp),
+        grid=grid,
+        layers=tuple(_layer_from_message(layer, grid) for layer in message.layers),
+        static=_layer_from_message(message.static_layer, grid),
+        unknown_runs=runs.reshape(-1, 2),
+    )
+
+
+def obstacles_to_message(obstacles: Obstacles) -> Message:
+    """`twin_msgs/msg/ObstacleArray` of obstacles; angular velocities are zero, because the cover does not turn."""
+    obstacle = message_type("twin_msgs/msg/Obstacle")
+    twist = message_type("geometry_msgs/msg/Twist")
+    messages = [
+        obstacle(
+            id=int(obstacles.ids[i]),
+            kind=int(obstacles.kinds[i]),
+            shape=int(obstacles.shapes[i]),
+            pose=_pose(obstacles.positions[i], obstacles.quats[i]),
+            size=_vector(obstacles.sizes[i]),
+            twist=twist(linear=_vector(obstacles.velocities[i]), angular=_vector(np.zeros(3))),
+            bound=float(obstacles.bounds[i]),
+            valid_from=to_time(int(obstacles.valid_from[i])),
+            valid_to=to_time(int(obstacles.valid_to[i])),
+        )
+        for i in range(len(obstacles.ids))
+    ]
+    return message_type("twin_msgs/msg/ObstacleArray")(header=header(obstacles.stamp, BASE_FRAME), obstacles=messages)
+
+
+def obstacles_from_message(message: Message) -> Obstacles:
+    """Obstacles from a `twin_msgs/msg/ObstacleArray`."""
+    items: Sequence[Message] = message.obstacles
+
+    def table(rows: list[list[float]], columns: int) -> NDArray[np.float64]:
+        return np.array(rows, dtype=np.float64).reshape(len(items), columns)
+
+    orientations = [item.pose.orientation for item in items]
+    return Obstacles(
+        stamp=header_stamp(message),
+        ids=np.array([item.id for item in items], dtype=np.uint32),
+        kinds=np.array([item.kind for item in items], dtype=np.uint8),
+        shapes=np.array([item.shape for item in items], dtype=np.uint8),
+        positions=table([_xyz(item.pose.position) for item in items], 3),
+        quats=table([[q.w, q.x, q.y, q.z] for q in orientations], 4),
+        sizes=table([_xyz(item.size) for item in items], 3),
+        velocities=table([_xyz(item.twist.linear) for item in items], 3),
+        bounds=np.array([item.bound for item in items], dtype=np.float64),
+        valid_from=np.array([from_time(item.valid_from) for item in items], dtype=np.int64),
+        valid_to=np.array([from_time(item.valid_to) for item in items], dtype=np.int64),
+    )
+
+
+def _layer_to_message(layer: OccupancyLayer) -> Message:
+    return message_type("twin_msgs/msg/OccupancyLayer")(
+        horizon=to_duration(layer.horizon_ns),
+        indices=np.ascontiguousarray(layer.indices, dtype=np.uint32),
+        probability=np.ascontiguousarray(layer.probability, dtype=np.uint8),
+    )
+
+
+def _layer_from_message(message: Message, grid: Grid) -> OccupancyLayer:
+    horizon_ns = from_duration(message.horizon)
+    indices = np.asarray(message.indices)
+    if len(indices) != len(message.probability):
+        raise MessageError(
+            f"OccupancyForecast layer {horizon_ns / 1e6:g} ms: {len(indices)} indices but {len(message.probability)} "
+            "probabilities; the sender is at fault"
+        )
+    if len(indices) and int(indices.max()) >= grid.size:
+        raise MessageError(
+            f"OccupancyForecast layer {horizon_ns / 1e6:g} ms: index {int(indices.max())} is outside the grid of "
+            f"{grid.size} voxels; the sender is at fault"
+        )
+    return OccupancyLayer(horizon_ns=horizon_ns, indices=indices, probability=np.asarray(message.probability))
+
+
+def _vector(values: NDArray[np.float64]) -> Message:
+    return message_type("geometry_msgs/msg/Vector3")(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+
+def _pose(position: NDArray[np.float64], quat: NDArray[np.float64]) -> Message:
+    w, x, y, z = (float(v) for v in quat)
+    return message_type("geometry_msgs/msg/Pose")(
+        position=message_type("geometry_msgs/msg/Point")(
+            x=float(position[0]), y=float(position[1]), z=float(position[2])
+        ),
+        orientation=message_type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w),
+    )
+
+
+def _xyz(message: Message) -> list[float]:
+    return [message.x, message.y, message.z]

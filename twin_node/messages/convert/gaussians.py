@@ -1,0 +1,116 @@
+"""Gaussians as `sensor_msgs/msg/PointCloud2`, laid out so that RViz and Foxglove show them as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.messages.convert.camera import BASE_FRAME
+from twin_node.messages.stamps import header
+from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.scene import GaussianCloud
+
+FLOAT_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "sx", "sy", "sz", "opacity", "rgb", "vx", "vy", "vz")
+"""Four bytes each, in this order from offset 0; `rgb` is 0x00RRGGBB in the bits of a float32, as PCL packs it."""
+
+ID_OFFSET, TIER_OFFSET, POINT_STEP = 60, 64, 68
+
+DTYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
+"""numpy types of the PointField constants INT8 to FLOAT64."""
+
+_UINT8, _UINT32, _FLOAT32 = 2, 6, 7
+
+
+def gaussians_to_pointcloud2(cloud: GaussianCloud, stamp: int) -> Message:
+    """PointCloud2 of a cloud in `base_link`, one point per Gaussian; colours are rounded to 8 bits.
+
+    Units: metres, m/s, linear scales and opacities. `nodes` are not sent.
+    """
+    n = len(cloud.means)
+    points = np.zeros((n, POINT_STEP), dtype=np.uint8)
+    floats = points[:, :ID_OFFSET].view("<f4")
+    floats[:, 0:3] = cloud.means
+    floats[:, 3:7] = cloud.quats
+    floats[:, 7:10] = cloud.scales
+    floats[:, 10] = cloud.opacities
+    floats[:, 12:15] = cloud.velocities
+    levels = np.rint(np.clip(cloud.rgb, 0, 1) * 255).astype(np.uint32)
+    points[:, :ID_OFFSET].view("<u4")[:, 11] = levels[:, 0] << 16 | levels[:, 1] << 8 | levels[:, 2]
+    points[:, ID_OFFSET:TIER_OFFSET].view("<u4")[:, 0] = cloud.ids
+    points[:, TIER_OFFSET] = cloud.tiers
+    return message_type("sensor_msgs/msg/PointCloud2")(
+        header=header(stamp, BASE_FRAME),
+        height=1,
+        width=n,
+        fields=_fields(),
+        is_bigendian=False,
+        point_step=POINT_STEP,
+        row_step=POINT_STEP * n,
+        data=points.reshape(-1),
+        is_dense=True,
+    )
+
+
+def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
+    """Cloud from a PointCloud2 of `gaussians_to_pointcloud2`; `nodes` are -1.
+
+    Fields are found by name, wherever they stand. Raises `MessageError` if one is missing or the sizes disagree.
+    """
+    points = _points(message)
+
+    def columns(*names: str) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+        return np.stack([points[name] for name in names], axis=1).astype(np.float32, copy=False)
+
+    packed = np.ascontiguousarray(points["rgb"]).view(np.uint32)
+    rgb = np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=1).astype(np.float32) / np.float32(255)
+    return GaussianCloud(
+        means=columns("x", "y", "z"),
+        quats=columns("qw", "qx", "qy", "qz"),
+        scales=columns("sx", "sy", "sz"),
+        opacities=points["opacity"].astype(np.float32),
+        rgb=rgb,
+        velocities=columns("vx", "vy", "vz"),
+        tiers=points["tier"].astype(np.uint8),
+        ids=points["id"].astype(np.uint32),
+        nodes=np.full(len(points), -1, dtype=np.int32),
+    )
+
+
+def _fields() -> list[Message]:
+    field = message_type("sensor_msgs/msg/PointField")
+    floats = [field(name=n, offset=4 * i, datatype=_FLOAT32, count=1) for i, n in enumerate(FLOAT_FIELDS)]
+    return [
+        *floats,
+        field(name="id", offset=ID_OFFSET, datatype=_UINT32, count=1),
+        field(name="tier", offset=TIER_OFFSET, datatype=_UINT8, count=1),
+    ]
+
+
+def _points(message: Message) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    present = {field.name: field for field in message.fields}
+    missing = [name for name in (*FLOAT_FIELDS, "id", "tier") if name not in present]
+    if missing:
+        raise MessageError(
+            f"PointCloud2 in {message.header.frame_id}: fields {', '.join(missing)} are missing (found: "
+            f"{', '.join(present) or 'none'}); give a topic of Gaussians such as /twin/gaussians"
+        )
+    if message.is_bigendian:
+        raise MessageError(f"PointCloud2 in {message.header.frame_id}: expected little-endian data, found big-endian")
+    if present["rgb"].datatype not in (_UINT32, _FLOAT32):
+        raise MessageError(f"PointCloud2 field rgb: expected 4 packed bytes, found datatype {present['rgb'].datatype}")
+    count = int(message.height) * int(message.width)
+    needed = int(message.point_step) * count
+    if int(message.row_step) != int(message.point_step) * int(message.width) or len(message.data) < needed:
+        raise MessageError(
+            f"PointCloud2 in {message.header.frame_id}: {count} points of {message.point_step} bytes need {needed} "
+            f"bytes without padding, found {len(message.data)} in rows of {message.row_step}; the sender is at fault"
+        )
+    names = [*FLOAT_FIELDS, "id", "tier"]
+    layout = np.dtype(
+        {
+            "names": names,
+            "formats": [DTYPES[present[name].datatype] for name in names],
+            "offsets": [present[name].offset for name in names],
+            "itemsize": message.point_step,
+        }
+    )
+    return np.frombuffer(np.ascontiguousarray(message.data), dtype=layout, count=count)

@@ -1,0 +1,197 @@
+"""Images: RGB and depth arrays to Image and CompressedImage, and back."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.messages.convert.camera import optical_frame
+from twin_node.messages.stamps import header, header_stamp
+from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.scene import Float32, UInt8
+
+JPEG_QUALITY = 95
+"""OpenCV's default and compressed_image_transport's: no visible loss."""
+
+TO_RGB = {
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "8UC3": cv2.COLOR_BGR2RGB,
+    "rgba8": cv2.COLOR_RGBA2RGB,
+    "bgra8": cv2.COLOR_BGRA2RGB,
+    "8UC4": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+    "8UC1": cv2.COLOR_GRAY2RGB,
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2RGB,
+    "bayer_bggr8": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2RGB,
+    "bayer_grbg8": cv2.COLOR_BayerGRBG2RGB,
+    "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+}
+"""OpenCV conversion of each encoding of sensor_msgs/image_encodings.hpp that is not RGB already."""
+
+CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, "yuv422": 2, "yuv422_yuy2": 2}
+"""Bytes per pixel where there is more than one."""
+
+MM_PER_M = 1000.0
+PNG_SIGNATURE = b"\x89PNG"
+COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
+"""ConfigHeader of compressed_depth_image_transport: compression format, depth quantisation A and B."""
+
+
+def raw_image(camera: str, stamp: int, rgb: UInt8) -> Message:
+    """`sensor_msgs/msg/Image` (rgb8) of an image [H, W, 3]."""
+    height, width = rgb.shape[:2]
+    return _image(camera, stamp, np.ascontiguousarray(rgb).reshape(height, -1), width, "rgb8")
+
+
+def compressed_image(camera: str, stamp: int, rgb: UInt8, quality: int = JPEG_QUALITY) -> Message:
+    """`sensor_msgs/msg/CompressedImage` (JPEG of the given quality, 0 to 100) of an image [H, W, 3]."""
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return _compressed(camera, stamp, "bgr8; jpeg compressed bgr8", jpeg)
+
+
+def depth_image(camera: str, stamp: int, depth: Float32, encoding: Literal["16UC1", "32FC1"] = "32FC1") -> Message:
+    """`sensor_msgs/msg/Image` of depth [H, W] in metres, 0 where unknown: millimetres (16UC1) or metres (32FC1)."""
+    known = _known(depth)
+    values: NDArray[np.generic] = _millimetres(known) if encoding == "16UC1" else known
+    return _image(camera, stamp, values.view(np.uint8), depth.shape[1], encoding)
+
+
+def compressed_depth_image(camera: str, stamp: int, depth: Float32) -> Message:
+    """`sensor_msgs/msg/CompressedImage` of depth [H, W] in metres: PNG in mm (compressed_depth_image_transport)."""
+    png = cv2.imencode(".png", _millimetres(_known(depth)), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    config = np.frombuffer(COMPRESSED_DEPTH_HEADER.pack(0, 0.0, 0.0), dtype=np.uint8)
+    return _compressed(camera, stamp, "16UC1; compressedDepth png", np.concatenate([config, png]))
+
+
+def rgb_from_message(message: Message) -> UInt8:
+    """RGB image [H, W, 3] of an Image or a CompressedImage; grey images are repeated over the channels.
+
+    Raises `MessageError` for an encoding that is not an 8-bit colour or grey one, and for data that cannot be decoded.
+    """
+    if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
+        bgr = _decode(message, message.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    encoding = message.encoding
+    if encoding != "rgb8" and encoding not in TO_RGB:
+        raise MessageError(
+            f"{_name(message)}: image encoding {encoding!r}; expected rgb8, {', '.join(TO_RGB)}; convert the topic"
+        )
+    channels = CHANNELS.get(encoding, 1)
+    pixels = _rows(message, np.dtype(np.uint8), channels)
+    if encoding == "rgb8":
+        return pixels
+    return np.asarray(cv2.cvtColor(pixels, TO_RGB[encoding]), dtype=np.uint8)
+
+
+def depth_from_message(message: Message) -> Float32:
+    """Depth [H, W] in metres of a depth image; 0 where unknown: NaN, infinite and negative values never pass.
+
+    Takes Image as 16UC1 or mono16 (mm) and 32FC1 (m), CompressedImage as PNG in mm or in the compressedDepth form.
+    Raises `MessageError` for any other encoding, undecodable data, and floating-point depth without one finite pixel.
+    """
+    if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
+        return _decode_compressed_depth(message)
+    order = ">" if message.is_bigendian else "<"
+    if message.encoding in ("16UC1", "mono16"):
+        return _metres(_rows(message, np.dtype(f"{order}u2"), 1))
+    if message.encoding == "32FC1":
+        return _checked(message, _rows(message, np.dtype(f"{order}f4"), 1))
+    raise MessageError(
+        f"{_name(message)}: depth encoding {message.encoding!r}; expected 16UC1 (mm) or 32FC1 (m); convert the topic"
+    )
+
+
+def _decode_compressed_depth(message: Message) -> Float32:
+    data = message.data
+    if bytes(data[:4]) == PNG_SIGNATURE:
+        return _metres(_decode(message, data, cv2.IMREAD_UNCHANGED))
+    if len(data) <= COMPRESSED_DEPTH_HEADER.size:
+        raise MessageError(f"{_name(message)}: {len(data)} bytes are no compressedDepth image; the frame is damaged")
+    _, a, b = COMPRESSED_DEPTH_HEADER.unpack(bytes(data[: COMPRESSED_DEPTH_HEADER.size]))
+    values = _decode(message, data[COMPRESSED_DEPTH_HEADER.size :], cv2.IMREAD_UNCHANGED)
+    if not message.format.startswith("32FC1"):
+        return _metres(values)
+    with np.errstate(divide="ignore"):
+        depth = np.float32(a) / (values.astype(np.float32) - np.float32(b))
+    return _checked(message, np.where(values > 0, depth, np.nan))
+
+
+def _image(camera: str, stamp: int, rows: NDArray[np.uint8], width: int, encoding: str) -> Message:
+    return message_type("sensor_msgs/msg/Image")(
+        header=header(stamp, optical_frame(camera)),
+        height=rows.shape[0],
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=rows.shape[1],
+        data=rows.reshape(-1),
+    )
+
+
+def _compressed(camera: str, stamp: int, form: str, data: NDArray[np.uint8]) -> Message:
+    return message_type("sensor_msgs/msg/CompressedImage")(
+        header=header(stamp, optical_frame(camera)), format=form, data=data.reshape(-1)
+    )
+
+
+def _known(depth: Float32) -> Float32:
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+
+
+def _millimetres(depth: Float32) -> NDArray[np.uint16]:
+    """Rounded millimetres; what does not fit into 16 bits is unknown, not wrapped."""
+    rounded = np.rint(depth * MM_PER_M)
+    return np.where(rounded <= np.iinfo(np.uint16).max, rounded, 0).astype(np.uint16)
+
+
+def _metres(millimetres: NDArray[np.generic]) -> Float32:
+    return millimetres.astype(np.float32) / np.float32(MM_PER_M)
+
+
+def _checked(message: Message, depth: NDArray[np.floating]) -> Float32:
+    if not np.isfinite(depth).any():
+        raise MessageError(
+            f"{_name(message)}: none of the {depth.size} depth values is finite (NaN or infinite throughout); expected "
+            "metres with 0 or NaN only where depth is unknown; check the depth camera"
+        )
+    return _known(depth.astype(np.float32))
+
+
+def _decode(message: Message, data: UInt8, flags: int) -> UInt8:
+    decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) else None
+    if decoded is None:
+        raise MessageError(
+            f"{_name(message)}: {len(data)} bytes of format {message.format!r} cannot be decoded as an image; the "
+            "frame is damaged or the format unknown"
+        )
+    if flags == cv2.IMREAD_UNCHANGED and (decoded.ndim != 2 or decoded.dtype != np.uint16):
+        raise MessageError(
+            f"{_name(message)}: expected a depth image of one 16-bit channel, found {decoded.dtype} of shape "
+            f"{decoded.shape}; give the depth topic"
+        )
+    return decoded  # type: ignore[return-value]
+
+
+def _rows(message: Message, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
+    """Pixels [H, W] or [H, W, C] without the padding at the end of each row."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * dtype.itemsize
+    if not (height > 0 and width > 0 and step >= row and len(message.data) >= height * step):
+        raise MessageError(
+            f"{_name(message)}: {width}x{height} {message.encoding} needs rows of at least {row} bytes, found a step "
+            f"of {step} and {len(message.data)} bytes in all; the frame is damaged"
+        )
+    rows = np.asarray(message.data)[: height * step].reshape(height, step)[:, :row]
+    pixels = np.ascontiguousarray(rows).view(dtype)
+    return pixels.reshape(height, width, channels) if channels > 1 else pixels
+
+
+def _name(message: Message) -> str:
+    return f"image of {message.header.frame_id or 'an unnamed frame'} at {header_stamp(message)} ns"

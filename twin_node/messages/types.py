@@ -1,0 +1,153 @@
+"""ROS 2 message classes and CDR, made by the rosbags typestore from the ROS 2 Jazzy set and from `msgs/msg/*.msg`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, TypeAlias
+
+from rosbags.interfaces.typing import Typesdict
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from twin_node import resources
+from twin_node.errors import TwinError
+
+Message: TypeAlias = Any
+"""An instance of a class that `message_type` returned: fields as attributes, arrays as numpy arrays."""
+
+OWN_PACKAGE = "twin_msgs"
+"""ROS package that the files of `msgs/msg` belong to."""
+
+
+class MessageError(TwinError):
+    """A message, its type or its bytes are not what they should be."""
+
+
+class MessageTypes:
+    """A set of message types: classes, definitions, hashes and CDR of each.
+
+    Type names are full ROS 2 names: `sensor_msgs/msg/Image`. Raises `MessageError` for names that are not in the set.
+    """
+
+    def __init__(self, store: Typestore) -> None:
+        self._store = store
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._store.types
+
+    def message_type(self, name: str) -> type[Message]:
+        """Class of a message type; its constructor takes every field by name."""
+        self._require(name)
+        return self._store.types[name]
+
+    def serialize(self, message: Message) -> memoryview:
+        """CDR bytes of a message, little-endian, with the 4-byte encapsulation header (OMG DDSI-RTPS 10.2)."""
+        name = message.__msgtype__
+        self._require(name)
+        return self._store.serialize_cdr(message, name, little_endian=True)
+
+    def deserialize(self, data: bytes | memoryview, name: str) -> Message:
+        """Message from CDR bytes; array fields are read-only numpy views of `data`, nothing is copied.
+
+        Raises `MessageError` if `data` is not a message of that type.
+        """
+        self._require(name)
+        try:
+            return self._store.deserialize_cdr(memoryview(data), name)
+        except (SerdeError, IndexError, TypeError, OverflowError) as error:
+            raise MessageError(
+                f"{name}: {len(data)} bytes are not a CDR message of this type ({error}); "
+                "the sender's definition differs or the data are damaged"
+            ) from None
+
+    def definition(self, name: str) -> str:
+        """Definition in the `ros2msg` form: the type's own text, then those of the types that it uses."""
+        self._require(name)
+        return self._store.generate_msgdef(name, ros_version=2)[0]
+
+    def type_hash(self, name: str) -> str:
+        """RIHS01 hash of the type, as ROS 2 announces it (REP-2016)."""
+        self._require(name)
+        return self._store.hash_rihs01(name)
+
+    def extended(self, definitions: Mapping[str, str]) -> MessageTypes:
+        """This set and the types of `definitions` (name to `ros2msg` or IDL text), which win over equal names here.
+
+        A definition that cannot be parsed is left out: its type is then unknown unless it is in this set.
+        """
+        store = Typestore()
+        store.fielddefs.update(self._store.fielddefs)
+        store.types.update(self._store.types)
+        for name, text in definitions.items():
+            try:
+                parsed = _parse(name, text)
+            except (TypesysError, KeyError, ValueError):
+                continue
+            _replace(store, parsed)
+        return MessageTypes(store)
+
+    def _require(self, name: str) -> None:
+        if name not in self._store.types:
+            raise MessageError(
+                f"{name}: unknown message type; expected a name like sensor_msgs/msg/Image from the ROS 2 Jazzy set or "
+                f"{OWN_PACKAGE}; add its definition to msgs/msg or check the spelling"
+            )
+
+
+def _parse(name: str, text: str) -> Typesdict:
+    separator = "=" * 80 + "\n"
+    if text.startswith(f"{separator}IDL: "):
+        parsed: Typesdict = {}
+        for section in text.split(separator)[1:]:
+            parsed.update(get_types_from_idl(section.split("\n", 1)[1]))
+        return parsed
+    return get_types_from_msg(text, name)
+
+
+def _replace(store: Typestore, parsed: Typesdict) -> None:
+    """Registers types and drops those of the same name whose fields differ."""
+    for name, (_, fields) in parsed.items():
+        known = store.fielddefs.get(name)
+        if known is not None and [(n.lower(), d) for n, d in known[1]] != [(n.lower(), d) for n, d in fields]:
+            del store.fielddefs[name], store.types[name]
+    new = {name: definition for name, definition in parsed.items() if name not in store.fielddefs}
+    if new:
+        store.register(new)
+
+
+@cache
+def builtin_types() -> MessageTypes:
+    """The ROS 2 Jazzy set and `twin_msgs`, read once from `msgs/msg/*.msg`."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    own: Typesdict = {}
+    for path in sorted(resources.find("msgs/msg").glob("*.msg")):
+        own.update(get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}"))
+    store.register(own)
+    return MessageTypes(store)
+
+
+def message_type(name: str) -> type[Message]:
+    """Class of a message type of the built-in set (`sensor_msgs/msg/Image`); raises `MessageError` if unknown."""
+    return builtin_types().message_type(name)
+
+
+def serialize(message: Message) -> memoryview:
+    """CDR bytes of a message of the built-in set, with encapsulation header."""
+    return builtin_types().serialize(message)
+
+
+def deserialize(data: bytes | memoryview, name: str) -> Message:
+    """Message of the built-in set from CDR bytes; arrays are read-only views of `data`. Raises `MessageError`."""
+    return builtin_types().deserialize(data, name)
+
+
+def definition(name: str) -> str:
+    """`ros2msg` definition of a type of the built-in set, with all types that it uses."""
+    return builtin_types().definition(name)
+
+
+def type_hash(name: str) -> str:
+    """RIHS01 hash of a type of the built-in set."""
+    return builtin_types().type_hash(name)
