@@ -1,0 +1,93 @@
+"""Puts synchronised images together into a `FrameSet` of undistorted views."""
+
+from __future__ import annotations
+
+from bisect import insort
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from twin_node.rig.errors import RigError
+from twin_node.rig.undistort import Undistorter
+from twin_node.scene import Camera, Float32, FrameSet, JointSample, RigCamera, UInt8
+
+JOINTS_KEPT_NS = 2_000_000_000
+"""Joint samples older than this before the newest one are dropped: longer than any set waits."""
+
+
+@dataclass(frozen=True)
+class DecodedImage:
+    """One camera's raw image as decoded."""
+
+    stamp: int
+    """Mid-exposure on the rig's clock (the camera's `time_offset_ns` added), ns."""
+    rgb: UInt8
+    """[H, W, 3]."""
+    depth: Float32 | None = None
+    """[h, w] metres along the optical axis, aligned with `rgb`."""
+
+
+class FrameAssembler:
+    """Makes frame sets of a rig's images at the working width, with the arm's joints nearest in time.
+
+    Raises `RigError` for a rig without cameras.
+    """
+
+    def __init__(
+        self, cameras: Sequence[RigCamera], width: int | None = None, max_joint_gap_ns: int = 100_000_000
+    ) -> None:
+        """`width`: of all views, pixels; None: each camera's own.
+
+        Joints further from a set's stamp than `max_joint_gap_ns` are left out.
+        """
+        if not cameras:
+            raise RigError("frame assembler: expected at least one camera, found none")
+        self._undistorters = {camera.name: Undistorter(camera, width) for camera in cameras}
+        self._max_joint_gap_ns = max_joint_gap_ns
+        self._joints: list[JointSample] = []
+        self._sequence = 0
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The pinhole cameras of the views, in the rig's order."""
+        return tuple(undistorter.camera for undistorter in self._undistorters.values())
+
+    def add_joints(self, sample: JointSample) -> None:
+        """Takes the arm's joints at one time, in any order of stamps."""
+        insort(self._joints, sample, key=lambda s: s.stamp)
+        oldest_kept = self._joints[-1].stamp - JOINTS_KEPT_NS
+        while self._joints[0].stamp < oldest_kept:
+            self._joints.pop(0)
+
+    def assemble(self, images: Mapping[str, DecodedImage]) -> FrameSet:
+        """The frame set of the images of one instant, by camera name; a silent camera is left out.
+
+        Raises `RigError` for an unknown camera, no images at all or an image that is not of the calibrated size.
+        """
+        for name in images:
+            if name not in self._undistorters:
+                known = ", ".join(self._undistorters)
+                raise RigError(
+                    f"frame assembler: expected images of {known}, found one of {name!r}; is this the right rig file?"
+                )
+        views = tuple(
+            undistorter.view(images[name].stamp, images[name].rgb, images[name].depth)
+            for name, undistorter in self._undistorters.items()
+            if name in images
+        )
+        if not views:
+            raise RigError("frame assembler: expected the image of at least one camera, found none")
+        stamp = max(view.stamp for view in views)
+        frames = FrameSet(stamp, views, self._joints_at(stamp), self._sequence)
+        self._sequence += 1
+        return frames
+
+    def reset(self) -> None:
+        """Forgets the joints and starts counting anew: after a loop or a jump in time."""
+        self._joints.clear()
+        self._sequence = 0
+
+    def _joints_at(self, stamp: int) -> JointSample | None:
+        nearest = min(self._joints, key=lambda s: abs(s.stamp - stamp), default=None)
+        if nearest is None or abs(nearest.stamp - stamp) > self._max_joint_gap_ns:
+            return None
+        return nearest

@@ -1,0 +1,115 @@
+"""What a calibrated camera must satisfy, and the likely cause where it does not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.geometry import inverse_pose
+from twin_node.rig.errors import RigError
+from twin_node.rig.workspace import MIN_AXES_SPREAD, axes_focus, axes_spread
+
+DISTORTION_LENGTHS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
+"""ROS distortion models and how many coefficients each takes."""
+
+MAX_DISTANCE_M = 100.0
+"""No camera of a robot cell is further from the base; beyond this a translation is taken for millimetres."""
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest deviation of R R^T from the identity: rounding to four digits passes, a scaled rotation does not."""
+
+Float = NDArray[np.float64]
+
+
+def check_intrinsics(where: str, K: Float, size: tuple[int, int]) -> None:
+    """Raises `RigError` where `K` [3, 3] (pixels) is no pinhole matrix of an image of `size` (width, height)."""
+    shape_ok = K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and K[1, 0] == 0
+    if not shape_ok:
+        hint = "transpose it" if K[2, 0] > 0 and K[2, 1] > 0 else "write the intrinsics in pixels"
+        raise RigError(
+            f"{where}.K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, found {_text(K)}; {hint}"
+        )
+    width, height = size
+    cx, cy = K[0, 2], K[1, 2]
+    if not (0 < cx < width and 0 < cy < height):
+        raise RigError(
+            f"{where}.K: expected a principal point inside the image of {width}x{height}, found ({cx:g}, {cy:g}); "
+            f"is K of another resolution (about {2 * cx:.0f}x{2 * cy:.0f})?"
+        )
+
+
+def check_distortion(where: str, model: str, coefficients: Float) -> None:
+    """Raises `RigError` for an unknown model or a wrong number of coefficients."""
+    if model not in DISTORTION_LENGTHS:
+        raise RigError(f"{where}.distortion.model: expected one of {', '.join(DISTORTION_LENGTHS)}, found {model!r}")
+    lengths = DISTORTION_LENGTHS[model]
+    if len(coefficients) not in lengths:
+        expected = " or ".join(map(str, lengths))
+        raise RigError(
+            f"{where}.distortion.coefficients: expected {expected} numbers for {model}, found {len(coefficients)}"
+        )
+
+
+def check_pose(where: str, T: Float) -> None:
+    """Raises `RigError` where `T` [4, 4] is no rigid motion in metres."""
+    if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-9):
+        transposed = np.allclose(T[:3, 3], 0) and T[3, 3] == 1
+        hint = "transpose it" if transposed else "the last row belongs to a rigid motion"
+        raise RigError(f"{where}.T_base_cam: expected the last row [0, 0, 0, 1], found {_text(T[3])}; {hint}")
+    R = T[:3, :3]
+    deviation = float(np.abs(R @ R.T - np.eye(3)).max())
+    if deviation > ROTATION_TOLERANCE:
+        raise RigError(
+            f"{where}.T_base_cam: expected orthonormal rotation columns, found R R^T off the identity by "
+            f"{deviation:.3g}; {_rotation_hint(R)}"
+        )
+    if np.linalg.det(R) < 0:
+        raise RigError(
+            f"{where}.T_base_cam: expected a rotation of determinant 1, found -1; "
+            "one axis is mirrored (left-handed coordinates): flip its column"
+        )
+    distance = float(np.linalg.norm(T[:3, 3]))
+    if distance > MAX_DISTANCE_M:
+        raise RigError(
+            f"{where}.T_base_cam: expected a translation in metres, found {_text(T[:3, 3])}, "
+            f"{distance:.0f} m from the base; if it is in millimetres divide it by 1000"
+        )
+
+
+def check_facing(names: tuple[str, ...], poses: tuple[Float, ...]) -> None:
+    """Raises `RigError` where poses in another convention would explain why all cameras look away from each other.
+
+    Cameras of a rig look at one volume: the point nearest to all optical axes lies in front of them. Where it lies
+    behind every one, and a customary mistake (world-to-camera poses, OpenGL axes) puts it in front of every one, that
+    is named. Axes nearer to parallel than `MIN_AXES_SPREAD` tell nothing.
+    """
+    if axes_spread(np.stack(poses)) < MIN_AXES_SPREAD or any(_in_front(poses)):
+        return
+    readings = {
+        "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": tuple(inverse_pose(T) for T in poses),
+        "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": tuple(
+            T @ np.diag([1.0, -1.0, -1.0, 1.0]) for T in poses
+        ),
+    }
+    for cause, reading in readings.items():
+        if all(_in_front(reading)):
+            raise RigError(
+                f"cameras {', '.join(names)}: expected optical axes that meet in front of the cameras, "
+                f"found them meeting behind every one; {cause}"
+            )
+
+
+def _in_front(poses: tuple[Float, ...]) -> list[bool]:
+    focus = axes_focus(np.stack(poses))
+    return [bool((focus - T[:3, 3]) @ T[:3, 2] > 0) for T in poses]
+
+
+def _rotation_hint(R: Float) -> str:
+    scales = np.linalg.norm(R, axis=0)
+    if np.allclose(scales, scales[0], rtol=1e-3) and np.allclose(R.T @ R, np.eye(3) * scales[0] ** 2, atol=1e-3):
+        return f"it is a rotation scaled by {scales[0]:.4g}: divide it by that"
+    return "a number may be mistyped or too much rounded"
+
+
+def _text(a: Float) -> str:
+    return str(np.round(a, 6).tolist())

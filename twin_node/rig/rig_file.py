@@ -1,0 +1,231 @@
+"""Rig files (YAML): calibrated cameras and the videos that they took; the schema is in `calibration/README.md`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from twin_node.geometry import pose, rotation_from_quat
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
+from twin_node.rig.stamps import UNITS_NS, StampsFile, read_stamps
+from twin_node.rig.yaml_fields import Fields
+from twin_node.scene import Float64, Rig, RigCamera
+
+
+@dataclass(frozen=True)
+class VideoSource:
+    """The video of one camera and what its frames are stamped by: a file or a frame rate."""
+
+    camera: str
+    video: Path
+    stamps: StampsFile | None = None
+    fps: float | None = None
+    """Frames per second, the first frame at 0 s; where `stamps` is None."""
+
+    def frame_stamps(self, count: int, time_offset_ns: int = 0) -> NDArray[np.int64]:
+        """Stamps [count] in ns of the first `count` frames, on the rig's clock where `time_offset_ns` is the camera's.
+
+        Raises `RigError` where the stamps file is missing, wrong or has fewer stamps than the video has frames.
+        """
+        if self.stamps is None:
+            assert self.fps is not None
+            return np.round(np.arange(count) * (1e9 / self.fps)).astype(np.int64) + time_offset_ns
+        stamps = read_stamps(self.stamps)
+        if len(stamps) < count:
+            raise RigError(
+                f"{self.stamps.path}: expected a stamp for each of the {count} frames of {self.video}, "
+                f"found {len(stamps)}"
+            )
+        return stamps[:count] + time_offset_ns
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """What a rig file says."""
+
+    rig: Rig
+    sources: tuple[VideoSource | None, ...] = ()
+    """Per camera, in the rig's order; None where the file names no video."""
+    frame: str = "base_link"
+    """The frame that `T_base_cam` and `workspace` are in."""
+    date: str = ""
+    notes: str = ""
+
+    def videos(self) -> tuple[VideoSource, ...]:
+        """The video of every camera.
+
+        Raises `RigError` where a camera has none, or its file or that of its stamps does not exist.
+        """
+        videos = []
+        for camera, source in zip(self.rig.cameras, self.sources, strict=True):
+            if source is None:
+                raise RigError(f"camera {camera.name}: expected a video, found none in the rig file; add `video: PATH`")
+            for path in [source.video] + ([source.stamps.path] if source.stamps else []):
+                if not path.is_file():
+                    raise RigError(
+                        f"camera {camera.name}: expected a file at {path}, found none; check the path "
+                        "(it is relative to the rig file and its `data` folder)"
+                    )
+            videos.append(source)
+        return tuple(videos)
+
+
+def load_rig(path: str | Path) -> RigFile:
+    """Reads and checks a rig file; the videos that it names need not exist yet (`RigFile.videos` sees to that).
+
+    Raises `RigError`: one line with the file, the camera and the field, what was expected, found and what to do.
+    """
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise RigError(f"{path}: expected a rig file (YAML), found {reason}") from error
+    fields = Fields(str(path), data)
+    fields.only("cameras", "workspace", "frame", "date", "notes", "data")
+    folder = path.parent / fields.text("data", ".")
+    cameras = tuple(_camera(entry) for entry in fields.entries("cameras"))
+    names = tuple(camera.name for camera in cameras)
+    for name in names:
+        if names.count(name) > 1:
+            raise RigError(f"{path}: expected cameras with distinct names, found {name!r} {names.count(name)} times")
+    try:
+        check_facing(names, tuple(camera.T_base_cam for camera in cameras))
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from None
+    sources = tuple(_source(entry, name, folder) for entry, name in zip(fields.entries("cameras"), names, strict=True))
+    return RigFile(
+        Rig(cameras, _workspace(fields)),
+        sources,
+        frame=fields.text("frame", "base_link"),
+        date=fields.text("date", ""),
+        notes=fields.text("notes", ""),
+    )
+
+
+def save_rig(rig_file: RigFile, path: str | Path) -> None:
+    """Writes a rig file that `load_rig` reads back to the same values; video paths are made relative to it."""
+    path = Path(path)
+    out: dict[str, object] = {"frame": rig_file.frame}
+    for key in ("date", "notes"):
+        if text := getattr(rig_file, key):
+            out[key] = text
+    if rig_file.rig.workspace is not None:
+        lower, upper = rig_file.rig.workspace.tolist()
+        out["workspace"] = {"min": lower, "max": upper}
+    sources = rig_file.sources or (None,) * len(rig_file.rig.cameras)
+    out["cameras"] = [
+        _camera_entry(camera, source, path.parent) for camera, source in zip(rig_file.rig.cameras, sources, strict=True)
+    ]
+    text = yaml.dump(out, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    path.write_text(text, encoding="utf-8")
+
+
+def _camera(fields: Fields) -> RigCamera:
+    fields.only(
+        "name", "K", "distortion", "size", "T_base_cam", "video", "stamps", "fps", "time_offset", "sigma_m"
+    )  # fmt: skip
+    name = fields.text("name")
+    fields = fields.named(f"{fields.where} ({name})")
+    width, height = (int(value) for value in fields.array("size", (2,)))
+    if min(width, height) < 1:
+        raise RigError(f"{fields.where}.size: expected [width, height] in pixels, found [{width}, {height}]")
+    K, T = fields.array("K", (3, 3)), _pose(fields)
+    check_intrinsics(fields.where, K, (width, height))
+    check_pose(fields.where, T)
+    model, D = "plumb_bob", np.zeros(5)
+    if fields.has("distortion"):
+        distortion = fields.table("distortion")
+        distortion.only("model", "coefficients")
+        model, D = distortion.text("model"), distortion.array("coefficients", None)
+        check_distortion(fields.where, model, D)
+    sigma_m = fields.number("sigma_m", 0.0)
+    if not 0 <= sigma_m < 1:
+        raise RigError(f"{fields.where}.sigma_m: expected metres from 0 to 1, found {sigma_m:g}")
+    offset_ns = round(fields.number("time_offset", 0.0) * 1e9)
+    return RigCamera(name, width, height, K, T, model, D, sigma_m, offset_ns)
+
+
+def _pose(fields: Fields) -> Float64:
+    if not fields.is_table("T_base_cam"):
+        return fields.array("T_base_cam", (4, 4))
+    parts = fields.table("T_base_cam")
+    parts.only("translation", "quaternion")
+    quat = parts.array("quaternion", (4,))
+    if abs(float(np.linalg.norm(quat)) - 1) > 1e-3:
+        raise RigError(
+            f"{parts.where}.quaternion: expected [w, x, y, z] of length 1, found length {np.linalg.norm(quat):.4g}"
+        )
+    return pose(rotation_from_quat(quat), parts.array("translation", (3,)))
+
+
+def _source(fields: Fields, camera: str, folder: Path) -> VideoSource | None:
+    if not fields.has("video"):
+        return None
+    fields = fields.named(f"{fields.where} ({camera})")
+    video = folder / fields.text("video")
+    if fields.has("stamps") == fields.has("fps"):
+        found = "both" if fields.has("fps") else "neither"
+        raise RigError(f"{fields.where}: expected either `stamps` or `fps` with `video`, found {found}")
+    if fields.has("fps"):
+        fps = fields.number("fps")
+        if fps <= 0:
+            raise RigError(f"{fields.where}.fps: expected a positive frame rate, found {fps:g}")
+        return VideoSource(camera, video, fps=fps)
+    return VideoSource(camera, video, stamps=_stamps(fields, folder))
+
+
+def _stamps(fields: Fields, folder: Path) -> StampsFile:
+    if not fields.is_table("stamps"):
+        return StampsFile(folder / fields.text("stamps"))
+    table = fields.table("stamps")
+    table.only("file", "key", "unit")
+    unit = table.text("unit", "s")
+    if unit not in UNITS_NS:
+        raise RigError(f"{table.where}.unit: expected one of {', '.join(UNITS_NS)}, found {unit!r}")
+    return StampsFile(folder / table.text("file"), table.text("key") if table.has("key") else None, unit)
+
+
+def _workspace(fields: Fields) -> Float64 | None:
+    if not fields.has("workspace"):
+        return None
+    table = fields.table("workspace")
+    table.only("min", "max")
+    corners = np.stack([table.array("min", (3,)), table.array("max", (3,))])
+    if not (corners[1] > corners[0]).all():
+        raise RigError(f"{table.where}: expected min below max on every axis, found {corners.tolist()}")
+    return corners
+
+
+def _camera_entry(camera: RigCamera, source: VideoSource | None, folder: Path) -> dict[str, object]:
+    entry: dict[str, object] = {
+        "name": camera.name,
+        "size": [camera.width, camera.height],
+        "K": camera.K.tolist(),
+        "distortion": {"model": camera.distortion_model, "coefficients": camera.D.tolist()},
+        "T_base_cam": camera.T_base_cam.tolist(),
+        "sigma_m": camera.sigma_m,
+        "time_offset": camera.time_offset_ns / 1e9,
+    }
+    if source is not None:
+        entry["video"] = _relative(source.video, folder)
+        if source.stamps is None:
+            entry["fps"] = source.fps
+        else:
+            stamps = {"file": _relative(source.stamps.path, folder), "unit": source.stamps.unit}
+            entry["stamps"] = stamps | ({"key": source.stamps.key} if source.stamps.key else {})
+    return entry
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """`path` as seen from `folder`; `Path.relative_to` cannot step up before Python 3.12."""
+    there, here = path.resolve().parts, folder.resolve().parts
+    shared = 0
+    while shared < min(len(there), len(here)) and there[shared] == here[shared]:
+        shared += 1
+    return Path(*[".."] * (len(here) - shared), *there[shared:]).as_posix()

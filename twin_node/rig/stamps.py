@@ -1,0 +1,93 @@
+"""Reads the capture times of a video's frames from JSON, CSV or plain text files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.rig.errors import RigError
+
+UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+"""Length of each unit in ns."""
+
+LATEST_S = 1e11
+"""No stamp in seconds is later than this (year 5138): larger numbers are in a smaller unit."""
+
+
+@dataclass(frozen=True)
+class StampsFile:
+    """Where the frames' capture times stand."""
+
+    path: Path
+    key: str | None = None
+    """JSON: key of the list. CSV: column. Text: none."""
+    unit: str = "s"
+    """s, ms, us or ns."""
+
+
+def read_stamps(source: StampsFile) -> NDArray[np.int64]:
+    """Stamps [N] in ns as the file lists them.
+
+    Raises `RigError` naming the file where it is missing, holds something else or is in another unit.
+    """
+    try:
+        values = _values(source)
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
+        raise RigError(f"{source.path}: expected stamps, found no readable file ({error})") from error
+    if not values:
+        raise RigError(f"{source.path}: expected stamps, found none; check the file and its key")
+    if not all(np.isfinite(values)):
+        raise RigError(f"{source.path}: expected finite stamps, found NaN or infinity")
+    if max(values) * UNITS_NS[source.unit] > LATEST_S * 1e9:
+        raise RigError(
+            f"{source.path}: expected stamps in {source.unit}, found {max(values):.0f}; "
+            "give their unit (ms, us or ns) under `unit`"
+        )
+    # Python's numbers: whole nanoseconds since 1970 do not fit a float.
+    return np.array([round(value * UNITS_NS[source.unit]) for value in values], dtype=np.int64)
+
+
+def _values(source: StampsFile) -> list[float]:
+    text = source.path.read_text(encoding="utf-8")
+    suffix = source.path.suffix.lower()
+    if suffix == ".json":
+        return _json_values(source, text)
+    if suffix == ".csv" and source.key is not None:
+        return _column(source, source.key, text)
+    return [_number(source, field) for line in text.splitlines() if (field := line.split(",")[0].strip())]
+
+
+def _json_values(source: StampsFile, text: str) -> list[float]:
+    data = json.loads(text)
+    if isinstance(data, dict):
+        if source.key not in data:
+            keys = ", ".join(map(str, data))
+            raise RigError(
+                f"{source.path}: expected the key {source.key!r}, found {keys}; name the list of stamps under `key`"
+            )
+        data = data[source.key]
+    if not isinstance(data, list):
+        raise RigError(f"{source.path}: expected a list of stamps, found {type(data).__name__}")
+    return [_number(source, value) for value in data]
+
+
+def _column(source: StampsFile, key: str, text: str) -> list[float]:
+    rows = csv.DictReader(text.splitlines())
+    columns = rows.fieldnames or []
+    if key not in columns:
+        raise RigError(f"{source.path}: expected the column {key!r}, found {', '.join(columns)}")
+    return [_number(source, row[key]) for row in rows]
+
+
+def _number(source: StampsFile, value: object) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value
+    try:
+        return int(str(value)) if str(value).strip().lstrip("-").isdigit() else float(str(value))
+    except ValueError as error:
+        raise RigError(f"{source.path}: expected a number as a stamp, found {value!r}") from error

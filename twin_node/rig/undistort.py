@@ -1,0 +1,159 @@
+"""Turns raw camera images into pinhole images at working resolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.rig.errors import RigError
+from twin_node.scene import Bool, Camera, Float32, Float64, RigCamera, UInt8, View
+
+SUPERSAMPLING = 2
+"""Pixels per output pixel and axis that are interpolated before averaging, so that fine texture leaves no aliases."""
+
+
+@dataclass(frozen=True)
+class _PixelMap:
+    """Where each output pixel is found in an input image, in the fixed-point form that `cv2.remap` is fastest with."""
+
+    xy: NDArray[np.int16]
+    fraction: NDArray[np.uint16]
+
+
+class Undistorter:
+    """Undistorts and scales the images of one camera; maps are computed once.
+
+    The output keeps the focal length and principal point of the input, so a wide lens loses its rim. Raises `RigError`
+    for a width below one pixel.
+    """
+
+    def __init__(self, camera: RigCamera, width: int | None = None) -> None:
+        """`width`: of the output in pixels; None: the camera's own. The height follows from the aspect ratio."""
+        self._raw = camera
+        width = camera.width if width is None else width
+        height = round(camera.height * width / camera.width)
+        if min(width, height) < 1:
+            raise RigError(f"camera {camera.name}: expected a working width of at least one pixel, found {width}")
+        self.camera = Camera(
+            camera.name, width, height, scaled_intrinsics(camera, width, height), camera.T_base_cam, camera.sigma_m
+        )
+        """The pinhole camera that the output was seen by."""
+        self._distorted = bool(np.any(camera.D))
+        self._depth_maps: dict[tuple[int, int], tuple[NDArray[np.int16], Bool]] = {}
+        self._valid: Bool | None = None
+        if self._distorted:
+            self._source_size = _between((camera.width, camera.height), (width, height))
+            self._colour_map, self._valid = self._make_colour_map()
+
+    def view(self, stamp: int, rgb: UInt8, depth: Float32 | None = None) -> View:
+        """The undistorted view of an image [H, W, 3] and, where there is one, depth aligned with it.
+
+        `depth` [h, w] is in metres along the optical axis, of any resolution that covers the same image; what is not a
+        positive finite number becomes 0. Depth is picked, never averaged.
+
+        Raises `RigError` where the image is not of the calibrated size.
+        """
+        raw = self._raw
+        if rgb.shape != (raw.height, raw.width, 3) or rgb.dtype != np.uint8:
+            found = "x".join(map(str, rgb.shape[1::-1])) + f" ({rgb.dtype}, {rgb.ndim} axes)"
+            raise RigError(
+                f"camera {raw.name}: expected 8-bit colour images of {raw.width}x{raw.height}, as calibrated, "
+                f"found {found}; use the calibration of this resolution"
+            )
+        picked = None if depth is None else self._pick_depth(depth)
+        return View(self.camera, stamp, self._colour(rgb), picked, self._valid)
+
+    def _colour(self, rgb: UInt8) -> UInt8:
+        size = (self.camera.width, self.camera.height)
+        if self._distorted:
+            source = _resize(rgb, self._source_size)
+            flat = cv2.remap(source, self._colour_map.xy, self._colour_map.fraction, cv2.INTER_LINEAR)
+            return _resize(np.asarray(flat, dtype=np.uint8), size)
+        return _resize(rgb, size)
+
+    def _make_colour_map(self) -> tuple[_PixelMap, Bool | None]:
+        """Map from the supersampled output into the reduced input, and which output pixels it covers (None: all)."""
+        width, height = self._source_size
+        pixels = self._raw_pixels(width, height)
+        source = _rescale(pixels, (self._raw.width, self._raw.height), self._source_size).astype(np.float32)
+        inside = (source > -0.5).all(-1) & (source < np.array([width - 0.5, height - 0.5])).all(-1)
+        covered = _resize(np.where(inside, 255, 0).astype(np.uint8), (self.camera.width, self.camera.height))
+        valid = covered == 255
+        # Clamped to the rim, so that pixels inside by less than half a pixel are not mixed with black.
+        source = np.clip(source, 0, np.array([width - 1, height - 1], dtype=np.float32))
+        xy, fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+        return _PixelMap(np.asarray(xy, np.int16), np.asarray(fraction, np.uint16)), None if valid.all() else valid
+
+    def _raw_pixels(self, width: int, height: int) -> Float64:
+        """Raw image pixels (u, v) [height, width, 2], OpenCV convention, that the output at this resolution shows."""
+        K = scaled_intrinsics(self._raw, width, height)
+        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]], -1)
+        return distort(self._raw, rays.reshape(-1, 2)).reshape(height, width, 2)
+
+    def _pick_depth(self, depth: Float32) -> Float32:
+        if depth.ndim != 2:
+            raise RigError(f"camera {self._raw.name}: expected depth [H, W] in metres, found shape {list(depth.shape)}")
+        shape = (depth.shape[0], depth.shape[1])
+        if shape not in self._depth_maps:
+            self._depth_maps[shape] = self._make_depth_map(shape)
+        xy, inside = self._depth_maps[shape]
+        picked = depth[xy[..., 1], xy[..., 0]]
+        known = inside & np.isfinite(picked) & (picked > 0)
+        return np.where(known, picked, 0).astype(np.float32)
+
+    def _make_depth_map(self, shape: tuple[int, int]) -> tuple[NDArray[np.int16], Bool]:
+        """The nearest depth pixel (x, y) [H, W, 2] of every output pixel, and whether it is inside the depth image."""
+        pixels = self._raw_pixels(self.camera.width, self.camera.height)
+        source = np.rint(_rescale(pixels, (self._raw.width, self._raw.height), (shape[1], shape[0])))
+        limit = np.array([shape[1] - 1, shape[0] - 1])
+        inside = np.asarray(((source >= 0) & (source <= limit)).all(-1))
+        return np.clip(source, 0, limit).astype(np.int16), inside
+
+
+def scaled_intrinsics(camera: RigCamera, width: int, height: int) -> Float64:
+    """`K` [3, 3] of a camera's image at another size, in gsplat's convention (top-left pixel centre at 0.5, 0.5)."""
+    scale = np.array([[width / camera.width], [height / camera.height], [1.0]])
+    K: Float64 = np.array(camera.K, dtype=np.float64)
+    K[:2, 2] += 0.5
+    scaled: Float64 = K * scale
+    return scaled
+
+
+def distort(camera: RigCamera, rays: Float64) -> Float64:
+    """Raw image pixels [N, 2] (OpenCV convention) of rays (x/z, y/z) [N, 2] in the optical frame.
+
+    Models: `cv2.projectPoints` for plumb_bob and rational_polynomial, Kannala-Brandt (`cv2.fisheye`) for equidistant.
+    """
+    points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)[:, None]
+    zero = np.zeros(3)
+    if camera.distortion_model == "equidistant":
+        pixels, _ = cv2.fisheye.projectPoints(points, zero, zero, camera.K, camera.D)
+    else:
+        pixels, _ = cv2.projectPoints(points, zero, zero, camera.K, camera.D)
+    out: Float64 = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    return out
+
+
+def _rescale(pixels: Float64, size: tuple[int, int], to: tuple[int, int]) -> Float64:
+    """Pixels (OpenCV convention) of an image of `size` (width, height) in the same image scaled to size `to`."""
+    scale = np.array(to) / np.array(size)
+    scaled: Float64 = (pixels + 0.5) * scale - 0.5
+    return scaled
+
+
+def _between(size: tuple[int, int], to: tuple[int, int]) -> tuple[int, int]:
+    """Size to interpolate at: the output's times `SUPERSAMPLING`, but no more than the input's where that is larger."""
+    return to if to[0] * SUPERSAMPLING > size[0] else (to[0] * SUPERSAMPLING, to[1] * SUPERSAMPLING)
+
+
+def _resize(image: UInt8, size: tuple[int, int]) -> UInt8:
+    """The image at `size` (width, height): area-averaged when smaller, interpolated when larger."""
+    if image.shape[1::-1] == size:
+        return image
+    method = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_LINEAR
+    resized: UInt8 = np.asarray(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
+    return resized
