@@ -1,0 +1,45 @@
+"""The bridge between threads: newest frames win, messages keep their order, errors cross over."""
+
+import threading
+
+import pytest
+
+from twin_node.nodes.bridge import Bridge
+from twin_node.scene import FrameSet
+
+
+def test_the_newest_frames_win_and_the_replaced_ones_are_reported() -> None:
+    dropped: list[FrameSet] = []
+    bridge = Bridge(dropped.append)
+    for stamp in (1, 2, 3):
+        bridge.put("/joints", stamp)
+        bridge.put_frames(FrameSet(stamp=stamp, views=()))
+    bridge.close()
+    [(messages, frames)] = list(bridge.batches())
+    assert frames.stamp == 3
+    assert [m for _, m in messages] == [1, 2, 3]
+    assert [f.stamp for f in dropped] == [1, 2]
+    assert bridge.dropped == 2
+
+
+def test_an_error_of_the_reader_is_raised_in_the_worker() -> None:
+    bridge = Bridge(lambda frames: None)
+    reader = threading.Thread(target=bridge.close, args=(ValueError("damaged"),))
+    reader.start()
+    with pytest.raises(ValueError, match="damaged"):
+        list(bridge.batches())
+    reader.join()
+
+
+def test_frames_put_by_another_thread_arrive() -> None:
+    bridge = Bridge(lambda frames: None)
+
+    def read() -> None:
+        bridge.put_frames(FrameSet(stamp=7, views=()))
+        bridge.close()
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    stamps = [frames.stamp for _, frames in bridge.batches()]
+    reader.join()
+    assert stamps == [7]

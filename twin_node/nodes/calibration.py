@@ -1,0 +1,89 @@
+"""The rig of a log: from a rig file, or from the log's own CameraInfo and TF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin_node.bag import LogReader
+from twin_node.messages import MessageError
+from twin_node.messages.convert import TransformTree, rig_camera
+from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError
+from twin_node.rig import load_rig
+from twin_node.scene import Float64, Rig
+
+RIG_METADATA = "twin_node.rig"
+"""Metadata record of a log that carries what CameraInfo and TF cannot: workspace, calibration errors."""
+
+
+def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | None) -> Rig:
+    """The rig of the cameras that the log has images of: `rig_file` where given, else the log's own calibration.
+
+    Raises `GraphError` naming the camera that lacks images or calibration.
+    """
+    if rig_file is not None:
+        return _matched(load_rig(rig_file).rig, cameras, rig_file, log.path)
+    return _rig_of_log(log, cameras)
+
+
+def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_file: Path, log: Path) -> Rig:
+    seen = {camera.name for camera in cameras}
+    missing = [camera.name for camera in rig.cameras if camera.name not in seen]
+    if missing:
+        raise GraphError(
+            f"{log}: no images of camera '{missing[0]}' of {rig_file}; the log has {', '.join(sorted(seen))}; "
+            "give the rig file of this log, or --remap its topic to /<camera>/image_raw"
+        )
+    return rig
+
+
+def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
+    infos, tree = _calibration_messages(log, cameras)
+    calibrated = []
+    for camera in cameras:
+        info = infos.get(camera.info)
+        if info is None:
+            raise GraphError(
+                f"{log.path}: camera '{camera.name}' has images on {camera.image} but no CameraInfo on {camera.info}; "
+                "record it, or give --rig RIG.yaml"
+            )
+        T_base_cam = tree.lookup(info.header.frame_id.lstrip("/"))
+        calibrated.append(rig_camera(info, camera.name, T_base_cam, _sigma(log, camera.name)))
+    return Rig(tuple(calibrated), _workspace(log))
+
+
+def _calibration_messages(log: LogReader, cameras: Sequence[CameraTopics]) -> tuple[dict[str, Any], TransformTree]:
+    """First CameraInfo of every camera by topic, and the static transforms up to where the last of them was found."""
+    wanted = {camera.info for camera in cameras}
+    infos: dict[str, Any] = {}
+    tree = TransformTree()
+    for message in log.messages([*wanted, TF_STATIC]):
+        if message.topic == TF_STATIC:
+            tree.add(message.message)
+        elif message.topic not in infos:
+            infos[message.topic] = message.message
+        else:
+            continue
+        if len(infos) == len(wanted) and all(_is_placed(tree, info) for info in infos.values()):
+            break
+    return infos, tree
+
+
+def _is_placed(tree: TransformTree, info: Any) -> bool:
+    try:
+        tree.lookup(info.header.frame_id.lstrip("/"))
+    except MessageError:
+        return False
+    return True
+
+
+def _sigma(log: LogReader, camera: str) -> float:
+    return float(log.metadata.get(RIG_METADATA, {}).get(f"sigma_m.{camera}", 0.0))
+
+
+def _workspace(log: LogReader) -> Float64 | None:
+    text = log.metadata.get(RIG_METADATA, {}).get("workspace")
+    return None if text is None else np.array([float(x) for x in text.replace(",", " ").split()]).reshape(2, 3)

@@ -1,0 +1,109 @@
+"""A log as a source of frame sets: the player and the synchroniser in lockstep, without the rest of the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from twin_node.bag import LogReader, open_log
+from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.player import Player, Span, span_of
+from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError, find_cameras
+from twin_node.rig import workspace_of
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+from twin_node.scene import Camera, Float64, FrameSet, Rig
+
+DEFAULT_WIDTH = 160
+"""Working width in pixels at which the twin keeps camera rate on two CPU cores."""
+
+
+class LogSession:
+    """An open log with what the graph needs to know of it: cameras, rig, span, and topics under their new names."""
+
+    def __init__(
+        self,
+        path: Path,
+        rig_file: Path | None = None,
+        remaps: dict[str, str] | None = None,
+        start_offset_s: float = 0.0,
+        duration_s: float | None = None,
+    ) -> None:
+        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with the log or its calibration."""
+        remaps = remaps or {}
+        self.log: LogReader = open_log(path)
+        try:
+            types = {topic.name: topic.msgtype for topic in self.log.topics}
+            for source in remaps:
+                if source not in types:
+                    raise GraphError(f"--remap {source}:={remaps[source]}: {path} has no topic {source}")
+            renamed = {remaps.get(name, name): kind for name, kind in types.items()}
+            original = {remaps.get(name, name): name for name in types}
+            self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
+            in_log = tuple(_originals(camera, original) for camera in self.cameras)
+            self.rig: Rig = rig_for(self.log, in_log, rig_file)
+            self.span: Span = span_of(self.log, start_offset_s, duration_s)
+        except BaseException:
+            self.log.close()
+            raise
+        played = {JOINT_STATES, TRAJECTORY}
+        for camera in self.cameras:
+            played |= {camera.image} | ({camera.depth} if camera.depth else set())
+        self.topics = {original[name]: name for name in sorted(played) if name in original}
+        """The log's topics to play -> the names they are published under."""
+
+    def __enter__(self) -> LogSession:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.log.close()
+
+
+class LogSource:
+    """Frame sets of a log in lockstep; a `scene.FrameSource`."""
+
+    def __init__(self, session: LogSession, parameters: SynchronizerParameters) -> None:
+        self._session = session
+        self._parameters = parameters
+        self._cameras = self._synchronizer(LocalBus(), SteppedClock()).cameras
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """All cameras of the log, in the order of every set's views."""
+        return self._cameras
+
+    @property
+    def workspace(self) -> Float64:
+        """[2, 3] corners of the volume to model, m: the rig's, else derived from what the cameras see together."""
+        return workspace_for(self._session.rig, self._cameras)
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        """Sets in rising order of stamps, from the beginning of the session's span."""
+        bus, clock = LocalBus(), SteppedClock()
+        self._synchronizer(bus, clock).configure()
+        ready: list[FrameSet] = []
+        bus.subscribe(FRAMES, ready.append)
+        for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+            yield from ready
+            ready.clear()
+
+    def _synchronizer(self, bus: LocalBus, clock: SteppedClock) -> SynchronizerNode:
+        return SynchronizerNode(bus, clock, self._session.cameras, self._session.rig, self._parameters)
+
+
+def workspace_for(rig: Rig, cameras: Sequence[Camera]) -> Float64:
+    """[2, 3] corners of the volume to model, m: the rig's own, else derived from what the cameras see together."""
+    return workspace_of(cameras) if rig.workspace is None else rig.workspace
+
+
+def _originals(camera: CameraTopics, original: dict[str, str]) -> CameraTopics:
+    """The camera's topics under the names they have in the log."""
+    return CameraTopics(
+        name=camera.name,
+        image=original.get(camera.image, camera.image),
+        image_type=camera.image_type,
+        info=original.get(camera.info, camera.info),
+        depth=None if camera.depth is None else original.get(camera.depth, camera.depth),
+        depth_type=camera.depth_type,
+    )

@@ -1,0 +1,143 @@
+"""The synchroniser node: images of several cameras in, `FrameSet`s out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from twin_node.messages import convert, from_time
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
+from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import Node
+from twin_node.scene import Camera, Rig
+
+DEPTHS_KEPT = 8
+"""Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
+
+
+@dataclass(frozen=True)
+class SynchronizerParameters:
+    """How images are grouped and prepared."""
+
+    width: int | None = None
+    """Working width of the images in pixels; None: the cameras' own."""
+    max_rate_hz: float | None = None
+    """Sets above this rate are skipped (not counted as dropped); None takes all."""
+    depth_tolerance_ms: float = 10.0
+    """A depth image belongs to the colour image whose stamp is at most so far away: under half a period at 45 Hz."""
+    grouping: SyncParameters = field(default_factory=SyncParameters)
+
+
+@dataclass(frozen=True)
+class EncodedView:
+    """One camera's image messages as they came, before decoding."""
+
+    colour: Any
+    depth: Any | None
+
+
+class SynchronizerNode(Node):
+    """Groups the cameras' images by stamp; decodes, undistorts and publishes the sets that are wanted.
+
+    Raises `GraphError` for images whose stamps run backwards, `MessageError` for images that cannot be decoded.
+    """
+
+    def __init__(
+        self, bus: Bus, clock: Clock, cameras: tuple[CameraTopics, ...], rig: Rig, parameters: SynchronizerParameters
+    ) -> None:
+        super().__init__("synchronizer", bus, clock)
+        self.sets_seen = 0
+        self._assembler = FrameAssembler(rig.cameras, parameters.width)
+        self._topics = {camera.name: camera for camera in cameras}
+        self._offsets = {camera.name: camera.time_offset_ns for camera in rig.cameras}
+        self._parameters = parameters
+        self._synchronizer: ApproximateTimeSynchronizer[EncodedView] = ApproximateTimeSynchronizer(
+            list(self._offsets), parameters.grouping
+        )
+        self._unpaired: dict[str, Any] = {}
+        self._depths: dict[str, deque[Any]] = {name: deque(maxlen=DEPTHS_KEPT) for name in self._offsets}
+        self._last_stamp: dict[str, int] = {}
+        self._next_due: int | None = None
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The pinhole cameras of the sets, in the rig's order."""
+        return self._assembler.cameras
+
+    def on_configure(self) -> None:
+        for name in self._offsets:
+            topics = self._topics[name]
+            self.bus.subscribe(topics.image, partial(self._on_colour, name))
+            if topics.depth:
+                self.bus.subscribe(topics.depth, partial(self._on_depth, name))
+        self.bus.subscribe(JOINT_STATES, self._on_joints)
+
+    def _on_joints(self, message: Any) -> None:
+        self._assembler.add_joints(convert.joint_sample_from_message(message))
+
+    def _on_colour(self, name: str, message: Any) -> None:
+        stamp = from_time(message.header.stamp)
+        self._check_order(name, stamp)
+        if self._topics[name].depth is None:
+            self._add(name, EncodedView(message, None))
+            return
+        if name in self._unpaired:
+            self._add(name, EncodedView(self._unpaired.pop(name), None))
+        depth = self._depth_at(name, stamp)
+        if depth is None:
+            self._unpaired[name] = message
+        else:
+            self._add(name, EncodedView(message, depth))
+
+    def _on_depth(self, name: str, message: Any) -> None:
+        self._depths[name].append(message)
+        colour = self._unpaired.get(name)
+        depth = None if colour is None else self._depth_at(name, from_time(colour.header.stamp))
+        if depth is not None:
+            self._add(name, EncodedView(self._unpaired.pop(name), depth))
+
+    def _depth_at(self, name: str, stamp: int) -> Any | None:
+        tolerance = int(self._parameters.depth_tolerance_ms * 1e6)
+        near = [d for d in self._depths[name] if abs(from_time(d.header.stamp) - stamp) <= tolerance]
+        return min(near, key=lambda d: abs(from_time(d.header.stamp) - stamp), default=None)
+
+    def _check_order(self, name: str, stamp: int) -> None:
+        last = self._last_stamp.get(name, stamp)
+        if stamp < last:
+            raise GraphError(
+                f"camera '{name}': image stamps run backwards by {(last - stamp) / 1e6:.1f} ms on "
+                f"{self._topics[name].image} (at {stamp / 1e9:.3f} s); a log's images must be in the order of their "
+                "header stamps: sort them, or mend the camera's clock"
+            )
+        self._last_stamp[name] = stamp
+
+    def _add(self, name: str, view: EncodedView) -> None:
+        stamp = from_time(view.colour.header.stamp) + self._offsets[name]
+        for grouped in self._synchronizer.add(name, stamp, view, max(self.clock.now(), stamp)):
+            self.sets_seen += 1
+            if self._is_wanted(grouped.stamp):
+                self._publish(grouped)
+
+    def _is_wanted(self, stamp: int) -> bool:
+        """Whether a set is due under `max_rate_hz`: sets are taken at that rate on average, never in bursts."""
+        rate = self._parameters.max_rate_hz
+        if rate is None:
+            return True
+        if self._next_due is not None and stamp < self._next_due:
+            return False
+        due = stamp if self._next_due is None else self._next_due
+        self._next_due = max(due + int(1e9 / rate), stamp)
+        return True
+
+    def _publish(self, grouped: SyncSet[EncodedView]) -> None:
+        images = {}
+        for name, member in zip(self._offsets, grouped.members, strict=True):
+            if member is not None:
+                view = member.payload
+                depth = None if view.depth is None else convert.depth_from_message(view.depth)
+                images[name] = DecodedImage(member.stamp, convert.rgb_from_message(view.colour), depth)
+        self.bus.publish(FRAMES, self._assembler.assemble(images))
