@@ -74,7 +74,8 @@ class Path:
             t = times[0] + (t - times[0]) % (times[-1] - times[0])
         t = float(np.clip(t, times[0], times[-1]))
         if len(times) == 1:
-            return self._knots[0].copy()
+            only: Float64 = self._knots[0].copy()
+            return only
         if self.between == "spline":
             return np.asarray(CubicSpline(times, self._knots, bc_type="clamped")(t), dtype=np.float64)
         i = min(int(np.searchsorted(times, t, side="right")) - 1, len(times) - 2)

@@ -37,15 +37,14 @@ def person_solids(person: Person, T_base_shoulder: Float64, hand: Float64, owner
             [0, SHOULDER_WIDTH / 2, -0.05],
             [0, SHOULDER_WIDTH / 2, -SHOULDER_TO_HIP],
             [0, SHOULDER_WIDTH / 2, SHOULDER_TO_HEAD],
-            [0.03, SHOULDER_WIDTH, -UPPER_ARM],
-            [0.09, SHOULDER_WIDTH, -UPPER_ARM - FOREARM],
+            [-0.01, SHOULDER_WIDTH, -UPPER_ARM],
+            [0.02, SHOULDER_WIDTH, -UPPER_ARM - FOREARM],
             [0, SHOULDER_WIDTH * 0.25, -SHOULDER_TO_HIP],
             [0, SHOULDER_WIDTH * 0.75, -SHOULDER_TO_HIP],
-            [0, SHOULDER_WIDTH * 0.25, -SHOULDER_TO_HIP - HIP_HEIGHT],
-            [0, SHOULDER_WIDTH * 0.75, -SHOULDER_TO_HIP - HIP_HEIGHT],
         ]
     )
-    left, chest, hip, head, left_elbow, left_hand, *legs = transform(T_base_shoulder, anchors)
+    left, chest, hip, head, left_elbow, left_hand, right_hip, left_hip = transform(T_base_shoulder, anchors)
+    leg = np.array([0.0, 0.0, -HIP_HEIGHT * h])
     shirt, skin, trousers = person.shirt, person.skin, person.trousers
     return [
         capsule_between(right, elbow, UPPER_ARM_RADIUS, shirt, owner),
@@ -56,8 +55,8 @@ def person_solids(person: Person, T_base_shoulder: Float64, hand: Float64, owner
         sphere_at(head, HEAD_RADIUS, skin, owner),
         capsule_between(left, left_elbow, UPPER_ARM_RADIUS, shirt, owner),
         capsule_between(left_elbow, left_hand, FOREARM_RADIUS, skin, owner),
-        capsule_between(legs[0], legs[2], LEG_RADIUS, trousers, owner),
-        capsule_between(legs[1], legs[3], LEG_RADIUS, trousers, owner),
+        capsule_between(right_hip, right_hip + leg, LEG_RADIUS, trousers, owner),
+        capsule_between(left_hip, left_hip + leg, LEG_RADIUS, trousers, owner),
     ]
 
 

@@ -138,6 +138,8 @@ class ArmSpec:
     """The UR arm of the cell, which follows its default pick-and-place path."""
 
     model: str = "ur5e"
+    workspace: tuple[Triple, Triple] | None = None
+    """Lower and upper corner of where it picks and places, m; None: the scenario's."""
     joint_rate_hz: float = 125.0
     """Rate of the joint states (a UR e-series controller allows up to 500 Hz)."""
     texture: Texture = field(

@@ -61,6 +61,10 @@ class SimulatedRig:
         seen = [e for e in taken if self._fault(e, "missing") is None]
         return sorted(seen, key=lambda e: (e.stamp, e.camera))
 
+    def tick_stamps(self) -> list[int]:
+        """Per set, the true time of its last exposure, ns, whether or not the cameras are faulty."""
+        return [int(stamp) for stamp in self._stamps.max(axis=1)]
+
     def render(self, exposure: Exposure) -> Rendering:
         """The noiseless image at an exposure's true time."""
         return self.see(exposure.camera, exposure.stamp)

@@ -3,53 +3,50 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twin_node.cell.motion import Path
+from twin_node.arm.path import default_path, sample_path
 from twin_node.cell.scenario import ArmSpec, Scenario
 from twin_node.cell.solids import Solid, capsule_between
-from twin_node.robot.kinematics import forward_kinematics, place_capsules
-from twin_node.robot.ur import ur_model
+from twin_node.robot import forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Float64, JointPath, JointSample
 
-AHEAD_S = 0.5
-"""How far ahead the arm tells where it means to be."""
+AHEAD_NS = 500_000_000
+"""How far ahead the arm tells where it means to be: beyond the forecast's 200 ms and the time to the next message."""
 
-STEP_S = 0.02
+STEP_NS = 20_000_000
 """Between two points of the path ahead."""
+
+DIFFERENCE_NS = 4_000_000
+"""Half the step of the central difference that gives joint speeds: the path's own sampling."""
 
 
 class ArmInCell:
-    """The arm on its pick-and-place path, which it follows exactly and without regard to anybody."""
+    """The arm on its default pick-and-place cycle, which it follows exactly and without regard to anybody."""
 
     def __init__(self, spec: ArmSpec, scenario: Scenario) -> None:
         self.model = ur_model(spec.model)
+        self._cycle = default_path(self.model, np.array(spec.workspace or scenario.workspace))
         self._texture = spec.texture
         self._start = scenario.start_ns
-        a = (0.6, -1.3, 1.9, -2.2, -1.57, 0.0)
-        b = (-0.7, -1.3, 1.9, -2.2, -1.57, 0.0)
-        c = (0.0, -1.6, 1.6, -1.6, -1.57, 0.0)
-        pts = [a, c, b, c, a]
-        times = (0.0, 1.2, 2.4, 3.6, 4.8)
-        self._path = Path(times, tuple(p[:3] for p in pts), tuple(p[3:] for p in pts), "spline", True)
 
-    def positions(self, stamp: int) -> Float64:
-        """Joint angles [6] at a stamp, rad."""
-        return self._path._values((stamp - self._start) / 1e9)
+    def positions(self, stamps: NDArray[np.int64]) -> Float64:
+        """Joint angles [T, J] at stamps [T], rad."""
+        return sample_path(self._cycle.template, (stamps - self._start) % self._cycle.period_ns)
 
     def sample(self, stamp: int) -> JointSample:
         """The joints at a stamp."""
-        half_step = 500_000
-        velocities = (self.positions(stamp + half_step) - self.positions(stamp - half_step)) / (2e-9 * half_step)
-        return JointSample(stamp, self.model.joint_names, self.positions(stamp), velocities)
+        before, now, after = self.positions(stamp + DIFFERENCE_NS * np.arange(-1, 2))
+        return JointSample(stamp, self.model.joint_names, now, (after - before) / (2e-9 * DIFFERENCE_NS))
 
     def ahead(self, stamp: int) -> JointPath:
-        """Where the arm means to be over the next `AHEAD_S`."""
-        stamps = stamp + np.arange(0, round(AHEAD_S * 1e9) + 1, round(STEP_S * 1e9))
-        return JointPath(self.model.joint_names, stamps, np.stack([self.positions(int(s)) for s in stamps]))
+        """Where the arm means to be over the next `AHEAD_NS`."""
+        stamps = stamp + np.arange(0, AHEAD_NS + 1, STEP_NS)
+        return JointPath(self.model.joint_names, stamps, self.positions(stamps))
 
     def solids(self, stamp: int, owner: int) -> tuple[Solid, ...]:
         """The capsules of its links at a stamp."""
-        placed = place_capsules(self.model, forward_kinematics(self.model, self.positions(stamp)))
+        placed = place_capsules(self.model, forward_kinematics(self.model, self.positions(np.array([stamp]))[0]))
         return tuple(
             capsule_between(start, end, float(radius), self._texture, owner)
             for (start, end), radius in zip(placed.ends, placed.radii, strict=True)

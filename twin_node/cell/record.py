@@ -1,0 +1,128 @@
+"""Writes a scenario as a log that cannot be told from one of a real cell, plus the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from heapq import merge
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from twin_node.bag import LogWriter
+from twin_node.bag.rig import write_rig
+from twin_node.cell.scenario import Scenario
+from twin_node.cell.sensor import RawImage
+from twin_node.cell.simulator import SimulatedRig
+from twin_node.cell.truth import CellTruth
+from twin_node.messages import Message
+from twin_node.messages.convert import (
+    camera_info,
+    compressed_image,
+    depth_image,
+    joint_path_to_message,
+    joint_sample_to_message,
+    occupancy_to_message,
+)
+from twin_node.scene import Rig
+
+TRAJECTORY_RATE_HZ = 10.0
+"""Rate of `/arm/trajectory`; each message reaches 0.5 s ahead."""
+
+COMPRESSION: Literal["zstd"] = "zstd"
+"""Of the log's chunks: raw depth shrinks to a third."""
+
+Progress = Callable[[int, int], None]
+"""Told the number of messages written and of all messages."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One message of the log."""
+
+    stamp: int
+    """When it is recorded, ns."""
+    topic: str
+    message: Message
+
+
+def write_log(scenario: Scenario, path: Path, progress: Progress | None = None) -> None:
+    """Record a whole scenario: images, depth, calibration, the arm's joints and path, and `/truth/occupancy`.
+
+    The same scenario gives the same bytes. Raises `CellError` for what is wrong with the scenario and `BagError` where
+    the log cannot be written; nothing is left at `path` then.
+    """
+    recording = Recording(scenario)
+    with LogWriter(path, COMPRESSION) as writer:
+        write_rig(writer, recording.rig, scenario.start_ns)
+        for done, entry in enumerate(recording.entries(), start=1):
+            writer.write(entry.topic, entry.message, entry.stamp)
+            if progress is not None:
+                progress(done, recording.count)
+
+
+class Recording:
+    """The messages of a scenario in rising order of time."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._simulated = SimulatedRig(scenario)
+        self._truth = CellTruth(self._simulated)
+        self._exposures = self._simulated.exposures()
+
+    @property
+    def rig(self) -> Rig:
+        """The calibrated cameras and the workspace."""
+        return self._simulated.rig
+
+    @property
+    def count(self) -> int:
+        """Number of all messages."""
+        arm = self._scenario.arm
+        joints = 0 if arm is None else len(self._times(arm.joint_rate_hz)) + len(self._times(TRAJECTORY_RATE_HZ))
+        return 3 * len(self._exposures) + joints + self._simulated.ticks
+
+    def entries(self) -> Iterator[Entry]:
+        """All messages, made as they are asked for."""
+        streams = (self._joint_states(), self._trajectory(), self._occupancy(), self._images())
+        yield from merge(*streams, key=lambda entry: entry.stamp)
+
+    def _images(self) -> Iterator[Entry]:
+        for exposure in self._exposures:
+            image = self._simulated.take(exposure)
+            camera, stamp = self._simulated.rig.cameras[exposure.camera], image.stamp
+            yield Entry(exposure.stamp, f"/{camera.name}/camera_info", camera_info(camera, stamp))
+            colour = compressed_image(camera.name, stamp, image.rgb)
+            yield Entry(exposure.stamp, f"/{camera.name}/image_raw/compressed", colour)
+            yield Entry(exposure.stamp, f"/{camera.name}/depth/image_rect", _depth(image))
+
+    def _joint_states(self) -> Iterator[Entry]:
+        arm = self._simulated.world.arm
+        if arm is None or self._scenario.arm is None:
+            return
+        for stamp in self._times(self._scenario.arm.joint_rate_hz):
+            yield Entry(stamp, "/joint_states", joint_sample_to_message(arm.sample(stamp)))
+
+    def _trajectory(self) -> Iterator[Entry]:
+        arm = self._simulated.world.arm
+        if arm is None:
+            return
+        for stamp in self._times(TRAJECTORY_RATE_HZ):
+            yield Entry(stamp, "/arm/trajectory", joint_path_to_message(arm.ahead(stamp)))
+
+    def _occupancy(self) -> Iterator[Entry]:
+        for stamp in self._simulated.tick_stamps():
+            yield Entry(stamp, "/truth/occupancy", occupancy_to_message(self._truth.occupancy(stamp)))
+
+    def _times(self, rate_hz: float) -> list[int]:
+        count = int(np.ceil(self._scenario.duration_s * rate_hz))
+        return [self._scenario.start_ns + round(i * 1e9 / rate_hz) for i in range(count)]
+
+
+def _depth(image: RawImage) -> Message:
+    metres = image.depth_mm.astype(np.float32) / np.float32(1000)
+    if not image.depth_is_nan:
+        return depth_image(image.camera, image.stamp, metres, "16UC1")
+    message = depth_image(image.camera, image.stamp, metres, "32FC1")
+    return replace(message, data=np.full(metres.size, np.nan, np.float32).view(np.uint8))
