@@ -116,9 +116,9 @@ def default_path(
     """A pick-and-place cycle that reaches into a workspace [2, 3] (lower and upper corner, m, `base_link`).
 
     Pick and place lie at a quarter and three quarters of the workspace's width as the arm sees it, near its floor,
-    drawn into the arm's comfortable reach. Every move is a quintic in joint space, all joints in step, so velocities and
-    accelerations are continuous and within the parameters and the model's limits. Raises `ArmError` for a workspace
-    that is no box.
+    drawn into the arm's comfortable reach. Every move is a quintic in joint space, all joints in step, so that
+    velocities and accelerations are continuous and within the limits of parameters and model. Raises `ArmError` for a
+    workspace that is no box.
     """
     chosen = parameters or CycleParameters()
     pick, place = _pick_and_place(model, _NOMINAL_WORKSPACE if workspace is None else np.asarray(workspace))

@@ -1,0 +1,194 @@
+"""Arms as MuJoCo files: writes a model of capsules (the files in `sim/`), reads any serial arm from MJCF or URDF.
+
+The shipped files are made from the DH parameters by `write_mjcf(ur_model(name))`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twin_node.geometry import inverse_pose, quat_from_rotation, transform
+from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
+from twin_node.robot.model import ArmModel, Capsules, RobotError
+from twin_node.scene import Float64
+
+_MAX_VELOCITY = np.pi
+"""rad/s, for files that give none: what the UR5e's joints reach."""
+_MAX_ACCELERATION = 5.0
+"""rad/s^2, for files that give none: as for the UR arms."""
+_CAPSULES_PER_MESH = 2
+_ROUND_POINTS = 24
+"""Corners drawn around a cylinder or ellipsoid before a capsule is fitted."""
+
+
+def write_mjcf(model: ArmModel) -> str:
+    """MJCF text of an arm: one body per link, hinges about z, capsules and spheres as geoms named after their link."""
+    lines = [
+        f'<mujoco model="{model.name}">',
+        "  <!-- Made by twin_node.robot.mjcf.write_mjcf from the arm's DH parameters and capsules. -->",
+        '  <compiler angle="radian" autolimits="true"/>',
+        "  <default>",
+        '    <default class="arm">',
+        '      <geom type="capsule" rgba="0.62 0.68 0.74 1" contype="1" conaffinity="0" density="1000"/>',
+        "    </default>",
+        "  </default>",
+        "  <worldbody>",
+        f'    <body name="{model.link_names[0]}" childclass="arm">',
+        *_geom_lines(model, 0),
+    ]
+    for j, (link, joint) in enumerate(zip(model.link_names[1:], model.joint_names, strict=True)):
+        indent = "  " * (j + 3)
+        place = f'pos="{_text(model.origins[j, :3, 3])}" quat="{_text(quat_from_rotation(model.origins[j, :3, :3]))}"'
+        limits = _text(np.array([model.lower[j], model.upper[j]]))
+        lines.append(f'{indent}<body name="{link}" {place}>')
+        lines.append(f'{indent}  <joint name="{joint}" axis="0 0 1" range="{limits}"/>')
+        lines.extend(_geom_lines(model, j + 1))
+    for j in range(model.joints, -1, -1):
+        lines.append("  " * (j + 2) + "</body>")
+    return "\n".join([*lines, "  </worldbody>", "</mujoco>", ""])
+
+
+def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmModel:
+    """Serial arm from an MJCF or URDF file; meshes and other shapes become the capsules that enclose them.
+
+    The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
+    gripper's): those stay where the file puts them. Geoms that take part in no contact (visuals) are left out unless the
+    arm has no others. Raises `RobotError` for a file that MuJoCo does not read, and for joints that are no chain of
+    hinges.
+    """
+    try:
+        engine = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, FileNotFoundError) as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error
+    data = mujoco.MjData(engine)
+    mujoco.mj_kinematics(engine, data)
+    joints = _arm_joints(engine, path, joint_names)
+    frames = np.stack([np.eye(4), *(_joint_frame(engine, data, joint) for joint in joints)])
+    limited = engine.jnt_limited[joints].astype(bool)
+    lower = np.where(limited, engine.jnt_range[joints, 0], -2 * np.pi)
+    upper = np.where(limited, engine.jnt_range[joints, 1], 2 * np.pi)
+    bodies = engine.jnt_bodyid[joints]
+    base = engine.body_parentid[bodies[0]]
+    return ArmModel(
+        name=Path(path).stem,
+        link_names=tuple(engine.body(int(body)).name or f"link_{k}" for k, body in enumerate([base, *bodies])),
+        joint_names=tuple(engine.joint(joint).name or f"joint_{k}" for k, joint in enumerate(joints, 1)),
+        origins=inverse_pose(frames[:-1]) @ frames[1:],
+        lower=lower,
+        upper=upper,
+        max_velocity=np.full(len(joints), _MAX_VELOCITY),
+        max_acceleration=np.full(len(joints), _MAX_ACCELERATION),
+        capsules=_enclose(engine, data, bodies, frames),
+    )
+
+
+def _text(values: NDArray[np.floating]) -> str:
+    return " ".join(f"{value:.9g}" for value in np.round(values, 12) + 0.0)
+
+
+def _geom_lines(model: ArmModel, link: int) -> list[str]:
+    indent = "  " * (link + 3)
+    lines = []
+    for number, row in enumerate(np.flatnonzero(model.capsules.links == link)):
+        start, end = model.capsules.ends[row]
+        name = f'name="{model.link_names[link]}_{number}" size="{_text(model.capsules.radii[row : row + 1])}"'
+        if np.allclose(start, end):
+            lines.append(f'{indent}<geom {name} type="sphere" pos="{_text(start)}"/>')
+        else:
+            lines.append(f'{indent}<geom {name} fromto="{_text(start)} {_text(end)}"/>')
+    return lines
+
+
+def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> list[int]:
+    """Indices of the arm's joints from base to tool; raises `RobotError` unless they are hinges in a chain."""
+    known = [engine.joint(joint).name for joint in range(engine.njnt)]
+    missing = [name for name in names or () if name not in known]
+    if missing:
+        raise RobotError(f"{path}: expected joint {missing[0]}, found {', '.join(known)}; check the joint names")
+    joints = [known.index(name) for name in names] if names else list(range(engine.njnt))
+    if not joints:
+        raise RobotError(f"{path}: expected a serial arm, found no joints; check the file")
+    before = 0
+    for joint in joints:
+        body = int(engine.jnt_bodyid[joint])
+        if engine.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE or before not in _ancestors(engine, body):
+            raise RobotError(
+                f"{path}: expected hinges that form one chain, found that {known[joint]} does not go on from the joint "
+                "before it; pass joint_names to say which joints are the arm's"
+            )
+        before = body
+    return joints
+
+
+def _ancestors(engine: Any, body: int) -> list[int]:
+    """The bodies that carry a body, nearest first, the world last."""
+    chain = []
+    while body:
+        body = int(engine.body_parentid[body])
+        chain.append(body)
+    return chain
+
+
+def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
+    """Pose [4, 4] of a joint at its zero: the body's axes, turned the short way until z lies along the hinge."""
+    body = int(engine.jnt_bodyid[joint])
+    frame = np.eye(4)
+    axis = engine.jnt_axis[joint]
+    turn, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
+    back = Rotation.from_rotvec(np.asarray(axis) * -engine.qpos0[engine.jnt_qposadr[joint]])
+    frame[:3, :3] = data.xmat[body].reshape(3, 3) @ (back * turn).as_matrix()
+    frame[:3, 3] = data.xanchor[joint]
+    return frame
+
+
+def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float64) -> Capsules:
+    """Capsules around the geoms of the base and of every link, in the links' frames."""
+    links = {int(body): k for k, body in enumerate(bodies, 1)}
+    root = int(engine.body_rootid[bodies[0]])
+    owners, ends, radii = [], [], []
+    touching = (engine.geom_contype != 0) | (engine.geom_conaffinity != 0)
+    for geom in range(engine.ngeom):
+        body = int(engine.geom_bodyid[geom])
+        if int(engine.body_rootid[body]) != root or (touching.any() and not touching[geom]):
+            continue
+        link = next((links[b] for b in [body, *_ancestors(engine, body)] if b in links), 0)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        local = inverse_pose(frames[link]) @ pose
+        for capsule in _geom_capsules(engine, geom):
+            owners.append(link)
+            ends.append(transform(local, capsule.ends))
+            radii.append(capsule.radius)
+    return Capsules(np.array(owners, dtype=np.int64), np.array(ends).reshape(-1, 2, 3), np.array(radii))
+
+
+def _geom_capsules(engine: Any, geom: int) -> tuple[Capsule, ...]:
+    """Capsules that enclose one geom, in its own frame; exact for capsules and spheres."""
+    size = np.asarray(engine.geom_size[geom])
+    kind = mujoco.mjtGeom(int(engine.geom_type[geom]))
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return (Capsule(np.zeros((2, 3)), float(size[0])),)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return (Capsule(np.array([[0, 0, -size[1]], [0, 0, size[1]]]), float(size[0])),)
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(engine.geom_dataid[geom])
+        first_face, first_vertex = int(engine.mesh_faceadr[mesh]), int(engine.mesh_vertadr[mesh])
+        faces = engine.mesh_face[first_face : first_face + int(engine.mesh_facenum[mesh])]
+        return fit_capsules(engine.mesh_vert[first_vertex + faces].astype(np.float64), _CAPSULES_PER_MESH)
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(-1, 3) * size
+        return (fit_capsule(corners),)
+    turn = np.linspace(0, 2 * np.pi, _ROUND_POINTS, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], 1) / np.cos(np.pi / _ROUND_POINTS)
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        discs = [np.column_stack([ring * size[0], np.full(_ROUND_POINTS, z)]) for z in (-size[1], size[1])]
+        return (fit_capsule(np.concatenate(discs)),)
+    raise RobotError(f"geom {engine.geom(geom).name or geom}: expected a capsule, sphere, box, cylinder or mesh")
