@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
-from twin_node.rig.approximate_time import ApproximateTimePolicy, Stamped
+from twin_node.rig.approximate_time import ApproximateTimePolicy, Members, Stamped
 from twin_node.rig.errors import RigError
 
 T = TypeVar("T")
+
+PERIODS_KEPT = 8
+"""Periods that a camera's rate is learned from: few enough to follow a change of rate within a quarter of a second."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +80,44 @@ class SyncSet(Generic[T]):
     """In the order of the inputs; None where a silent camera is missing."""
 
 
+@dataclass
+class _Input:
+    """What is remembered of one camera's stream."""
+
+    counts: InputCounts
+    newest: int | None = None
+    """Stamp of the last image that was admitted, ns."""
+    used: int | None = None
+    """Stamp of the last image that went out, ns."""
+    arrival: int | None = None
+    """When the last image that was admitted came, ns."""
+    periods: deque[int] = field(default_factory=lambda: deque(maxlen=PERIODS_KEPT))
+
+    def count(self, **more: int) -> None:
+        """Adds to the counts of the given names."""
+        self.counts = replace(self.counts, **{name: getattr(self.counts, name) + n for name, n in more.items()})
+
+    def learn_period(self, stamp: int) -> None:
+        """Takes note of the time since the image before."""
+        if self.newest is not None and stamp > self.newest:
+            self.periods.append(stamp - self.newest)
+
+    @property
+    def shortest_period(self) -> int:
+        """Of the last images, ns; 0 while there are too few."""
+        return min(self.periods) if len(self.periods) == PERIODS_KEPT else 0
+
+
 class ApproximateTimeSynchronizer(Generic[T]):
     """Groups stamped payloads of several inputs.
 
     With `max_interval_ns`, `deadline_ns` and `future_tolerance_ns` None and `period_share` 0 it does exactly what ROS
-    does to images that are neither late nor duplicate. Time comes in as an argument: same arrivals, same sets.
+    does to images that are neither late nor duplicate. Time comes in as an argument: same arrivals, same sets. Sets
+    leave in rising order of stamps as long as each camera's images come in rising order.
     """
 
     def __init__(self, inputs: Sequence[str], parameters: SyncParameters | None = None) -> None:
+        """`inputs`: the cameras, in the order of every set's members. Raises `RigError` where parameters do not fit."""
         self.inputs = tuple(inputs)
         self.parameters = parameters or SyncParameters()
         _check(self.inputs, self.parameters)
@@ -96,22 +130,22 @@ class ApproximateTimeSynchronizer(Generic[T]):
         self._policy: ApproximateTimePolicy[T] = ApproximateTimePolicy(
             len(self.inputs), p.queue_size, p.max_interval_ns, p.age_penalty, p.min_period_ns
         )
-        self._counts = [InputCounts(name) for name in self.inputs]
-        self._newest: list[int | None] = [None] * len(self.inputs)
-        self._periods: list[list[int]] = [[] for _ in self.inputs]
-        self._last_used: list[int | None] = [None] * len(self.inputs)
-        self._last_arrival: list[int | None] = [None] * len(self.inputs)
+        self._inputs = [_Input(InputCounts(name)) for name in self.inputs]
         self._last_start: int | None = None
+        self._last_stamp: int | None = None
         self._sets = 0
         self._incomplete = 0
 
     @property
     def report(self) -> SyncReport:
         """Counts per input and in total."""
-        silent = [i not in self._policy.active for i in range(len(self.inputs))]
         inputs = tuple(
-            replace(c, silent=s, unmatched=u)
-            for c, s, u in zip(self._counts, silent, self._policy.passed_over, strict=True)
+            replace(
+                state.counts,
+                silent=i not in self._policy.active,
+                unmatched=state.counts.unmatched + self._policy.passed_over[i],
+            )
+            for i, state in enumerate(self._inputs)
         )
         return SyncReport(inputs, self._sets, self._incomplete)
 
@@ -124,14 +158,13 @@ class ApproximateTimeSynchronizer(Generic[T]):
             raise RigError(f"synchroniser: expected one of the inputs {', '.join(self.inputs)}, found {name!r}")
         i = self._index[name]
         expired = self.poll(now)
-        if not self._admit(i, stamp, now):
+        if not self._admit(self._inputs[i], stamp, now):
             return expired
         self._learn_period(i, stamp)
-        if not self._returned(i, now):
-            self._policy.passed_over[i] += 1
+        if not self._takes_part(i, now):
+            self._inputs[i].count(unmatched=1)
             return expired
-        ready = self._policy.add(i, Stamped(stamp, payload, now))
-        return expired + [self._emit(members) for members in ready]
+        return expired + self._emit(self._policy.add(i, Stamped(stamp, payload, now)))
 
     def poll(self, now: int) -> list[SyncSet[T]]:
         """Sets whose deadline has passed at `now`, ns; cameras that hold them up are left out from then on."""
@@ -141,12 +174,31 @@ class ApproximateTimeSynchronizer(Generic[T]):
             waiting_since = self._policy.waiting_since
             if waiting_since is None or now - waiting_since < deadline:
                 break
-            ready += [self._emit(members) for members in self._policy.force()]
+            ready += self._emit(self._policy.force())
         return ready
 
-    def _returned(self, i: int, now: int) -> bool:
-        """Whether an input takes part; one that was left out does again once two images came within a deadline."""
-        previous, self._last_arrival[i] = self._last_arrival[i], now
+    def _admit(self, state: _Input, stamp: int, now: int) -> bool:
+        """Whether an image may join the queue; counts it either way."""
+        tolerance = self.parameters.future_tolerance_ns
+        future = tolerance is not None and stamp - now > tolerance
+        duplicate = not future and stamp in (state.newest, state.used)
+        gone = (state.used, self._last_start)
+        late = not future and not duplicate and any(t is not None and stamp < t for t in gone)
+        kept = not (future or duplicate or late)
+        unsorted = kept and state.newest is not None and stamp < state.newest
+        state.count(received=1, future=future, duplicate=duplicate, late=late, unsorted=unsorted)
+        return kept
+
+    def _learn_period(self, i: int, stamp: int) -> None:
+        state, p = self._inputs[i], self.parameters
+        state.learn_period(stamp)
+        state.newest = stamp
+        if not p.min_period_ns:
+            self._policy.min_period[i] = int(p.period_share * state.shortest_period)
+
+    def _takes_part(self, i: int, now: int) -> bool:
+        """Whether sets need an input; one that was left out is back once two of its images came within a deadline."""
+        previous, self._inputs[i].arrival = self._inputs[i].arrival, now
         if i in self._policy.active:
             return True
         deadline = self.parameters.deadline_ns
@@ -155,50 +207,27 @@ class ApproximateTimeSynchronizer(Generic[T]):
             self._policy.activate(i)
         return steady
 
-    def _admit(self, i: int, stamp: int, now: int) -> bool:
-        """Whether an image may join the queue; counts it either way."""
-        c = self._counts[i]
-        previous = self._newest[i]
-        used, tolerance = self._last_used[i], self.parameters.future_tolerance_ns
-        future = tolerance is not None and stamp - now > tolerance
-        duplicate = stamp in (previous, used)
-        late = (used is not None and stamp < used) or (self._last_start is not None and stamp < self._last_start)
-        kept = not (future or duplicate or late)
-        unsorted = kept and previous is not None and stamp < previous
-        self._counts[i] = replace(
-            c,
-            received=c.received + 1,
-            future=c.future + future,
-            duplicate=c.duplicate + (duplicate and not future),
-            late=c.late + (late and not duplicate and not future),
-            unsorted=c.unsorted + unsorted,
-        )
-        return kept
-
-    def _learn_period(self, i: int, stamp: int) -> None:
-        """Sets the bound of an input from the shortest of its last eight periods."""
-        previous, self._newest[i] = self._newest[i], stamp
-        share = self.parameters.period_share
-        if self.parameters.min_period_ns or share <= 0 or previous is None or stamp <= previous:
-            return
-        periods = self._periods[i]
-        periods.append(stamp - previous)
-        del periods[:-8]
-        self._policy.min_period[i] = int(share * min(periods)) if len(periods) == 8 else 0
-
-    def _emit(self, members: tuple[Stamped[T] | None, ...]) -> SyncSet[T]:
-        present = [m.stamp for m in members if m is not None]
-        self._sets += 1
-        self._incomplete += len(present) < len(members)
-        self._last_start = max(min(present), self._last_start or min(present))
-        for i, member in enumerate(members):
-            c = self._counts[i]
-            if member is None:
-                self._counts[i] = replace(c, missed=c.missed + 1)
-            else:
-                self._counts[i] = replace(c, used=c.used + 1)
-                self._last_used[i] = member.stamp
-        return SyncSet(max(present), members)
+    def _emit(self, ready: list[Members[T]]) -> list[SyncSet[T]]:
+        """Sets of the members that the policy chose, counted."""
+        sets = []
+        for members in ready:
+            present = [(state, m) for state, m in zip(self._inputs, members, strict=True) if m is not None]
+            start, stamp = min(m.stamp for _, m in present), max(m.stamp for _, m in present)
+            complete = len(present) == len(members)
+            if not complete and self._last_stamp is not None and stamp <= self._last_stamp:
+                # The camera that went silent had the newest image of the last set: without it time would go back.
+                for state, _ in present:
+                    state.count(unmatched=1)
+                continue
+            self._sets += 1
+            self._incomplete += not complete
+            self._last_start = start if self._last_start is None else max(start, self._last_start)
+            self._last_stamp = stamp
+            for state, member in zip(self._inputs, members, strict=True):
+                state.count(used=member is not None, missed=member is None)
+                state.used = state.used if member is None else member.stamp
+            sets.append(SyncSet(stamp, members))
+        return sets
 
 
 def _check(inputs: tuple[str, ...], p: SyncParameters) -> None:

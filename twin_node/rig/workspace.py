@@ -14,7 +14,7 @@ FLOOR_M = -0.05
 """Lower end of a derived volume where all cameras stand above the base: the arm stands on what they look at (z = 0)."""
 
 RANGE = (0.15, 1.25)
-"""Depths that count as seen, as shares of a camera's distance to the point that all look at: neither lens nor far wall."""
+"""Depths that count as seen, as shares of a camera's distance to the point that all look at: not lens or far wall."""
 
 TRIMMED_PERCENT = 0.5
 """Share of the seen cells cut off at each face, so that the box does not grow with the thin tips of the seen region."""
@@ -50,8 +50,8 @@ def workspace_of(cameras: Sequence[Camera]) -> Float64:
     seen = cells[seen_by > len(cameras) // 2]
     if not len(seen):
         raise RigError(
-            "cameras: expected a volume that most of them see, found none; check `T_base_cam` or set `workspace` in the "
-            "rig file"
+            "cameras: expected a volume that most of them see, found none; check `T_base_cam` or set "
+            "`workspace` in the rig file"
         )
     half_cell = (upper - lower) / (2 * CELLS)
     box = np.percentile(seen, [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)

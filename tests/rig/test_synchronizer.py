@@ -1,0 +1,246 @@
+"""The synchroniser against the ROS policy's vectors, and what it does with silent, late and broken cameras."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.rig import ApproximateTimeSynchronizer, RigError, SyncParameters, SyncSet
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+VECTORS = SHARED / "sync_vectors" / "approximate_time.json"
+MS = 1_000_000
+ROS = SyncParameters(max_interval_ns=None, deadline_ns=None, future_tolerance_ns=None, period_share=0)
+
+
+def vectors() -> list[Any]:
+    if not VECTORS.exists():
+        return [pytest.param(None, marks=pytest.mark.skip(reason=f"{VECTORS} is absent"))]
+    cases = json.loads(VECTORS.read_text())
+    return [pytest.param(case, id=f"{i}-{case['name']}") for i, case in enumerate(cases)]
+
+
+def stamps_of(sets: list[SyncSet[Any]]) -> list[list[int | None]]:
+    return [[None if m is None else m.stamp for m in s.members] for s in sets]
+
+
+@pytest.mark.parametrize("case", vectors())
+def test_ros_vectors(case: dict[str, Any]) -> None:
+    bounds = [0] * case["inputs"]
+    for i, value in case["options"].get("inter_message_lower_bound", {}).items():
+        bounds[int(i)] = round(value * MS)
+    parameters = SyncParameters(case["queue_size"], None, 0.1, tuple(bounds), 0, None, None)
+    sync = ApproximateTimeSynchronizer[None]([str(i) for i in range(case["inputs"])], parameters)
+    sets = []
+    for arrival in case["arrivals"]:
+        t = round(arrival["t"] * MS)
+        sets += sync.add(str(arrival["input"]), t, None, now=t)
+    assert stamps_of(sets) == [[round(t * MS) for t in expected] for expected in case["expected_sets"]]
+
+
+def test_members_carry_their_payload_and_the_set_the_newest_stamp() -> None:
+    sync = ApproximateTimeSynchronizer[str](["a", "b"], ROS)
+    assert sync.add("a", 0, "left", now=0) == []
+    (ready,) = sync.add("b", 0, "right", now=1)
+    assert [m.payload for m in ready.members if m] == ["left", "right"]
+    assert ready.stamp == 0
+
+
+def test_a_rate_bound_learned_from_the_stamps_saves_the_wait_for_the_next_image() -> None:
+    """Two 50 Hz cameras 8 ms apart: ROS waits 12 ms for the next image; knowing the rate there is no need to."""
+    lags = {}
+    for share in (0.0, 0.9):
+        sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(period_share=share))
+        for k in range(20):
+            sync.add("a", k * 20 * MS, None, now=k * 20 * MS)
+            t = (k * 20 + 8) * MS
+            lags[share] = [t - s.stamp for s in sync.add("b", t, None, now=t)]
+    assert lags[0.9] == [0]
+    assert lags[0.0] == []
+
+
+def test_a_silent_camera_costs_one_deadline_and_not_the_stream() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b", "c"], SyncParameters(deadline_ns=100 * MS))
+    emitted_at: list[int] = []
+    for k in range(50):
+        t = k * 20 * MS
+        for name in ("a", "b", "c") if k < 20 else ("a", "b"):
+            emitted_at += [t] * len(sync.add(name, t, None, now=t))
+    report = sync.report
+    assert report.inputs[2].silent
+    assert not report.inputs[0].silent
+    # Every instant of the living cameras went out, and only while waiting for the deadline did they go out late.
+    assert report.sets == 50
+    assert report.incomplete == report.inputs[2].missed == 30
+    assert max(b - a for a, b in pairwise(emitted_at)) <= 120 * MS
+
+
+def test_poll_emits_without_a_further_image() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+    sync.add("a", 0, None, now=0)
+    assert sync.poll(99 * MS) == []
+    assert stamps_of(sync.poll(100 * MS)) == [[0, None]]
+
+
+def test_a_complete_set_that_awaits_its_proof_goes_at_the_deadline() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+    assert sync.add("a", 0, None, now=0) == []
+    assert sync.add("b", 5 * MS, None, now=5 * MS) == []
+    assert stamps_of(sync.poll(100 * MS)) == [[0, 5 * MS]]
+    assert not any(counts.silent for counts in sync.report.inputs)
+
+
+def test_time_does_not_go_back_when_the_camera_with_the_newest_image_falls_silent() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b", "c"], SyncParameters(deadline_ns=100 * MS))
+    for name, t in (("b", 0), ("a", 10), ("a", 20), ("c", 40)):
+        assert sync.add(name, t * MS, None, now=t * MS) == []
+    assert stamps_of(sync.poll(200 * MS)) == [[10 * MS, 0, 40 * MS]]
+    assert sync.report.inputs[0].unmatched == 1
+
+
+def test_a_camera_that_comes_back_is_waited_for_again() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+    complete = []
+    for k in range(60):
+        t = k * 20 * MS
+        ready = sync.add("a", t, None, now=t)
+        if not 10 <= k < 30:
+            ready += sync.add("b", t, None, now=t)
+        complete += [None not in s.members for s in ready]
+    assert complete[-20:] == [True] * 20
+    assert not sync.report.inputs[1].silent
+
+
+def test_a_camera_slower_than_the_deadline_does_not_hold_up_the_others() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "slow"], SyncParameters(deadline_ns=100 * MS))
+    waits = []
+    for k in range(100):
+        t = k * 20 * MS
+        waits += [t - s.stamp for s in sync.add("a", t, None, now=t)]
+        if k % 10 == 9:
+            sync.add("slow", t, None, now=t)
+    assert max(waits[10:]) == 0
+    assert sync.report.inputs[1].silent
+
+
+def test_late_duplicate_and_future_images_are_refused_and_counted() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(period_share=0))
+    for t in (0, 20 * MS):
+        sync.add("a", t, None, now=t)
+        sync.add("b", t, None, now=t)
+    sync.add("a", 10 * MS, None, now=21 * MS)
+    sync.add("a", 20 * MS, None, now=21 * MS)
+    sync.add("b", 40 * MS, None, now=40 * MS)
+    sync.add("b", 40 * MS, None, now=41 * MS)
+    sync.add("b", 2_000 * MS, None, now=42 * MS)
+    a, b = sync.report.inputs
+    assert (a.late, a.duplicate, a.future) == (1, 1, 0)
+    assert (b.late, b.duplicate, b.future) == (0, 1, 1)
+    # The refused ones leave no trace: the next pair matches as ever.
+    assert stamps_of(sync.add("a", 40 * MS, None, now=43 * MS)) == [[40 * MS, 40 * MS]]
+
+
+def test_unsorted_images_are_kept_and_counted() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(period_share=0, deadline_ns=None))
+    for t in (0, 40 * MS, 20 * MS):
+        sync.add("a", t, None, now=50 * MS)
+    sets = sync.add("b", 0, None, now=50 * MS)
+    assert stamps_of(sets) == [[0, 0]]
+    assert sync.report.inputs[0].unsorted == 1
+    assert sync.report.inputs[0].received == 3
+
+
+def test_a_clock_that_steps_back_is_refused_and_forward_goes_silent() -> None:
+    for step in (-1_000 * MS, 1_000 * MS):
+        sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+        sets = []
+        for k in range(40):
+            t = k * 20 * MS
+            sets += sync.add("a", t, None, now=t)
+            sets += sync.add("b", t + (step if k >= 20 else 0), None, now=t)
+        b = sync.report.inputs[1]
+        assert len(sets) == 40
+        assert b.silent
+        assert (b.late if step < 0 else b.future) == 20
+
+
+def test_images_too_far_apart_make_no_set() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(max_interval_ns=10 * MS, deadline_ns=None))
+    assert sync.add("a", 0, None, now=0) == []
+    assert sync.add("b", 30 * MS, None, now=30 * MS) == []
+    assert stamps_of(sync.add("a", 30 * MS, None, now=30 * MS)) == [[30 * MS, 30 * MS]]
+    assert sync.report.inputs[0].unmatched == 1
+
+
+def test_reset_starts_anew() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"])
+    sync.add("a", 500 * MS, None, now=500 * MS)
+    sync.reset()
+    assert sync.report.inputs[0].received == 0
+    sync.add("a", 0, None, now=0)
+    assert stamps_of(sync.add("b", 0, None, now=0)) == [[0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("inputs", "parameters", "message"),
+    [
+        (["a", "a"], SyncParameters(), "distinct names"),
+        ([], SyncParameters(), "distinct names"),
+        (["a"], SyncParameters(queue_size=0), "queue_size"),
+        (["a", "b"], SyncParameters(min_period_ns=(1,)), "min_period_ns"),
+    ],
+)
+def test_wrong_parameters(inputs: list[str], parameters: SyncParameters, message: str) -> None:
+    with pytest.raises(RigError, match=message):
+        ApproximateTimeSynchronizer[None](inputs, parameters)
+
+
+def test_unknown_input() -> None:
+    with pytest.raises(RigError, match=r"expected one of the inputs a, b, found 'c'"):
+        ApproximateTimeSynchronizer[None](["a", "b"]).add("c", 0, None, now=0)
+
+
+@given(
+    arrivals=st.lists(
+        st.tuples(st.sampled_from("abc"), st.integers(-300, 300), st.integers(0, 60)), min_size=1, max_size=80
+    )
+)
+def test_any_stream_is_accounted_for(arrivals: list[tuple[str, int, int]]) -> None:
+    """Whatever comes: no image goes out twice, none is lost from the books, and nothing waits past its deadline."""
+    sync = ApproximateTimeSynchronizer[int](["a", "b", "c"], SyncParameters(queue_size=3, deadline_ns=100 * MS))
+    now, out = 0, []
+    for n, (name, offset, wait) in enumerate(arrivals):
+        now += wait * MS
+        out += sync.add(name, now + offset * MS, n, now)
+    out += sync.poll(now + 100 * MS)
+    used = [m.payload for s in out for m in s.members if m is not None]
+    assert len(used) == len(set(used))
+    for c in sync.report.inputs:
+        assert c.received == c.used + c.unmatched + c.late + c.duplicate + c.future
+        assert c.used + c.missed == len(out)
+
+
+@given(
+    periods=st.lists(st.integers(10, 60), min_size=3, max_size=3),
+    dead=st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), min_size=3, max_size=3),
+    phases=st.lists(st.integers(0, 40), min_size=3, max_size=3),
+    delays=st.lists(st.integers(0, 30), min_size=3, max_size=3),
+)
+def test_sets_rise_in_time_whoever_falls_silent(
+    periods: list[int], dead: list[tuple[int, int]], phases: list[int], delays: list[int]
+) -> None:
+    arrivals = sorted(
+        ((k * periods[i] + phases[i] + delays[i]) * MS, i, (k * periods[i] + phases[i]) * MS)
+        for i in range(3)
+        for k in range(60)
+        if not dead[i][0] <= k < dead[i][0] + dead[i][1]
+    )
+    sync = ApproximateTimeSynchronizer[None](["0", "1", "2"], SyncParameters(deadline_ns=80 * MS))
+    stamps = [s.stamp for now, i, stamp in arrivals for s in sync.add(str(i), stamp, None, now)]
+    assert all(a < b for a, b in pairwise(stamps))
