@@ -1,7 +1,22 @@
 """Logs: MCAP files and rosbag2 folders, read and written by stream, and importers of foreign recordings."""
 
+from twin_node.bag.import_video import VideoCamera, VideoImport, import_video
 from twin_node.bag.log import BagError, LogMessage, Topic
 from twin_node.bag.reader import LogReader, open_log
+from twin_node.bag.rig import RigRecord, read_rig_record, write_rig
 from twin_node.bag.writer import LogWriter
 
-__all__ = ["BagError", "LogMessage", "LogReader", "LogWriter", "Topic", "open_log"]
+__all__ = [
+    "BagError",
+    "LogMessage",
+    "LogReader",
+    "LogWriter",
+    "RigRecord",
+    "Topic",
+    "VideoCamera",
+    "VideoImport",
+    "import_video",
+    "open_log",
+    "read_rig_record",
+    "write_rig",
+]

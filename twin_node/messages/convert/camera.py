@@ -124,6 +124,10 @@ class TransformTree:
             parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
             self._parents[child] = (parent, pose(rotation, np.array([t.x, t.y, t.z])))
 
+    def __contains__(self, frame: str) -> bool:
+        """Whether a transform gives the frame a parent."""
+        return frame in self._parents
+
     def lookup(self, frame: str, base: str = BASE_FRAME) -> Float64:
         """[4, 4] maps coordinates of `frame` to `base`; raises `MessageError` where no transforms join them."""
         root_of_frame, T_root_frame = self._to_root(frame)
