@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from twin_node.bag import LogReader
+from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
 from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError
 from twin_node.rig import load_rig
-from twin_node.scene import Float64, Rig
-
-RIG_METADATA = "twin_node.rig"
-"""Metadata record of a log that carries what CameraInfo and TF cannot: workspace, calibration errors."""
+from twin_node.scene import Rig
 
 
 def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | None) -> Rig:
@@ -42,6 +38,7 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_file: Path, log: Pat
 
 def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
     infos, tree = _calibration_messages(log, cameras)
+    record = read_rig_record(log)
     calibrated = []
     for camera in cameras:
         info = infos.get(camera.info)
@@ -51,8 +48,8 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
                 "record it, or give --rig RIG.yaml"
             )
         T_base_cam = tree.lookup(info.header.frame_id.lstrip("/"))
-        calibrated.append(rig_camera(info, camera.name, T_base_cam, _sigma(log, camera.name)))
-    return Rig(tuple(calibrated), _workspace(log))
+        calibrated.append(rig_camera(info, camera.name, T_base_cam, record.sigmas_m.get(camera.name, 0.0)))
+    return Rig(tuple(calibrated), record.workspace)
 
 
 def _calibration_messages(log: LogReader, cameras: Sequence[CameraTopics]) -> tuple[dict[str, Any], TransformTree]:
@@ -79,11 +76,3 @@ def _is_placed(tree: TransformTree, info: Any) -> bool:
         return False
     return True
 
-
-def _sigma(log: LogReader, camera: str) -> float:
-    return float(log.metadata.get(RIG_METADATA, {}).get(f"sigma_m.{camera}", 0.0))
-
-
-def _workspace(log: LogReader) -> Float64 | None:
-    text = log.metadata.get(RIG_METADATA, {}).get("workspace")
-    return None if text is None else np.array([float(x) for x in text.replace(",", " ").split()]).reshape(2, 3)

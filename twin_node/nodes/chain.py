@@ -1,0 +1,108 @@
+"""The chain behind the synchroniser: window model, forecast, arm and status on one bus."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twin_node import resources
+from twin_node.arm import ArmCollisionChecker, SeparationLimiter, SeparationParameters, default_path
+from twin_node.forecast import CoverParameters, Forecaster, ForecastParameters, default_grid
+from twin_node.model import ModelParameters, WindowModel
+from twin_node.nodes.arm import ArmNode
+from twin_node.nodes.forecast import ForecastNode
+from twin_node.nodes.latency import Latency
+from twin_node.nodes.model import ModelNode
+from twin_node.nodes.status import StatusNode
+from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.robot import ur_model
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import Node
+from twin_node.runtime.parameters import ParameterError, fill, read_parameters
+from twin_node.scene import Float64
+
+DEFAULT_PARAMETERS = "launch/replay.yaml"
+
+
+@dataclass(frozen=True)
+class ArmParameters:
+    """Which arm works in the cell, and how it keeps its distance."""
+
+    model: str = "ur10e"
+    separation: SeparationParameters = field(default_factory=SeparationParameters)
+
+
+@dataclass(frozen=True)
+class GridParameters:
+    """The voxels that occupancy is reported on."""
+
+    voxel_size: float = 0.02
+    """Edge of a voxel, m."""
+
+
+@dataclass(frozen=True)
+class ChainParameters:
+    """Parameters of every node of the chain; a parameter file has one section per field."""
+
+    synchronizer: SynchronizerParameters = field(default_factory=SynchronizerParameters)
+    model: ModelParameters = field(default_factory=ModelParameters)
+    grid: GridParameters = field(default_factory=GridParameters)
+    forecast: ForecastParameters = field(default_factory=ForecastParameters)
+    obstacles: CoverParameters = field(default_factory=CoverParameters)
+    arm: ArmParameters = field(default_factory=ArmParameters)
+
+
+def load_parameters(path: Path | None) -> ChainParameters:
+    """Parameters from a ROS parameter file; None: the file that ships with the package.
+
+    Raises `ParameterError` for a section or key that does not exist, with the nearest one.
+    """
+    path = resources.find(path or DEFAULT_PARAMETERS)
+    sections = read_parameters(path)
+    known = {f.name for f in dataclasses.fields(ChainParameters)}
+    for name in sections:
+        if name not in known:
+            raise ParameterError(f"{path}: unknown node '{name}'; expected some of {', '.join(sorted(known))}")
+    return fill(ChainParameters, sections, str(path))
+
+
+class Chain:
+    """The nodes from frame sets to the arm's speed, made and wired."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        clock: Clock,
+        workspace: Float64,
+        parameters: ChainParameters,
+        latency: Latency,
+        dropped: Callable[[], int],
+    ) -> None:
+        """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status."""
+        arm = ur_model(parameters.arm.model)
+        self.model = WindowModel(parameters.model, arm=arm)
+        self.forecaster = Forecaster(default_grid(workspace, parameters.grid.voxel_size), parameters.forecast)
+        self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
+        checker = ArmCollisionChecker(arm)
+        limiter = SeparationLimiter(parameters.arm.separation)
+        self.nodes: Sequence[Node] = (
+            self.status,
+            ModelNode(bus, clock, self.model),
+            ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
+            ArmNode(bus, clock, checker, limiter, default_path(arm, workspace)),
+        )
+
+    def start(self) -> None:
+        """Configure and activate every node, the last of the chain first, so that no message is missed."""
+        for node in reversed(self.nodes):
+            node.configure()
+            node.activate()
+
+    def stop(self) -> None:
+        """Deactivate and clean up every node, the first of the chain first."""
+        for node in self.nodes:
+            node.deactivate()
+            node.cleanup()

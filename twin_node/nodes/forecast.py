@@ -1,0 +1,47 @@
+"""The forecast node: the twin's state in, occupancy up to 200 ms ahead and obstacles out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from twin_node.forecast import CoverParameters, Forecaster, ForecastQuality, cover
+from twin_node.messages import convert
+from twin_node.nodes.latency import Latency
+from twin_node.nodes.topics import FORECAST, OBSTACLES, OCCUPANCY, STATE
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import Node
+from twin_node.scene import Obstacles, Occupancy, TwinState
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What the forecaster said of one state."""
+
+    occupancy: Occupancy
+    obstacles: Obstacles
+    quality: ForecastQuality
+
+
+class ForecastNode(Node):
+    """Forecasts each state as of the time it will be read."""
+
+    def __init__(
+        self, bus: Bus, clock: Clock, forecaster: Forecaster, cover_parameters: CoverParameters, latency: Latency
+    ) -> None:
+        super().__init__("forecast", bus, clock)
+        self._forecaster = forecaster
+        self._cover_parameters = cover_parameters
+        self._latency = latency
+        self._obstacles: Obstacles | None = None
+
+    def on_configure(self) -> None:
+        self.bus.subscribe(STATE, self._on_state)
+
+    def _on_state(self, state: TwinState) -> None:
+        occupancy = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
+        self._obstacles = cover(occupancy, self._obstacles, self._cover_parameters)
+        self.bus.publish(FORECAST, Forecast(occupancy, self._obstacles, self._forecaster.quality))
+        self.bus.publish(OCCUPANCY, convert.occupancy_to_message(occupancy))
+        self.bus.publish(OBSTACLES, convert.obstacles_to_message(self._obstacles))
+        self._latency.add(self.clock.now() - state.stamp)

@@ -1,0 +1,36 @@
+"""How long evidence is under way: measured when live, assumed in lockstep."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+SAMPLES = 300
+"""Latencies that the percentiles are taken over: 10 s at 30 Hz."""
+
+
+class Latency:
+    """Percentiles of the last latencies from evidence stamp to publication."""
+
+    def __init__(self, assumed_ns: int, is_measured: bool) -> None:
+        """`assumed_ns` stands for the p99 until enough was measured, and for ever where `is_measured` is False."""
+        self._assumed_ns = assumed_ns
+        self._is_measured = is_measured
+        self._samples_ns: deque[int] = deque(maxlen=SAMPLES)
+
+    def add(self, latency_ns: int) -> None:
+        """Count one latency; ignored where latency is assumed, because lockstep knows no time."""
+        if self._is_measured:
+            self._samples_ns.append(latency_ns)
+
+    @property
+    def expected_ns(self) -> int:
+        """What a forecast must bridge to be valid when it is read: the p99, ns."""
+        if len(self._samples_ns) < 30:
+            return self._assumed_ns
+        return int(np.percentile(self._samples_ns, 99))
+
+    def percentile_ms(self, percent: float) -> float:
+        """A percentile of the measured latencies, ms; NaN without samples."""
+        return float(np.percentile(self._samples_ns, percent)) / 1e6 if self._samples_ns else float("nan")

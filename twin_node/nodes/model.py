@@ -1,0 +1,42 @@
+"""The model node: frame sets in, the state of the twin and its Gaussian clouds out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.messages import convert
+from twin_node.model import WindowModel
+from twin_node.nodes.topics import FRAMES, GAUSSIANS, GAUSSIANS_MOVING, STATE
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import Node
+from twin_node.scene import FrameSet, GaussianCloud, Tier
+
+WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
+"""The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
+
+
+class ModelNode(Node):
+    """Keeps a `WindowModel` up to date with the newest frame set."""
+
+    def __init__(self, bus: Bus, clock: Clock, model: WindowModel) -> None:
+        super().__init__("model", bus, clock)
+        self.model = model
+        self._next_whole = 0
+
+    def on_configure(self) -> None:
+        self.bus.subscribe(FRAMES, self._on_frames)
+
+    def _on_frames(self, frames: FrameSet) -> None:
+        state = self.model.update(frames)
+        self.bus.publish(STATE, state)
+        moving = only(state.gaussians, state.gaussians.tiers != Tier.STATIC)
+        self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
+        if state.stamp >= self._next_whole:
+            self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
+            self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
+
+
+def only(cloud: GaussianCloud, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> GaussianCloud:
+    """The chosen rows [N] of a cloud."""
+    return GaussianCloud(**{name: values[chosen] for name, values in vars(cloud).items()})
