@@ -22,7 +22,7 @@ HIP_HEIGHT = 0.53
 UPPER_ARM_RADIUS, FOREARM_RADIUS, HAND_RADIUS = 0.05, 0.042, 0.045
 """m, a clothed adult's limbs, rounded up so that the capsules hold them."""
 
-TORSO_RADIUS, HEAD_RADIUS, LEG_RADIUS = 0.12, 0.1, 0.075
+SHOULDER_RADIUS, TORSO_RADIUS, HEAD_RADIUS, LEG_RADIUS = 0.06, 0.12, 0.1, 0.075
 """m, as above."""
 
 
@@ -45,19 +45,21 @@ def person_solids(person: Person, T_base_shoulder: Float64, hand: Float64, owner
     )
     left, chest, hip, head, left_elbow, left_hand, right_hip, left_hip = transform(T_base_shoulder, anchors)
     leg = np.array([0.0, 0.0, -HIP_HEIGHT * h])
-    shirt, skin, trousers = person.shirt, person.skin, person.trousers
-    return [
-        capsule_between(right, elbow, UPPER_ARM_RADIUS, shirt, owner),
-        capsule_between(elbow, wrist, FOREARM_RADIUS, skin, owner),
-        capsule_between(wrist, palm, HAND_RADIUS, skin, owner),
-        capsule_between(chest, hip, TORSO_RADIUS, shirt, owner),
-        capsule_between(right, left, UPPER_ARM_RADIUS + 0.01, shirt, owner),
-        sphere_at(head, HEAD_RADIUS, skin, owner),
-        capsule_between(left, left_elbow, UPPER_ARM_RADIUS, shirt, owner),
-        capsule_between(left_elbow, left_hand, FOREARM_RADIUS, skin, owner),
-        capsule_between(right_hip, right_hip + leg, LEG_RADIUS, trousers, owner),
-        capsule_between(left_hip, left_hip + leg, LEG_RADIUS, trousers, owner),
+    turn = T_base_shoulder[:3, :3]
+    side = turn[:, 1]
+    clothed = [
+        (person.shirt, capsule_between(right, elbow, UPPER_ARM_RADIUS, side)),
+        (person.skin, capsule_between(elbow, wrist, FOREARM_RADIUS, side)),
+        (person.skin, capsule_between(wrist, palm, HAND_RADIUS, side)),
+        (person.shirt, capsule_between(chest, hip, TORSO_RADIUS, side)),
+        (person.shirt, capsule_between(right, left, SHOULDER_RADIUS, turn[:, 0])),
+        (person.skin, sphere_at(head, HEAD_RADIUS, turn)),
+        (person.shirt, capsule_between(left, left_elbow, UPPER_ARM_RADIUS, side)),
+        (person.skin, capsule_between(left_elbow, left_hand, FOREARM_RADIUS, side)),
+        (person.trousers, capsule_between(right_hip, right_hip + leg, LEG_RADIUS, side)),
+        (person.trousers, capsule_between(left_hip, left_hip + leg, LEG_RADIUS, side)),
     ]
+    return [Solid(placed, texture, owner) for texture, placed in clothed]
 
 
 def bent_arm(person: Person, T_base_shoulder: Float64, hand: Float64) -> Float64:

@@ -61,6 +61,7 @@ class RayCaster:
         pixels = np.stack([u, v, np.ones_like(u)]).reshape(3, -1)
         rays = camera.T_base_cam[:3, :3] @ np.linalg.inv(camera.K) @ pixels
         self._origin = camera.T_base_cam[:3, 3]
+        self._viewmat = camera.viewmat
         self._rays: Float32 = rays.astype(np.float32).reshape(3, camera.height, camera.width)
         """Directions in `base_link` whose component along the optical axis is 1, so that ray parameters are depths."""
         self._background = self._empty_canvas()
@@ -114,7 +115,7 @@ class RayCaster:
 
     def _outline(self, placed: Placed) -> _Rect | None:
         """Smallest rectangle of pixels that holds the solid's box; the whole image where that reaches the camera."""
-        uvz = project(self.camera.K, self.camera.viewmat, placed.corners)
+        uvz = project(self.camera.K, self._viewmat, placed.corners)
         if uvz[:, 2].max() <= 0:
             return None
         if uvz[:, 2].min() < 0.05:

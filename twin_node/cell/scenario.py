@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 
@@ -55,11 +56,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body of the cell: furniture when its path has one waypoint, else a moving object."""
+    """A rigid body: one or more parts on a path."""
 
     name: str = ""
     parts: tuple[Part, ...] = ()
     path: Path = field(default_factory=Path)
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise CellError(f"body '{self.name}': expected at least one part under 'parts', found none")
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,14 @@ class CameraSpec:
     skew_ms: float = 0.0
     """Constant delay of this camera's exposures behind the rig's tick."""
 
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
+            raise CellError(f"camera: name must be letters, digits and _ (it names topics), found '{self.name}'")
+        if not 0 < self.fov_deg < 180:
+            raise CellError(f"camera '{self.name}': fov_deg must lie between 0 and 180, found {self.fov_deg}")
+        if self.position == self.look_at:
+            raise CellError(f"camera '{self.name}': look_at must differ from position, both are {self.position}")
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -131,6 +144,17 @@ class Sensing:
     """Share of depth pixels without a value anywhere."""
     edge_dropout: float = 0.5
     """The same within a pixel of a depth step, which a stereo matcher straddles."""
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 1 or not self.rate_hz > 0:
+            raise CellError(
+                f"sensing: width, height, rate_hz must be positive, found {self.width}, {self.height}, {self.rate_hz}"
+            )
+        if not 0 <= self.jitter_ms < 1000 / self.rate_hz / 6:
+            raise CellError(
+                f"sensing: jitter_ms must be from 0 to under a sixth of the period ({1000 / self.rate_hz / 6:.2f} ms), "
+                f"so that a camera's images keep their order, found {self.jitter_ms}"
+            )
 
 
 @dataclass(frozen=True)
@@ -170,7 +194,10 @@ class Scenario:
     """Lower and upper corner of the modelled volume, m in `base_link`."""
     voxel_size_m: float = 0.02
     """Of the recorded truth."""
+    furniture: tuple[Body, ...] = ()
+    """What stands still; paths have one waypoint."""
     bodies: tuple[Body, ...] = ()
+    """What moves by itself: never furniture to the truth, even while it rests."""
     people: tuple[Person, ...] = ()
     cameras: tuple[CameraSpec, ...] = ()
     sensing: Sensing = field(default_factory=Sensing)
@@ -180,9 +207,12 @@ class Scenario:
 
     def __post_init__(self) -> None:
         where = f"scenario '{self.name}'"
-        names = [body.name for body in self.bodies] + [person.name for person in self.people]
-        _require_names(where, "body or person", names)
+        bodies = [body.name for body in (*self.furniture, *self.bodies)]
+        _require_names(where, "body or person", bodies + [person.name for person in self.people])
         _require_names(where, "camera", [camera.name for camera in self.cameras])
+        for body in self.furniture:
+            if body.path.moves:
+                raise CellError(f"{where}: furniture '{body.name}' has a path that moves; put it under 'bodies'")
         if not self.cameras:
             raise CellError(f"{where}: expected at least one camera under 'cameras', found none")
         if not 0 < self.duration_s <= 3600:
@@ -211,21 +241,29 @@ def _require_names(where: str, kind: str, names: list[str]) -> None:
 def load_scenario(name: str | FilePath) -> Scenario:
     """Read a scenario from a YAML file, as given or below the `sim` data folder (`demo`, `sim/demo.yaml`).
 
-    Raises `CellError` naming the file and the key for anything unknown, missing or out of range.
+    `extends: NAME` takes what the file does not set itself from NAME.yaml beside it. Raises `CellError` naming the file
+    and the key for anything unknown or out of range, and `ResourceError` where the file does not exist.
     """
     path = _find(name)
-    try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise CellError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise CellError(f"{path}: expected a scenario's keys and values, found {type(content).__name__}")
+    content = _read(path)
+    if "extends" in content:
+        content = {**_read(path.with_name(f"{content.pop('extends')}.yaml")), **content}
     try:
         return fill(Scenario, content, path.name)
     except ParameterError as error:
         raise CellError(str(error)) from error
     except CellError as error:
         raise CellError(f"{path}: {error}") from error
+
+
+def _read(path: FilePath) -> dict[str, object]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise CellError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise CellError(f"{path}: expected a scenario's keys and values, found {type(content).__name__}")
+    return content
 
 
 def _find(name: str | FilePath) -> FilePath:

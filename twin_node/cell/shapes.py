@@ -37,9 +37,13 @@ class Shape:
         return self.size[0] + np.array([0.0, 0.0, half_length])
 
 
+_SIGNS = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), -1).reshape(8, 3)
+"""Corners of a cube."""
+
+
 @dataclass(frozen=True)
 class Placed:
-    """A shape at a pose in `base_link`."""
+    """A shape at a pose, in `base_link` unless said otherwise."""
 
     shape: Shape
     T_base_shape: Float64
@@ -48,8 +52,7 @@ class Placed:
     @property
     def corners(self) -> Float64:
         """[8, 3] corners in `base_link` of the shape's own smallest box, m."""
-        signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), -1).reshape(8, 3)
-        return transform(self.T_base_shape, signs * self.shape.half_extents)
+        return transform(self.T_base_shape, _SIGNS * self.shape.half_extents)
 
 
 def ray_entries(shape: Shape, origin: Float32, directions: Float32) -> Float32:

@@ -33,18 +33,20 @@ def body_solids(body: Body, T_base_body: Float64, owner: int) -> list[Solid]:
     return solids
 
 
-def sphere_at(center: Float64, radius: float, texture: Texture, owner: int) -> Solid:
-    """A sphere about a point [3], m."""
-    return Solid(Placed(Shape(Form.SPHERE, (radius,)), pose(np.eye(3), center)), texture, owner)
+def sphere_at(center: Float64, radius: float, rotation: Float64) -> Placed:
+    """A sphere about a point [3], m, turned by a rotation [3, 3]."""
+    return Placed(Shape(Form.SPHERE, (radius,)), pose(rotation, center))
 
 
-def capsule_between(start: Float64, end: Float64, radius: float, texture: Texture, owner: int) -> Solid:
-    """A capsule whose end centres are two points [3], m; its texture turns least about its axis."""
+def capsule_between(start: Float64, end: Float64, radius: float, side: Float64) -> Placed:
+    """A capsule about two points [3], m; its x axis, and with it its texture, faces as near to `side` [3] as it can."""
     axis = end - start
     length = float(np.linalg.norm(axis))
     z = axis / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
-    side = np.eye(3)[np.argmin(np.abs(z))]
-    x = np.cross(side, z)
+    x = side - (side @ z) * z
+    if x @ x < 1e-12:
+        x = np.eye(3)[np.argmin(np.abs(z))]
+        x -= (x @ z) * z
     x /= np.linalg.norm(x)
-    T = pose(np.stack([x, np.cross(z, x), z], axis=1), (start + end) / 2)
-    return Solid(Placed(Shape(Form.CAPSULE, (radius, length)), T), texture, owner)
+    y = np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]])
+    return Placed(Shape(Form.CAPSULE, (radius, length)), pose(np.stack([x, y, z], axis=1), (start + end) / 2))

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from twin_node.arm.path import default_path, sample_path
 from twin_node.cell.scenario import ArmSpec, Scenario
+from twin_node.cell.shapes import Placed
 from twin_node.cell.solids import Solid, capsule_between
-from twin_node.robot import forward_kinematics, place_capsules, ur_model
+from twin_node.robot import forward_kinematics, ur_model
 from twin_node.scene import Float64, JointPath, JointSample
 
 AHEAD_NS = 500_000_000
@@ -20,6 +21,9 @@ STEP_NS = 20_000_000
 DIFFERENCE_NS = 4_000_000
 """Half the step of the central difference that gives joint speeds: the path's own sampling."""
 
+_SIDE = np.array([0.0, 1.0, 0.0])
+"""Where the texture of a link's capsule faces, in the link's frame."""
+
 
 class ArmInCell:
     """The arm on its default pick-and-place cycle, which it follows exactly and without regard to anybody."""
@@ -27,6 +31,13 @@ class ArmInCell:
     def __init__(self, spec: ArmSpec, scenario: Scenario) -> None:
         self.model = ur_model(spec.model)
         self._cycle = default_path(self.model, np.array(spec.workspace or scenario.workspace))
+        capsules = self.model.capsules
+        placed = [
+            capsule_between(ends[0], ends[1], float(radius), _SIDE)
+            for ends, radius in zip(capsules.ends, capsules.radii, strict=True)
+        ]
+        self._shapes = [capsule.shape for capsule in placed]
+        self._T_link_capsule = np.stack([capsule.T_base_shape for capsule in placed])
         self._texture = spec.texture
         self._start = scenario.start_ns
 
@@ -46,8 +57,8 @@ class ArmInCell:
 
     def solids(self, stamp: int, owner: int) -> tuple[Solid, ...]:
         """The capsules of its links at a stamp."""
-        placed = place_capsules(self.model, forward_kinematics(self.model, self.positions(np.array([stamp]))[0]))
+        poses = forward_kinematics(self.model, self.positions(np.array([stamp]))[0])
+        T_base = poses[self.model.capsules.links] @ self._T_link_capsule
         return tuple(
-            capsule_between(start, end, float(radius), self._texture, owner)
-            for (start, end), radius in zip(placed.ends, placed.radii, strict=True)
+            Solid(Placed(shape, T), self._texture, owner) for shape, T in zip(self._shapes, T_base, strict=True)
         )

@@ -30,24 +30,22 @@ class World:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self._furniture = tuple(body for body in scenario.bodies if not body.path.moves)
-        self._movers = tuple(body for body in scenario.bodies if body.path.moves)
         self.arm = None if scenario.arm is None else ArmInCell(scenario.arm, scenario)
-        actors: tuple[Body | Person, ...] = (*self._furniture, *self._movers, *scenario.people)
+        actors: tuple[Body | Person, ...] = (*scenario.furniture, *scenario.bodies, *scenario.people)
         self.names: tuple[str, ...] = (*(actor.name for actor in actors), *(("arm",) if self.arm else ()))
         """Everything in the cell; `Solid.owner` is an index into this."""
         self.static: tuple[Solid, ...] = tuple(
-            solid for i, body in enumerate(self._furniture) for solid in body_solids(body, body.path.pose(0.0), i)
+            solid for i, body in enumerate(scenario.furniture) for solid in body_solids(body, body.path.pose(0.0), i)
         )
         """The furniture."""
         rng = np.random.default_rng([scenario.seed, _VARIATION])
-        self._changes = [self._change(rng) for _ in (*self._movers, *scenario.people)]
+        self._changes = [self._change(rng) for _ in (*scenario.bodies, *scenario.people)]
 
     @property
     def moving_owners(self) -> tuple[int, ...]:
         """Indices in `names` of the moving bodies and people: all that moves but the arm."""
-        first = len(self._furniture)
-        return tuple(range(first, first + len(self._movers) + len(self.scenario.people)))
+        first = len(self.scenario.furniture)
+        return tuple(range(first, first + len(self.scenario.bodies) + len(self.scenario.people)))
 
     def seconds(self, stamp: int) -> float:
         """Time after the scenario's start of a stamp in ns."""
@@ -59,7 +57,7 @@ class World:
         solids: list[Solid] = []
         changes = iter(self._changes)
         owners = iter(self.moving_owners)
-        for body in self._movers:
+        for body in self.scenario.bodies:
             change = next(changes)
             T = body.path.pose(t - change.delay_s)
             T[:3, 3] += change.shift
