@@ -15,6 +15,10 @@ class BagError(TwinError):
     """A log, or what was to be written into one, is not what it should be."""
 
 
+class DamageError(Exception):
+    """A part of a log cannot be read on; the message is one line. It never leaves `LogReader`."""
+
+
 @dataclass(frozen=True)
 class Topic:
     """A topic of a log."""
@@ -105,12 +109,12 @@ class Storage(Protocol):
 
     @property
     def damage(self) -> str | None:
-        """One line about where the file is damaged, as far as known; None: it is not."""
+        """One line about where the file ends too early, as known from opening it; None: it does not."""
 
     def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
         """Messages of a part from `start` up to before `stop` (ns) and of the given topics (None: all).
 
-        They come in log-time order, up to where the part is damaged.
+        They come in log-time order; raises `DamageError` where they cannot be read on.
         """
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from zstandard import ZstdError
 
-from twin_node.bag.log import BagError, Channel, Part, Record
+from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
 from twin_node.bag.qos import offers_latched
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -89,32 +89,29 @@ class McapStorage:
 
     @property
     def damage(self) -> str | None:
-        """Where the file is damaged, as far as it has been read."""
+        """Where the file ends too early."""
         return self._damage
 
     def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
-        """Messages of a chunk in log-time order; of a damaged one none, and `damage` tells."""
+        """Messages of a part in log-time order; raises `DamageError` before the first of a damaged one."""
         self._file.seek(part.offset)
         data = self._file.read(part.size)
         try:
-            messages = [
-                message
-                for message in _messages(data)
-                if start <= message.log_time < stop and (topics is None or self._topic(message) in topics)
-            ]
+            records = [self._record(message) for message in _messages(data) if start <= message.log_time < stop]
         except DAMAGED as error:
-            self._damage = f"{self._path}: damaged at byte {part.offset} ({_reason(error)}); read up to there"
-            return
-        for message in sorted(messages, key=lambda message: message.log_time):
-            channel = self._index.channels[message.channel_id]
-            yield Record(channel.topic, self._msgtype(channel), message.log_time, message.data)
+            raise DamageError(
+                f"{self._path}: damaged at byte {part.offset} ({_reason(error)}); read up to it"
+            ) from None
+        wanted = records if topics is None else [record for record in records if record.topic in topics]
+        yield from sorted(wanted, key=lambda record: record.stamp)
 
     def close(self) -> None:
         """Releases the file."""
         self._file.close()
 
-    def _topic(self, message: Message) -> str:
-        return str(self._index.channels[message.channel_id].topic)
+    def _record(self, message: Message) -> Record:
+        channel = self._index.channels[message.channel_id]
+        return Record(channel.topic, self._msgtype(channel), message.log_time, message.data)
 
     def _msgtype(self, channel: ChannelRecord) -> str:
         schema = self._index.schemas.get(channel.schema_id)
@@ -154,9 +151,10 @@ class McapStorage:
                 self._take(index, record, start, end)
                 start = end
         except DAMAGED as error:
-            self._damage = f"{self._path}: damaged at byte {start} of {size} ({_reason(error)}); read up to there"
-        if not index.parts:
-            raise BagError(self._damage or f"{self._path}: the log holds no messages; record it again")
+            damage = f"{self._path}: damaged at byte {start} of {size} ({_reason(error)})"
+            if not index.parts:
+                raise BagError(f"{damage}; no message could be read, record it again") from None
+            self._damage = f"{damage}; read up to it"
         return index
 
     def _take(self, index: _Index, record: object, start: int, end: int) -> None:

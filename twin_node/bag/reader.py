@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from twin_node.bag import mcap_storage, sqlite_storage
-from twin_node.bag.log import BagError, LogMessage, Part, Record, Storage, Topic
+from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
 from twin_node.bag.mcap_storage import McapStorage
 from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
@@ -31,6 +31,7 @@ class LogReader:
     def __init__(self, path: Path, storages: Collection[Storage], metadata: Mapping[str, Mapping[str, str]]) -> None:
         self.path = path
         self._storages = tuple(storages)
+        self._damage: str | None = None
         self._metadata = {name: record for storage in storages for name, record in storage.metadata.items()}
         self._metadata.update(metadata)
         self._parts = tuple(part for storage in storages for part in storage.parts)
@@ -72,7 +73,8 @@ class LogReader:
 
         A missing end is known once the log is open, a damaged chunk once iteration has come to it.
         """
-        return "; ".join(storage.damage for storage in self._storages if storage.damage) or None
+        known = [storage.damage for storage in self._storages] + [self._damage]
+        return " | ".join(line for line in known if line) or None
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None, stop_ns: int | None = None
@@ -88,13 +90,13 @@ class LogReader:
             for index, part in enumerate(self._parts)
             if part.start < stop and part.end >= start
         ]
-        known_damage = self.damage
-        for entry in heapq.merge(*streams, key=_Entry.order):
-            if self.damage != known_damage:
-                return
-            if entry.record is not None:
-                record = entry.record
-                yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, self._types)
+        try:
+            for entry in heapq.merge(*streams, key=_Entry.order):
+                if entry.record is not None:
+                    record = entry.record
+                    yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, self._types)
+        except DamageError as damage:
+            self._damage = str(damage)
 
     def close(self) -> None:
         """Releases the files."""

@@ -9,7 +9,7 @@ from typing import cast
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 
-from twin_node.bag.log import BagError, Channel, Part, Record
+from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
 from twin_node.bag.qos import any_transient_local
 
 MAGIC = b"SQLite format 3\x00"
@@ -20,7 +20,6 @@ class SqliteStorage:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._damage: str | None = None
         try:
             self._reader = Reader(path)
             self._reader.open()
@@ -60,11 +59,11 @@ class SqliteStorage:
 
     @property
     def damage(self) -> str | None:
-        """Where reading stopped, if it did."""
-        return self._damage
+        """None: what is missing from a SQLite file shows when it is read."""
+        return None
 
     def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
-        """Messages of the file in log-time order, up to the first page that SQLite cannot read."""
+        """Messages of the file in log-time order; raises `DamageError` at the first page that SQLite cannot read."""
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not wanted:
             return
@@ -76,8 +75,10 @@ class SqliteStorage:
             except StopIteration:
                 return
             except Exception as error:  # what was read stands; SQLite bindings raise classes of their own
-                self._damage = f"{self._path}: damaged after the message at {stamp} ns ({error}); read up to there"
-                return
+                reason = " ".join(str(error).split())
+                raise DamageError(
+                    f"{self._path}: damaged after the message at {stamp} ns ({reason}); read up to it"
+                ) from None
             yield Record(connection.topic, connection.msgtype, stamp, data)
 
     def close(self) -> None:

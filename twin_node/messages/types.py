@@ -81,6 +81,8 @@ class MessageTypes:
         store.fielddefs.update(self._store.fielddefs)
         store.types.update(self._store.types)
         for name, text in definitions.items():
+            if name in self and text == self.definition(name):
+                continue
             try:
                 parsed = _parse(name, text)
             except (TypesysError, KeyError, ValueError):
