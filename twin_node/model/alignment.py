@@ -1,0 +1,129 @@
+"""Node motion from images: the flow from the rendering to the image, explained by one twist per node (Gauss-Newton).
+
+A rendering of the predicted state is compared with the image itself, so errors do not add up as they do when flow is
+chained from image to image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node.model.observation import Observed
+from twin_node.model.rendering import Rendering
+from twin_node.scene import Float32
+
+ACCELERATION, TURN_ACCELERATION = 20.0, 100.0
+"""m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: twice what a quick human arm does."""
+COLOUR_SIGMA = 0.1
+"""Difference of colour (0 to 1) between both ends of a flow vector at which it loses most of its say."""
+HUBER_PX = 2.0
+"""Flow errors beyond this count linearly."""
+SHARED_BY = 4.0
+"""Gaussians that show in one pixel on average: their flow is one observation, not as many."""
+MATRIX_FLOOR = 1e-9
+
+
+@dataclass(frozen=True)
+class Twists:
+    """Correction of every node."""
+
+    linear: Tensor
+    """[M, 3] m."""
+    angular: Tensor
+    """[M, 3] rad."""
+    sigmas: Tensor
+    """[M] 1 sigma of the position after the correction, m."""
+
+
+class FlowSolver:
+    """Optical flow of one rig; holds the engine, no state between calls."""
+
+    def __init__(self) -> None:
+        self._engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._engine.setFinestScale(1)
+
+    def flow(self, rendering: Rendering, observed: Observed) -> Float32:
+        """[H, W, 2] pixels from where the rendering shows a thing to where the image does."""
+        shown = (rendering.rgb.detach().cpu().clamp(0, 1).numpy() * 255).astype(np.uint8)
+        a = cv2.cvtColor(shown, cv2.COLOR_RGB2GRAY)
+        b = cv2.cvtColor(observed.view.rgb, cv2.COLOR_RGB2GRAY)
+        found: Float32 = self._engine.calc(a, b, None)
+        return found
+
+
+def solve_twists(
+    observed: Sequence[Observed],
+    renderings: Sequence[Rendering],
+    flows: Sequence[Float32],
+    means: Tensor,
+    opacities: Tensor,
+    nodes: Tensor,
+    origins: Tensor,
+    dt_s: float,
+    sigma_px: float,
+) -> Twists:
+    """The twist of each node that explains the flow under its Gaussians best, held to the prediction.
+
+    `means` [C, m, 3] of the moving Gaussians at each view's time, `opacities` [m], `nodes` [m] their rows, `origins`
+    [C, M, 3] the nodes' positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
+    """
+    count = origins.shape[1]
+    H = torch.zeros(count, 6, 6, dtype=torch.float64)
+    g = torch.zeros(count, 6, dtype=torch.float64)
+    carried = torch.nonzero(nodes >= 0)[:, 0]
+    for index, one in enumerate(observed):
+        at = means[index, carried].double()
+        J, error, weight = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
+        weight = weight * opacities[carried].double() / (SHARED_BY * sigma_px**2)
+        WJ = J * weight[:, None, None]
+        H.index_add_(0, nodes[carried], WJ.transpose(1, 2) @ J)
+        g.index_add_(0, nodes[carried], (WJ.transpose(1, 2) @ error[..., None])[..., 0])
+    step = max(dt_s, 1e-3) ** 2 / 2
+    prior = torch.tensor([1 / (ACCELERATION * step + 2e-3)] * 3 + [1 / (TURN_ACCELERATION * step + 2e-2)] * 3)
+    H += torch.diag(prior.double() ** 2)
+    covariance = torch.linalg.inv(H)
+    xi = (covariance @ g[..., None])[..., 0]
+    sigmas = covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
+    return Twists(xi[:, :3], xi[:, 3:], sigmas)
+
+
+def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, origins: Tensor) -> tuple[Tensor, ...]:
+    """Jacobian [n, 2, 6], flow error [n, 2] and weight [n] of Gaussians at `at` [n, 3]; weight 0 where they do not show."""
+    camera = one.view.camera
+    R = torch.from_numpy(camera.viewmat[:3, :3])
+    x = at @ R.T + torch.from_numpy(camera.viewmat[:3, 3])
+    z = x[:, 2].clamp_min(1e-3)
+    fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
+    u, v = fx * x[:, 0] / z + float(camera.K[0, 2]), fy * x[:, 1] / z + float(camera.K[1, 2])
+    column, row = u.floor().long(), v.floor().long()
+    seen = (x[:, 2] > 0.02) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
+    shown = rendering.depth.detach().cpu()[row, column]
+    seen &= ((x[:, 2] - shown).abs() < 0.06 * z) & torch.from_numpy(one.near_moving & one.usable)[row, column]
+    error = torch.from_numpy(flow)[row, column].double()
+    weight = seen * _confidence(one, rendering, flow)[row, column]
+    weight = weight * (HUBER_PX / error.norm(dim=-1).clamp_min(HUBER_PX))
+    zero = torch.zeros_like(z)
+    projection = torch.stack(
+        [torch.stack([fx / z, zero, -fx * x[:, 0] / z**2], -1), torch.stack([zero, fy / z, -fy * x[:, 1] / z**2], -1)],
+        1,
+    )
+    to_pixels = projection @ R
+    arm = at - origins.double()
+    turning = torch.linalg.cross(arm[:, None].expand(-1, 2, -1), to_pixels)
+    return torch.cat([to_pixels, turning], -1), error, weight
+
+
+def _confidence(one: Observed, rendering: Rendering, flow: Float32) -> Tensor:
+    """[H, W] 0 to 1: whether the image shows at the flow's end what the rendering shows at its start."""
+    height, width = flow.shape[:2]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    arrived = cv2.remap(one.view.rgb, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR)
+    difference = torch.from_numpy(arrived).float() / 255 - rendering.rgb.detach().cpu()
+    return torch.exp(-(difference.square().mean(-1) / COLOUR_SIGMA**2)).double()

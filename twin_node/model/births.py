@@ -1,0 +1,165 @@
+"""New Gaussians where the rendering does not explain the image, at the depth that the other views agree with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.model.observation import Observed
+from twin_node.model.parameters import BirthParameters
+from twin_node.model.rays import look, pixel_rays
+from twin_node.model.rendering import Rendering
+from twin_node.scene import Bool, Float32, Float64
+
+BLOCK = 2
+"""Side in pixels of the block that one newborn stands for."""
+COLOUR_SIGMA = 0.12
+"""Difference of colour (0 to 1) at which another view half agrees: what one surface shows to two exposures."""
+REFUTED = 2.0
+"""What it costs a depth that a view sees through it."""
+LOCALITY = 0.15
+"""What it costs to be e times as deep as the moving things already known around the pixel."""
+
+
+@dataclass(frozen=True)
+class Births:
+    """Surface elements that explain blocks of pixels."""
+
+    means: Float64
+    """[n, 3] m, at the time of the view that needs them."""
+    radii: Float64
+    """[n] m, 1 sigma."""
+    rgb: Float32
+    """[n, 3] 0 to 1."""
+    on_background: Bool
+    """[n] whether it lies on what stands still: a shadow, a light, or ground that was uncovered."""
+    views: NDArray[np.int64]
+    """[n] which view needs it."""
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Blocks of one view that need explaining, worst first."""
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    rgb: Float32
+
+
+def find_births(
+    observed: Sequence[Observed],
+    renderings: Sequence[Rendering],
+    threshold: float,
+    parameters: BirthParameters,
+) -> Births:
+    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`."""
+    quota = parameters.per_set // max(len(observed), 1)
+    parts = []
+    for index, one in enumerate(observed):
+        pixels = _unexplained(one, renderings[index], threshold, quota)
+        parts.append(_lift(observed, renderings[index], index, pixels, parameters.ray_samples))
+    return Births(
+        np.concatenate([part.means for part in parts]),
+        np.concatenate([part.radii for part in parts]),
+        np.concatenate([part.rgb for part in parts]),
+        np.concatenate([part.on_background for part in parts]),
+        np.concatenate([part.views for part in parts]),
+    )
+
+
+def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> _Pixels:
+    image = one.rgb
+    error = np.abs(image - rendering.rgb.detach().cpu().numpy()).max(-1) * one.usable
+    height, width = error.shape[0] // BLOCK * BLOCK, error.shape[1] // BLOCK * BLOCK
+    blocks = error[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean((1, 3))
+    order = np.argsort(-blocks, axis=None, kind="stable")[:quota]
+    order = order[blocks.ravel()[order] > threshold]
+    rows, columns = np.unravel_index(order, blocks.shape)
+    colours = image[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean((1, 3))
+    return _Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns])
+
+
+def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels: _Pixels, samples: int) -> Births:
+    one = observed[index]
+    camera = one.view.camera
+    rows, columns = pixels.rows, pixels.columns
+    far = one.background.depth[rows, columns]
+    rays = (pixel_rays(camera)[rows, columns] + pixel_rays(camera)[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
+    if one.view.depth is not None:
+        depth, on_background = _measured(one, rows, columns, far)
+    else:
+        depth, on_background = _agreed(observed, rendering, index, pixels, rays, far, samples)
+    means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
+    radii = 0.5 * BLOCK * depth / camera.K[0, 0]
+    return Births(means, radii, pixels.rgb, on_background, np.full(len(rows), index))
+
+
+def _measured(one: Observed, rows: NDArray[np.int64], columns: NDArray[np.int64], far: Float64) -> tuple[Float64, Bool]:
+    assert one.view.depth is not None
+    depth = one.view.depth[rows, columns].astype(np.float64)
+    depth = np.where(depth > 0, depth, far)
+    return depth, depth > 0.97 * far
+
+
+def _agreed(
+    observed: Sequence[Observed],
+    rendering: Rendering,
+    index: int,
+    pixels: _Pixels,
+    rays: Float64,
+    far: Float64,
+    samples: int,
+) -> tuple[Float64, Bool]:
+    """Depth [n] along the rays with the best support of other views; the background's where none is left standing."""
+    one = observed[index]
+    shares = np.linspace(0.15, 0.97, samples)
+    depths = far[:, None] * shares
+    points = (one.view.camera.T_base_cam[:3, 3] + rays[:, None] * depths[..., None]).reshape(-1, 3)
+    score = np.zeros(len(points))
+    for other_index, other in enumerate(observed):
+        if other_index != index:
+            score += _support(other, points, np.repeat(pixels.rgb, samples, axis=0))
+    score = score.reshape(depths.shape) - LOCALITY * np.abs(
+        np.log(depths / _known_depth(one, rendering, pixels, far)[:, None])
+    )
+    best = score.argmax(1)
+    at = np.arange(len(best))
+    alone = score[at, best] < -0.5 * REFUTED
+    off = ~one.near_moving[pixels.rows, pixels.columns]
+    on_background = alone | off
+    return np.where(on_background, 0.995 * far, depths[at, best]), on_background
+
+
+def _support(other: Observed, points: Float64, rgb: Float32) -> Float64:
+    """[n] how much one view speaks for each point: 0 where it cannot see it."""
+    seen = look(other.view.camera, points)
+    visible = seen.inside & ~other.occluded(seen) & other.usable[seen.rows, seen.columns]
+    moving = other.near_moving[seen.rows, seen.columns]
+    difference = np.abs(other.rgb[seen.rows, seen.columns] - rgb).mean(-1)
+    agreement = 0.5 + np.exp(-((difference / COLOUR_SIGMA) ** 2))
+    return np.where(visible, np.where(moving, agreement, -REFUTED), 0.0)
+
+
+def _known_depth(one: Observed, rendering: Rendering, pixels: _Pixels, far: Float64) -> Float64:
+    """[n] depth of the moving things that the rendering shows around each pixel; between them and nothing, the ground's."""
+    shown = rendering.depth.detach().cpu().numpy()
+    closer = (shown > 0) & (shown < 0.95 * one.background.depth)
+    if not closer.any():
+        return 0.9 * far
+    cells = 8
+    height, width = shown.shape
+    row_cell, column_cell = (
+        np.minimum(pixels.rows * cells // height, cells - 1),
+        np.minimum(pixels.columns * cells // width, cells - 1),
+    )
+    labels = (np.arange(height) * cells // height)[:, None] * cells + np.arange(width) * cells // width
+    total = np.bincount(labels[closer], weights=shown[closer], minlength=cells * cells)
+    count = np.bincount(labels[closer], minlength=cells * cells)
+    mean = np.where(count > 0, total / np.maximum(count, 1), float(np.median(shown[closer])))
+    return np.minimum(mean[row_cell * cells + column_cell], far)

@@ -1,0 +1,112 @@
+"""Gradient steps: canonical attributes of selected Gaussians, and the poses of their nodes, towards the images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node import splat
+from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians
+from twin_node.model.nodes import Poses
+from twin_node.model.observation import Observed
+from twin_node.model.parameters import TrackParameters
+from twin_node.model.rendering import Rendering, join, place, render
+from twin_node.scene import Bool, View
+
+RATES = torch.zeros(WIDTH)
+RATES[MEAN] = 0.08
+RATES[QUAT] = 5e-3
+RATES[LOG_SCALE] = 1.5e-2
+RATES[LOGIT] = 5e-2
+RATES[RGB] = 1.5e-2
+"""Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
+
+SMALLEST_M, LARGEST_PX = 5e-4, 40.0
+"""Bounds of a Gaussian's scale: half a millimetre, and so many times its size at birth."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the rendering of one view is held to."""
+
+    rgb: Tensor
+    """[H, W, 3] 0 to 1."""
+    weights: Tensor | None
+    """[H, W]; None: all pixels count alike."""
+    depth: Tensor | None
+    """[H, W] m, 0 where unknown."""
+
+
+def target_of(view: View, device: torch.device, mask: Bool | None = None) -> Target:
+    """The view's image (and depth, where it has one) inside `mask` [H, W] and its valid pixels."""
+    chosen = view.valid if mask is None else (mask if view.valid is None else mask & view.valid)
+    return Target(
+        torch.from_numpy(view.rgb).to(device).float() / 255,
+        None if chosen is None else torch.from_numpy(chosen).to(device).float(),
+        None if view.depth is None else torch.from_numpy(view.depth).to(device),
+    )
+
+
+def photometric(renderings: Sequence[Rendering], targets: Sequence[Target]) -> Tensor:
+    """Sum over views of 0.8 L1 + 0.2 (1 - SSIM), and Huber-free L1 on depth where it is measured."""
+    total = renderings[0].rgb.new_zeros(())
+    for rendering, target in zip(renderings, targets, strict=True):
+        weights = None if target.weights is None else target.weights[None]
+        depth = None if target.depth is None else rendering.depth[None]
+        goal = None if target.depth is None else target.depth[None]
+        total = total + splat.image_loss(
+            rendering.rgb[None],
+            target.rgb[None],
+            weights=weights,
+            depth=depth,
+            target_depth=goal,
+            depth_weight=0.0 if depth is None else 0.2,
+        )
+    return total
+
+
+def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
+    """Fits every Gaussian, none of which moves, to one set of views."""
+    rows = torch.nonzero(gaussians.alive)[:, 0]
+    targets = [target_of(view, gaussians.values.device) for view in views]
+    cameras = [view.camera for view in views]
+    nobody = torch.full((len(rows),), -1, dtype=torch.int64, device=rows.device)
+    for step in range(steps):
+        values = gaussians.values[rows].requires_grad_()
+        splats = place(values, nobody, values.new_zeros(1, 1, 3), values.new_zeros(1, 1, 4))
+        photometric(render(splats, cameras), targets).backward()
+        decay = 0.1 ** (step / steps)
+        _descend(gaussians, rows, values, decay)
+
+
+def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float) -> None:
+    gradient = values.grad
+    if gradient is None or not len(rows):
+        return
+    rates = (RATES.to(values.device) * factor).expand(len(rows), -1).clone()
+    rates[:, MEAN] *= gaussians.values[rows, LOG_SCALE].exp().mean(-1, keepdim=True)
+    gaussians.descend(rows, gradient, rates)
+    gaussians.values[rows, RGB] = gaussians.values[rows, RGB].clamp(0, 1)
+
+
+def fit_moving(gaussians: Gaussians, poses: Poses, observed: Sequence[Observed], parameters: TrackParameters) -> None:
+    """A few steps on the Gaussians that move, inside the pixels that changed; STATIC ones are looked past, not touched.
+
+    `poses` holds the nodes at each view's own time.
+    """
+    rows, still = gaussians.moving_rows, gaussians.static_rows
+    if not len(rows):
+        return
+    device = gaussians.values.device
+    masks = [(one.near_moving | (one.surprise > parameters.residual)) & one.usable for one in observed]
+    targets = [target_of(one.view, device, mask) for one, mask in zip(observed, masks, strict=True)]
+    cameras = [one.view.camera for one in observed]
+    static = place(gaussians.values[still], gaussians.nodes[still], poses.positions, poses.quats)
+    for _ in range(parameters.steps):
+        values = gaussians.values[rows].requires_grad_()
+        splats = join(static, place(values, gaussians.nodes[rows], poses.positions, poses.quats))
+        photometric(render(splats, cameras, masks), targets).backward()
+        _descend(gaussians, rows, values, parameters.learning_rate)

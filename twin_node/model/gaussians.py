@@ -1,0 +1,120 @@
+"""The Gaussians: arrays of fixed capacity, an alive mask, and the optimiser state that belongs to each row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node.scene import Tier
+
+MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
+"""Columns of `Gaussians.values`."""
+WIDTH = 14
+
+
+@dataclass(frozen=True)
+class Newborns:
+    """Gaussians about to be stored, all of one tier; canonical, so in the frame of `nodes` where that is not -1."""
+
+    means: Tensor
+    """[n, 3] m."""
+    quats: Tensor
+    """[n, 4] w, x, y, z."""
+    scales: Tensor
+    """[n, 3] m, linear."""
+    opacities: Tensor
+    """[n] 0 to 1."""
+    rgb: Tensor
+    """[n, 3] 0 to 1."""
+    tier: Tier
+    nodes: Tensor
+    """[n] int64 row of the node that carries it, -1 for none."""
+
+    def packed(self) -> Tensor:
+        """[n, 14] as the columns of `Gaussians.values`."""
+        opacity = self.opacities.clamp(0.01, 0.99)[:, None]
+        return torch.cat([self.means, self.quats, self.scales.log(), opacity.logit(), self.rgb], 1)
+
+
+class Gaussians:
+    """Structure of arrays of fixed capacity; nothing is ever reallocated, so a long run cannot grow.
+
+    `values` [capacity, 14] holds mean (m), quaternion (w, x, y, z), log scale (log m), opacity logit and linear colour
+    in the frame of the row's node (in `base_link` where it has none).
+    """
+
+    def __init__(self, capacity: int, device: torch.device) -> None:
+        self.capacity = capacity
+        self.values = torch.zeros(capacity, WIDTH, device=device)
+        self.values[:, QUAT.start] = 1
+        self.moment1 = torch.zeros(capacity, WIDTH, device=device)
+        self.moment2 = torch.zeros(capacity, WIDTH, device=device)
+        self.steps = torch.zeros(capacity, dtype=torch.int64, device=device)
+        self.alive = torch.zeros(capacity, dtype=torch.bool, device=device)
+        self.tiers = torch.zeros(capacity, dtype=torch.uint8, device=device)
+        self.ids = torch.zeros(capacity, dtype=torch.int64, device=device)
+        self.nodes = torch.full((capacity,), -1, dtype=torch.int64, device=device)
+        self.births = torch.zeros(capacity, dtype=torch.int64, device=device)
+        self.doubts = torch.zeros(capacity, dtype=torch.int64, device=device)
+        self._next_id = 0
+
+    def __len__(self) -> int:
+        return int(self.alive.sum())
+
+    @property
+    def means(self) -> Tensor:
+        """[capacity, 3] canonical, m."""
+        return self.values[:, MEAN]
+
+    @property
+    def static_rows(self) -> Tensor:
+        """[s] rows of the Gaussians that carry no motion parameters."""
+        return torch.nonzero(self.alive & (self.tiers == Tier.STATIC))[:, 0]
+
+    @property
+    def moving_rows(self) -> Tensor:
+        """[m] rows of all the others."""
+        return torch.nonzero(self.alive & (self.tiers != Tier.STATIC))[:, 0]
+
+    def count(self, tier: Tier) -> int:
+        """Living Gaussians of a tier."""
+        return int((self.alive & (self.tiers == tier)).sum())
+
+    def spawn(self, born: Newborns, stamp: int) -> Tensor:
+        """Stores as many of `born` as there is room for, in order; returns their rows."""
+        free = torch.nonzero(~self.alive)[: len(born.means), 0]
+        n = len(free)
+        self.values[free] = born.packed()[:n]
+        self.alive[free] = True
+        self.tiers[free] = int(born.tier)
+        self.nodes[free] = born.nodes[:n]
+        self.ids[free] = torch.arange(self._next_id, self._next_id + n, device=free.device)
+        self.births[free] = stamp
+        self.doubts[free] = 0
+        self._next_id += n
+        self.forget_moments(free)
+        return free
+
+    def retire(self, rows: Tensor) -> None:
+        """Ends the life of `rows` [n]; their slots are free again."""
+        self.alive[rows] = False
+        self.nodes[rows] = -1
+
+    def forget_moments(self, rows: Tensor) -> None:
+        """Zeroes the optimiser state of `rows` [n]: stale momenta would move what is no longer selected (DecoGS, 4.3)."""
+        self.moment1[rows] = 0
+        self.moment2[rows] = 0
+        self.steps[rows] = 0
+
+    def descend(self, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
+        """One Adam step on `rows` [n] only, gradient [n, 14], rates [14] per column (Kingma and Ba, 2015)."""
+        self.steps[rows] += 1
+        m = self.moment1[rows].lerp_(gradient, 0.1)
+        v = self.moment2[rows].lerp_(gradient.square(), 0.01)
+        k = self.steps[rows][:, None].to(m.dtype)
+        update = (m / (1 - 0.9**k)) / ((v / (1 - 0.99**k)).sqrt() + 1e-12)
+        self.moment1[rows] = m
+        self.moment2[rows] = v
+        self.values[rows] -= rates * update

@@ -1,0 +1,160 @@
+"""Motion nodes: SE(3) frames that moving Gaussians live in, their filtered motion, and where they were in the window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
+from twin_node.scene import Tier
+
+POSITION_GAIN, VELOCITY_GAIN = 0.9, 0.35
+"""Alpha-beta filter of a node's pose: alpha near one because the measurement is the image itself, beta at a quarter of the
+critically damped value for that alpha, because published velocities are extrapolated 200 ms (Kalata, 1984)."""
+
+MAX_SPEED, MAX_TURN = 5.0, 15.0
+"""m/s and rad/s that no node exceeds: above a thrown arm's 4 m/s; more is a fit gone wrong."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Node poses at several times at once."""
+
+    positions: Tensor
+    """[T, M, 3] m."""
+    quats: Tensor
+    """[T, M, 4]."""
+
+
+class Nodes:
+    """At most `capacity` nodes (rows); poses are those at `stamp`, torch float64 on the CPU (they are few)."""
+
+    def __init__(self, capacity: int, window: int) -> None:
+        self.capacity = capacity
+        self.stamp = 0
+        self.alive = torch.zeros(capacity, dtype=torch.bool)
+        self.ids = torch.zeros(capacity, dtype=torch.int64)
+        self.tiers = torch.full((capacity,), int(Tier.RIGID), dtype=torch.uint8)
+        self.positions = torch.zeros(capacity, 3, dtype=torch.float64)
+        self.quats = torch.zeros(capacity, 4, dtype=torch.float64)
+        self.velocities = torch.zeros(capacity, 3, dtype=torch.float64)
+        self.angular_velocities = torch.zeros(capacity, 3, dtype=torch.float64)
+        self.sigmas = torch.zeros(capacity, dtype=torch.float64)
+        self.evidence = torch.zeros(capacity, dtype=torch.float64)
+        self.births = torch.zeros(capacity, dtype=torch.int64)
+        self.quats[:, 0] = 1
+        self.history_stamps = torch.full((window,), -1, dtype=torch.int64)
+        self._history_positions = torch.zeros(window, capacity, 3, dtype=torch.float64)
+        self._history_quats = torch.zeros(window, capacity, 4, dtype=torch.float64)
+        self._slot = -1
+        self._next_id = 0
+
+    @property
+    def rows(self) -> Tensor:
+        """[m] rows of living nodes."""
+        return torch.nonzero(self.alive)[:, 0]
+
+    @property
+    def free(self) -> bool:
+        """Whether another node can be born."""
+        return not bool(self.alive.all())
+
+    def give_birth(self, position: Tensor, velocity: Tensor, tier: Tier = Tier.RIGID) -> int:
+        """A node at `position` [3] with axes of `base_link` and `velocity` [3] m/s; returns its row."""
+        row = int(torch.nonzero(~self.alive)[0, 0])
+        self.alive[row] = True
+        self.ids[row] = self._next_id
+        self.tiers[row] = int(tier)
+        self.positions[row] = position
+        self.quats[row] = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64)
+        self.velocities[row] = velocity
+        self.angular_velocities[row] = 0
+        self.sigmas[row] = 0.05
+        self.evidence[row] = 0
+        self.births[row] = self.stamp
+        self._history_positions[:, row] = position
+        self._history_quats[:, row] = self.quats[row]
+        self._next_id += 1
+        return row
+
+    def retire(self, rows: Tensor) -> None:
+        """Ends nodes; their rows are free again."""
+        self.alive[rows] = False
+
+    def predict(self, stamp: int, damping: float) -> None:
+        """Moves all poses on to `stamp` (ns) at constant velocity; velocities keep `damping` of themselves."""
+        dt = (stamp - self.stamp) * 1e-9
+        self.positions = self.positions + self.velocities * dt
+        self.quats = quat_product(quat_from_vector(self.angular_velocities * dt), self.quats)
+        self.velocities = self.velocities * damping
+        self.angular_velocities = self.angular_velocities * damping
+        self.stamp = stamp
+
+    def correct(self, rows: Tensor, positions: Tensor, quats: Tensor, predicted: Poses, dt_s: float) -> None:
+        """Takes measured poses [m, 3], [m, 4] of `rows` at `stamp`; updates velocities by an alpha-beta filter.
+
+        `predicted` holds the poses [1, M, ...] before measuring; `dt_s` the time since the set before.
+        """
+        shift = positions - predicted.positions[0, rows]
+        turn = vector_from_quat(quat_product(quats, conjugate(predicted.quats[0, rows])))
+        gain = VELOCITY_GAIN / max(dt_s, 1e-3)
+        self.positions[rows] = predicted.positions[0, rows] + POSITION_GAIN * shift
+        self.quats[rows] = quat_product(quat_from_vector(POSITION_GAIN * turn), predicted.quats[0, rows])
+        self.velocities[rows] = _limit(self.velocities[rows] + gain * shift, MAX_SPEED)
+        self.angular_velocities[rows] = _limit(self.angular_velocities[rows] + gain * turn, MAX_TURN)
+
+    def drive(self, rows: Tensor, positions: Tensor, quats: Tensor, dt_s: float) -> None:
+        """Sets poses that are known (arm links) and derives their velocities from the step of `dt_s`."""
+        if dt_s > 0:
+            self.velocities[rows] = (positions - self.positions[rows]) / dt_s
+            turn = vector_from_quat(quat_product(quats, conjugate(self.quats[rows])))
+            self.angular_velocities[rows] = turn / dt_s
+        self.positions[rows] = positions
+        self.quats[rows] = quats
+
+    def remember(self) -> None:
+        """Writes the present poses over the oldest of the window."""
+        self._slot = (self._slot + 1) % len(self.history_stamps)
+        self.history_stamps[self._slot] = self.stamp
+        self._history_positions[self._slot] = self.positions
+        self._history_quats[self._slot] = self.quats
+
+    def poses_at(self, stamps: list[int]) -> Poses:
+        """Poses at `stamps` (ns): interpolated inside the window, carried on at constant velocity near its newest end."""
+        at = [self._pose_at(stamp) for stamp in stamps]
+        return Poses(torch.stack([p.positions[0] for p in at]), torch.stack([p.quats[0] for p in at]))
+
+    def _pose_at(self, stamp: int) -> Poses:
+        known = torch.nonzero(self.history_stamps >= 0)[:, 0]
+        order = known[self.history_stamps[known].argsort()]
+        stamps = self.history_stamps[order]
+        older, newer = order[stamps <= stamp], order[stamps >= stamp]
+        if not len(newer) or not len(older):
+            edge = 0.0 if len(newer) else (stamp - self.stamp) * 1e-9
+            if len(newer):
+                return Poses(self._history_positions[newer[:1]], self._history_quats[newer[:1]])
+            return self.extrapolated([edge])
+        a, b = older[-1], newer[0]
+        span = float(self.history_stamps[b] - self.history_stamps[a])
+        share = 0.0 if span == 0 else float(stamp - self.history_stamps[a]) / span
+        positions = torch.lerp(self._history_positions[a], self._history_positions[b], share)
+        turn = vector_from_quat(quat_product(self._history_quats[b], conjugate(self._history_quats[a])))
+        quats = quat_product(quat_from_vector(turn * share), self._history_quats[a])
+        return Poses(positions[None], quats[None])
+
+    def extrapolated(self, seconds: list[float]) -> Poses:
+        """Poses [T, M, ...] at `stamp` plus each of `seconds`, at constant velocity."""
+        dt = torch.tensor(seconds, dtype=torch.float64)[:, None, None]
+        positions = self.positions + self.velocities * dt
+        return Poses(positions, quat_product(quat_from_vector(self.angular_velocities * dt), self.quats))
+
+
+def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:
+    """Base-frame points [n, 3] in the frame of a node at `position` [3] or [n, 3] and `quat` [4] or [n, 4]."""
+    return rotate(conjugate(quat), means - position)
+
+
+def _limit(vectors: Tensor, longest: float) -> Tensor:
+    return vectors * (longest / vectors.norm(dim=-1, keepdim=True).clamp_min(1e-9)).clamp_max(1.0)

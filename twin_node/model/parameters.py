@@ -1,0 +1,81 @@
+"""What can be set in the window model, with defaults that work, and the error that its inputs can cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from twin_node.errors import TwinError
+
+
+class ModelError(TwinError):
+    """The window model was given something that it cannot work with."""
+
+
+@dataclass(frozen=True)
+class SeedParameters:
+    """How the first set of images becomes Gaussians."""
+
+    steps: int = 300
+    """Optimisation steps on the first set."""
+    stride_px: int = 2
+    """One Gaussian per block of this many pixels squared and camera, before those of the same place are merged."""
+    levels: int = 40
+    """Offsets from the dominant plane that the sweep tries."""
+    shell_factor: float = 2.5
+    """Radius of the background shell in units of the farthest camera's distance from what the rig looks at."""
+
+
+@dataclass(frozen=True)
+class TrackParameters:
+    """How the moving part follows the images."""
+
+    alignments: int = 2
+    """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
+    steps: int = 3
+    """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
+    learning_rate: float = 1.0
+    """Multiplies all rates of `fitting.RATES`."""
+    velocity_damping: float = 0.9
+    """Share of a node's velocity that the prediction of the next set keeps (damped constant velocity)."""
+    flow_sigma_px: float = 0.5
+    """1 sigma of the optical flow on textured pixels: what the node's own sigma is derived from."""
+    residual: float = 25 / 255
+    """Largest difference of a colour channel (0 to 1) that counts as explained; the threshold of the selection rule in
+    DecoGS and of the figures for moving pixels."""
+
+
+@dataclass(frozen=True)
+class BirthParameters:
+    """When Gaussians and nodes are born and die."""
+
+    per_set: int = 400
+    """Gaussians born per set at most."""
+    moving_share: float = 0.4
+    """Share of the capacity that Gaussians which are not STATIC may take."""
+    ray_samples: int = 24
+    """Depths tried along the ray of a pixel that nothing explains."""
+    node_radius_m: float = 0.12
+    """A Gaussian joins a node whose centre is nearer than this; else a new node is born."""
+    node_members: int = 12
+    """Gaussians that a new node needs."""
+    settle_s: float = 1.0
+    """A TRANSIENT on the background that still agrees with the images after this time becomes STATIC."""
+    carve_sets: int = 3
+    """Sets in a row in which a camera sees through a moving Gaussian before it dies."""
+
+
+@dataclass(frozen=True)
+class ModelParameters:
+    """Parameters of `WindowModel`."""
+
+    device: str = "cpu"
+    """Torch device that the Gaussians live on."""
+    gaussians_per_pixel: float = 0.3
+    """Capacity in Gaussians per pixel of a set; fixed at the first set."""
+    nodes: int = 64
+    """Capacity in motion nodes."""
+    window: int = 32
+    """Sets that the window holds: node poses and time columns of the field."""
+    seed: SeedParameters = field(default_factory=SeedParameters)
+    track: TrackParameters = field(default_factory=TrackParameters)
+    birth: BirthParameters = field(default_factory=BirthParameters)

@@ -1,0 +1,170 @@
+"""Planes that the views agree on: the table or floor that most of a cell's pixels show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.geometry import inverse_pose
+from twin_node.model.rays import pixel_rays
+from twin_node.scene import Camera, Float32, Float64, View
+
+PATCH_PX = 7
+"""Side of the window over which images are compared: about twice the footprint of a hole or marking at 160 px width."""
+TEXTURE = 2.0 / 255
+"""Standard deviation (0 to 1) inside a window below which its correlation says nothing: about the noise of 8-bit video."""
+MIN_AGREEMENT, DISTINCT = 0.01, 2.0
+"""A plane is believed if it scores this much, and this many times the 90th percentile of all candidates."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Points x of `base_link` with normal . x + offset = 0; the normal points to the cameras' side."""
+
+    normal: Float64
+    """[3] of length one."""
+    offset: float
+    """m."""
+
+    def depth(self, camera: Camera) -> Float64:
+        """[H, W] depth along the optical axis in m at which each pixel meets the plane; infinite where it does not."""
+        height = self.normal @ camera.T_base_cam[:3, 3] + self.offset
+        slope = pixel_rays(camera) @ self.normal
+        with np.errstate(divide="ignore"):
+            depth: Float64 = np.where(slope < -1e-6, -height / np.minimum(slope, -1e-6), np.inf)
+        return depth
+
+    def height(self, points: NDArray[np.floating]) -> Float64:
+        """[...] m above the plane of points [..., 3]."""
+        above: Float64 = points @ self.normal + self.offset
+        return above
+
+    def shifted(self, height: float) -> Plane:
+        """The parallel plane `height` m above."""
+        return Plane(self.normal, self.offset - height)
+
+
+def correlation(a: View, b: View, plane: Plane) -> Float32:
+    """[H, W] local zero-mean normalised correlation of a's image with b's seen through `plane`; NaN where not shared."""
+    T = inverse_pose(b.camera.T_base_cam) @ a.camera.T_base_cam
+    normal = a.camera.T_base_cam[:3, :3].T @ plane.normal
+    offset = plane.normal @ a.camera.T_base_cam[:3, 3] + plane.offset
+    if abs(offset) < 1e-6:
+        return np.full((a.camera.height, a.camera.width), np.nan, np.float32)
+    H = _corner_K(b.camera) @ (T[:3, :3] - np.outer(T[:3, 3], normal) / offset) @ np.linalg.inv(_corner_K(a.camera))
+    size = (a.camera.width, a.camera.height)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpPerspective(_gray(b), H, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
+    out = _local_correlation(_gray(a), warped)
+    rays = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), -1)
+    in_front = H[2, 0] * rays[..., 0] + H[2, 1] * rays[..., 1] + H[2, 2] > 0
+    out[(warped < 0) | ~in_front | ~(plane.depth(a.camera) > 0)] = np.nan
+    return out
+
+
+def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
+    """The plane that explains most of the views, or None where nothing agrees.
+
+    Candidates are planes through triangulated `points` [n, 3] (RANSAC) and horizontal planes below the cameras; the one under
+    which the images agree best is refined in tilt and offset.
+    """
+    centres = np.stack([view.camera.T_base_cam[:3, 3] for view in views])
+    lowest = centres[:, 2].min()
+    span = max(np.ptp(centres, axis=0).max(), 0.2)
+    candidates = [
+        Plane(np.array([0.0, 0.0, 1.0]), -z) for z in np.linspace(lowest - 2 * span, lowest - 0.05 * span, 96)
+    ]
+    candidates += _ransac(points, centres)
+    if len(views) < 2:
+        return None
+    scores = [_agreement(views, plane) for plane in candidates]
+    best = int(np.argmax(scores))
+    if scores[best] < max(MIN_AGREEMENT, DISTINCT * float(np.percentile(scores, 90))):
+        return None
+    return _refined(views, candidates[best], scores[best], span)
+
+
+def _agreement(views: Sequence[View], plane: Plane) -> float:
+    """Mean correlation over the pixels that pairs of views share through the plane, discounted where they share few."""
+    total = 0.0
+    for a, b in permutations(views, 2):
+        found = correlation(a, b, plane)
+        shared = np.isfinite(found)
+        total += float(found[shared].sum()) / found.size
+    return total / (len(views) * (len(views) - 1))
+
+
+def _refined(views: Sequence[View], plane: Plane, score: float, span: float) -> Plane:
+    """Coordinate ascent over tilt (rad) and offset (m), the step halved whenever it no longer helps."""
+    step = span / 32
+    first = np.cross(plane.normal, [1.0, 0.0, 0.0] if abs(plane.normal[0]) < 0.9 else [0.0, 1.0, 0.0])
+    axes = np.stack([first, np.cross(plane.normal, first)]) / np.linalg.norm(first)
+    anchor = np.mean([view.camera.T_base_cam[:3, 3] + _optical_hit(view.camera, plane) for view in views], axis=0)
+    for _ in range(5):
+        for move in np.concatenate([np.eye(3), -np.eye(3)]) * step:
+            normal = plane.normal + (move[:2] / span) @ axes
+            normal /= np.linalg.norm(normal)
+            offset = -normal @ (anchor - plane.normal * plane.height(anchor)) - move[2]
+            candidate = Plane(normal, float(offset))
+            found = _agreement(views, candidate)
+            if found > score:
+                plane, score = candidate, found
+        step /= 2
+    return plane
+
+
+def _optical_hit(camera: Camera, plane: Plane) -> Float64:
+    """From the camera's centre to where its optical axis meets the plane, m; one metre ahead where it does not."""
+    axis = camera.T_base_cam[:3, 2]
+    slope = axis @ plane.normal
+    depth = -plane.height(camera.T_base_cam[:3, 3]) / slope if slope < -0.05 else 1.0
+    hit: Float64 = axis * depth
+    return hit
+
+
+def _ransac(points: Float64, centres: Float64, trials: int = 200, keep: int = 8) -> list[Plane]:
+    """The best-supported planes through triples of points, normals towards the cameras."""
+    if len(points) < 8:
+        return []
+    rng = np.random.default_rng(0)
+    tolerance = 0.02 * np.median(np.linalg.norm(points - centres.mean(0), axis=1))
+    supported: list[tuple[int, Plane]] = []
+    for _ in range(trials):
+        a, b, c = points[rng.choice(len(points), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal)
+        if length < 1e-9:
+            continue
+        normal /= length
+        normal = normal if normal @ (centres.mean(0) - a) > 0 else -normal
+        plane = Plane(normal, float(-normal @ a))
+        supported.append((int((np.abs(plane.height(points)) < tolerance).sum()), plane))
+    supported.sort(key=lambda pair: -pair[0])
+    return [plane for _, plane in supported[:keep]]
+
+
+def _corner_K(camera: Camera) -> Float64:
+    """Intrinsics in OpenCV's convention (centre of the top-left pixel at 0, 0)."""
+    K = camera.K.copy()
+    K[:2, 2] -= 0.5
+    return K
+
+
+def _gray(view: View) -> Float32:
+    return cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
+
+
+def _local_correlation(a: Float32, b: Float32) -> Float32:
+    def mean(image: Float32) -> Float32:
+        return cv2.boxFilter(image, -1, (PATCH_PX, PATCH_PX), borderType=cv2.BORDER_REFLECT).astype(np.float32)
+
+    mean_a, mean_b = mean(a), mean(b)
+    var_a = np.maximum(mean(a * a) - mean_a**2, 0) + TEXTURE**2
+    var_b = np.maximum(mean(b * b) - mean_b**2, 0) + TEXTURE**2
+    out: Float32 = (mean(a * b) - mean_a * mean_b) / np.sqrt(var_a * var_b)
+    return out

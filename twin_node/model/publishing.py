@@ -1,0 +1,66 @@
+"""The model as the records that other rooms read."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.nodes import Nodes
+from twin_node.model.rendering import on_device, place
+from twin_node.model.rotations import rotate
+from twin_node.scene import GaussianCloud, NodeStates
+
+
+def cloud_of(gaussians: Gaussians, nodes: Nodes) -> GaussianCloud:
+    """All living Gaussians at the nodes' stamp; `nodes` are rows of `node_states_of`."""
+    rows = torch.nonzero(gaussians.alive)[:, 0]
+    carrier = gaussians.nodes[rows]
+    poses = on_device(nodes.extrapolated([0.0]), gaussians.values.device)
+    values = gaussians.values[rows]
+    splats = place(values, carrier, poses.positions, poses.quats)
+    means = splats.means[0].cpu()
+    row = carrier.cpu().clamp_min(0)
+    arm = means.double() - nodes.positions[row]
+    velocities = nodes.velocities[row] + torch.linalg.cross(nodes.angular_velocities[row], arm)
+    velocities = torch.where(carrier.cpu()[:, None] >= 0, velocities, 0.0)
+    position_of = torch.full((nodes.capacity + 1,), -1, dtype=torch.int64)
+    position_of[nodes.rows] = torch.arange(len(nodes.rows))
+    return GaussianCloud(
+        means.numpy(),
+        splats.quats[0].cpu().numpy(),
+        splats.scales.cpu().numpy(),
+        splats.opacities.cpu().numpy(),
+        splats.rgb.clamp(0, 1).cpu().numpy(),
+        velocities.float().numpy(),
+        gaussians.tiers[rows].cpu().numpy(),
+        gaussians.ids[rows].cpu().numpy().astype(np.uint32),
+        position_of[carrier.cpu()].numpy().astype(np.int32),
+    )
+
+
+def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
+    """Living nodes at their stamp, each at the opacity-weighted centroid of the Gaussians it carries."""
+    alive = nodes.rows
+    carried = gaussians.moving_rows
+    carrier = gaussians.nodes[carried]
+    carried, carrier = carried[carrier >= 0], carrier[carrier >= 0].cpu()
+    local = gaussians.means[carried].cpu().double()
+    weight = gaussians.values[carried, LOGIT.start].cpu().double().sigmoid()
+    total = torch.zeros(nodes.capacity, dtype=torch.float64).index_add_(0, carrier, weight)
+    centroid = torch.zeros(nodes.capacity, 3, dtype=torch.float64).index_add_(0, carrier, local * weight[:, None])
+    centroid = centroid / total.clamp_min(1e-9)[:, None]
+    radii = torch.zeros(nodes.capacity, dtype=torch.float64)
+    radii.scatter_reduce_(0, carrier, (local - centroid[carrier]).norm(dim=-1), "amax")
+    arm = rotate(nodes.quats, centroid)
+    positions = nodes.positions + arm
+    velocities = nodes.velocities + torch.linalg.cross(nodes.angular_velocities, arm)
+    return NodeStates(
+        nodes.ids[alive].numpy().astype(np.uint32),
+        positions[alive].numpy(),
+        nodes.quats[alive].numpy(),
+        velocities[alive].numpy(),
+        nodes.angular_velocities[alive].numpy(),
+        nodes.sigmas[alive].numpy(),
+        radii[alive].numpy(),
+    )

@@ -1,0 +1,60 @@
+"""Quaternions and small rotations as torch operations; quaternions are w, x, y, z."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def quat_product(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton product [..., 4] of a and b [..., 4]: the rotation b followed by a."""
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )
+
+
+def conjugate(q: Tensor) -> Tensor:
+    """Inverse [..., 4] of unit quaternions."""
+    return q * q.new_tensor([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: Tensor, v: Tensor) -> Tensor:
+    """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
+    w, u = q[..., :1], q[..., 1:]
+    t = 2 * torch.linalg.cross(*torch.broadcast_tensors(u, v))
+    return v + w * t + torch.linalg.cross(*torch.broadcast_tensors(u, t))
+
+
+def quat_from_vector(omega: Tensor) -> Tensor:
+    """Unit quaternions [..., 4] of rotation vectors [..., 3] in rad (exponential map, smooth at zero)."""
+    half = omega / 2
+    angle2 = half.square().sum(-1, keepdim=True)
+    angle = (angle2 + 1e-24).sqrt()
+    sinc = torch.where(angle2 < 1e-8, 1 - angle2 / 6, torch.sin(angle) / angle)
+    return torch.cat([torch.cos(angle), half * sinc], -1)
+
+
+def vector_from_quat(q: Tensor) -> Tensor:
+    """Rotation vectors [..., 3] in rad, shorter than pi, of unit quaternions [..., 4] (logarithm)."""
+    q = torch.where(q[..., :1] < 0, -q, q)
+    norm = q[..., 1:].norm(dim=-1, keepdim=True)
+    angle = 2 * torch.atan2(norm, q[..., :1])
+    return q[..., 1:] * torch.where(norm < 1e-8, torch.full_like(norm, 2.0), angle / norm.clamp_min(1e-12))
+
+
+def quat_between(a: Tensor, b: Tensor) -> Tensor:
+    """Shortest rotation [..., 4] that takes unit vectors a to b [..., 3]."""
+    w = 1 + (a * b).sum(-1, keepdim=True)
+    axis = torch.linalg.cross(*torch.broadcast_tensors(a, b))
+    flip = torch.stack([-a[..., 1], a[..., 0], torch.zeros_like(a[..., 0])], -1)
+    q = torch.where(w < 1e-6, torch.cat([torch.zeros_like(w), flip], -1), torch.cat([w, axis], -1))
+    q = torch.where(q.norm(dim=-1, keepdim=True) < 1e-9, q.new_tensor([0.0, 1.0, 0.0, 0.0]), q)
+    return q / q.norm(dim=-1, keepdim=True)
