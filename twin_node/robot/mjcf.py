@@ -55,13 +55,19 @@ def write_mjcf(model: ArmModel) -> str:
     return "\n".join([*lines, "  </worldbody>", "</mujoco>", ""])
 
 
+def geom_names(model: ArmModel) -> list[str]:
+    """Name of each capsule's geom [C] in the arm's MJCF: its link and its number on that link."""
+    links = model.capsules.links
+    return [f"{model.link_names[link]}_{int((links[:row] == link).sum())}" for row, link in enumerate(links)]
+
+
 def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmModel:
     """Serial arm from an MJCF or URDF file; meshes and other shapes become the capsules that enclose them.
 
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
-    gripper's): those stay where the file puts them. Geoms that take part in no contact (visuals) are left out unless the
-    arm has no others. Raises `RobotError` for a file that MuJoCo does not read, and for joints that are no chain of
-    hinges.
+    gripper's): those stay where the file puts them. Geoms that take part in no contact (visuals) are left out unless
+    the arm has no others. Raises `RobotError` for a file that MuJoCo does not read, and for joints that are no chain
+    of hinges.
     """
     try:
         engine = mujoco.MjModel.from_xml_path(str(path))
@@ -97,9 +103,10 @@ def _text(values: NDArray[np.floating]) -> str:
 def _geom_lines(model: ArmModel, link: int) -> list[str]:
     indent = "  " * (link + 3)
     lines = []
-    for number, row in enumerate(np.flatnonzero(model.capsules.links == link)):
+    names = geom_names(model)
+    for row in np.flatnonzero(model.capsules.links == link):
         start, end = model.capsules.ends[row]
-        name = f'name="{model.link_names[link]}_{number}" size="{_text(model.capsules.radii[row : row + 1])}"'
+        name = f'name="{names[row]}" size="{_text(model.capsules.radii[row : row + 1])}"'
         if np.allclose(start, end):
             lines.append(f'{indent}<geom {name} type="sphere" pos="{_text(start)}"/>')
         else:

@@ -1,0 +1,59 @@
+"""What the arm carries, and what it may touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin_node.arm.errors import ArmError
+from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A tool or a held part, as capsules in the frame of `tool0`; equal ends make a sphere."""
+
+    name: str
+    ends: Float64
+    """[n, 2, 3] m."""
+    radii: Float64
+    """[n] m."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for shapes that do not fit each other or values that make no capsule."""
+        count = len(self.radii)
+        if self.ends.shape != (count, 2, 3) or self.radii.shape != (count,):
+            raise ArmError(
+                f"attachment {self.name}: expected ends [n, 2, 3] and radii [n], found {self.ends.shape} and "
+                f"{self.radii.shape}; give two ends and one radius per capsule"
+            )
+        if not (np.isfinite(self.ends).all() and np.isfinite(self.radii).all() and (self.radii > 0).all()):
+            raise ArmError(f"attachment {self.name}: expected finite ends and positive radii in metres; correct them")
+
+
+@dataclass(frozen=True)
+class AllowedRegion:
+    """A box in which some links may touch what stands still, as a gripper does the table it works on.
+
+    A STATIC obstacle that lies wholly inside is not looked at for these links. MOVING and UNKNOWN always are.
+    """
+
+    lower: Float64
+    """[3] lower corner, m, in `base_link`."""
+    upper: Float64
+    """[3] upper corner, m, in `base_link`."""
+    links: tuple[str, ...] = field(default=("wrist_3_link",))
+    """Names of links and attachments."""
+
+
+def parallel_gripper(length_m: float = 0.16, width_m: float = 0.15) -> Attachment:
+    """Two capsules for an ordinary parallel gripper, body and open fingers; sizes are those of a Robotiq 2F-85."""
+    body = 0.045
+    ends = np.array(
+        [
+            [[0.0, 0.0, body], [0.0, 0.0, 0.6 * length_m]],
+            [[0.0, -width_m / 2 + 0.02, length_m - 0.02], [0.0, width_m / 2 - 0.02, length_m - 0.02]],
+        ]
+    )
+    return Attachment("gripper", ends, np.array([body, 0.02]))

@@ -1,0 +1,234 @@
+"""How far the arm is from the obstacles: now, along a trajectory, and from itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.arm.attachment import AllowedRegion, Attachment
+from twin_node.arm.errors import ArmError
+from twin_node.arm.narrow import axis_distances, box_gaps, sphere_gaps
+from twin_node.arm.obstacle_set import ObstacleSet
+from twin_node.arm.scene import CollisionScene, Contacts
+from twin_node.robot import ArmModel, Capsules, PlacedCapsules, forward_kinematics, place_capsules, ur_model
+from twin_node.scene import Bool, Float64, Obstacles
+
+_PAIRS_AT_ONCE = 200_000
+"""Capsule-obstacle pairs looked at in one go: arrays of 1.6 MB stay in the cache."""
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The arm's closest pair."""
+
+    distance: float
+    """Between surfaces, m; zero or negative in contact, infinite where there is no obstacle."""
+    link: str
+    """Link or attachment; empty where there is no obstacle."""
+    obstacle_id: int
+    """-1 where there is no obstacle."""
+    on_arm: Float64
+    """[3] witness point on the arm, m, in `base_link`; NaN where there is no obstacle."""
+    on_obstacle: Float64
+    """[3] witness point on the obstacle, m."""
+
+
+@dataclass(frozen=True)
+class Approaches:
+    """Pairs of capsules and obstacles, and how their distances change while the arm alone moves."""
+
+    capsules: NDArray[np.int64]
+    """[n] row in the checker's capsules."""
+    obstacles: NDArray[np.int64]
+    """[n] row in the obstacles."""
+    distances: Float64
+    """[T, n] m, at each step of the path, the obstacle standing where it is."""
+
+
+_NO_CLEARANCE = Clearance(float("inf"), "", -1, np.full(3, np.nan), np.full(3, np.nan))
+
+
+class ArmCollisionChecker:
+    """Distances between an arm and the obstacles it was last given.
+
+    Bounds from closed-form segment distances leave a few candidate pairs; MuJoCo measures those. The first link does
+    not move and is not looked at. Not thread-safe: one checker per thread.
+    """
+
+    def __init__(
+        self,
+        model: ArmModel | str = "ur5e",
+        tool: Attachment | None = None,
+        max_obstacles: int = 1024,
+        allowed: Sequence[AllowedRegion] = (),
+    ) -> None:
+        """`model` is an arm or the name of a UR arm; `max_obstacles` is the pool's size for spheres and for boxes.
+
+        Raises `RobotError` for an unknown arm.
+        """
+        self.bare_model = ur_model(model) if isinstance(model, str) else model
+        self._allowed = tuple(allowed)
+        self._max_obstacles = max_obstacles
+        self._attachments: dict[str, Attachment] = {} if tool is None else {tool.name: tool}
+        self._obstacles = ObstacleSet.empty()
+        self._rebuild()
+
+    @property
+    def model(self) -> ArmModel:
+        """The arm with all that it carries."""
+        return self._model
+
+    @property
+    def capsule_names(self) -> tuple[str, ...]:
+        """Link or attachment of each capsule of `model` [C]."""
+        return self._names
+
+    @property
+    def obstacles(self) -> ObstacleSet:
+        """The obstacles given last."""
+        return self._obstacles
+
+    def attach(self, part: Attachment) -> None:
+        """Adds a part to what the arm carries, in place of one of the same name; rebuilds the scene (tens of ms)."""
+        self._attachments[part.name] = part
+        self._rebuild()
+
+    def detach(self, name: str) -> None:
+        """Takes an attachment off; raises `ArmError` where there is none of that name."""
+        if name not in self._attachments:
+            held = ", ".join(self._attachments) or "nothing"
+            raise ArmError(f"attachment {name}: expected one that is attached, found {held}; check the name")
+        del self._attachments[name]
+        self._rebuild()
+
+    def update(self, obstacles: Obstacles) -> None:
+        """Takes the place of all obstacles given before.
+
+        Raises `ArmError` for obstacles with values that are not finite, of unknown shape, or too many for the pool; the
+        obstacles given before then stay.
+        """
+        incoming = ObstacleSet.of(obstacles)
+        self._scene.place(obstacles)
+        self._obstacles = incoming
+        self._exempt = self._exemptions()
+
+    def distance(self, q: NDArray[np.floating], stamp: int | None = None) -> Clearance:
+        """Closest pair at joint angles [J] (rad), among the obstacles valid at a time (ns), or among all.
+
+        Raises `RobotError` for a wrong number of angles or one that is not finite.
+        """
+        angles = self._model.check_positions(q).reshape(1, -1)
+        valid = np.ones(len(self._obstacles), bool) if stamp is None else self._obstacles.valid_at(stamp)
+        return self._closest(angles, valid[None])[0]
+
+    def check(self, positions: NDArray[np.floating], stamps: NDArray[np.integer]) -> tuple[Clearance, ...]:
+        """Closest pair at every step of a trajectory: positions [T, J] (rad) at stamps [T] (ns), time against time.
+
+        An obstacle counts at a step only if it is valid at that step's stamp. Raises `RobotError` or `ArmError` for a
+        trajectory of the wrong shape or with values that are not finite.
+        """
+        angles = self._model.check_positions(positions)
+        if angles.ndim != 2 or np.shape(stamps) != (len(angles),):
+            raise ArmError(
+                f"trajectory: expected positions [T, {self._model.joints}] and stamps [T], found {angles.shape} and "
+                f"{np.shape(stamps)}; give one stamp per row"
+            )
+        return self._closest(angles, self._obstacles.valid_at(np.asarray(stamps)[:, None]))
+
+    def approaches(self, positions: Float64, reach: Float64) -> Approaches:
+        """Pairs that come within reach [n] (m, per obstacle; negative: leave it out) while the arm moves.
+
+        Distances are given at all steps of the positions [T, J] (rad), obstacles standing still. A pair is kept if its
+        distance may be within reach at any step.
+        """
+        placed = place_capsules(self._model, forward_kinematics(self._model, positions))
+        shapes = self._obstacles
+        lower = self._axis_distances(placed) - placed.radii[:, None] - shapes.outer_radii
+        near = (lower.min(axis=0) <= reach) & (reach >= 0) & ~self._exempt
+        capsules, rows = np.nonzero(near)
+        count, steps = len(rows), len(positions)
+        ends = placed.ends[:, capsules].reshape(-1, 2, 3)
+        gaps = self._gaps(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
+        return Approaches(capsules, rows, gaps.reshape(steps, count))
+
+    def contacts(self, q: NDArray[np.floating]) -> Contacts:
+        """Every overlap with an obstacle at joint angles [J] (rad), by MuJoCo alone, exempt ones and the base too."""
+        self._scene.pose(self._model.check_positions(q))
+        return self._scene.contacts()
+
+    def _closest(self, positions: Float64, valid: Bool) -> tuple[Clearance, ...]:
+        """Closest pair at each of the positions [T, J] among obstacles valid [T, n] there."""
+        if len(self._obstacles) == 0:
+            return (_NO_CLEARANCE,) * len(positions)
+        rows = max(_PAIRS_AT_ONCE // (len(self._names) * len(self._obstacles)), 1)
+        found: list[Clearance] = []
+        for first in range(0, len(positions), rows):
+            part = slice(first, first + rows)
+            placed = place_capsules(self._model, forward_kinematics(self._model, positions[part]))
+            lower = self._axis_distances(placed) - placed.radii[:, None]
+            lower -= self._obstacles.outer_radii
+            lower[np.broadcast_to(self._exempt, lower.shape)] = np.inf
+            lower[np.broadcast_to(~valid[part, None], lower.shape)] = np.inf
+            found += [self._measure(q, bound) for q, bound in zip(positions[part], lower, strict=True)]
+        return tuple(found)
+
+    def _measure(self, q: Float64, lower: Float64) -> Clearance:
+        """Closest pair at joint angles [J], given lower bounds of all pairs' distances [C, n] (infinite: leave out)."""
+        upper = (lower + self._obstacles.slack).min()
+        if not np.isfinite(upper):
+            return _NO_CLEARANCE
+        capsules, rows = np.nonzero(lower <= upper)
+        order = np.argsort(lower[capsules, rows], kind="stable")
+        self._scene.pose(q)
+        best = _NO_CLEARANCE
+        for capsule, row in zip(capsules[order], rows[order], strict=True):
+            if lower[capsule, row] > best.distance:
+                break
+            pair = self._scene.measure(capsule, row)
+            if pair.distance < best.distance:
+                obstacle_id = int(self._obstacles.ids[row])
+                best = Clearance(pair.distance, self._names[capsule], obstacle_id, pair.on_arm, pair.on_obstacle)
+        return best
+
+    def _axis_distances(self, placed: PlacedCapsules) -> Float64:
+        """Distances [T, C, n] of the capsules' axes to the obstacles' centres, m."""
+        flat = axis_distances(placed.ends.reshape(-1, 2, 3), self._obstacles.centers)
+        return flat.reshape(*placed.ends.shape[:2], -1)
+
+    def _gaps(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
+        """Exact distances [n] of capsules (ends [n, 2, 3], radii [n]) to obstacles (rows [n]), m."""
+        shapes = self._obstacles
+        round_ = shapes.is_sphere[rows]
+        out = np.empty(len(rows))
+        chosen = rows[round_]
+        out[round_] = sphere_gaps(ends[round_], radii[round_], shapes.centers[chosen], shapes.half[chosen, 0]).distances
+        chosen = rows[~round_]
+        out[~round_] = box_gaps(
+            ends[~round_], radii[~round_], shapes.centers[chosen], shapes.rotations[chosen], shapes.half[chosen]
+        ).distances
+        return out
+
+    def _rebuild(self) -> None:
+        carried = Capsules(np.empty(0, np.int64), np.empty((0, 2, 3)), np.empty(0))
+        names = [self.bare_model.link_names[link] for link in self.bare_model.capsules.links]
+        for part in self._attachments.values():
+            links = np.full(len(part.radii), self.bare_model.joints)
+            carried = carried.joined(Capsules(links, part.ends, part.radii))
+            names += [part.name] * len(part.radii)
+        self._model = replace(self.bare_model, capsules=self.bare_model.capsules.joined(carried))
+        self._names = tuple(names)
+        self._scene = CollisionScene(self._model, self._max_obstacles)
+        self._scene.place(self._obstacles.source)
+        self._exempt = self._exemptions()
+
+    def _exemptions(self) -> Bool:
+        """True [C, n] for pairs that are not looked at: the standing base's, and allowed contacts."""
+        exempt = np.zeros((len(self._names), len(self._obstacles)), bool)
+        exempt[self._model.capsules.links == 0] = True
+        for region in self._allowed:
+            rows = self._obstacles.is_static & self._obstacles.inside(region.lower, region.upper)
+            exempt |= np.isin(self._names, region.links)[:, None] & rows
+        return exempt

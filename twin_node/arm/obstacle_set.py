@@ -1,0 +1,109 @@
+"""Obstacles checked once and laid out for distance computations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.arm.errors import ArmError
+from twin_node.geometry import rotation_from_quat
+from twin_node.scene import Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
+
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class ObstacleSet:
+    """A checked set of obstacles: `source` as it came, and what distances need of it."""
+
+    source: Obstacles
+    centers: Float64
+    """[n, 3] m."""
+    rotations: Float64
+    """[n, 3, 3]."""
+    half: Float64
+    """[n, 3] half extents, three times the radius for a sphere, m."""
+    is_sphere: Bool
+    """[n]."""
+    outer_radii: Float64
+    """[n] radius of the sphere about the centre that holds the shape, m."""
+    slack: Float64
+    """[n] outer radius less that of the largest sphere about the centre inside the shape, m."""
+
+    @staticmethod
+    def of(obstacles: Obstacles) -> ObstacleSet:
+        """Lays out obstacles; raises `ArmError` for values that no obstacle can have."""
+        _refuse_wrong(obstacles)
+        half = np.asarray(obstacles.sizes, dtype=np.float64).reshape(-1, 3) / 2
+        is_sphere = np.asarray(obstacles.shapes == ObstacleShape.SPHERE)
+        outer = np.where(is_sphere, half[:, 0], np.linalg.norm(half, axis=1))
+        return ObstacleSet(
+            source=obstacles,
+            centers=np.asarray(obstacles.positions, dtype=np.float64).reshape(-1, 3),
+            rotations=rotation_from_quat(np.where(is_sphere[:, None], _NO_TURN, obstacles.quats)),
+            half=half,
+            is_sphere=is_sphere,
+            outer_radii=outer,
+            slack=outer - half.min(axis=1, initial=np.inf),
+        )
+
+    @staticmethod
+    def empty() -> ObstacleSet:
+        """No obstacles."""
+        nothing, times = np.empty((0, 3)), np.empty(0, np.int64)
+        kinds = np.empty(0, np.uint8)
+        ids = np.empty(0, np.uint32)
+        return ObstacleSet.of(
+            Obstacles(0, ids, kinds, kinds, nothing, np.empty((0, 4)), nothing, nothing, np.empty(0), times, times)
+        )
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @property
+    def ids(self) -> UInt32:
+        """[n]."""
+        return self.source.ids
+
+    @property
+    def kinds(self) -> UInt8:
+        """[n] values of `ObstacleKind`."""
+        return self.source.kinds
+
+    @property
+    def is_static(self) -> Bool:
+        """[n]."""
+        return np.asarray(self.kinds == ObstacleKind.STATIC)
+
+    def valid_at(self, stamps: NDArray[np.integer] | int) -> Bool:
+        """True where an obstacle [n] counts at a time (ns); times [T, 1] give [T, n]."""
+        return np.asarray((self.source.valid_from <= stamps) & (stamps <= self.source.valid_to))
+
+    def inside(self, lower: Float64, upper: Float64) -> Bool:
+        """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
+        reach = np.where(self.is_sphere[:, None], self.half, np.einsum("nij,nj->ni", np.abs(self.rotations), self.half))
+        return np.asarray(((self.centers - reach >= lower) & (self.centers + reach <= upper)).all(axis=1))
+
+
+def _refuse_wrong(obstacles: Obstacles) -> None:
+    count = len(obstacles.ids)
+    for name, values in (
+        ("positions", obstacles.positions),
+        ("quats", obstacles.quats),
+        ("sizes", obstacles.sizes),
+        ("velocities", obstacles.velocities),
+    ):
+        if len(values) != count or not np.isfinite(values).all():
+            raise ArmError(
+                f"obstacles: expected {count} rows of finite {name}, found {len(values)} rows, "
+                f"{int((~np.isfinite(values)).sum())} values not finite; check the forecast"
+            )
+    if (obstacles.sizes < 0).any():
+        raise ArmError("obstacles: expected sizes in metres of zero or more, found a negative one; check the forecast")
+    if (
+        not np.isin(obstacles.shapes, list(ObstacleShape)).all()
+        or not np.isin(obstacles.kinds, list(ObstacleKind)).all()
+    ):
+        raise ArmError("obstacles: expected known shapes and kinds, found others; check the versions of the messages")

@@ -1,0 +1,123 @@
+"""The collision scene in MuJoCo: an arm of capsules and a fixed pool of spheres and boxes that stand for obstacles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.arm.errors import ArmError
+from twin_node.robot import ArmModel
+from twin_node.robot.mjcf import geom_names, write_mjcf
+from twin_node.scene import Float64, Obstacles, ObstacleShape
+
+_ARENA_BYTES_PER_OBSTACLE = 64 << 10
+"""Memory for MuJoCo's broad phase and contacts: the default arena overflows at 2000 spheres, this never came near."""
+_FAR_M = 1e3
+"""Distances are measured up to here, m."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The shortest way between one capsule of the arm and one obstacle."""
+
+    distance: float
+    """m; negative: depth of penetration."""
+    on_arm: Float64
+    """[3] m, in `base_link`."""
+    on_obstacle: Float64
+    """[3] m, in `base_link`."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Pairs that overlap."""
+
+    capsules: NDArray[np.int64]
+    """[n] row in the model's capsules."""
+    obstacles: NDArray[np.int64]
+    """[n] row in the obstacles."""
+    depths: Float64
+    """[n] m, positive."""
+
+
+class CollisionScene:
+    """A MuJoCo model of the arm and of up to `capacity` spheres and as many boxes, moved as mocap bodies.
+
+    Contact masks let the arm meet obstacles; obstacles never meet each other. The arm's own links are not paired here.
+    """
+
+    def __init__(self, model: ArmModel, capacity: int) -> None:
+        self.capacity = capacity
+        spec = mujoco.MjSpec.from_string(write_mjcf(model))
+        spec.memory = max(32 << 20, capacity * _ARENA_BYTES_PER_OBSTACLE)
+        for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX):
+            for _ in range(capacity):
+                body = spec.worldbody.add_body(mocap=True)
+                body.add_geom(type=kind, size=[0.1, 0.1, 0.1], contype=0, conaffinity=1, rgba=[0.9, 0.4, 0.1, 0.4])
+        self.model = spec.compile()
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its boxes are those of compile time
+        self.data = mujoco.MjData(self.model)
+        self._arm_geoms = np.array([self.model.geom(name).id for name in geom_names(model)])
+        self._pool = np.flatnonzero(self.model.body_mocapid[self.model.geom_bodyid] >= 0)
+        self._obstacle_geoms: NDArray[np.int64] = np.empty(0, np.int64)
+        self._row_of_geom = np.full(self.model.ngeom, -1)
+        self._capsule_of_geom = np.full(self.model.ngeom, -1)
+        self._capsule_of_geom[self._arm_geoms] = np.arange(len(self._arm_geoms))
+        self._segment = np.zeros(6)
+
+    def place(self, obstacles: Obstacles) -> None:
+        """Puts the pool where the obstacles are; what is left over takes part in nothing.
+
+        Raises `ArmError` for more spheres or boxes than the capacity.
+        """
+        spheres = obstacles.shapes == ObstacleShape.SPHERE
+        needed = int(max(spheres.sum(), (~spheres).sum()))
+        if needed > self.capacity:
+            raise ArmError(
+                f"obstacles: expected at most {self.capacity} of a shape, found {needed}; raise max_obstacles"
+            )
+        slots = np.empty(len(spheres), np.int64)
+        slots[spheres] = np.arange(spheres.sum())
+        slots[~spheres] = self.capacity + np.arange((~spheres).sum())
+        half = obstacles.sizes / 2
+        self.data.mocap_pos[slots] = obstacles.positions
+        self.data.mocap_quat[slots] = obstacles.quats
+        self._obstacle_geoms = self._pool[slots]
+        self.model.geom_size[self._obstacle_geoms] = half
+        self.model.geom_rbound[self._obstacle_geoms] = np.where(spheres, half[:, 0], np.linalg.norm(half, axis=1))
+        self.model.geom_aabb[self._obstacle_geoms] = np.concatenate([np.zeros_like(half), half], axis=1)
+        self.model.geom_conaffinity[self._pool] = 0
+        self.model.geom_conaffinity[self._obstacle_geoms] = 1
+        self._row_of_geom[self._pool] = -1
+        self._row_of_geom[self._obstacle_geoms] = np.arange(len(slots))
+
+    def pose(self, q: NDArray[np.floating]) -> None:
+        """Moves the arm to joint angles [J] (rad), and everything else to where it was placed."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def measure(self, capsule: int, obstacle: int) -> Measured:
+        """Distance between a capsule and an obstacle (rows) as they stand since `pose`."""
+        distance = mujoco.mj_geomDistance(
+            self.model,
+            self.data,
+            self._arm_geoms[capsule],
+            self._obstacle_geoms[obstacle],
+            _FAR_M,
+            self._segment,
+        )
+        return Measured(float(distance), self._segment[:3].copy(), self._segment[3:].copy())
+
+    def contacts(self) -> Contacts:
+        """Every overlap of arm and obstacles as they stand since `pose`, found by MuJoCo's own broad phase."""
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        geoms = np.asarray(self.data.contact.geom).reshape(-1, 2)
+        depths = -np.asarray(self.data.contact.dist).reshape(-1)
+        capsules = np.maximum(self._capsule_of_geom[geoms[:, 0]], self._capsule_of_geom[geoms[:, 1]])
+        rows = np.maximum(self._row_of_geom[geoms[:, 0]], self._row_of_geom[geoms[:, 1]])
+        touching = (capsules >= 0) & (rows >= 0) & (depths >= 0)
+        return Contacts(capsules[touching], rows[touching], depths[touching])
