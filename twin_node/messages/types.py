@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeAlias
 
+from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
@@ -75,7 +76,8 @@ class MessageTypes:
     def extended(self, definitions: Mapping[str, str]) -> MessageTypes:
         """This set and the types of `definitions` (name to `ros2msg` or IDL text), which win over equal names here.
 
-        A definition that cannot be parsed is left out: its type is then unknown unless it is in this set.
+        A definition that cannot be parsed, or that uses types that are nowhere defined, is left out: its type is then
+        unknown unless it is in this set.
         """
         store = Typestore()
         store.fielddefs.update(self._store.fielddefs)
@@ -87,7 +89,8 @@ class MessageTypes:
                 parsed = _parse(name, text)
             except (TypesysError, KeyError, ValueError):
                 continue
-            _replace(store, parsed)
+            if _complete(store, parsed):
+                _replace(store, parsed)
         return MessageTypes(store)
 
     def _require(self, name: str) -> None:
@@ -106,6 +109,18 @@ def _parse(name: str, text: str) -> Typesdict:
             parsed.update(get_types_from_idl(section.split("\n", 1)[1]))
         return parsed
     return get_types_from_msg(text, name)
+
+
+def _complete(store: Typestore, parsed: Typesdict) -> bool:
+    """Whether every type that the parsed ones use is among them or known."""
+    used = {
+        element[1]
+        for _, fields in parsed.values()
+        for _, field in fields
+        for element in (field[1][0] if field[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else field,)
+        if element[0] == Nodetype.NAME
+    }
+    return all(name in parsed or name in store.fielddefs for name in used)
 
 
 def _replace(store: Typestore, parsed: Typesdict) -> None:

@@ -1,0 +1,188 @@
+"""Images through messages and back; depth never lets anything through but finite metres."""
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from twin_node.messages import Message, MessageError, deserialize, serialize
+from twin_node.messages.convert import (
+    compressed_depth_image,
+    compressed_image,
+    depth_from_message,
+    depth_image,
+    raw_image,
+    rgb_from_message,
+)
+
+STAMP = 1_700_000_000_123_456_789
+
+
+def sent(message: Message) -> Message:
+    return deserialize(bytes(serialize(message)), message.__msgtype__)
+
+
+def gradient() -> np.ndarray:
+    y, x = np.mgrid[0:48, 0:64]
+    return np.stack([x * 4, y * 5, 255 - x * 2], axis=-1).astype(np.uint8)
+
+
+def image(encoding: str, data: np.ndarray, **fields: Any) -> Message:
+    height, width = data.shape[:2]
+    rows = np.ascontiguousarray(data).view(np.uint8).reshape(height, -1)
+    base = raw_image("cam", STAMP, np.zeros((height, width, 3), dtype=np.uint8))
+    return replace(base, **{"encoding": encoding, "step": rows.shape[1], "data": rows.reshape(-1), **fields})
+
+
+def test_raw_image_is_exact_and_named_after_its_camera() -> None:
+    message = sent(raw_image("front", STAMP, gradient()))
+    assert message.header.frame_id == "front_optical_frame"
+    assert message.header.stamp.nanosec == 123_456_789
+    np.testing.assert_array_equal(rgb_from_message(message), gradient())
+
+
+def test_jpeg_keeps_colours_in_their_channels() -> None:
+    decoded = rgb_from_message(sent(compressed_image("front", STAMP, gradient())))
+    assert np.abs(decoded.astype(int) - gradient()).mean() < 2
+
+
+@pytest.mark.parametrize(
+    ("encoding", "conversion"),
+    [("bgr8", cv2.COLOR_RGB2BGR), ("rgba8", cv2.COLOR_RGB2RGBA), ("bgra8", cv2.COLOR_RGB2BGRA)],
+)
+def test_other_colour_orders(encoding: str, conversion: int) -> None:
+    message = image(encoding, cv2.cvtColor(gradient(), conversion))
+    np.testing.assert_array_equal(rgb_from_message(sent(message)), gradient())
+
+
+def test_grey_is_repeated_and_row_padding_dropped() -> None:
+    grey = gradient()[..., 0]
+    padded = np.pad(grey, ((0, 0), (0, 8)), constant_values=99)
+    message = replace(image("mono8", padded), width=grey.shape[1])
+    np.testing.assert_array_equal(rgb_from_message(sent(message)), np.repeat(grey[..., None], 3, axis=-1))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "red_at"), [("rggb", (0, 0)), ("bggr", (1, 1)), ("gbrg", (1, 0)), ("grbg", (0, 1))]
+)
+def test_bayer_patterns_put_red_into_the_first_channel(pattern: str, red_at: tuple[int, int]) -> None:
+    mosaic = np.zeros((16, 16), dtype=np.uint8)
+    mosaic[red_at[0] :: 2, red_at[1] :: 2] = 200
+    decoded = rgb_from_message(image(f"bayer_{pattern}8", mosaic))[4:-4, 4:-4]
+    assert decoded[..., 0].min() == 200
+    assert decoded[..., 1:].max() == 0
+
+
+def test_yuv422_in_both_orders() -> None:
+    uyvy = np.tile(np.array([90, 81, 240, 81], dtype=np.uint8), (4, 2)).reshape(4, 4, 2)  # BT.601 red
+    for encoding, data in (("yuv422", uyvy), ("yuv422_yuy2", uyvy[..., ::-1])):
+        decoded = rgb_from_message(image(encoding, data))
+        assert decoded.shape == (4, 4, 3)
+        assert np.abs(decoded.astype(int) - [254, 0, 0]).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (image("32FC1", np.zeros((4, 4), dtype=np.float32)), "image encoding '32FC1'"),
+        (replace(raw_image("cam", STAMP, gradient()), step=10), "damaged"),
+        (replace(raw_image("cam", STAMP, gradient()), data=np.zeros(5, dtype=np.uint8)), "damaged"),
+        (replace(compressed_image("cam", STAMP, gradient()), data=np.arange(50, dtype=np.uint8)), "cannot be decoded"),
+        (replace(compressed_image("cam", STAMP, gradient()), data=np.zeros(0, dtype=np.uint8)), "0 bytes"),
+    ],
+)
+def test_images_that_cannot_be_are_refused_in_one_line(message: Message, words: str) -> None:
+    with pytest.raises(MessageError, match=words) as caught:
+        rgb_from_message(message)
+    assert "cam_optical_frame" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+DEPTHS = hnp.arrays(np.float32, (6, 8), elements=st.floats(width=32))
+
+
+def known(depth: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0)
+
+
+@given(DEPTHS)
+def test_depth_in_metres_is_exact_where_known_and_zero_elsewhere(depth: np.ndarray) -> None:
+    message = sent(depth_image("cam", STAMP, depth))
+    np.testing.assert_array_equal(depth_from_message(message), known(depth))
+
+
+@given(DEPTHS)
+def test_float_depth_of_foreign_drivers_never_passes_what_is_not_finite(depth: np.ndarray) -> None:
+    message = sent(image("32FC1", depth))
+    if np.isfinite(depth).any():
+        np.testing.assert_array_equal(depth_from_message(message), known(depth))
+    else:
+        with pytest.raises(MessageError, match="none of the 48 depth values is finite"):
+            depth_from_message(message)
+
+
+@given(hnp.arrays(np.float32, (6, 8), elements=st.floats(0, 100, width=32)))
+def test_depth_in_millimetres_is_rounded_and_never_wraps(depth: np.ndarray) -> None:
+    millimetres = np.rint(depth * np.float32(1000))
+    expected = np.where(millimetres <= 65535, millimetres, 0) / np.float32(1000)
+    for message in (depth_image("cam", STAMP, depth, "16UC1"), compressed_depth_image("cam", STAMP, depth)):
+        np.testing.assert_array_equal(depth_from_message(sent(message)), expected.astype(np.float32))
+
+
+def test_depth_of_nan_alone_is_refused() -> None:
+    with pytest.raises(MessageError, match="none of the 16 depth values is finite"):
+        depth_from_message(image("32FC1", np.full((4, 4), np.nan, dtype=np.float32)))
+
+
+def test_big_endian_and_plain_png_depth() -> None:
+    millimetres = np.arange(48, dtype=np.uint16).reshape(6, 8) * 100
+    expected = millimetres.astype(np.float32) / np.float32(1000)
+    swapped = image("16UC1", millimetres.byteswap(), is_bigendian=1)
+    np.testing.assert_array_equal(depth_from_message(swapped), expected)
+    plain = replace(
+        compressed_depth_image("cam", STAMP, expected),
+        format="16UC1; png compressed",
+        data=cv2.imencode(".png", millimetres)[1].reshape(-1),
+    )
+    np.testing.assert_array_equal(depth_from_message(sent(plain)), expected)
+
+
+def test_quantised_inverse_depth_of_compressed_depth_transport() -> None:
+    depth = np.linspace(0.5, 8, 48, dtype=np.float32).reshape(6, 8)
+    a, b = 100.0 * 101.0, 1 - 100.0 * 101.0 / 10.0  # depth_quantization 100, depth_max 10 (codec.cpp of the transport)
+    levels = np.rint(a / depth + b).astype(np.uint16)
+    levels[0, 0] = 0
+    config = np.frombuffer(np.int32(0).tobytes() + np.float32([a, b]).tobytes(), dtype=np.uint8)
+    data = np.concatenate([config, cv2.imencode(".png", levels)[1].reshape(-1)])
+    message = replace(compressed_depth_image("cam", STAMP, depth), format="32FC1; compressedDepth png", data=data)
+    decoded = depth_from_message(sent(message))
+    assert decoded[0, 0] == 0
+    np.testing.assert_allclose(decoded.flat[1:], depth.flat[1:], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (raw_image("cam", STAMP, gradient()), "depth encoding 'rgb8'"),
+        (compressed_image("cam", STAMP, gradient()), "cannot be decoded"),
+        (
+            replace(compressed_depth_image("cam", STAMP, np.ones((4, 4), np.float32)), data=np.zeros(3, np.uint8)),
+            "3 bytes",
+        ),
+        (
+            replace(
+                compressed_depth_image("cam", STAMP, np.ones((4, 4), np.float32)),
+                data=cv2.imencode(".png", gradient())[1].reshape(-1),
+            ),
+            "one 16-bit channel",
+        ),
+    ],
+)
+def test_depth_that_is_none_is_refused(message: Message, words: str) -> None:
+    with pytest.raises(MessageError, match=words):
+        depth_from_message(message)

@@ -1,0 +1,300 @@
+"""Clouds, occupancy, obstacles, joints, separation, status, calibration and transforms through messages and back."""
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.geometry import inverse_pose, pose, rotation_from_quat
+from twin_node.messages import Message, MessageError, deserialize, serialize
+from twin_node.messages import convert as c
+from twin_node.scene import (
+    GaussianCloud,
+    Grid,
+    JointPath,
+    JointSample,
+    ObstacleKind,
+    Obstacles,
+    ObstacleShape,
+    Occupancy,
+    OccupancyLayer,
+    Rig,
+    RigCamera,
+    Separation,
+    Tier,
+)
+
+STAMP = 1_700_000_000_123_456_789
+
+
+def sent(message: Message) -> Message:
+    return deserialize(bytes(serialize(message)), message.__msgtype__)
+
+
+def assert_same(found: Any, expected: Any) -> None:
+    if is_dataclass(expected):
+        for item in fields(expected):
+            assert_same(getattr(found, item.name), getattr(expected, item.name))
+    elif isinstance(expected, tuple) and expected and is_dataclass(expected[0]):
+        assert len(found) == len(expected)
+        for pair in zip(found, expected, strict=True):
+            assert_same(*pair)
+    elif isinstance(expected, np.ndarray):
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)
+    else:
+        assert found == expected
+
+
+def cloud(n: int, seed: int = 0) -> GaussianCloud:
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4))
+    return GaussianCloud(
+        means=rng.normal(size=(n, 3)).astype(np.float32),
+        quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        scales=rng.random((n, 3), dtype=np.float32),
+        opacities=rng.random(n, dtype=np.float32),
+        rgb=rng.integers(0, 256, (n, 3)).astype(np.float32) / np.float32(255),
+        velocities=rng.normal(size=(n, 3)).astype(np.float32),
+        tiers=rng.integers(0, len(Tier), n).astype(np.uint8),
+        ids=rng.integers(0, 2**32, n, dtype=np.uint32),
+        nodes=np.full(n, -1, dtype=np.int32),
+    )
+
+
+@pytest.mark.parametrize("n", [0, 1, 1000])
+def test_gaussians_survive(n: int) -> None:
+    message = sent(c.gaussians_to_pointcloud2(cloud(n), STAMP))
+    assert (message.height, message.width, message.row_step) == (1, n, n * message.point_step)
+    assert_same(c.gaussians_from_pointcloud2(message), cloud(n))
+
+
+def test_colours_are_packed_as_viewers_expect() -> None:
+    one = replace(cloud(1), rgb=np.array([[1.0, 0.5, 0.0]], dtype=np.float32))
+    message = c.gaussians_to_pointcloud2(one, STAMP)
+    rgb = next(field for field in message.fields if field.name == "rgb")
+    assert rgb.datatype == 7  # FLOAT32, the bits of 0x00RRGGBB (PCL)
+    assert int.from_bytes(bytes(message.data[rgb.offset : rgb.offset + 4]), "little") == 0xFF8000
+
+
+def test_colours_out_of_range_are_clipped() -> None:
+    one = replace(cloud(1), rgb=np.array([[1.7, -0.5, 1.0]], dtype=np.float32))
+    back = c.gaussians_from_pointcloud2(c.gaussians_to_pointcloud2(one, STAMP))
+    np.testing.assert_array_equal(back.rgb, [[1, 0, 1]])
+
+
+def test_clouds_of_others_are_refused_by_what_they_lack() -> None:
+    message = c.gaussians_to_pointcloud2(cloud(3), STAMP)
+    with pytest.raises(MessageError, match="fields id, tier are missing"):
+        c.gaussians_from_pointcloud2(replace(message, fields=message.fields[:-2]))
+    with pytest.raises(MessageError, match="3 points of 68 bytes need 204"):
+        c.gaussians_from_pointcloud2(replace(message, data=message.data[:100]))
+    with pytest.raises(MessageError, match="little-endian"):
+        c.gaussians_from_pointcloud2(replace(message, is_bigendian=True))
+
+
+def layer(horizon_ns: int, indices: list[int]) -> OccupancyLayer:
+    return OccupancyLayer(
+        horizon_ns, np.array(indices, dtype=np.uint32), np.arange(len(indices), dtype=np.uint8) + np.uint8(200)
+    )
+
+
+def occupancy() -> Occupancy:
+    return Occupancy(
+        stamp=STAMP,
+        publish_stamp=STAMP + 33_000_000,
+        grid=Grid(np.array([-1.0, -0.5, 0.1]), 0.05, (4, 5, 6)),
+        layers=(layer(0, [1, 5, 119]), layer(200_000_000, [])),
+        static=layer(0, [0, 2]),
+        unknown_runs=np.array([[10, 3], [40, 20]], dtype=np.uint32),
+    )
+
+
+def test_occupancy_survives() -> None:
+    assert_same(c.occupancy_from_message(sent(c.occupancy_to_message(occupancy()))), occupancy())
+
+
+def test_occupancy_that_contradicts_itself_is_refused() -> None:
+    message = c.occupancy_to_message(occupancy())
+    with pytest.raises(MessageError, match="pairs"):
+        c.occupancy_from_message(replace(message, unknown_runs=np.zeros(3, dtype=np.uint32)))
+    first = message.layers[0]
+    with pytest.raises(MessageError, match="3 indices but 1 probabilities"):
+        c.occupancy_from_message(replace(message, layers=[replace(first, probability=first.probability[:1])]))
+    with pytest.raises(MessageError, match="index 120 is outside"):
+        indices = np.array([1, 5, 120], dtype=np.uint32)
+        c.occupancy_from_message(replace(message, layers=[replace(first, indices=indices)]))
+
+
+@pytest.mark.parametrize("n", [0, 2])
+def test_obstacles_survive(n: int) -> None:
+    rng = np.random.default_rng(1)
+    obstacles = Obstacles(
+        stamp=STAMP,
+        ids=np.array([7, 2**32 - 1], dtype=np.uint32)[:n],
+        kinds=np.array([ObstacleKind.MOVING, ObstacleKind.UNKNOWN], dtype=np.uint8)[:n],
+        shapes=np.array([ObstacleShape.SPHERE, ObstacleShape.BOX], dtype=np.uint8)[:n],
+        positions=rng.normal(size=(n, 3)),
+        quats=rng.normal(size=(n, 4)),
+        sizes=rng.random((n, 3)),
+        velocities=rng.normal(size=(n, 3)),
+        bounds=rng.random(n),
+        valid_from=np.array([STAMP, STAMP + 1], dtype=np.int64)[:n],
+        valid_to=np.array([STAMP + 50, STAMP + 10**9], dtype=np.int64)[:n],
+    )
+    assert_same(c.obstacles_from_message(sent(c.obstacles_to_message(obstacles))), obstacles)
+
+
+def test_constants_are_those_of_the_records() -> None:
+    from twin_node.messages import message_type
+
+    obstacle, status = message_type("twin_msgs/msg/Obstacle"), message_type("twin_msgs/msg/TwinStatus")
+    for member in (*ObstacleKind, *ObstacleShape):
+        assert getattr(obstacle, member.name) == member
+    for tier in Tier:
+        assert getattr(status, tier.name) == tier
+
+
+def test_joints_survive() -> None:
+    sample = JointSample(STAMP, ("a", "b"), np.array([0.1, -2.0]), np.array([0.0, 1.5]))
+    message = sent(c.joint_sample_to_message(sample))
+    assert_same(c.joint_sample_from_message(message), sample)
+    still = c.joint_sample_from_message(replace(message, velocity=np.zeros(0)))
+    np.testing.assert_array_equal(still.velocities, [0, 0])
+    with pytest.raises(MessageError, match="2 names, 1 positions"):
+        c.joint_sample_from_message(replace(message, position=np.zeros(1)))
+    with pytest.raises(MessageError, match="not finite"):
+        c.joint_sample_from_message(replace(message, position=np.array([0.0, np.nan])))
+
+
+def path() -> JointPath:
+    stamps = STAMP + np.array([0, 40_000_000, 1_500_000_000], dtype=np.int64)
+    return JointPath(("a", "b"), stamps, np.arange(6.0).reshape(3, 2))
+
+
+def test_paths_survive_and_zero_stamps_mean_now() -> None:
+    message = sent(c.joint_path_to_message(path()))
+    assert_same(c.joint_path_from_message(message, received=5), path())
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+    assert c.joint_path_from_message(message, received=5).stamps[0] == 5
+
+
+def test_paths_that_do_not_advance_are_refused() -> None:
+    message = c.joint_path_to_message(path())
+    with pytest.raises(MessageError, match=r"point 1: time_from_start 0 s is not after 0\.04 s"):
+        c.joint_path_from_message(replace(message, points=[message.points[1], message.points[0]]), received=0)
+    with pytest.raises(MessageError, match="at least one point"):
+        c.joint_path_from_message(replace(message, points=[]), received=0)
+    with pytest.raises(MessageError, match="point 0: 2 positions for 1 joints"):
+        c.joint_path_from_message(replace(message, joint_names=["a"]), received=0)
+
+
+def test_separation_survives_with_infinite_distance() -> None:
+    terms = (0.1, 0.2, 0.3, 0.4, 0.5)
+    separation = Separation(STAMP, STAMP - 5, float("inf"), 1.5, *terms, "forearm", -1, 0.25, "no obstacles")
+    assert_same(c.separation_from_message(sent(c.separation_to_message(separation))), separation)
+
+
+def test_status_survives() -> None:
+    status = c.Status(
+        stamp=STAMP,
+        tier_counts=(1, 2, 3, 4, 5),
+        parameters=10**10,
+        sets=100,
+        dropped=3,
+        bytes_per_frame=1e6,
+        latency_p50_ms=20.5,
+        latency_p95_ms=30.0,
+        latency_p99_ms=40.0,
+        coverage=0.97,
+        coverage_target=0.95,
+        psnr_db=25.0,
+        warnings=("camera front is silent", ""),
+    )
+    assert_same(c.status_from_message(sent(c.status_to_message(status))), status)
+    bare = c.status_from_message(sent(c.status_to_message(c.Status(STAMP, (), 0, 0, 0))))
+    assert np.isnan(bare.psnr_db)
+    assert bare.tier_counts == (0, 0, 0, 0, 0)
+
+
+def test_clock_survives() -> None:
+    assert c.clock_from_message(sent(c.clock_to_message(STAMP))) == STAMP
+
+
+def camera(name: str = "front", seed: int = 0) -> RigCamera:
+    rng = np.random.default_rng(seed)
+    K = np.array([[600.0, 0, 321.5], [0, 610.0, 239.25], [0, 0, 1]])
+    T = pose(rotation_from_quat(rng.normal(size=4)), rng.normal(size=3))
+    return RigCamera(name, 640, 480, K, T, "plumb_bob", np.array([0.1, -0.2, 0.001, 0.002, 0.05]), sigma_m=0.004)
+
+
+def test_cameras_survive() -> None:
+    info = sent(c.camera_info(camera(), STAMP))
+    assert info.header.frame_id == "front_optical_frame"
+    np.testing.assert_array_equal(info.p.reshape(3, 4)[:, :3], camera().K)
+    assert_same(c.rig_camera(info, "front", camera().T_base_cam, 0.004), camera())
+
+
+def test_binning_and_region_of_interest_keep_every_ray() -> None:
+    info = c.camera_info(camera(), STAMP)
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 100, 50, 400, 300
+    info.binning_x = info.binning_y = 2
+    fitted = c.rig_camera(info, "front", camera().T_base_cam)
+    assert (fitted.width, fitted.height) == (200, 150)
+    full = camera().K @ [0.1, -0.05, 1.0]
+    binned = fitted.K @ [0.1, -0.05, 1.0]
+    # pixel i of the binned region covers full pixels 100 + 2 i and 100 + 2 i + 1, its centre lies between theirs
+    np.testing.assert_allclose(binned[:2] * 2 + 0.5 + [100, 50], full[:2])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"k": np.zeros(9)}, "no calibration"),
+        ({"distortion_model": "fisheye624"}, "distortion model 'fisheye624'"),
+        ({"d": np.zeros(3)}, "plumb_bob needs 4 or 5 finite"),
+        ({"d": np.full(5, np.nan)}, "plumb_bob needs 4 or 5 finite"),
+    ],
+)
+def test_cameras_without_calibration_are_named(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(MessageError, match=words) as caught:
+        c.rig_camera(replace(c.camera_info(camera(), STAMP), **changes), "front", np.eye(4))
+    assert str(caught.value).startswith("camera front")
+
+
+@given(st.integers(0, 1000))
+def test_poses_survive_static_transforms(seed: int) -> None:
+    rig = Rig((camera("left", seed), camera("right", seed + 1)))
+    tree = c.TransformTree()
+    tree.add(sent(c.tf_static(rig, STAMP)))
+    for item in rig.cameras:
+        np.testing.assert_allclose(tree.lookup(c.optical_frame(item.name)), item.T_base_cam, atol=1e-12)
+
+
+def test_chains_are_composed_across_branches() -> None:
+    T_world_base, T_world_link, T_link_cam = (camera(seed=seed).T_base_cam for seed in (1, 2, 3))
+    messages = [
+        c.transform_stamped("world", "base_link", T_world_base, 0),
+        c.transform_stamped("/world", "cam_link", T_world_link, 0),
+        c.transform_stamped("cam_link", "cam_optical", T_link_cam, 0),
+    ]
+    tree = c.TransformTree()
+    for message in messages:
+        tree.add(replace(c.tf_static(Rig(()), 0), transforms=[message]))
+    expected = inverse_pose(T_world_base) @ T_world_link @ T_link_cam
+    np.testing.assert_allclose(tree.lookup("cam_optical"), expected, atol=1e-12)
+    assert "cam_optical" in tree
+    assert "world" not in tree
+
+
+def test_frames_that_nothing_joins_and_loops_are_named() -> None:
+    tree = c.TransformTree()
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("a", "b", np.eye(4), 0)]))
+    with pytest.raises(MessageError, match="frame b: no transforms join it to base_link"):
+        tree.lookup("b")
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("b", "a", np.eye(4), 0)]))
+    with pytest.raises(MessageError, match="loop"):
+        tree.lookup("b")

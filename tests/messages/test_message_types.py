@@ -1,0 +1,118 @@
+"""Types, hashes and CDR against published values; arrays without copies; definitions that a log brings along."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node import resources
+from twin_node.messages import (
+    MessageError,
+    builtin_types,
+    definition,
+    deserialize,
+    from_duration,
+    from_time,
+    message_type,
+    serialize,
+    to_duration,
+    to_time,
+    type_hash,
+)
+
+OWN_TYPES = sorted(path.stem for path in resources.find("msgs/msg").glob("*.msg"))
+
+
+def test_every_own_type_is_built_by_cmake() -> None:
+    listed = re.findall(r'"msg/(\w+)\.msg"', resources.find("msgs/CMakeLists.txt").read_text())
+    assert sorted(listed) == OWN_TYPES
+
+
+@pytest.mark.parametrize("name", OWN_TYPES)
+def test_own_types_are_known_and_hashed(name: str) -> None:
+    msgtype = f"twin_msgs/msg/{name}"
+    assert message_type(msgtype).__msgtype__ == msgtype
+    assert re.fullmatch(r"RIHS01_[0-9a-f]{64}", type_hash(msgtype))
+    assert builtin_types().extended({msgtype: definition(msgtype)}).type_hash(msgtype) == type_hash(msgtype)
+
+
+def test_hashes_are_those_that_ros_announces() -> None:
+    # sources: design document of rmw_zenoh for String; `ros2 topic info -v` output in public files for PointCloud2
+    assert type_hash("std_msgs/msg/String") == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    expected = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
+    assert type_hash("sensor_msgs/msg/PointCloud2") == expected
+
+
+def test_cdr_is_the_standard_layout() -> None:
+    # encapsulation CDR_LE, then uint32 length with the terminator, then the characters (OMG DDSI-RTPS 10.2)
+    assert bytes(serialize(message_type("std_msgs/msg/String")(data="hey"))) == b"\0\1\0\0\4\0\0\0hey\0"
+
+
+def test_arrays_are_views_of_the_bytes() -> None:
+    layer = message_type("twin_msgs/msg/OccupancyLayer")(
+        horizon=to_duration(50_000_000),
+        indices=np.arange(1000, dtype=np.uint32),
+        probability=np.full(1000, 255, dtype=np.uint8),
+    )
+    data = bytes(serialize(layer))
+    back = deserialize(data, layer.__msgtype__)
+    np.testing.assert_array_equal(back.indices, layer.indices)
+    assert np.shares_memory(back.indices, np.frombuffer(data, dtype=np.uint8))
+    assert not back.indices.flags.writeable
+
+
+@given(st.binary(max_size=200), st.sampled_from(["twin_msgs/msg/ObstacleArray", "sensor_msgs/msg/PointCloud2"]))
+def test_random_bytes_are_a_message_or_a_clear_error(data: bytes, msgtype: str) -> None:
+    try:
+        assert deserialize(data, msgtype).__msgtype__ == msgtype
+    except MessageError as error:
+        assert msgtype in str(error)
+        assert "\n" not in str(error)
+
+
+def test_unknown_type_is_named() -> None:
+    with pytest.raises(MessageError, match="sensor_msgs/msg/Imag: unknown message type"):
+        message_type("sensor_msgs/msg/Imag")
+
+
+def test_a_logs_definition_wins_over_the_built_in_one() -> None:
+    types = builtin_types().extended({"std_msgs/msg/String": "string data\nuint32 count\n"})
+    message = types.message_type("std_msgs/msg/String")(data="a", count=7)
+    assert types.deserialize(types.serialize(message), "std_msgs/msg/String").count == 7
+    assert not hasattr(message_type("std_msgs/msg/String")(data="a"), "count")
+
+
+def test_new_types_and_idl_are_taken_from_definitions() -> None:
+    idl = "=" * 80 + "\nIDL: mine/msg/Point\nmodule mine { module msg { struct Point { double x; }; }; };\n"
+    text = "mine/Inner[] items\n" + "=" * 80 + "\nMSG: mine/Inner\nint16 value\n"
+    types = builtin_types().extended({"mine/msg/Outer": text, "mine/msg/Point": idl})
+    inner = types.message_type("mine/msg/Inner")
+    message = types.message_type("mine/msg/Outer")(items=[inner(value=3), inner(value=-3)])
+    assert [i.value for i in types.deserialize(types.serialize(message), "mine/msg/Outer").items] == [3, -3]
+    assert types.message_type("mine/msg/Point")(x=1.5).x == 1.5
+
+
+def test_a_definition_that_cannot_be_parsed_leaves_the_rest() -> None:
+    types = builtin_types().extended({"mine/msg/Bad": "this is no definition at all {"})
+    assert "mine/msg/Bad" not in types
+    assert "std_msgs/msg/String" in types
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_stamps_survive(stamp: int) -> None:
+    time = to_time(stamp)
+    assert 0 <= time.nanosec < 10**9
+    assert from_time(time) == stamp
+
+
+@given(st.integers(-(10**18), 10**18))
+def test_durations_survive(span: int) -> None:
+    assert from_duration(to_duration(span)) == span
+
+
+@pytest.mark.parametrize("stamp", [-1, 2**31 * 10**9])
+def test_stamps_that_ros_cannot_hold_are_refused(stamp: int) -> None:
+    with pytest.raises(MessageError, match=str(stamp)):
+        to_time(stamp)
