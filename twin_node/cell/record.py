@@ -10,8 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from twin_node.bag import LogWriter
-from twin_node.bag.rig import write_rig
+from twin_node.bag import LogWriter, write_rig
 from twin_node.cell.scenario import Scenario
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import SimulatedRig

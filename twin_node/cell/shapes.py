@@ -78,6 +78,8 @@ def _sphere_entries(radius: np.float32, origin: Float32, directions: Float32) ->
 
 
 def _capsule_entries(radius: np.float32, half_length: np.float32, origin: Float32, directions: Float32) -> Float32:
+    if np.hypot(origin[0], np.hypot(origin[1], max(abs(origin[2]) - half_length, 0))) < radius:
+        return np.full(directions.shape[1], np.inf, np.float32)
     x, y, z = directions
     a = x * x + y * y
     b = origin[0] * x + origin[1] * y

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bag import BagError, open_log, read_rig_record
+from twin_node.cell import CellSource, CellTruth, Scenario, SimulatedRig, write_log
+from twin_node.cell.scenario import Fault
+from twin_node.messages import MessageError, header_stamp
+from twin_node.messages.convert import (
+    TransformTree,
+    depth_from_message,
+    joint_path_from_message,
+    joint_sample_from_message,
+    occupancy_from_message,
+    rgb_from_message,
+    rig_camera,
+)
+
+
+@pytest.fixture(scope="module")
+def log(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cell") / "small.mcap"
+    write_log(small, path)
+    return path
+
+
+def test_the_log_has_every_topic_at_its_rate(log: Path) -> None:
+    counts = {topic.name: topic.count for topic in open_log(log).topics}
+    for camera in ("cam_front", "cam_left", "cam_back"):
+        for topic in ("camera_info", "image_raw/compressed", "depth/image_rect"):
+            assert counts.pop(f"/{camera}/{topic}") == 15
+    assert counts == {"/tf_static": 1, "/joint_states": 63, "/arm/trajectory": 5, "/truth/occupancy": 15}
+
+
+def test_the_log_carries_the_rig(log: Path, small: Scenario) -> None:
+    reader, expected = open_log(log), SimulatedRig(small).rig
+    assert expected.workspace is not None
+    assert np.array_equal(read_rig_record(reader).workspace, expected.workspace)
+    tree = TransformTree()
+    tree.add(next(reader.messages(["/tf_static"])).message)
+    for camera in expected.cameras:
+        info = next(reader.messages([f"/{camera.name}/camera_info"])).message
+        T_base_cam = tree.lookup(info.header.frame_id)
+        read = rig_camera(info, camera.name, T_base_cam)
+        assert np.allclose(read.K, camera.K)
+        assert np.allclose(read.T_base_cam, camera.T_base_cam)
+
+
+def test_images_joints_and_truth_survive_the_log(log: Path, small: Scenario) -> None:
+    first = next(iter(CellSource(small)))
+    simulated = SimulatedRig(small)
+    truth = CellTruth(simulated)
+    read = {}
+    for item in open_log(log).messages():
+        read.setdefault(item.topic, item.message)
+    for view in first.views:
+        image = read[f"/{view.camera.name}/image_raw/compressed"]
+        depth = read[f"/{view.camera.name}/depth/image_rect"]
+        assert header_stamp(image) == header_stamp(depth) == view.stamp
+        assert header_stamp(read[f"/{view.camera.name}/camera_info"]) == view.stamp
+        assert np.abs(rgb_from_message(image).astype(int) - view.rgb).mean() < 4
+        assert np.array_equal(depth_from_message(depth), view.depth)
+    occupancy = occupancy_from_message(read["/truth/occupancy"])
+    assert np.array_equal(occupancy.layers[0].indices, truth.moving_voxels(truth.grid, occupancy.stamp))
+    arm = simulated.world.arm
+    assert arm is not None
+    joints = joint_sample_from_message(read["/joint_states"])
+    path = joint_path_from_message(read["/arm/trajectory"], 0)
+    assert np.allclose(joints.positions, arm.sample(joints.stamp).positions)
+    assert np.allclose(path.positions, arm.positions(path.stamps))
+    assert path.stamps[-1] - path.stamps[0] >= 400_000_000
+
+
+def test_messages_are_in_order_of_time_and_progress_reaches_the_end(small: Scenario, tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    write_log(replace(small, duration_s=0.2), tmp_path / "log.mcap", lambda done, total: told.append((done, total)))
+    stamps = [item.stamp for item in open_log(tmp_path / "log.mcap").messages()]
+    assert stamps == sorted(stamps)
+    assert told[-1][0] == told[-1][1] == len(stamps) - 1
+
+
+def test_the_same_scenario_gives_the_same_bytes(small: Scenario, tmp_path: Path) -> None:
+    short = replace(small, duration_s=0.15)
+    for name, scenario in (("a", short), ("b", short), ("c", short.with_seed(7))):
+        write_log(scenario, tmp_path / f"{name}.mcap")
+    a, b, c = ((tmp_path / f"{name}.mcap").read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_faults_reach_the_log(small: Scenario, tmp_path: Path) -> None:
+    faults = (Fault("nan_depth", "cam_left"), Fault("unsorted_stamps", "cam_front"), Fault("missing", "cam_back"))
+    write_log(replace(small, duration_s=0.2, faults=faults), tmp_path / "log.mcap")
+    items = list(open_log(tmp_path / "log.mcap").messages())
+    seen = Counter(item.topic for item in items)
+    assert not any(topic.startswith("/cam_back/") for topic in seen)
+    stamps = [header_stamp(item.message) for item in items if item.topic == "/cam_front/image_raw/compressed"]
+    assert stamps != sorted(stamps)
+    depth = next(item.message for item in items if item.topic == "/cam_left/depth/image_rect")
+    assert depth.encoding == "32FC1" and np.isnan(depth.data.view(np.float32)).all()
+    with pytest.raises(MessageError, match="finite"):
+        depth_from_message(depth)
+
+
+def test_nothing_is_left_where_the_log_cannot_be_written(small: Scenario, tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="folder"):
+        write_log(small, tmp_path / "nowhere" / "log.mcap")
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_log(small, tmp_path / "log.mcap", stop)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from twin_node import resources
+from twin_node.cell import CellError, load_scenario
+from twin_node.cell.world import World
+from twin_node.resources import ResourceError
+
+CAMERA = {"name": "cam", "position": [1.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0]}
+BALL = {"name": "ball", "parts": [{"form": "sphere", "size": [0.1]}]}
+
+
+def written(tmp_path: Path, content: object) -> Path:
+    path = tmp_path / "scenario.yaml"
+    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+    return path
+
+
+@pytest.mark.parametrize("path", sorted(resources.find("sim").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_scenario_that_ships_loads(path: Path) -> None:
+    scenario = load_scenario(path)
+    assert scenario.cameras
+    assert World(scenario).static
+
+
+def test_a_scenario_is_found_by_its_bare_name() -> None:
+    assert load_scenario("demo") == load_scenario("sim/demo.yaml")
+
+
+def test_what_a_scenario_does_not_set_comes_from_the_one_it_extends() -> None:
+    demo, cell = load_scenario("demo"), load_scenario("cell")
+    assert demo.furniture == cell.furniture
+    assert demo.cameras == cell.cameras
+    assert [body.name for body in demo.bodies] == ["parcel"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"camera": []}, "did you mean 'cameras'"),
+        ({"cameras": [{**CAMERA, "fov": 3}]}, "did you mean 'fov_deg'"),
+        ({"cameras": []}, "at least one camera"),
+        ({"cameras": [CAMERA, CAMERA]}, "name of its own, found 'cam'"),
+        ({"cameras": [{**CAMERA, "name": "left cam"}]}, "'left cam'"),
+        ({"cameras": [{**CAMERA, "fov_deg": 190.0}]}, "fov_deg"),
+        ({"cameras": [{**CAMERA, "look_at": [1.0, 0.0, 1.0]}]}, "look_at"),
+        ({"cameras": [CAMERA], "duration_s": 0.0}, "duration_s"),
+        ({"cameras": [CAMERA], "duration_s": "long"}, "expected float"),
+        ({"cameras": [CAMERA], "workspace": [[0, 0, 0], [1, 0, 1]]}, "workspace"),
+        ({"cameras": [CAMERA], "sensing": {"rate_hz": 0.0}}, "rate_hz"),
+        ({"cameras": [CAMERA], "sensing": {"jitter_ms": 20.0}}, "jitter_ms"),
+        ({"cameras": [CAMERA], "bodies": [BALL, BALL]}, "found 'ball' as number 2"),
+        ({"cameras": [CAMERA], "bodies": [{"name": "ball"}]}, "'ball'.*parts"),
+        ({"cameras": [CAMERA], "bodies": [{"name": "b", "parts": [{"form": "cone"}]}]}, "'cone'"),
+        ({"cameras": [CAMERA], "bodies": [{"name": "b", "parts": [{"form": "sphere"}]}]}, "takes 1 positive"),
+        ({"cameras": [CAMERA], "bodies": [{"name": "b", "parts": [{"texture": {"pattern": "fur"}}]}]}, "'fur'"),
+        (
+            {
+                "cameras": [CAMERA],
+                "furniture": [{**BALL, "path": {"times_s": [0, 1], "positions": [[0, 0, 0], [1, 0, 0]]}}],
+            },
+            "under 'bodies'",
+        ),
+        ({"cameras": [CAMERA], "faults": [{"kind": "frozen", "camera": "cam2"}]}, "'cam2'; known cameras: cam"),
+        ({"cameras": [CAMERA], "faults": [{"kind": "fog", "camera": "cam"}]}, "'fog'"),
+        ("[1, 2", "YAML"),
+        ("just words", "keys and values"),
+    ],
+)
+def test_a_wrong_scenario_gives_one_line_that_says_what_is_wrong(tmp_path: Path, content: object, words: str) -> None:
+    path = written(tmp_path, content)
+    with pytest.raises(CellError, match=words) as caught:
+        load_scenario(path)
+    assert "scenario.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scenario_that_is_not_there_says_where_it_was_looked_for() -> None:
+    with pytest.raises(ResourceError, match=r"sim/nowhere\.yaml"):
+        load_scenario("nowhere")
+
+
+def test_an_unknown_arm_is_refused(tmp_path: Path) -> None:
+    from twin_node.errors import TwinError
+
+    scenario = load_scenario(written(tmp_path, {"cameras": [CAMERA], "arm": {"model": "ur99"}}))
+    with pytest.raises(TwinError, match="ur99"):
+        World(scenario)
+
+
+def test_another_seed_moves_what_acts_only_where_the_scenario_varies() -> None:
+    for name, varies in (("thrown_ball", True), ("demo", False)):
+        scenario = load_scenario(name)
+        stamp = scenario.start_ns + 1_200_000_000
+        first, second = (World(scenario.with_seed(seed)).moving(stamp)[0].placed for seed in (1, 2))
+        assert (first.T_base_shape != second.T_base_shape).any() == varies

@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin_node.cell import CellSource, Scenario, SimulatedRig
+from twin_node.cell.scenario import Fault
+from twin_node.cell.simulator import UNSORTED_STEP_NS
+from twin_node.cell.truth import back_project
+from twin_node.robot import forward_kinematics, robot_mask
+from twin_node.scene import FrameSet
+
+
+@pytest.fixture(scope="module")
+def sets(small: Scenario) -> list[FrameSet]:
+    return list(CellSource(small))
+
+
+def faulty(small: Scenario, kind: str, **when: float) -> Scenario:
+    return replace(small, faults=(Fault(kind, "cam_left", **when),))
+
+
+def test_sets_keep_the_contract_of_a_frame_source(small: Scenario, sets: list[FrameSet]) -> None:
+    assert len(sets) == 15
+    assert [s.sequence for s in sets] == list(range(15))
+    assert np.all(np.diff([s.stamp for s in sets]) > 0)
+    for frames in sets:
+        assert [view.camera.name for view in frames.views] == ["cam_front", "cam_left", "cam_back"]
+        assert frames.stamp == max(view.stamp for view in frames.views)
+        assert frames.joints is not None and frames.joints.positions.shape == (6,)
+        for view in frames.views:
+            assert view.rgb.shape == (72, 96, 3) and view.rgb.dtype == np.uint8
+            assert view.depth is not None and view.depth.dtype == np.float32 and np.isfinite(view.depth).all()
+
+
+def test_stamps_jitter_about_each_cameras_own_delay(small: Scenario) -> None:
+    rig = SimulatedRig(replace(small, duration_s=20.0))
+    period_ns = 1e9 / 30
+    for camera, spec in enumerate(small.cameras):
+        stamps = np.array([e.stamp for e in rig.exposures() if e.camera == camera])
+        late_ms = (stamps - small.start_ns - (np.arange(len(stamps)) + 0.5) * period_ns) / 1e6
+        assert late_ms.mean() == pytest.approx(spec.skew_ms, abs=0.2)
+        assert late_ms.std() == pytest.approx(small.sensing.jitter_ms, rel=0.15)
+        assert np.all(np.diff(stamps) > 0)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(small: Scenario, sets: list[FrameSet]) -> None:
+    again = next(iter(CellSource(small)))
+    other = next(iter(CellSource(small.with_seed(99))))
+    for first, same, different in zip(sets[0].views, again.views, other.views, strict=True):
+        assert first.stamp == same.stamp != different.stamp
+        assert np.array_equal(first.rgb, same.rgb) and not np.array_equal(first.rgb, different.rgb)
+        assert first.depth is not None and same.depth is not None
+        assert np.array_equal(first.depth, same.depth)
+
+
+def test_noise_is_as_strong_as_the_scenario_says(small: Scenario) -> None:
+    rig = SimulatedRig(small)
+    exposure = rig.exposures()[0]
+    perfect, image = rig.render(exposure), rig.take(exposure)
+    known = (image.depth_mm > 0) & (perfect.depth > 0)
+    scaled = (image.depth_mm[known] - 1000 * perfect.depth[known]) / perfect.depth[known] ** 2
+    assert scaled.std() == pytest.approx(small.sensing.depth_sigma_at_1m_mm, rel=0.1)
+    assert abs(scaled.mean()) < 0.1
+    assert 0.003 < (image.depth_mm[perfect.depth > 0] == 0).mean() < 0.2
+
+
+def test_surfaces_have_texture_and_all_three_cameras_see_arm_and_person(small: Scenario) -> None:
+    rig = SimulatedRig(small)
+    for camera in range(3):
+        rendering = rig.see(camera, small.start_ns)
+        for name in ("arm", "operator", "table"):
+            pixels = rendering.rgb[rendering.owners == rig.world.names.index(name)]
+            assert len(pixels) > 0.01 * rendering.owners.size, name
+            assert pixels.std(axis=0).max() > 8, name
+
+
+def test_the_rendered_arm_is_where_the_joints_say(small: Scenario) -> None:
+    rig = SimulatedRig(small)
+    assert rig.world.arm is not None
+    stamp = small.start_ns + 300_000_000
+    joints = rig.world.arm.sample(stamp)
+    for index, camera in enumerate(rig.cameras):
+        seen = rig.see(index, stamp).shows((rig.world.names.index("arm"),))
+        mask = robot_mask(rig.world.arm.model, joints.positions, camera, 0.02)
+        assert seen.any()
+        assert mask[seen].all()
+    ahead = rig.world.arm.ahead(stamp)
+    assert np.allclose(ahead.positions[0], joints.positions)
+    moved = forward_kinematics(rig.world.arm.model, ahead.positions)[:, -1, :3, 3]
+    assert np.ptp(moved, axis=0).max() > 0.02
+
+
+def test_joint_speeds_are_the_slope_of_the_path(small: Scenario) -> None:
+    arm = SimulatedRig(small).world.arm
+    assert arm is not None
+    for stamp in small.start_ns + np.arange(0, 4_000_000_000, 173_000_000):
+        before, after = arm.positions(np.array([stamp - 20_000_000, stamp + 20_000_000]))
+        assert np.allclose((after - before) / 0.04, arm.sample(int(stamp)).velocities, atol=0.05)
+
+
+def test_depth_agrees_between_cameras(small: Scenario) -> None:
+    """What one camera sees lies, in every other camera, on or behind the surface in view there."""
+    rig = SimulatedRig(small)
+    stamp = small.start_ns
+    views = [rig.see(index, stamp) for index in range(3)]
+    points = back_project(rig.cameras[0], views[0].depth, np.ones_like(views[0].depth, dtype=bool))
+    for camera, view in zip(rig.cameras[1:], views[1:], strict=True):
+        local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        front = local[local[:, 2] > 0.1]
+        u = np.floor(camera.K[0, 0] * front[:, 0] / front[:, 2] + camera.K[0, 2]).astype(int)
+        v = np.floor(camera.K[1, 1] * front[:, 1] / front[:, 2] + camera.K[1, 2]).astype(int)
+        inside = (u > 0) & (u < camera.width - 1) & (v > 0) & (v < camera.height - 1)
+        u, v, z = u[inside], v[inside], front[inside, 2]
+        neighbours = np.stack([view.depth[v + dv, u + du] for dv in (-1, 0, 1) for du in (-1, 0, 1)])
+        assert inside.sum() > 500
+        assert (z >= neighbours.min(axis=0) - 0.02).all()
+
+
+def test_a_missing_camera_is_missing_while_the_fault_lasts(small: Scenario) -> None:
+    counts = [len(s.views) for s in CellSource(faulty(small, "missing", from_s=0.1, to_s=0.3))]
+    assert set(counts) == {2, 3}
+    assert counts.count(2) == 6
+
+
+def test_a_log_without_images_is_a_rig_whose_cameras_are_all_missing(small: Scenario) -> None:
+    dead = replace(small, faults=tuple(Fault("missing", camera.name) for camera in small.cameras))
+    assert list(CellSource(dead)) == []
+
+
+def test_a_frozen_camera_repeats_one_image_under_new_stamps(small: Scenario) -> None:
+    frozen = [s.views[1] for s in CellSource(faulty(small, "frozen", from_s=0.2))]
+    late = [view for view in frozen if view.stamp >= small.start_ns + 200_000_000]
+    assert len(late) > 5
+    assert all(np.array_equal(view.rgb, late[0].rgb) for view in late)
+    assert np.all(np.diff([view.stamp for view in late]) > 0)
+    assert not np.array_equal(frozen[0].rgb, frozen[1].rgb)
+
+
+def test_unsorted_stamps_step_back(small: Scenario) -> None:
+    stamps = [s.views[1].stamp for s in CellSource(faulty(small, "unsorted_stamps"))]
+    assert np.diff(stamps).min() < 0
+    assert np.diff(stamps).min() > -UNSORTED_STEP_NS
+
+
+def test_nan_depth_never_passes_the_source(small: Scenario) -> None:
+    for frames in CellSource(faulty(small, "nan_depth", from_s=0.0, to_s=0.2)):
+        depth = frames.views[1].depth
+        assert depth is not None and np.isfinite(depth).all()
+        assert (depth.max() == 0) == (frames.views[1].stamp < small.start_ns + 200_000_000)

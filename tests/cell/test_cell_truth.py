@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin_node.cell import CellTruth, Scenario, SimulatedRig, load_scenario
+from twin_node.cell.truth import back_project, workspace_grid
+from twin_node.scene import Grid
+
+STEPS_NS = (0, 2_200_000_000, 4_600_000_000)
+
+
+@pytest.fixture(scope="module")
+def rig(small: Scenario) -> SimulatedRig:
+    return SimulatedRig(replace(small, duration_s=9.0))
+
+
+@pytest.fixture(scope="module")
+def truth(rig: SimulatedRig) -> CellTruth:
+    return CellTruth(rig)
+
+
+def near(grid: Grid, indices: np.ndarray) -> np.ndarray:
+    """Voxels and all their neighbours: room for a float32 depth on a voxel's face."""
+    marked = np.zeros(grid.dims, bool)
+    marked.reshape(-1)[indices] = True
+    grown = marked.copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            grown |= np.roll(marked, shift, axis)
+    return grown.reshape(-1)
+
+
+@pytest.mark.parametrize("step_ns", STEPS_NS)
+def test_moving_depth_pixels_lie_in_true_voxels(rig: SimulatedRig, truth: CellTruth, step_ns: int) -> None:
+    stamp = rig.scenario.start_ns + step_ns
+    inside = np.zeros(truth.grid.size, bool)
+    inside[truth.moving_voxels(truth.grid, stamp)] = True
+    count = 0
+    for index, camera in enumerate(rig.cameras):
+        rendering = rig.see(index, stamp)
+        mask = truth.moving_mask(index, stamp)
+        voxels = truth.grid.indices(back_project(camera, rendering.depth, mask))
+        voxels = voxels[voxels >= 0]
+        count += len(voxels)
+        assert inside[voxels].mean() > 0.995
+        assert near(truth.grid, np.flatnonzero(inside))[voxels].all()
+    assert count > 50
+
+
+def test_arm_furniture_and_moving_things_are_told_apart(rig: SimulatedRig, truth: CellTruth) -> None:
+    stamp = rig.scenario.start_ns + 2_200_000_000
+    moving = truth.moving_voxels(truth.grid, stamp)
+    arm = truth.arm_voxels(truth.grid, stamp)
+    static = truth.static_voxels(truth.grid)
+    assert min(len(moving), len(arm), len(static)) > 100
+    assert len(np.intersect1d(moving, arm)) == 0
+    for indices in (moving, arm, static):
+        assert np.all(np.diff(indices.astype(np.int64)) > 0)
+    masks = [truth.moving_mask(0, stamp) & truth.arm_mask(0, stamp), truth.moving_mask(0, stamp)]
+    assert not masks[0].any() and masks[1].any()
+
+
+def test_volume_of_a_ball_is_right_and_it_moves_as_thrown() -> None:
+    scenario = replace(load_scenario("thrown_ball"), variation=load_scenario("demo").variation)
+    truth = CellTruth(SimulatedRig(scenario))
+    grid = workspace_grid(np.array([[0.3, -0.6, 0.0], [1.1, 0.9, 0.9]]), 0.01)
+    stamp = scenario.start_ns + 1_500_000_000
+    volume = len(truth.moving_voxels(grid, stamp)) * grid.voxel_size**3
+    radius = scenario.bodies[0].parts[0].size[0]
+    assert 4 / 3 * np.pi * radius**3 < volume < 4 / 3 * np.pi * (radius + 0.01) ** 3
+    (track,) = truth.tracks(stamp)
+    (later,) = truth.tracks(stamp + 50_000_000)
+    assert track.name == "ball"
+    expected = track.positions + 0.05 * track.velocities + [0, 0, -9.81 / 2 * 0.05**2]
+    assert np.allclose(later.positions, expected, atol=1e-6)
+
+
+def test_seen_voxels_are_moving_and_on_the_side_of_a_camera(rig: SimulatedRig, truth: CellTruth) -> None:
+    stamp = rig.scenario.start_ns
+    seen = truth.seen_voxels(truth.grid, stamp)
+    moving = truth.moving_voxels(truth.grid, stamp)
+    assert np.isin(seen, moving).all()
+    assert 0.05 < len(seen) / len(moving) < 0.9
+
+
+def test_visibility_is_a_share_and_falls_where_something_is_hidden(rig: SimulatedRig, truth: CellTruth) -> None:
+    shares = np.stack([truth.visibility(rig.scenario.start_ns + 500_000_000 * i) for i in range(14)])
+    parcel = rig.world.moving_owners.index(rig.world.names.index("parcel"))
+    assert shares.shape == (14, 3, 2)
+    assert shares.min() >= 0 and shares.max() <= 1
+    assert shares[0, 0, parcel] > 0.95
+    assert shares[..., parcel].min() < 0.5
+
+
+def test_occupancy_is_one_certain_layer_at_its_stamp(rig: SimulatedRig, truth: CellTruth) -> None:
+    stamp = rig.scenario.start_ns + 1_000_000_000
+    occupancy = truth.occupancy(stamp)
+    (layer,) = occupancy.layers
+    assert occupancy.stamp == occupancy.publish_stamp == stamp
+    assert np.array_equal(layer.indices, truth.moving_voxels(truth.grid, stamp))
+    assert (layer.probability == 255).all()
+    assert np.allclose(occupancy.grid.origin, rig.scenario.workspace[0])
+
+
+def test_the_workspace_grid_covers_the_workspace() -> None:
+    grid = workspace_grid(np.array([[0.0, -0.3, 0.1], [0.5, 0.31, 0.4]]), 0.1)
+    assert grid.dims == (5, 7, 3)
+
+
+def test_in_the_demo_the_hand_comes_close_to_the_arm_and_never_touches_it(rig: SimulatedRig, truth: CellTruth) -> None:
+    assert rig.world.arm is not None
+    gaps = []
+    for step in range(0, 90, 3):
+        stamp = rig.scenario.start_ns + step * 100_000_000
+        moving = truth.grid.centers(truth.moving_voxels(truth.grid, stamp))
+        arm = truth.grid.centers(truth.arm_voxels(truth.grid, stamp))
+        gaps.append(np.sqrt(((moving[:, None, :] - arm[None, ::4, :]) ** 2).sum(axis=2).min()))
+    assert 0.02 < min(gaps) < 0.15
+    assert max(gaps) > 0.4
