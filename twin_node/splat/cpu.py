@@ -1,0 +1,192 @@
+"""The compiled CPU backend as a differentiable torch operation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+
+from twin_node.splat import library as native
+from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite
+from twin_node.splat.semantics import Semantics, installed_semantics
+
+DEPTH_MODES = {"RGB": 0, "D": 1, "RGB+D": 1, "ED": 2, "RGB+ED": 2}
+"""`splat::DepthMode` of each render mode."""
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Contiguous tensors that the library reads, in the order in which it counts the ones it checks."""
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    viewmats: Tensor
+    Ks: Tensor
+    backgrounds: Tensor | None
+    """[..., C, channels]."""
+    camera_positions: Tensor | None
+    """[..., C, 3]; only with sh_degree > 0."""
+
+
+def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semantics | None = None) -> Rendered:
+    """Renders float32 CPU tensors with the compiled library. Raises `ValueError` naming what is not finite."""
+    if scene.gaussians.means.dtype != torch.float32:
+        raise ValueError(
+            f"means: expected float32 on the CPU (or rasterize_plain), found {scene.gaussians.means.dtype}"
+        )
+    g, views = scene.gaussians, scene.views
+    positions = None
+    if scene.options.with_color and scene.options.sh_degree:
+        # torch differentiates this part, as in gsplat; the library sends back the gradient of the positions
+        positions = torch.linalg.inv_ex(views.viewmats).inverse[..., :3, 3]
+    call = _Call(scene, library, semantics or installed_semantics())
+    tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
+    renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene), positions)  # type: ignore[no-untyped-call]
+    return Rendered(renders, alphas, RasterMeta(radii, means2d, depths))
+
+
+def _backgrounds(scene: Scene) -> Tensor | None:
+    """One value per rendered channel: zero behind the depth, and none at all where only depth is drawn."""
+    backgrounds = scene.views.backgrounds
+    if backgrounds is None or not scene.options.with_color:
+        return None
+    return torch.nn.functional.pad(backgrounds, (0, 1)) if scene.options.with_depth else backgrounds
+
+
+class _Call:
+    """One call on its way through autograd."""
+
+    def __init__(self, scene: Scene, library: native.NativeLibrary, semantics: Semantics) -> None:
+        self.scene = scene
+        self.library = library
+        self.semantics = semantics
+        mask = scene.views.pixel_mask
+        self.mask = None if mask is None else mask.contiguous()
+        self.request = native.Request()
+        self.workspace = native.Workspace(library)
+
+    def render(self, inputs: _Inputs) -> Rendered:
+        """Runs the forward pass; the workspace then holds what `differentiate` needs."""
+        scene = self.scene
+        lead = scene.image_shape[:-2]
+        rendered = Rendered(
+            renders=torch.empty(*scene.image_shape, scene.channels),
+            alphas=torch.empty(*scene.image_shape, 1),
+            meta=RasterMeta(
+                radii=torch.empty(*lead, scene.count, 2, dtype=torch.int32),
+                means2d=torch.empty(*lead, scene.count, 2),
+                depths=torch.empty(*lead, scene.count),
+            ),
+        )
+        self.request = self._request(inputs, rendered)
+        try:
+            self.library.forward(self.workspace, self.request)
+        except native.NonFiniteError as error:
+            name, tensor = list(vars(inputs).items())[error.index]
+            raise non_finite(name, tensor) from None
+        return rendered
+
+    def differentiate(self, inputs: _Inputs, v_renders: Tensor, v_alphas: Tensor, with_cameras: bool) -> _Inputs:
+        """Gradients of the inputs; zero for Ks, and for viewmats without the part through camera_positions."""
+        positions = inputs.camera_positions
+        v = _Inputs(
+            means=torch.zeros_like(inputs.means),
+            quats=torch.zeros_like(inputs.quats),
+            scales=torch.zeros_like(inputs.scales),
+            opacities=torch.zeros_like(inputs.opacities),
+            colors=torch.zeros_like(inputs.colors),
+            viewmats=torch.zeros_like(inputs.viewmats),
+            Ks=torch.empty(0),
+            backgrounds=None,
+            camera_positions=torch.zeros_like(positions) if with_cameras and positions is not None else None,
+        )
+        gradients = native.Gradients(
+            *(_pointer(t) for t in (v_renders, v_alphas, v.means, v.quats, v.scales, v.opacities, v.colors)),
+            _pointer(v.viewmats) if with_cameras else None,
+            _pointer(v.camera_positions),
+        )
+        self.library.backward(self.workspace, self.request, gradients)
+        return v
+
+    def _request(self, inputs: _Inputs, rendered: Rendered) -> native.Request:
+        """The pointers in it are valid for as long as inputs and outputs are held."""
+        scene, options, views = self.scene, self.scene.options, self.scene.views
+        harmonics = options.with_color and options.sh_degree is not None
+        meta = rendered.meta
+        return native.Request(
+            scene.batches,
+            scene.cameras,
+            scene.count,
+            views.width,
+            views.height,
+            scene.channels - int(options.with_depth),
+            int(inputs.colors.shape[-2]) if harmonics else 0,
+            options.sh_degree or 0,
+            int(scene.colors_per_camera),
+            DEPTH_MODES[options.render_mode],
+            int(options.rasterize_mode == "antialiased"),
+            native.thread_count(),
+            options.near_plane,
+            options.far_plane,
+            options.radius_clip,
+            options.eps2d,
+            self.semantics.max_alpha,
+            self.semantics.min_compensation,
+            *self._strides(inputs),
+            *(_pointer(t) for t in (inputs.means, inputs.quats, inputs.scales, inputs.opacities, inputs.colors)),
+            *(
+                _pointer(t)
+                for t in (inputs.viewmats, inputs.Ks, inputs.camera_positions, inputs.backgrounds, self.mask)
+            ),
+            *(_pointer(t) for t in (rendered.renders, rendered.alphas, meta.radii, meta.means2d, meta.depths)),
+        )
+
+    def _strides(self, inputs: _Inputs) -> list[int]:
+        """Floats from batch to batch; 0 for what all batches share."""
+        batches, color_rank = self.scene.batches, self.scene.color_rank
+        own = ((inputs.means, 2), (inputs.quats, 2), (inputs.scales, 2), (inputs.opacities, 1))
+        return [0 if t.dim() == rank else t.numel() // batches for t, rank in (*own, (inputs.colors, 1 + color_rank))]
+
+
+class _Rasterize(torch.autograd.Function):
+    """The library's two passes. Inputs: a `_Call`, then the fields of `_Inputs`."""
+
+    @staticmethod
+    def forward(ctx: Any, call: _Call, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+        inputs = _Inputs(*(None if t is None else t.contiguous() for t in tensors))  # type: ignore[arg-type]
+        rendered = call.render(inputs)
+        meta = rendered.meta
+        if any(ctx.needs_input_grad):
+            ctx.call = call
+            ctx.save_for_backward(*vars(inputs).values(), rendered.renders, rendered.alphas)
+        ctx.mark_non_differentiable(meta.radii, meta.means2d, meta.depths)
+        ctx.set_materialize_grads(False)
+        return rendered.renders, rendered.alphas, meta.radii, meta.means2d, meta.depths
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        call = cast(_Call, ctx.call)
+        *saved, renders, alphas = ctx.saved_tensors
+        inputs = _Inputs(*saved)
+        v_renders = torch.zeros_like(renders) if gradients[0] is None else gradients[0].contiguous()
+        v_alphas = torch.zeros_like(alphas) if gradients[1] is None else gradients[1].contiguous()
+        v = call.differentiate(inputs, v_renders, v_alphas, with_cameras=ctx.needs_input_grad[6])
+        v_backgrounds = _backgrounds_gradient(call, v_renders, alphas) if ctx.needs_input_grad[8] else None
+        fields = (v.means, v.quats, v.scales, v.opacities, v.colors, v.viewmats)
+        return (None, *fields, None, v_backgrounds, v.camera_positions)
+
+
+def _backgrounds_gradient(call: _Call, v_renders: Tensor, alphas: Tensor) -> Tensor:
+    left = 1 - alphas
+    if call.mask is not None:
+        left = left * call.mask.unsqueeze(-1)
+    return (v_renders * left).sum(dim=(-3, -2))
+
+
+def _pointer(tensor: Tensor | None) -> int | None:
+    return None if tensor is None else tensor.data_ptr()

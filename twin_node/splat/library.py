@@ -1,0 +1,172 @@
+"""Loads the compiled CPU rasteriser and calls it; the structs mirror `native/interface.h` field by field."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import warnings
+from ctypes import c_float, c_int32, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+
+import torch  # loads the OpenMP runtime that the library then shares
+
+from twin_node.splat import native_build
+from twin_node.splat.errors import SplatError
+
+INTERFACE_VERSION = 1
+STATUS_OK, STATUS_OUT_OF_MEMORY, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH = range(4)
+STATUS_NON_FINITE = 100
+
+
+class Request(ctypes.Structure):
+    """`splat::Request`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("batches", "cameras", "gaussians", "width", "height", "color_channels")),
+        *((name, c_int32) for name in ("sh_bases", "sh_degree", "colors_per_camera", "depth_mode", "antialiased")),
+        ("threads", c_int32),
+        *((name, c_float) for name in ("near_plane", "far_plane", "radius_clip", "eps2d")),
+        *((name, c_float) for name in ("max_alpha", "min_compensation")),
+        *((f"{name}_stride", c_int64) for name in ("means", "quats", "scales", "opacities", "colors")),
+        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")),
+        *((name, c_void_p) for name in ("camera_positions", "backgrounds", "pixel_mask")),
+        *((name, c_void_p) for name in ("renders", "alphas", "radii", "means2d", "depths")),
+    )
+
+
+class Gradients(ctypes.Structure):
+    """`splat::Gradients`."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("v_renders", "v_alphas", "v_means", "v_quats", "v_scales", "v_opacities")),
+        *((name, c_void_p) for name in ("v_colors", "v_viewmats", "v_camera_positions")),
+    )
+
+
+class LossRequest(ctypes.Structure):
+    """`splat::LossRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("images", "height", "width", "channels", "threads")),
+        *((name, c_float) for name in ("l1", "ssim", "depth_weight")),
+        *((name, c_void_p) for name in ("render", "target", "weights", "target_depth", "gradient", "loss")),
+    )
+
+
+class NonFiniteError(Exception):
+    """An argument holds a NaN or an infinity; `index` counts the arguments as the library does."""
+
+    def __init__(self, index: int) -> None:
+        super().__init__(index)
+        self.index = index
+
+
+class Workspace:
+    """What a forward pass leaves for its backward pass; goes back to the library's pool when it is dropped."""
+
+    def __init__(self, library: NativeLibrary) -> None:
+        self._library = library
+        self.handle = library.acquire()
+
+    def __del__(self) -> None:
+        if hasattr(self, "handle"):
+            self._library.release(self.handle)
+
+
+class NativeLibrary:
+    """One compiled variant. Safe from several threads; a forked child gets `SplatError`."""
+
+    def __init__(self, path: Path) -> None:
+        """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
+        self._dll = ctypes.CDLL(str(path))
+        for name in ("splat_forward", "splat_backward", "splat_image_loss", "splat_interface_version"):
+            getattr(self._dll, name).restype = c_int32
+        self._dll.splat_acquire.restype = c_void_p
+        self._dll.splat_release.argtypes = [c_void_p]
+        self._dll.splat_release.restype = None
+        self._dll.splat_forward.argtypes = [c_void_p, ctypes.POINTER(Request)]
+        self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
+        self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
+        version = self._dll.splat_interface_version()
+        if version != INTERFACE_VERSION:
+            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
+        self._dll.splat_initialize()
+        self._forked = False
+        os.register_at_fork(after_in_child=self._mark_forked)
+
+    def acquire(self) -> int:
+        """A workspace's handle. Raises `MemoryError`."""
+        self._require_not_forked()
+        handle = self._dll.splat_acquire()
+        if not handle:
+            raise MemoryError("no memory for a workspace of the rasteriser")
+        return int(handle)
+
+    def release(self, handle: int) -> None:
+        """Gives a workspace back; in a forked child it is left alone, as its lock may be held."""
+        if not self._forked:
+            self._dll.splat_release(handle)
+
+    def forward(self, workspace: Workspace, request: Request) -> None:
+        """Renders. Raises `NonFiniteError`, `ValueError` or `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.splat_forward(workspace.handle, request))
+
+    def backward(self, workspace: Workspace, request: Request, gradients: Gradients) -> None:
+        """Differentiates the workspace's last forward pass. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.splat_backward(workspace.handle, request, gradients))
+
+    def image_loss(self, request: LossRequest) -> None:
+        """Writes the loss and its gradient. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.splat_image_loss(request))
+
+    def _mark_forked(self) -> None:
+        self._forked = True
+
+    def _require_not_forked(self) -> None:
+        if self._forked:
+            raise SplatError(
+                "rasteriser: called in a process forked from one that had loaded it, where OpenMP would hang; "
+                "start the process with the `spawn` method instead"
+            )
+
+
+def _check(status: int) -> None:
+    if status == STATUS_OK:
+        return
+    if status >= STATUS_NON_FINITE:
+        raise NonFiniteError(status - STATUS_NON_FINITE)
+    if status == STATUS_BAD_FOCAL_LENGTH:
+        raise ValueError("Ks: expected positive focal lengths, found one that is not")
+    if status == STATUS_TOO_MANY_INTERSECTIONS:
+        raise ValueError(
+            "scales: the Gaussians cover more than 2^31 image tiles; expected smaller ones or a smaller image"
+        )
+    raise MemoryError("no memory for the rasteriser's lists")
+
+
+def load_variant(variant: str) -> NativeLibrary:
+    """The library of one instruction set: as shipped with the package, else compiled into the user's cache.
+
+    Raises `native_build.CompileError` or `OSError`.
+    """
+    shipped = native_build.shipped_library(variant)
+    return NativeLibrary(shipped if shipped.exists() else native_build.cached_library(variant))
+
+
+@cache
+def native_library() -> NativeLibrary | None:
+    """The best library for this processor; None, with one warning, where there is none."""
+    try:
+        return load_variant(native_build.supported_variants()[0])
+    except (native_build.CompileError, OSError) as error:
+        warnings.warn(f"the CPU rasteriser runs in plain torch, about 20 times slower: {error}", stacklevel=2)
+        return None
+
+
+def thread_count() -> int:
+    """Threads for one call, as torch is set."""
+    return torch.get_num_threads()

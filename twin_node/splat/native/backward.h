@@ -1,0 +1,203 @@
+// The backward pass: from gradients of the images to gradients of the Gaussians and cameras.
+#pragma once
+
+#include "rasterizer.h"
+
+namespace splat {
+
+inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, const Pass &pass) {
+  parallel_over_images(r, [&](int i) { return w.images[i]->tiles(); }, [&](int i, int index) {
+    Image &image = *w.images[i];
+    if (image.tile_begin[index] == image.tile_begin[index + 1]) return;
+    const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
+    const PixelsIn in{r.renders + pixels * pass.total, r.alphas + pixels, g.v_renders + pixels * pass.total,
+                      g.v_alphas == nullptr ? nullptr : g.v_alphas + pixels};
+    const Tile tile(image, index, mask_of(r, i));
+    for_width(pass.count, [&](auto width) { blend_tile_vjp<width>(image, tile, pass, r.max_alpha, in); });
+  });
+}
+
+// Sums of a vector of Gaussians' slots over the tiles of one image, [value][lane].
+class SlotTotals {
+ public:
+  explicit SlotTotals(int values) : values_(values), totals_(static_cast<size_t>(values) * kLanes) {}
+
+  // False where the image has nothing for any of the Gaussians.
+  bool collect(const Image &image, const Rows &rows, int stride) {
+    bool found = false;
+    for (int lane = 0; lane < rows.count; lane++) found |= image.row_of[rows.first + lane] >= 0;
+    if (!found) return false;
+    std::fill(totals_.begin(), totals_.end(), 0.f);
+    for (int lane = 0; lane < rows.count; lane++) {
+      const int row = image.row_of[rows.first + lane];
+      if (row < 0) continue;
+      for (int slot = image.slot_begin[row]; slot < image.slot_begin[row + 1]; slot++) {
+        const float *from = &image.slot_gradient[static_cast<size_t>(slot) * stride];
+        for (int i = 0; i < values_; i++) totals_[static_cast<size_t>(i) * kLanes + lane] += from[i];
+      }
+    }
+    return true;
+  }
+  Vec operator[](int value) const { return load(&totals_[static_cast<size_t>(value) * kLanes]); }
+
+ private:
+  int values_;
+  std::vector<float> totals_;
+};
+
+inline void add_column(float *base, int width, int index, const Rows &rows, Vec v) {
+  float *to = base + static_cast<int64_t>(rows.first) * width + index;
+  for (int lane = 0; lane < rows.count; lane++) to[static_cast<int64_t>(lane) * width] += v[lane];
+}
+
+// Gradient of the colours; with harmonics also what comes back through the viewing direction.
+inline void colors_vjp(const Request &r, const Gradients &g, int index, const Image &image, const Rows &rows,
+                       const Shape &shape, const SlotTotals &totals, Vec *v_direction) {
+  if (r.color_channels == 0) return;
+  float *v_colors = g.v_colors + color_offset(r, index);
+  const int width = floats_per_color(r);
+  if (!has_harmonics(r)) {
+    for (int q = 0; q < width; q++) add_column(v_colors, width, q, rows, totals[kGeometrySums + q]);
+    return;
+  }
+  const float *colors = r.colors + color_offset(r, index);
+  const int bases = (r.sh_degree + 1) * (r.sh_degree + 1);
+  Vec inverse_length, value[kMaxBases], v_value[kMaxBases] = {};
+  const Direction d = view_direction(image.camera, shape.mean, inverse_length);
+  harmonics(r.sh_degree, d, value);
+  for (int q = 0; q < 3; q++) {
+    Vec color{};
+    for (int lane = 0; lane < rows.count; lane++) {
+      const int row = image.row_of[rows.first + lane];
+      if (row >= 0) color[lane] = image.splats[row].channel[q];
+    }
+    const Vec v = select(gt(color, Vec{}), totals[kGeometrySums + q], Vec{});  // the clamp at 0 stops it
+    for (int k = 0; k < bases; k++) {
+      if (r.sh_degree > 0) v_value[k] += v * rows.column(colors, width, 3 * k + q);
+      add_column(v_colors, width, 3 * k + q, rows, v * value[k]);
+    }
+  }
+  if (r.sh_degree == 0) return;
+  const Direction v = harmonics_vjp(r.sh_degree, d, v_value);
+  const Vec along = v.x * d.x + v.y * d.y + v.z * d.z;
+  v_direction[0] = (v.x - along * d.x) * inverse_length;
+  v_direction[1] = (v.y - along * d.y) * inverse_length;
+  v_direction[2] = (v.z - along * d.z) * inverse_length;
+}
+
+// Gradient of what a Projection gives, from a vector's slots.
+inline ProjectionGradient projection_gradient(const Request &r, const Projection &p, Vec opacity, const SlotTotals &sums,
+                                              Vec &v_opacity) {
+  ProjectionGradient v;
+  const Vec a = p.conic_a(), b = p.conic_b(), c = p.conic_c();
+  v.mean2d[0] = a * sums[1] + b * sums[2];
+  v.mean2d[1] = b * sums[1] + c * sums[2];
+  v.conic[0] = 0.5f * sums[3];
+  v.conic[1] = sums[4];
+  v.conic[2] = 0.5f * sums[5];
+  v.depth = r.depth_mode == kNoDepth ? Vec{} : sums[kGeometrySums + channels_of(r) - 1];
+  const Vec factor = r.antialiased ? compensation(p, r.min_compensation) : broadcast(1.f);
+  const Vec v_effective = -sums[0] / max(opacity * factor, broadcast(1e-12f));
+  v.compensation = v_effective * opacity;
+  v_opacity = v_effective * factor;
+  return v;
+}
+
+inline ShapeGradient zero_gradient() {
+  ShapeGradient out;
+  std::memset(&out, 0, sizeof(out));
+  return out;
+}
+
+// Backward pass of one vector of Gaussians through all cameras of a batch; camera sums go to [camera][kCameraSums].
+inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int batch, const Rows &rows, SlotTotals &totals,
+                      float *camera_sums) {
+  ShapeGradient v = zero_gradient();
+  Vec v_opacity{};
+  Shape shape;
+  bool touched = false;
+  const Vec opacity = rows.column(r.opacities + batch * r.opacities_stride, 1, 0);
+  for (int camera = 0; camera < r.cameras; camera++) {
+    const int index = batch * r.cameras + camera;
+    const Image &image = *w.images[index];
+    if (!totals.collect(image, rows, make_pass(r, 0).slot_stride)) continue;
+    if (!touched) shape = load_shape(r, batch, rows);
+    touched = true;
+    Projection p;
+    transform_point(image.camera, shape, p);
+    project_covariance(image.camera, shape, r.eps2d, p);
+    Vec v_opacity_here, v_direction[3] = {};
+    const ProjectionGradient v_projection = projection_gradient(r, p, opacity, totals, v_opacity_here);
+    colors_vjp(r, g, index, image, rows, shape, totals, v_direction);
+    // Lanes that this camera does not see may hold infinities: they are dropped, not multiplied by zero.
+    Mask seen = Mask{};
+    IntVec row = broadcast(int32_t{-1});
+    for (int lane = 0; lane < rows.count; lane++) row[lane] = image.row_of[rows.first + lane];
+    seen = ge(__builtin_convertvector(row, Vec), Vec{});
+    ShapeGradient here = zero_gradient();
+    project_vjp(image.camera, shape, p, v_projection, r.antialiased, r.min_compensation, g.v_viewmats != nullptr, here);
+    v_opacity += select(seen, v_opacity_here, Vec{});
+    for (int i = 0; i < 3; i++) v.mean[i] += select(seen, here.mean[i], Vec{}) + v_direction[i];
+    for (int i = 0; i < 4; i++) v.quat[i] += select(seen, here.quat[i], Vec{});
+    for (int i = 0; i < 3; i++) v.scale[i] += select(seen, here.scale[i], Vec{});
+    if (g.v_viewmats == nullptr) continue;
+    float *sums = camera_sums + static_cast<int64_t>(camera) * kCameraSums;
+    for (int i = 0; i < 9; i++) sums[i] += sum(select(seen, here.R[i], Vec{}));
+    for (int i = 0; i < 3; i++) sums[9 + i] += sum(select(seen, here.t[i], Vec{}));
+    for (int i = 0; i < 3; i++) sums[12 + i] -= sum(v_direction[i]);
+  }
+  if (!touched) return;
+  for (int i = 0; i < 3; i++) add_column(g.v_means + batch * r.means_stride, 3, i, rows, v.mean[i]);
+  for (int i = 0; i < 4; i++) add_column(g.v_quats + batch * r.quats_stride, 4, i, rows, v.quat[i]);
+  for (int i = 0; i < 3; i++) add_column(g.v_scales + batch * r.scales_stride, 3, i, rows, v.scale[i]);
+  add_column(g.v_opacities + batch * r.opacities_stride, 1, 0, rows, v_opacity);
+}
+
+// Adds the tasks' camera sums up, in the tasks' order.
+inline void write_camera_gradients(const Request &r, const Gradients &g, const Workspace &w, int tasks) {
+  const int images = images_of(r);
+  for (int image = 0; image < images; image++) {
+    float total[kCameraSums] = {};
+    for (int task = 0; task < tasks; task++) {
+      const float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + image) * kCameraSums];
+      for (int i = 0; i < kCameraSums; i++) total[i] += sums[i];
+    }
+    for (int i = 0; i < 3; i++) {
+      for (int j = 0; j < 3; j++) g.v_viewmats[16 * image + 4 * i + j] = total[3 * i + j];
+      g.v_viewmats[16 * image + 4 * i + 3] = total[9 + i];
+      if (g.v_camera_positions != nullptr) g.v_camera_positions[3 * image + i] = total[12 + i];
+    }
+  }
+}
+
+inline Status backward(Workspace &w, const Request &r, const Gradients &g) {
+  const std::lock_guard<std::mutex> lock(w.in_use);
+  const int images = images_of(r), tasks = w.images[0]->tasks(r.gaussians);
+  const int stride = make_pass(r, 0).slot_stride;
+  for (int i = 0; i < images; i++) {
+    w.images[i]->slot_gradient.reserve(static_cast<size_t>(w.images[i]->intersections) * stride);
+  }
+  const size_t camera_floats = static_cast<size_t>(tasks) * images * kCameraSums;
+  std::fill_n(w.camera_sums.reserve(camera_floats), camera_floats, 0.f);
+  const bool reload = channels_of(r) > kChannels;  // the splats still hold the forward pass's last channels
+  for (int first = 0; first < channels_of(r); first += kChannels) {
+    const Pass pass = make_pass(r, first);
+    if (reload) fill_splats(r, w, pass, false);
+    blend_vjp_pass(r, g, w, pass);
+  }
+  // A task owns its Gaussians in every batch and camera, so that sums need no locks and have one order.
+  parallel_for(r.threads, tasks, [&](int64_t task) {
+    const int begin = static_cast<int>(task) * kGaussiansPerTask, end = std::min(r.gaussians, begin + kGaussiansPerTask);
+    SlotTotals totals(kGeometrySums + channels_of(r));
+    for (int batch = 0; batch < r.batches; batch++) {
+      float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + batch * r.cameras) * kCameraSums];
+      for (int first = begin; first < end; first += kLanes) {
+        shape_vjp(r, g, w, batch, Rows(first, end), totals, sums);
+      }
+    }
+  });
+  if (g.v_viewmats != nullptr) write_camera_gradients(r, g, w, tasks);
+  return kOk;
+}
+
+}  // namespace splat

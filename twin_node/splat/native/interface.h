@@ -1,0 +1,75 @@
+// What crosses the plain C boundary: these structs are mirrored field by field in library.py.
+#pragma once
+
+#include <cstdint>
+
+namespace splat {
+
+constexpr int32_t kInterfaceVersion = 1;
+
+enum Status : int32_t {
+  kOk = 0,
+  kOutOfMemory = 1,
+  kTooManyIntersections = 2,
+  kBadFocalLength = 3,
+  kNonFinite = 100,  // + the index of the argument, as non_finite_argument counts them
+};
+
+enum DepthMode : int32_t { kNoDepth = 0, kAccumulatedDepth = 1, kExpectedDepth = 2 };
+
+// B batches of C cameras, N Gaussians each. A batch stride of 0 shares the array among all batches.
+struct Request {
+  int32_t batches, cameras, gaussians, width, height;
+  int32_t color_channels;    // D of plain colours, 3 with spherical harmonics, 0 where only depth is rendered
+  int32_t sh_bases;          // K coefficients per channel; 0 for plain colours
+  int32_t sh_degree;
+  int32_t colors_per_camera; // 1: colors are [B, C, N, ...]
+  int32_t depth_mode;
+  int32_t antialiased;
+  int32_t threads;
+  float near_plane, far_plane, radius_clip, eps2d, max_alpha, min_compensation;
+  int64_t means_stride, quats_stride, scales_stride, opacities_stride, colors_stride;  // floats from batch to batch
+  const float *means;             // [B, N, 3]
+  const float *quats;             // [B, N, 4] w, x, y, z
+  const float *scales;            // [B, N, 3]
+  const float *opacities;         // [B, N]
+  const float *colors;            // [B, (C,) N, D] or [B, (C,) N, K, 3]
+  const float *viewmats;          // [B, C, 4, 4]
+  const float *Ks;                // [B, C, 3, 3]
+  const float *camera_positions;  // [B, C, 3]; only read with sh_degree > 0
+  const float *backgrounds;       // [B, C, channels] or null
+  const uint8_t *pixel_mask;      // [B, C, H, W] or null
+  float *renders;                 // [B, C, H, W, channels]
+  float *alphas;                  // [B, C, H, W, 1]
+  int32_t *radii;                 // [B, C, N, 2]
+  float *means2d;                 // [B, C, N, 2]
+  float *depths;                  // [B, C, N]
+};
+
+// Gradients of the loss. The outputs have the shapes (and batch strides) of the inputs and must come zeroed.
+struct Gradients {
+  const float *v_renders;     // [B, C, H, W, channels]
+  const float *v_alphas;      // [B, C, H, W, 1] or null
+  float *v_means;
+  float *v_quats;
+  float *v_scales;
+  float *v_opacities;
+  float *v_colors;            // null where only depth is rendered
+  float *v_viewmats;          // [B, C, 4, 4] or null, without the part that goes through camera_positions
+  float *v_camera_positions;  // [B, C, 3] or null
+};
+
+struct LossRequest {
+  int32_t images, height, width;
+  int32_t channels;         // floats per pixel in render: 3, or 4 with the depth last
+  int32_t threads;
+  float l1, ssim, depth_weight;
+  const float *render;        // [images, H, W, channels]
+  const float *target;        // [images, H, W, 3]
+  const float *weights;       // [images, H, W] or null; a pixel counts where it is positive
+  const float *target_depth;  // [images, H, W] or null; 0 where unknown
+  float *gradient;            // [images, H, W, channels], comes zeroed
+  double *loss;               // [1]
+};
+
+}  // namespace splat

@@ -1,0 +1,66 @@
+// The plain C interface. Nothing throws across it: functions return a Status.
+#include <omp.h>
+
+#include "backward.h"
+#include "image_loss.h"
+
+namespace {
+
+splat::Pool<splat::Workspace> &workspaces() {
+  static splat::Pool<splat::Workspace> pool;
+  return pool;
+}
+
+template <class Work>
+int32_t guarded(const Work &work) {
+  try {
+    return work();
+  } catch (const std::bad_alloc &) {
+    return splat::kOutOfMemory;
+  }
+}
+
+bool focal_lengths_positive(const splat::Request &r) {
+  for (int i = 0; i < splat::images_of(r); i++) {
+    if (!(r.Ks[9 * i] > 0.f && r.Ks[9 * i + 4] > 0.f)) return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+extern "C" {
+
+int32_t splat_interface_version() { return splat::kInterfaceVersion; }
+
+// The runtime is torch's too: without this another library's omp_set_dynamic(1) would take threads away under load.
+void splat_initialize() { omp_set_dynamic(0); }
+
+// A workspace keeps what the backward pass needs; null where memory is short. Give it back with splat_release.
+void *splat_acquire() {
+  try {
+    return workspaces().acquire();
+  } catch (const std::bad_alloc &) {
+    return nullptr;
+  }
+}
+void splat_release(void *workspace) { workspaces().release(static_cast<splat::Workspace *>(workspace)); }
+
+int32_t splat_forward(void *workspace, const splat::Request *request) {
+  const int bad = splat::non_finite_argument(*request);
+  if (bad >= 0) return splat::kNonFinite + bad;
+  if (!focal_lengths_positive(*request)) return splat::kBadFocalLength;
+  return guarded([&] { return splat::forward(*static_cast<splat::Workspace *>(workspace), *request); });
+}
+
+// For the request of the workspace's last splat_forward.
+int32_t splat_backward(void *workspace, const splat::Request *request, const splat::Gradients *gradients) {
+  return guarded([&] { return splat::backward(*static_cast<splat::Workspace *>(workspace), *request, *gradients); });
+}
+
+int32_t splat_image_loss(const splat::LossRequest *request) {
+  const int bad = splat::non_finite_argument(*request);
+  if (bad >= 0) return splat::kNonFinite + bad;
+  return guarded([&] { return splat::image_loss(*request); });
+}
+}

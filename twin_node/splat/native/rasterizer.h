@@ -1,0 +1,304 @@
+// The forward and the backward pass over all images of a call.
+#pragma once
+
+#include <algorithm>
+#include <memory>
+
+#include "blend.h"
+#include "finite.h"
+#include "harmonics.h"
+
+namespace splat {
+
+struct Workspace {
+  std::mutex in_use;                           // one call at a time
+  std::vector<std::unique_ptr<Image>> images;  // of the last forward pass
+  Buffer<float> camera_sums;                   // [tasks, images, kCameraSums]
+};
+constexpr int kCameraSums = 15;  // R, t, position
+
+inline int images_of(const Request &r) { return r.batches * r.cameras; }
+inline int channels_of(const Request &r) { return r.color_channels + (r.depth_mode != kNoDepth ? 1 : 0); }
+inline bool has_harmonics(const Request &r) { return r.sh_bases > 0 && r.color_channels > 0; }
+inline int floats_per_color(const Request &r) { return has_harmonics(r) ? 3 * r.sh_bases : r.color_channels; }
+inline int64_t color_offset(const Request &r, int image) {
+  const int64_t of_camera = r.colors_per_camera ? int64_t{image % r.cameras} * r.gaussians * floats_per_color(r) : 0;
+  return image / r.cameras * r.colors_stride + of_camera;
+}
+
+// Index of the first argument with a value that is not finite, or -1. Order as in kNonFinite.
+inline int non_finite_argument(const Request &r) {
+  const int64_t n = r.gaussians, images = images_of(r);
+  const auto floats = [&](int64_t stride, int64_t of_batch) { return stride == 0 ? of_batch : stride * r.batches; };
+  const int64_t colors = n * floats_per_color(r) * (r.colors_per_camera ? r.cameras : 1);
+  const Floats arguments[] = {
+      {r.means, floats(r.means_stride, 3 * n)},        {r.quats, floats(r.quats_stride, 4 * n)},
+      {r.scales, floats(r.scales_stride, 3 * n)},      {r.opacities, floats(r.opacities_stride, n)},
+      {r.colors, floats(r.colors_stride, colors)},     {r.viewmats, 16 * images},
+      {r.Ks, 9 * images},                              {r.backgrounds, images * channels_of(r)},
+  };
+  return first_non_finite(arguments);
+}
+
+// The Gaussians [first, first + count) of a batch, one per lane; lanes beyond repeat the last one.
+struct Rows {
+  int first, count;
+  IntVec lane;
+  Rows(int first_, int end) : first(first_), count(std::min(kLanes, end - first_)) {
+    lane = lane_numbers();
+    lane = lane < count ? lane : broadcast(int32_t{count - 1});
+  }
+  uint32_t valid() const { return (1u << count) - 1; }
+  Vec column(const float *base, int width, int index) const {
+    return gather(base + static_cast<int64_t>(first) * width + index, lane * width);
+  }
+};
+
+inline Shape load_shape(const Request &r, int batch, const Rows &rows) {
+  Shape s;
+  const float *means = r.means + batch * r.means_stride, *quats = r.quats + batch * r.quats_stride;
+  const float *scales = r.scales + batch * r.scales_stride;
+  for (int i = 0; i < 3; i++) s.mean[i] = rows.column(means, 3, i);
+  for (int i = 0; i < 4; i++) s.quat[i] = rows.column(quats, 4, i);
+  for (int i = 0; i < 3; i++) s.scale[i] = rows.column(scales, 3, i);
+  set_rotation(s);
+  return s;
+}
+
+// Half sizes in pixels of what gsplat culls by and reports, before they are rounded up, and of what can be drawn at all.
+struct Extent {
+  Vec radius_x, radius_y, reach_x, reach_y;
+};
+
+inline Extent extent_of(const Projection &p, Vec log2_opacity) {
+  const Vec sigmas = sqrt(max((log2_opacity - kLog2AlphaThreshold) * (2.0f / kLog2E), Vec{}));
+  const Vec x = sqrt(p.xx_blur), y = sqrt(p.yy_blur), at_most = min(sigmas, broadcast(3.33f));
+  // The reach is padded by more than float32 can lose, so that it never cuts what the exponent would let through.
+  return {at_most * x, at_most * y, sigmas * x * 1.0005f + 1e-3f, sigmas * y * 1.0005f + 1e-3f};
+}
+
+// What a lane of a projected vector leaves for the later stages.
+class Finder {
+ public:
+  Finder(const Request &r, Image &image, int index, int task)
+      : request_(r), image_(image), output_(static_cast<int64_t>(index) * r.gaussians), next_(task * kGaussiansPerTask) {}
+
+  void add(const Rows &rows, const Shape &shape, Vec opacity, Projection &p) {
+    store_missing(rows);
+    const Request &r = request_;
+    transform_point(image_.camera, shape, p);
+    const Mask in_depth = both(ge(p.point[2], broadcast(r.near_plane)), le(p.point[2], broadcast(r.far_plane)));
+    if (!any(in_depth)) return;
+    project_covariance(image_.camera, shape, r.eps2d, p);
+    if (r.antialiased) opacity *= compensation(p, r.min_compensation);
+    const Mask drawn = both(in_depth, both(gt(p.det, Vec{}), ge(opacity, broadcast(1.f / 255.f))));
+    uint32_t found = bits(drawn) & rows.valid();
+    if (found == 0) return;
+    const Vec log2_opacity = log2_positive(max(opacity, broadcast(1e-12f)));
+    const Extent extent = extent_of(p, log2_opacity);
+    const Vec x = image_.camera.fx * p.point[0] * p.inverse_z + image_.camera.cx;
+    const Vec y = image_.camera.fy * p.point[1] * p.inverse_z + image_.camera.cy;
+    float value[11][kLanes];
+    const Vec columns[11] = {x, y, 0.5f * kLog2E * p.conic_a(), kLog2E * p.conic_b(), 0.5f * kLog2E * p.conic_c(),
+                             log2_opacity, extent.reach_x, extent.reach_y, extent.radius_x, extent.radius_y, p.point[2]};
+    for (int i = 0; i < 11; i++) store(value[i], columns[i]);
+    for (; found; found &= found - 1) {
+      const int lane = __builtin_ctz(found);
+      const Footprint f{value[0][lane], value[1][lane], value[2][lane], value[3][lane],
+                        value[4][lane], value[5][lane], value[6][lane], value[7][lane]};
+      add_one(rows.first + lane, f, std::ceil(value[8][lane]), std::ceil(value[9][lane]), value[10][lane]);
+    }
+  }
+  int end() const { return next_; }
+
+ private:
+  void store_missing(const Rows &rows) {
+    const int64_t at = output_ + rows.first;
+    std::fill_n(&image_.row_of[rows.first], rows.count, -1);
+    std::fill_n(request_.radii + 2 * at, 2 * rows.count, 0);
+    std::fill_n(request_.means2d + 2 * at, 2 * rows.count, 0.f);
+    std::fill_n(request_.depths + at, rows.count, 0.f);
+  }
+  void add_one(int gaussian, const Footprint &f, float radius_x, float radius_y, float depth) {
+    const Request &r = request_;
+    if (radius_x <= r.radius_clip && radius_y <= r.radius_clip) return;
+    // written so that a NaN, which an overflow can leave, is culled
+    if (!(f.x + radius_x > 0 && f.x - radius_x < r.width && f.y + radius_y > 0 && f.y - radius_y < r.height)) return;
+    const int64_t at = output_ + gaussian;
+    constexpr float kLargest = 1e9f;
+    r.radii[2 * at] = static_cast<int32_t>(std::min(radius_x, kLargest));
+    r.radii[2 * at + 1] = static_cast<int32_t>(std::min(radius_y, kLargest));
+    r.means2d[2 * at] = f.x;
+    r.means2d[2 * at + 1] = f.y;
+    r.depths[at] = depth;
+    const PixelRect p = pixel_rect(f, r.width, r.height);
+    if (p.empty() || image_.live_tiles(p.x0 / kTile, p.x1 / kTile, p.y0 / kTile, p.y1 / kTile) == 0) return;
+    image_.found[next_] = f;
+    std::memcpy(&image_.found_key[next_], &depth, sizeof(depth));
+    image_.found_id[next_] = static_cast<uint32_t>(gaussian);
+    next_++;
+  }
+
+  const Request &request_;
+  Image &image_;
+  const int64_t output_;
+  int next_;
+};
+
+// Projects one task's Gaussians of one batch into all its cameras.
+inline void project_task(const Request &r, Workspace &w, int batch, int task) {
+  const int begin = task * kGaussiansPerTask, end = std::min(r.gaussians, begin + kGaussiansPerTask);
+  std::vector<Finder> finders;
+  finders.reserve(r.cameras);
+  for (int camera = 0; camera < r.cameras; camera++) {
+    const int index = batch * r.cameras + camera;
+    finders.emplace_back(r, *w.images[index], index, task);
+  }
+  for (int first = begin; first < end; first += kLanes) {
+    const Rows rows(first, end);
+    const Shape shape = load_shape(r, batch, rows);
+    const Vec opacity = rows.column(r.opacities + batch * r.opacities_stride, 1, 0);
+    Projection p;
+    for (Finder &finder : finders) finder.add(rows, shape, opacity, p);
+  }
+  for (int camera = 0; camera < r.cameras; camera++) {
+    w.images[batch * r.cameras + camera]->found_count[task] = finders[camera].end() - begin;
+  }
+}
+
+inline Direction view_direction(const Camera &camera, const Vec *mean, Vec &inverse_length) {
+  const Direction d{mean[0] - camera.position[0], mean[1] - camera.position[1], mean[2] - camera.position[2]};
+  inverse_length = 1.0f / sqrt(max(d.x * d.x + d.y * d.y + d.z * d.z, broadcast(1e-24f)));
+  return {d.x * inverse_length, d.y * inverse_length, d.z * inverse_length};
+}
+
+// Colours of splats [begin, end) from their harmonics, max(sum + 0.5, 0).
+inline void evaluate_harmonics(const Request &r, Image &image, int index, int begin, int end) {
+  const float *colors = r.colors + color_offset(r, index);
+  const float *means = r.means + index / r.cameras * r.means_stride;
+  const int bases = (r.sh_degree + 1) * (r.sh_degree + 1), width = floats_per_color(r);
+  for (int first = begin; first < end; first += kLanes) {
+    IntVec id;
+    for (int lane = 0; lane < kLanes; lane++) id[lane] = static_cast<int32_t>(image.id[std::min(first + lane, end - 1)]);
+    const Vec mean[3] = {gather(means, id * 3), gather(means + 1, id * 3), gather(means + 2, id * 3)};
+    Vec inverse_length, value[kMaxBases];
+    harmonics(r.sh_degree, view_direction(image.camera, mean, inverse_length), value);
+    for (int q = 0; q < 3; q++) {
+      Vec color = broadcast(0.5f);
+      for (int k = 0; k < bases; k++) color += value[k] * gather(colors + 3 * k + q, id * width);
+      color = max(color, Vec{});
+      for (int lane = 0; lane < std::min(kLanes, end - first); lane++) image.splats[first + lane].channel[q] = color[lane];
+    }
+  }
+}
+
+// Puts the channels of a pass into splats [begin, end); those that the pass does not use are zero.
+inline void load_channels(const Request &r, Image &image, int index, const Pass &pass, int begin, int end) {
+  if (has_harmonics(r)) evaluate_harmonics(r, image, index, begin, end);
+  const float *colors = r.color_channels > 0 ? r.colors + color_offset(r, index) : nullptr;
+  const int from_colors = pass.count - (pass.has_depth ? 1 : 0);
+  for (int row = begin; row < end; row++) {
+    float *channel = image.splats[row].channel;
+    if (!has_harmonics(r) && from_colors > 0) {
+      std::copy_n(colors + static_cast<int64_t>(image.id[row]) * r.color_channels + pass.first, from_colors, channel);
+    }
+    if (pass.has_depth) channel[from_colors] = image.depth[row];
+    std::fill(channel + pass.count, channel + kChannels, 0.f);
+  }
+}
+
+inline Pass make_pass(const Request &r, int first) {
+  const int total = channels_of(r), count = std::min(kChannels, total - first);
+  const int slot = (kGeometrySums + total + 3) / 4 * 4;
+  return {first, count, total, r.depth_mode != kNoDepth && first + count == total, r.depth_mode == kExpectedDepth, slot};
+}
+
+// Calls `work` with the number of channels to compile for: the smallest of 1, 3, 4 and 8 that holds `count`.
+template <class Work>
+inline void for_width(int count, const Work &work) {
+  if (count <= 1) {
+    work(std::integral_constant<int, 1>());
+  } else if (count <= 3) {
+    work(std::integral_constant<int, 3>());
+  } else if (count <= 4) {
+    work(std::integral_constant<int, 4>());
+  } else {
+    work(std::integral_constant<int, kChannels>());
+  }
+}
+
+// Runs task(image, share) over all images, each cut into as many shares as shares(image) says.
+template <class Shares, class Task>
+inline void parallel_over_images(const Request &r, const Shares &shares, const Task &task) {
+  std::vector<int64_t> begin(images_of(r) + 1, 0);
+  for (int i = 0; i < images_of(r); i++) begin[i + 1] = begin[i] + shares(i);
+  parallel_for(r.threads, begin.back(), [&](int64_t at) {
+    const int image = static_cast<int>(std::upper_bound(begin.begin(), begin.end(), at) - begin.begin()) - 1;
+    task(image, static_cast<int>(at - begin[image]));
+  });
+}
+
+inline const uint8_t *mask_of(const Request &r, int image) {
+  return r.pixel_mask == nullptr ? nullptr : r.pixel_mask + static_cast<int64_t>(image) * r.width * r.height;
+}
+
+// Splats [row, row + kGaussiansPerTask) get the channels of a pass; with `gather`, their footprints first.
+inline void fill_splats(const Request &r, Workspace &w, const Pass &pass, bool gather) {
+  const auto shares = [&](int i) { return w.images[i]->tasks(w.images[i]->visible); };
+  parallel_over_images(r, shares, [&](int i, int share) {
+    Image &image = *w.images[i];
+    const int begin = share * kGaussiansPerTask, end = std::min(image.visible, begin + kGaussiansPerTask);
+    if (gather) gather_splats(image, begin, end);
+    load_channels(r, image, i, pass, begin, end);
+  });
+}
+
+inline void blend_pass(const Request &r, Workspace &w, const Pass &pass) {
+  parallel_over_images(r, [&](int i) { return w.images[i]->tiles(); }, [&](int i, int index) {
+    const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
+    const PixelsOut out{r.renders + pixels * pass.total, r.alphas + pixels,
+                        r.backgrounds == nullptr ? nullptr : r.backgrounds + i * pass.total};
+    const Tile tile(*w.images[i], index, mask_of(r, i));
+    for_width(pass.count, [&](auto width) { blend_tile<width>(*w.images[i], tile, pass, r.max_alpha, out); });
+  });
+}
+
+// Each image's own serial work, the images side by side.
+inline Status sort_and_bin(const Request &r, Workspace &w) {
+  std::vector<Status> status(images_of(r), kOk);
+  const auto guarded = [&](int i, const auto &work) {
+    try {
+      if (!work(*w.images[i])) status[i] = kTooManyIntersections;
+    } catch (const std::bad_alloc &) {
+      status[i] = kOutOfMemory;
+    }
+  };
+  parallel_for(r.threads, images_of(r), [&](int64_t i) {
+    guarded(i, [&](Image &image) { return order_by_depth(image, r.gaussians), true; });
+  });
+  for (const Status s : status) if (s != kOk) return s;
+  fill_splats(r, w, make_pass(r, 0), true);
+  parallel_for(r.threads, images_of(r), [&](int64_t i) { guarded(i, bin_into_tiles); });
+  for (const Status s : status) if (s != kOk) return s;
+  return kOk;
+}
+
+inline Status forward(Workspace &w, const Request &r) {
+  const std::lock_guard<std::mutex> lock(w.in_use);
+  while (static_cast<int>(w.images.size()) < images_of(r)) w.images.push_back(std::make_unique<Image>());
+  for (int i = 0; i < images_of(r); i++) prepare_image(*w.images[i], r, i);
+  const int tasks = w.images[0]->tasks(r.gaussians);
+  parallel_for(r.threads, static_cast<int64_t>(r.batches) * tasks, [&](int64_t at) {
+    project_task(r, w, static_cast<int>(at / tasks), static_cast<int>(at % tasks));
+  });
+  const Status status = sort_and_bin(r, w);
+  if (status != kOk) return status;
+  for (int first = 0; first < channels_of(r); first += kChannels) {
+    const Pass pass = make_pass(r, first);
+    if (first > 0) fill_splats(r, w, pass, false);
+    blend_pass(r, w, pass);
+  }
+  return kOk;
+}
+
+}  // namespace splat

@@ -1,0 +1,138 @@
+"""Compiles the CPU rasteriser of `native/` with the system's C++ compiler; standard library only.
+
+`setup.py` runs this file while the package itself cannot be imported yet, and `library` imports it to compile at first
+use. A library's name carries the hash of all that it was made from, so that a stale one is never loaded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+SOURCES = Path(__file__).resolve().parent / "native"
+
+FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-fPIC", "-shared")
+"""No -ffast-math: infinities and NaN of culled Gaussians must stay what they are."""
+
+VARIANTS_X86 = ("x86-64-v4", "x86-64-v3", "x86-64-v2")
+"""Instruction sets on x86-64, best first: AVX-512, AVX2 with FMA, SSE4.2."""
+
+_NEEDED_FLAGS = {
+    "x86-64-v4": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+    "x86-64-v3": {"avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "xsave", "abm"},
+    "x86-64-v2": {"sse4_1", "sse4_2", "ssse3", "popcnt", "cx16"},
+}
+"""Names of /proc/cpuinfo (System V ABI for AMD64, table 3.1); a level needs those of the levels below it too."""
+
+COMPILE_TIMEOUT_S = 300
+"""A slow single-board computer takes about a minute."""
+
+
+class CompileError(Exception):
+    """There is no compiler, or it failed; the message says which."""
+
+
+def variants() -> tuple[str, ...]:
+    """Variants worth shipping for this kind of machine, best first; `baseline` outside x86-64 (NEON on ARM)."""
+    return VARIANTS_X86 if platform.machine().lower() in ("x86_64", "amd64") else ("baseline",)
+
+
+def supported_variants() -> tuple[str, ...]:
+    """Variants that this processor runs, best first."""
+    flags = _processor_flags()
+    if variants() == ("baseline",) or not flags:
+        return variants()[-1:]
+    supported: list[str] = []
+    for name in reversed(VARIANTS_X86):
+        if not _NEEDED_FLAGS[name] <= flags:
+            break
+        supported.insert(0, name)
+    return tuple(supported)
+
+
+def _processor_flags() -> set[str]:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return set()
+    return next((set(line.split(":", 1)[1].split()) for line in lines if line.startswith("flags")), set())
+
+
+def find_compiler() -> str:
+    """Path of the C++ compiler: `$CXX`, else c++, g++ or clang++. Raises `CompileError` where there is none."""
+    for name in filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++")):
+        path = shutil.which(name)
+        if path:
+            return path
+    raise CompileError("no C++ compiler found (looked for $CXX, c++, g++, clang++); install g++")
+
+
+def source_hash() -> str:
+    """Twelve hex digits over the sources and the flags."""
+    digest = hashlib.sha256(" ".join(FLAGS).encode())
+    for path in sorted((*SOURCES.glob("*.cpp"), *SOURCES.glob("*.h"))):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def shipped_library(variant: str) -> Path:
+    """Where an installed package keeps the library of a variant."""
+    return SOURCES / f"libsplat-{variant}-{source_hash()}.so"
+
+
+def cached_library(variant: str) -> Path:
+    """Path of the library in the user's cache, compiled now if it is not there yet.
+
+    Safe when several processes do it at once: each compiles to a file of its own and moves it into place. Raises
+    `CompileError`.
+    """
+    compiler = find_compiler()
+    version = _run([compiler, "--version"]).splitlines()[0]
+    key = hashlib.sha256(f"{source_hash()} {version}".encode()).hexdigest()[:12]
+    library = _cache_folder() / f"libsplat-{variant}-{key}.so"
+    if not library.exists():
+        compile_library(variant, library, compiler)
+    return library
+
+
+def compile_library(variant: str, to: Path, compiler: str | None = None) -> None:
+    """Compiles one variant to the file `to`, which appears whole or not at all. Raises `CompileError`."""
+    command = [compiler or find_compiler(), *FLAGS, "-fopenmp", "-Wno-psabi"]
+    if variant != "baseline":
+        command.append(f"-march={variant}")
+    to.parent.mkdir(parents=True, exist_ok=True)
+    handle, scratch = tempfile.mkstemp(suffix=".so", dir=to.parent)
+    os.close(handle)
+    try:
+        _run([*command, str(SOURCES / "library.cpp"), "-o", scratch])
+        Path(scratch).chmod(0o755)
+        Path(scratch).replace(to)
+    finally:
+        Path(scratch).unlink(missing_ok=True)
+
+
+def _cache_folder() -> Path:
+    """A folder of this user's alone: a shared one would let another user plant a library."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = root / "twin_node"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="twin_node-"))
+    return folder if os.access(folder, os.W_OK) else Path(tempfile.mkdtemp(prefix="twin_node-"))
+
+
+def _run(command: list[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise CompileError(f"{command[0]} did not run: {error}") from error
+    if done.returncode != 0:
+        first_lines = " / ".join(done.stderr.strip().splitlines()[:3])
+        raise CompileError(f"{command[0]} ended with status {done.returncode}: {first_lines}")
+    return done.stdout
