@@ -1,14 +1,33 @@
 """From obstacles to the arm's speed: collision scene, checker, separation law."""
 
+from twin_node.arm.attachment import AllowedRegion, Attachment, parallel_gripper
+from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
+from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError
+from twin_node.arm.limiter import LimiterParameters, SpeedLimiter
 from twin_node.arm.path import CycleParameters, CyclicPath, default_path, extrapolate, path_ahead, sample_path
+from twin_node.arm.separation import SeparationParameters, UnknownPolicy
+from twin_node.arm.stopping import StoppingTable, stopping_table
 
 __all__ = [
+    "AllowedRegion",
+    "Approaches",
+    "ArmCollisionChecker",
     "ArmError",
+    "Attachment",
+    "Clearance",
     "CycleParameters",
     "CyclicPath",
+    "LimiterParameters",
+    "SeparationParameters",
+    "SpeedLimiter",
+    "StoppingTable",
+    "UnknownPolicy",
+    "decide",
     "default_path",
     "extrapolate",
+    "parallel_gripper",
     "path_ahead",
     "sample_path",
+    "stopping_table",
 ]

@@ -81,6 +81,11 @@ class ObstacleSet:
         """True where an obstacle [n] counts at a time (ns); times [T, 1] give [T, n]."""
         return np.asarray((self.source.valid_from <= stamps) & (stamps <= self.source.valid_to))
 
+    def last_valid(self, kind: ObstacleKind) -> int | None:
+        """Last time (ns) that obstacles of a kind speak of; None where there are none."""
+        ends = self.source.valid_to[self.kinds == kind]
+        return int(ends.max()) if len(ends) else None
+
     def inside(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
         reach = np.where(self.is_sphere[:, None], self.half, np.einsum("nij,nj->ni", np.abs(self.rotations), self.half))

@@ -1,0 +1,129 @@
+"""From obstacles and the arm's next 200 ms to a speed: one call per forecast."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
+from twin_node.arm.errors import ArmError
+from twin_node.arm.separation import Encounter, Hazards, Motion, SeparationParameters, hazards
+from twin_node.arm.stopping import StoppingTable, stopping_table
+from twin_node.robot import forward_kinematics, place_capsules
+from twin_node.scene import Float64, JointPath, ObstacleKind, Separation
+
+_POSES = 5
+"""Poses along the next 200 ms from which closing speeds are taken: the forecast's own horizons."""
+
+
+def decide(
+    checker: ArmCollisionChecker,
+    path: JointPath,
+    stamp: int,
+    reaction_s: float,
+    parameters: SeparationParameters | None = None,
+    table: StoppingTable | None = None,
+) -> Separation:
+    """Speed that the separation law leaves an arm now (ns) that means to follow a path ahead, at its full speed.
+
+    `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it. `reaction_s` is the measured time
+    from now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. The pair
+    that falls most short at full speed is named; distances and closing speeds are from the arm's present pose to where
+    the obstacles will be. Raises `ArmError` or `RobotError` for a wrong path.
+    """
+    law = parameters or SeparationParameters()
+    if len(path.stamps) == 0:
+        raise ArmError("joint path: expected at least the arm's present pose, found no sample; check the trajectory")
+    positions = checker.model.order(path.names, path.positions)
+    seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
+    found = hazards(checker.obstacles, stamp, law)
+    stopping = table or stopping_table(checker.bare_model.name)
+    motion = Motion(stamp, reaction_s, _fastest(positions, seconds), stopping)
+    steps = checker.check(positions, np.minimum(path.stamps, _forecast_end(checker, stamp)))
+    closest = min(steps, key=lambda clearance: clearance.distance)
+    picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))
+    pairs = checker.approaches(positions[picked], _reach(checker, positions, seconds, found, motion, law))
+    closing = _closing(pairs, seconds[picked])
+    encounter = Encounter(found, pairs.obstacles, pairs.distances[0], closing, motion, law)
+    return _settle(checker, closest, pairs, encounter)
+
+
+def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches, encounter: Encounter) -> Separation:
+    """Applies the law to the pairs and names the one that decides; where none is closing in, the closest one."""
+    shortfall, terms = encounter.shortfall(1.0), encounter.terms(1.0)
+    idle = Separation(
+        stamp=encounter.motion.stamp,
+        evidence_stamp=checker.obstacles.source.stamp,
+        distance=closest.distance,
+        required=0.0,
+        term_human=0.0,
+        term_reaction=0.0,
+        term_stopping=0.0,
+        term_intrusion=0.0,
+        term_uncertainty=0.0,
+        link=closest.link,
+        obstacle_id=closest.obstacle_id,
+        speed_fraction=1.0,
+        reason="clear" if len(shortfall) == 0 else "not closing in",
+    )
+    if not np.isfinite(shortfall.max(initial=-np.inf)):
+        return idle
+    worst = int(shortfall.argmax())
+    row = int(pairs.obstacles[worst])
+    share = encounter.largest_share()
+    kind = ObstacleKind(int(checker.obstacles.kinds[row])).name
+    state = "clear of" if share >= 1 else "slow for" if share > 0 else "stopped for"
+    return replace(
+        idle,
+        required=float(terms.required[worst]),
+        term_human=float(terms.human[worst]),
+        term_reaction=float(terms.reaction[worst]),
+        term_stopping=float(terms.stopping[worst]),
+        term_intrusion=float(terms.intrusion[worst]),
+        term_uncertainty=float(terms.uncertainty[worst]),
+        link=checker.capsule_names[pairs.capsules[worst]],
+        obstacle_id=int(checker.obstacles.ids[row]),
+        speed_fraction=share,
+        reason=f"{state} {kind}",
+    )
+
+
+def _forecast_end(checker: ArmCollisionChecker, stamp: int) -> int:
+    """Last time (ns) that obstacles of every kind speak of: later poses are held against the last of them."""
+    ends = [checker.obstacles.last_valid(kind) for kind in ObstacleKind]
+    return min((end for end in ends if end is not None), default=stamp)
+
+
+def _fastest(positions: Float64, seconds: Float64) -> Float64:
+    """Largest speed [J] of each joint along a path, rad/s."""
+    if len(seconds) < 2:
+        return np.zeros(positions.shape[1])
+    fastest: Float64 = np.abs(np.diff(positions, axis=0) / np.diff(seconds)[:, None]).max(0)
+    return fastest
+
+
+def _closing(pairs: Approaches, seconds: Float64) -> Float64:
+    """Speeds [p] at which pairs come closer by the arm's own motion: the fastest mean from now to any pose, m/s."""
+    if len(seconds) < 2:
+        return np.zeros(len(pairs.obstacles))
+    closing: Float64 = ((pairs.distances[0] - pairs.distances[1:]) / (seconds[1:] - seconds[0])[:, None]).max(0)
+    return np.maximum(closing, 0.0)
+
+
+def _reach(
+    checker: ArmCollisionChecker,
+    positions: Float64,
+    seconds: Float64,
+    found: Hazards,
+    motion: Motion,
+    law: SeparationParameters,
+) -> Float64:
+    """Distance [n] (m) within which an obstacle can matter: the law at full speed for the arm's fastest point."""
+    ends = place_capsules(checker.model, forward_kinematics(checker.model, positions)).ends
+    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1).reshape(len(ends) - 1, -1)
+    fastest = float((steps / np.diff(seconds)[:, None]).max(initial=0.0))
+    rows = np.arange(len(found.counts))
+    nothing = np.zeros(len(rows))
+    bound = Encounter(found, rows, nothing, np.full(len(rows), fastest), motion, law)
+    return np.where(found.counts, bound.terms(1.0).required, -1.0)

@@ -1,0 +1,78 @@
+"""Makes a speed out of decisions over time: down at once, up slowly, and to a stop when no forecast comes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from twin_node.scene import Separation
+
+
+@dataclass(frozen=True)
+class LimiterParameters:
+    """How the speed follows the decisions."""
+
+    deadline_s: float = 0.1
+    """Time without a forecast after which the arm is slow; after twice as long it stands. Three images at 30 Hz."""
+    slow_fraction: float = 0.2
+    """Largest speed between one and two deadlines."""
+    rise_per_s: float = 0.5
+    """How fast the speed may rise: from rest to full in two seconds."""
+    evidence_latency_s: float = 0.2
+    """Age that evidence may have when its forecast arrives; older evidence counts as a late forecast."""
+
+
+class SpeedLimiter:
+    """Speed fraction that the arm is given, from the decisions made so far and the time since the last."""
+
+    def __init__(self, parameters: LimiterParameters | None = None) -> None:
+        self.parameters = parameters or LimiterParameters()
+        self._decision: Separation | None = None
+        self._arrival = 0
+        self._fraction = 0.0
+        self._stamp: int | None = None
+
+    def decide(self, separation: Separation, now: int) -> Separation:
+        """Takes a new decision at a time (ns) and gives back what the arm is told: `tick` at that time."""
+        self._decision = separation
+        self._arrival = now
+        return self.tick(now)
+
+    def tick(self, now: int) -> Separation:
+        """What the arm is told at a time (ns), called at least once per deadline whether or not a forecast came.
+
+        Before the first decision the arm stands.
+        """
+        if self._decision is None:
+            self._stamp = now
+            return _standing(now)
+        limit, reason = self._decision.speed_fraction, self._decision.reason
+        age_s = max(now - self._arrival, now - self._decision.evidence_stamp - self._latency_ns()) * 1e-9
+        if age_s >= 2 * self.parameters.deadline_s:
+            limit, reason = 0.0, f"stopped: no forecast for {age_s * 1e3:.0f} ms"
+        elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
+            limit, reason = self.parameters.slow_fraction, f"slow: no forecast for {age_s * 1e3:.0f} ms"
+        elapsed_s = 0.0 if self._stamp is None else max(now - self._stamp, 0) * 1e-9
+        self._fraction = min(limit, self._fraction + self.parameters.rise_per_s * elapsed_s)
+        self._stamp = now
+        return replace(self._decision, stamp=now, speed_fraction=self._fraction, reason=reason)
+
+    def _latency_ns(self) -> int:
+        return round(self.parameters.evidence_latency_s * 1e9)
+
+
+def _standing(now: int) -> Separation:
+    return Separation(
+        stamp=now,
+        evidence_stamp=0,
+        distance=float("inf"),
+        required=0.0,
+        term_human=0.0,
+        term_reaction=0.0,
+        term_stopping=0.0,
+        term_intrusion=0.0,
+        term_uncertainty=0.0,
+        link="",
+        obstacle_id=-1,
+        speed_fraction=0.0,
+        reason="stopped: no forecast yet",
+    )

@@ -1,0 +1,182 @@
+"""Speed and separation monitoring of ISO/TS 15066, inverted: the largest share of its speed at which an arm may go on.
+
+S = S_h + S_r + S_s + C + Z (5.5.4, eq. 3), per pair of a capsule and an obstacle. The obstacles already are a forecast
+of where something may be, so S_h grows only from the end of their validity on. Not a safety-rated function.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.arm.obstacle_set import ObstacleSet
+from twin_node.arm.stopping import Stop, StoppingTable
+from twin_node.scene import Bool, Float64, ObstacleKind
+
+_BISECTIONS = 10
+"""Halvings of the speed share's interval: exact to 0.1 %."""
+_SAME_LAYER_NS = 25_000_000
+"""Obstacles whose validity ends this close together belong to one layer: half the step of the forecast's horizons."""
+
+
+class UnknownPolicy(Enum):
+    """How space that no camera sees is treated."""
+
+    LAW = "law"
+    """Something may come out of it: as MOVING."""
+    CLEARANCE = "clearance"
+    """It may be full, but nothing comes out of it: as STATIC."""
+    IGNORE = "ignore"
+    """Not looked at: for cells whose unseen space is known to be empty."""
+
+
+@dataclass(frozen=True)
+class SeparationParameters:
+    """Constants of the law."""
+
+    human_speed: float = 1.6
+    """v_h beyond the forecast, m/s: walking speed of ISO 13855; a faster obstacle counts with its measured speed."""
+    intrusion_m: float = 0.2
+    """C: how far a body reaches past what the sensors detect, m."""
+    clearance_m: float = 0.03
+    """Kept from what stands still, m: about one voxel."""
+    position_error_m: float = 0.005
+    """Z: error of the arm's position, m: DH parameters without factory calibration are off by millimetres.
+
+    The error of the obstacles is inside their shapes already.
+    """
+    closing_speed: float = 0.01
+    """A pair that comes closer slower than this, m/s, is not closing."""
+    unknown: UnknownPolicy = UnknownPolicy.LAW
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Protective distances and their parts, m; one value per pair."""
+
+    human: Float64
+    reaction: Float64
+    stopping: Float64
+    intrusion: Float64
+    uncertainty: Float64
+
+    @property
+    def required(self) -> Float64:
+        """The sum."""
+        return self.human + self.reaction + self.stopping + self.intrusion + self.uncertainty
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the law needs to know of the arm at its full programmed speed."""
+
+    stamp: int
+    """Now, ns."""
+    reaction_s: float
+    """T_r: from now until the arm begins to brake, s; what happened before now is in the obstacles' stamps."""
+    joint_speeds: Float64
+    """[J] largest over the next 200 ms, rad/s."""
+    table: StoppingTable
+
+    def stop(self, share: float) -> Stop:
+        """The stop from a share (0 to 1) of the speed."""
+        return self.table.stop(share * self.joint_speeds)
+
+    def standstill(self, stop: Stop) -> int:
+        """When the arm stands if it is told to stop now, ns."""
+        return self.stamp + round((self.reaction_s + stop.duration_s) * 1e9)
+
+
+@dataclass(frozen=True)
+class Hazards:
+    """Per obstacle: how the law looks at it."""
+
+    counts: Bool
+    """[n] False where it is out of date or left out by the policy."""
+    keeps_still: Bool
+    """[n] True where plain clearance is enough."""
+    speeds: Float64
+    """[n] v_h, m/s."""
+    valid_from: NDArray[np.int64]
+    """[n] ns."""
+    valid_to: NDArray[np.int64]
+    """[n] ns; for ever where a later layer takes over."""
+
+
+def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters) -> Hazards:
+    """How the law looks at obstacles at a time (ns).
+
+    What stands still is valid for ever. Another obstacle ends with its validity, unless it belongs to the last layer of
+    its kind's forecast: that one goes on, and grows.
+    """
+    source, kinds = obstacles.source, obstacles.kinds
+    unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
+    keeps_still = obstacles.is_static | (unknown & (parameters.unknown is UnknownPolicy.CLEARANCE))
+    in_last_layer = keeps_still.copy()
+    for kind in ObstacleKind:
+        last = obstacles.last_valid(kind)
+        if last is not None:
+            in_last_layer |= (kinds == kind) & (source.valid_to > last - _SAME_LAYER_NS)
+    counts = (source.valid_to >= stamp) | in_last_layer
+    counts &= ~(unknown & (parameters.unknown is UnknownPolicy.IGNORE))
+    return Hazards(
+        counts=np.asarray(counts),
+        keeps_still=keeps_still,
+        speeds=np.maximum(np.linalg.norm(source.velocities, axis=1), parameters.human_speed),
+        valid_from=source.valid_from,
+        valid_to=np.where(in_last_layer, source.valid_to, np.iinfo(np.int64).max),
+    )
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """Pairs of capsules and obstacles, and the motion that the law is applied to."""
+
+    hazards: Hazards
+    rows: NDArray[np.int64]
+    """[p] row of each pair's obstacle."""
+    distances: Float64
+    """[p] from the arm as it stands now to the obstacle as it will be, m."""
+    closing: Float64
+    """[p] speed at which the arm, at full speed, comes closer by its own motion, m/s."""
+    motion: Motion
+    parameters: SeparationParameters
+
+    def terms(self, share: float) -> Terms:
+        """The law's terms at a share (0 to 1) of the arm's speed."""
+        stop = self.motion.stop(share)
+        still = self.hazards.keeps_still[self.rows]
+        beyond_s = np.maximum(self.motion.standstill(stop) - self.hazards.valid_to[self.rows], 0) * 1e-9
+        law = self.parameters
+        return Terms(
+            human=np.where(still, 0.0, self.hazards.speeds[self.rows] * beyond_s),
+            reaction=share * self.closing * self.motion.reaction_s,
+            stopping=share * self.closing * stop.travel_s,
+            intrusion=np.where(still, law.clearance_m, law.intrusion_m),
+            uncertainty=np.full(len(self.rows), law.position_error_m),
+        )
+
+    def shortfall(self, share: float) -> Float64:
+        """By how much [p] distances fall short of the protective ones at a share of the speed, m; negative: enough.
+
+        Minus infinity for pairs that are not closing, and for obstacles that come after the arm would have stopped.
+        """
+        standstill = self.motion.standstill(self.motion.stop(share))
+        concerned = (self.closing > self.parameters.closing_speed) & (self.hazards.valid_from[self.rows] <= standstill)
+        return np.where(concerned, self.terms(share).required - self.distances, -np.inf)
+
+    def largest_share(self) -> float:
+        """Largest share (0 to 1) of the arm's speed at which no pair falls short.
+
+        Every term rises with the share, so bisection finds it.
+        """
+        if not (self.shortfall(1.0) > 0).any():
+            return 1.0
+        low, high = 0.0, 1.0
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            low, high = (low, middle) if (self.shortfall(middle) > 0).any() else (middle, high)
+        return low

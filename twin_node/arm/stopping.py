@@ -1,0 +1,85 @@
+"""How long an arm takes to stop, and how far it goes meanwhile: tables per arm, measured at full reach and payload."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.arm.errors import ArmError
+from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A stop from given joint speeds."""
+
+    duration_s: float
+    """From the arm's first braking to standstill."""
+    travel_s: float
+    """Distance gone meanwhile as a time at the speed before: metres per m/s, radians per rad/s."""
+
+
+@dataclass(frozen=True)
+class StoppingTable:
+    """Stopping times and angles of joints at measured speeds.
+
+    Between rows, and down to rest, the time and the angle per speed are linear: so they are under steady braking.
+    """
+
+    speeds: Float64
+    """[R] rad/s, rising, above zero."""
+    times: Float64
+    """[R, J] s."""
+    angles: Float64
+    """[R, J] rad gone until standstill."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for a table whose rows do not rise or do not fit each other."""
+        rows = len(self.speeds)
+        shapes_fit = self.times.ndim == 2 and self.times.shape == self.angles.shape and len(self.times) == rows
+        if rows == 0 or not shapes_fit or np.diff(self.speeds, prepend=0.0).min() <= 0:
+            raise ArmError(
+                f"stopping table: expected rising speeds [R] and times and angles [R, J], found "
+                f"{self.speeds.tolist()}, {self.times.shape} and {self.angles.shape}; correct the table"
+            )
+
+    def stop(self, speeds: NDArray[np.floating]) -> Stop:
+        """The longest stop among the joints at speeds [J] (rad/s); speeds beyond the table go on along its last row."""
+        magnitudes = np.abs(np.asarray(speeds, dtype=np.float64))
+        return Stop(self._read(self.times, magnitudes), self._read(self.angles / self.speeds[:, None], magnitudes))
+
+    def _read(self, columns: Float64, speeds: Float64) -> float:
+        """Largest of the columns' values [R, J] at speeds [J]; in proportion to speed below the first row and above."""
+        knots = np.concatenate([[0.0], self.speeds])
+        values = np.concatenate([np.zeros((1, columns.shape[1])), columns])
+        read = [np.interp(speed, knots, column) for speed, column in zip(speeds, values.T, strict=True)]
+        return float((np.array(read) * np.maximum(speeds / knots[-1], 1.0)).max(initial=0.0))
+
+
+def _from_base_shoulder_elbow(speed_deg: float, times_s: Float64, angles_rad: Float64) -> StoppingTable:
+    """A one-row table; the wrists, which no manual lists, are lighter than the elbow and taken as slow as it."""
+    row = [0, 1, 2, 2, 2, 2]
+    return StoppingTable(np.deg2rad([speed_deg]), times_s[None, row], angles_rad[None, row])
+
+
+_UR3 = _from_base_shoulder_elbow(183, np.array([0.159, 0.154, 0.092]), np.array([0.18, 0.20, 0.15]))
+_UR5 = _from_base_shoulder_elbow(183, np.array([0.244, 0.530, 0.164]), np.array([0.31, 0.70, 0.22]))
+_TABLES = {
+    "ur3e": _UR3,
+    "ur5e": _UR5,
+    "ur10e": StoppingTable(_UR5.speeds, 2 * _UR5.times, 2 * _UR5.angles),
+    "ur16e": StoppingTable(_UR5.speeds, 2 * _UR5.times, 2 * _UR5.angles),
+}
+
+
+def stopping_table(arm: str) -> StoppingTable:
+    """Stopping data of an arm by its name; the UR5e's, doubled, for an arm without data.
+
+    Source: user manuals of the UR3 (3.10) and UR5 (3.4.5), appendix A.1: stop category 0, full reach, full payload,
+    downwards. For the e-Series UR publishes plots only; its UR3e and UR5e are taken to stop as their predecessors. For
+    larger arms twice the UR5's times and angles are assumed: measure them, or set the controller's stopping-time limit
+    and enter that.
+    """
+    return _TABLES.get(arm, _TABLES["ur10e"])
