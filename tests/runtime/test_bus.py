@@ -29,15 +29,6 @@ def test_only_a_latched_topic_reaches_a_late_subscriber() -> None:
     assert seen == [2]
 
 
-def test_a_tap_sees_every_topic_before_its_subscribers() -> None:
-    bus, seen = LocalBus(), []
-    bus.subscribe("/a", lambda m: seen.append("subscriber"))
-    bus.tap(lambda topic, m: seen.append(topic))
-    bus.publish("/a", 1)
-    bus.publish("/unheard", 2)
-    assert seen == ["/a", "subscriber", "/unheard"]
-
-
 def test_a_failing_callback_reaches_the_publisher_and_leaves_the_bus_usable() -> None:
     bus, seen = LocalBus(), []
 

@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
-from twin_node.arm import ArmCollisionChecker, CyclicPath, SeparationLimiter, decide, extrapolate, path_ahead
+from twin_node.arm import (
+    ArmCollisionChecker,
+    CyclicPath,
+    LimiterParameters,
+    SeparationParameters,
+    SpeedLimiter,
+    decide,
+    extrapolate,
+    path_ahead,
+)
 from twin_node.messages import convert
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
 from twin_node.scene import JointPath, JointSample
+
+
+@dataclass(frozen=True)
+class ArmParameters:
+    """Which arm works in the cell, and how it keeps its distance."""
+
+    model: str = "ur10e"
+    """One of the arms of `twin_node.robot.UR_NAMES`."""
+    command_latency_ms: float = 20.0
+    """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
+    separation: SeparationParameters = field(default_factory=SeparationParameters)
+    limiter: LimiterParameters = field(default_factory=LimiterParameters)
 
 
 class ArmNode(Node):
@@ -21,12 +43,13 @@ class ArmNode(Node):
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, checker: ArmCollisionChecker, limiter: SeparationLimiter, cycle: CyclicPath
+        self, bus: Bus, clock: Clock, checker: ArmCollisionChecker, cycle: CyclicPath, parameters: ArmParameters
     ) -> None:
         super().__init__("arm", bus, clock)
         self._checker = checker
-        self._limiter = limiter
         self._cycle = cycle
+        self._parameters = parameters
+        self._limiter = SpeedLimiter(parameters.limiter)
         self._path: JointPath | None = None
         self._joints: JointSample | None = None
 
@@ -45,8 +68,10 @@ class ArmNode(Node):
         obstacles = convert.obstacles_from_message(message)
         self._checker.update(obstacles)
         stamp = max(self.clock.now(), obstacles.stamp)
-        separation = decide(self._checker, self._path_from(stamp), stamp, self._limiter)
-        self.bus.publish(SEPARATION, convert.separation_to_message(separation))
+        reaction_s = self._parameters.command_latency_ms * 1e-3
+        decision = decide(self._checker, self._path_from(stamp), stamp, reaction_s, self._parameters.separation)
+        told = self._limiter.decide(decision, stamp)
+        self.bus.publish(SEPARATION, convert.separation_to_message(told))
 
     def _path_from(self, stamp: int) -> JointPath:
         model = self._checker.model

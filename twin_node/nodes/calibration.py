@@ -75,4 +75,3 @@ def _is_placed(tree: TransformTree, info: Any) -> bool:
     except MessageError:
         return False
     return True
-

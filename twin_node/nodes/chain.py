@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from twin_node import resources
-from twin_node.arm import ArmCollisionChecker, SeparationLimiter, SeparationParameters, default_path
+from twin_node.arm import ArmCollisionChecker, default_path
 from twin_node.forecast import CoverParameters, Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, WindowModel
-from twin_node.nodes.arm import ArmNode
+from twin_node.nodes.arm import ArmNode, ArmParameters
 from twin_node.nodes.forecast import ForecastNode
 from twin_node.nodes.latency import Latency
 from twin_node.nodes.model import ModelNode
@@ -25,14 +25,6 @@ from twin_node.runtime.parameters import ParameterError, fill, read_parameters
 from twin_node.scene import Float64
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
-
-
-@dataclass(frozen=True)
-class ArmParameters:
-    """Which arm works in the cell, and how it keeps its distance."""
-
-    model: str = "ur10e"
-    separation: SeparationParameters = field(default_factory=SeparationParameters)
 
 
 @dataclass(frozen=True)
@@ -87,12 +79,11 @@ class Chain:
         self.forecaster = Forecaster(default_grid(workspace, parameters.grid.voxel_size), parameters.forecast)
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
         checker = ArmCollisionChecker(arm)
-        limiter = SeparationLimiter(parameters.arm.separation)
         self.nodes: Sequence[Node] = (
             self.status,
             ModelNode(bus, clock, self.model),
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
-            ArmNode(bus, clock, checker, limiter, default_path(arm, workspace)),
+            ArmNode(bus, clock, checker, default_path(arm, workspace), parameters.arm),
         )
 
     def start(self) -> None:

@@ -17,11 +17,16 @@ class Latency:
         """`assumed_ns` stands for the p99 until enough was measured, and for ever where `is_measured` is False."""
         self._assumed_ns = assumed_ns
         self._is_measured = is_measured
+        self._is_started = False
         self._samples_ns: deque[int] = deque(maxlen=SAMPLES)
+
+    def start(self) -> None:
+        """Measure from now on: what came before was start-up."""
+        self._is_started = True
 
     def add(self, latency_ns: int) -> None:
         """Count one latency; ignored where latency is assumed, because lockstep knows no time."""
-        if self._is_measured:
+        if self._is_measured and self._is_started:
             self._samples_ns.append(latency_ns)
 
     @property

@@ -30,7 +30,6 @@ class LocalBus:
         self._latched = latched
         self._last: dict[str, Any] = {}
         self._callbacks: dict[str, list[Callback]] = {}
-        self._taps: list[Callable[[str, Any], None]] = []
         self._pending: deque[tuple[str, Any]] = deque()
         self._delivering = False
 
@@ -53,14 +52,8 @@ class LocalBus:
         if topic in self._last:
             callback(self._last[topic])
 
-    def tap(self, callback: Callable[[str, Any], None]) -> None:
-        """Call `callback(topic, message)` for every message on every topic, before its subscribers."""
-        self._taps.append(callback)
-
     def _deliver(self, topic: str, message: Any) -> None:
         if topic in self._latched:
             self._last[topic] = message
-        for tap in self._taps:
-            tap(topic, message)
         for callback in self._callbacks.get(topic, ()):
             callback(message)

@@ -1,0 +1,77 @@
+"""Collects what a run shows and says, tick by tick, for the report."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from twin_node.messages import convert
+from twin_node.nodes.forecast import Forecast
+from twin_node.nodes.spool import Spool, Tick
+from twin_node.nodes.topics import FORECAST, FRAMES, SEPARATION, STATE
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import Node
+from twin_node.scene import FrameSet, Separation, TwinState
+
+
+class CollectorNode(Node):
+    """Keeps per-set figures in memory and whole ticks in a spool."""
+
+    def __init__(self, bus: Bus, clock: Clock, spool: Spool | None) -> None:
+        super().__init__("collector", bus, clock)
+        self.latencies_ms: list[float] = []
+        """From the newest image's stamp to the speed decision, by the run's clock."""
+        self.work_ms: list[float] = []
+        """From a set's arrival at the model to the speed decision, by the wall clock."""
+        self.tier_counts: list[list[int]] = []
+        self.separations: list[Separation] = []
+        self.state: TwinState | None = None
+        self.warnings: dict[str, int] = {}
+        """Warning -> number of sets it was given with."""
+        self._spool = spool
+        self._frames: FrameSet | None = None
+        self._forecast: Forecast | None = None
+        self._begun = 0.0
+
+    def on_configure(self) -> None:
+        self.bus.subscribe(FRAMES, self._on_frames)
+        self.bus.subscribe(STATE, self._on_state)
+        self.bus.subscribe(FORECAST, self._on_forecast)
+        self.bus.subscribe(SEPARATION, self._on_separation)
+
+    def start(self) -> None:
+        """Count latencies from now on: what came before was start-up."""
+        self.latencies_ms.clear()
+        self.work_ms.clear()
+
+    def keep_dropped(self, frames: FrameSet) -> None:
+        """Spool a set that the twin had no time for; may be called from another thread."""
+        if self._spool is not None and self._spool.keeps(frames.stamp):
+            self._spool.add(Tick(frames))
+
+    def _on_frames(self, frames: FrameSet) -> None:
+        self._begun = time.perf_counter()
+        self._frames = frames
+
+    def _on_state(self, state: TwinState) -> None:
+        self.state = state
+        for warning in state.warnings:
+            self.warnings[warning] = self.warnings.get(warning, 0) + 1
+
+    def _on_forecast(self, forecast: Forecast) -> None:
+        self._forecast = forecast
+
+    def _on_separation(self, message: Any) -> None:
+        frames, state, forecast = self._frames, self.state, self._forecast
+        if frames is None or state is None or forecast is None:
+            return
+        separation = convert.separation_from_message(message)
+        self.latencies_ms.append((self.clock.now() - frames.stamp) / 1e6)
+        self.work_ms.append((time.perf_counter() - self._begun) * 1e3)
+        self.tier_counts.append(np.bincount(state.gaussians.tiers, minlength=5).tolist())
+        self.separations.append(separation)
+        if self._spool is not None and self._spool.keeps(frames.stamp):
+            self._spool.add(Tick(frames, state, forecast.occupancy, forecast.obstacles, separation))

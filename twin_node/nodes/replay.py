@@ -1,0 +1,219 @@
+"""Runs the twin on a recorded log: at the log's pace, newest set first, or in lockstep, every set in turn."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from twin_node.bag import LogWriter
+from twin_node.model import WindowModel
+from twin_node.nodes.bridge import Bridge
+from twin_node.nodes.chain import Chain, ChainParameters
+from twin_node.nodes.collector import CollectorNode
+from twin_node.nodes.latency import Latency
+from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
+from twin_node.nodes.player import Player
+from twin_node.nodes.recorder import RecorderNode
+from twin_node.nodes.spool import Spool
+from twin_node.nodes.synchronizer import SynchronizerNode
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, LATCHED, RECORDED, TRAJECTORY, GraphError
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import Clock, PacedClock, SteppedClock
+from twin_node.runtime.node import Node
+from twin_node.scene import FrameSet
+
+ASSUMED_LATENCY_NS = 33_000_000
+"""From evidence to publication in lockstep, and before it was measured: one frame at 30 Hz."""
+
+Progress = Callable[[float], None]
+"""Called with the seconds of log time that have been played."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run leaves behind, beside its log."""
+
+    sets: int
+    """Sets that went through the chain."""
+    dropped: int
+    """Sets that a newer one replaced before the chain had time for them."""
+    seconds: float
+    """Length of the span in real time, wall-clock time in lockstep."""
+    peak_rss_mb: float
+    bytes_per_frame: float
+    """What is published with a set, mean, bytes."""
+    model: WindowModel
+    collector: CollectorNode
+    spool: Spool | None
+    is_lockstep: bool
+    damage: str | None = None
+    """Where the log could not be read on; None: it was read to its end."""
+
+
+@contextlib.contextmanager
+def replay(
+    session: LogSession,
+    parameters: ChainParameters,
+    rate: float | None,
+    output: Path | None,
+    keep_ticks: bool,
+    progress: Progress,
+) -> Iterator[Run]:
+    """Run the chain on a session's span; `rate` None is lockstep. The `/twin` topics go to `output`.
+
+    Yields the run with its spool of ticks (where `keep_ticks`), which is gone when the context ends. `output` appears
+    only when the run has come to its end.
+    """
+    with contextlib.ExitStack() as stack:
+        expected_hz = _camera_rate(session, parameters)
+        spool = None
+        if keep_ticks:
+            spool = stack.enter_context(Spool(session.span.start_ns, session.span.stop_ns, expected_hz))
+        with contextlib.ExitStack() as writing:
+            log = writing.enter_context(LogWriter(output)) if output is not None else None
+            engine = _Engine(session, parameters, spool, log, progress)
+            run = engine.in_lockstep() if rate is None else engine.in_real_time(rate)
+        yield run
+
+
+def _camera_rate(session: LogSession, parameters: ChainParameters) -> float:
+    """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
+    counts = {topic.name: topic.count for topic in session.log.topics}
+    images = max(counts.get(source, 0) for source in session.topics)
+    whole = (session.log.end_ns - session.log.start_ns) / 1e9
+    rate = images / max(whole, 1e-3)
+    limit = parameters.synchronizer.max_rate_hz
+    return rate if limit is None else min(rate, limit)
+
+
+class _Engine:
+    """One run: makes the nodes, moves the messages, adds up."""
+
+    def __init__(
+        self,
+        session: LogSession,
+        parameters: ChainParameters,
+        spool: Spool | None,
+        log: LogWriter | None,
+        progress: Progress,
+    ) -> None:
+        self._session = session
+        self._parameters = parameters
+        self._spool = spool
+        self._log = log
+        self._progress = progress
+
+    def in_lockstep(self) -> Run:
+        """Every message in the log's order, each dealt with before the next: the same bytes every time."""
+        clock = SteppedClock(self._session.span.start_ns)
+        bus = LocalBus(LATCHED)
+        synchronizer = self._synchronizer(bus, clock)
+        collector = CollectorNode(bus, clock, self._spool)
+        chain = self._chain(collector, synchronizer, Latency(ASSUMED_LATENCY_NS, False), lambda: 0)
+        begun = time.perf_counter()
+        for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+            self._progress((stamp - self._session.span.start_ns) / 1e9)
+        return self._finish(chain, collector, 0, time.perf_counter() - begun, is_lockstep=True)
+
+    def in_real_time(self, rate: float) -> Run:
+        """One thread reads at the log's pace times `rate`, this one works; the newest set wins.
+
+        As a twin that goes live does, it first builds its model from the first set, and only then the clock starts.
+        """
+        clock = PacedClock(self._session.span.start_ns, rate)
+        reading, working = LocalBus(LATCHED), LocalBus(LATCHED)
+        synchronizer = self._synchronizer(reading, clock)
+        latency = Latency(ASSUMED_LATENCY_NS, True)
+        collector = CollectorNode(working, clock, self._spool)
+        bridge = Bridge(collector.keep_dropped)
+        chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped)
+        first = self._first_set()
+        working.publish(FRAMES, first)
+        reading.subscribe(FRAMES, lambda frames: frames.stamp > first.stamp and bridge.put_frames(frames))
+        for topic in (JOINT_STATES, TRAJECTORY):
+            reading.subscribe(topic, partial(bridge.put, topic))
+        reader = threading.Thread(target=self._read, args=(reading, clock, bridge), name="reader", daemon=True)
+        clock.start()
+        latency.start()
+        collector.start()
+        reader.start()
+        try:
+            for messages, frames in bridge.batches():
+                for topic, message in messages:
+                    working.publish(topic, message)
+                working.publish(FRAMES, frames)
+        finally:
+            bridge.close()
+            reader.join()
+        return self._finish(chain, collector, bridge.dropped, self._session.span.seconds, is_lockstep=False)
+
+    def _first_set(self) -> FrameSet:
+        for frames in LogSource(self._session, self._parameters.synchronizer):
+            return frames
+        raise _no_sets(self._session)
+
+    def _read(self, bus: LocalBus, clock: PacedClock, bridge: Bridge) -> None:
+        try:
+            for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+                self._progress((stamp - self._session.span.start_ns) / 1e9)
+                if bridge.is_closed:
+                    return
+        except BaseException as error:  # the working thread raises it, whatever it is
+            bridge.close(error)
+        else:
+            bridge.close()
+
+    def _synchronizer(self, bus: LocalBus, clock: Clock) -> SynchronizerNode:
+        synchronizer = SynchronizerNode(
+            bus, clock, self._session.cameras, self._session.rig, self._parameters.synchronizer
+        )
+        synchronizer.configure()
+        synchronizer.activate()
+        return synchronizer
+
+    def _chain(
+        self, collector: CollectorNode, synchronizer: SynchronizerNode, latency: Latency, dropped: Callable[[], int]
+    ) -> Chain:
+        """The chain, the collector and the recorder, started on the collector's bus."""
+        bus, clock = collector.bus, collector.clock
+        workspace = workspace_for(self._session.rig, synchronizer.cameras)
+        chain = Chain(bus, clock, workspace, self._parameters, latency, dropped)
+        observers: list[Node] = [collector]
+        if self._log is not None:
+            observers.append(RecorderNode(bus, clock, self._log, RECORDED))
+        for node in observers:
+            node.configure()
+            node.activate()
+        chain.start()
+        return chain
+
+    def _finish(self, chain: Chain, collector: CollectorNode, dropped: int, seconds: float, is_lockstep: bool) -> Run:
+        if collector.state is None:
+            raise _no_sets(self._session)
+        chain.stop()
+        return Run(
+            sets=chain.status.sets,
+            dropped=dropped,
+            seconds=seconds,
+            peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            bytes_per_frame=chain.status.bytes_per_frame,
+            model=chain.model,
+            collector=collector,
+            spool=self._spool,
+            is_lockstep=is_lockstep,
+            damage=self._session.log.damage,
+        )
+
+
+def _no_sets(session: LogSession) -> GraphError:
+    names = ", ".join(camera.name for camera in session.rig.cameras)
+    return GraphError(
+        f"{session.log.path}: no set of images of {names} within {session.span.seconds:.2f} s; the cameras' stamps lie "
+        "too far apart, or the span is too short: see their times with 'ros2 bag info', or give a longer --duration"
+    )

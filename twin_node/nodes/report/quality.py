@@ -1,0 +1,162 @@
+"""Image quality of a run: renderings of what was published against the images that came."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from twin_node.model import WindowModel
+from twin_node.model.quality import moving_pixels, psnr, squared_error
+from twin_node.model.rendering import Splats, render
+from twin_node.nodes.spool import Tick
+from twin_node.scene import Camera, Float32, FrameSet, GaussianCloud, TwinState, View
+
+FEWEST_PIXELS = 50
+"""An image with fewer moving pixels than this does not count: its PSNR would be noise."""
+
+Image = Float32
+"""[H, W, 3] 0 to 1."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A camera that the model did not see."""
+
+    psnr_moving_db: float | None
+    frozen_psnr_moving_db: float | None
+
+
+@dataclass(frozen=True)
+class Quality:
+    """PSNR in dB, mean over images; None where no image had enough pixels of the kind."""
+
+    psnr_db: float | None = None
+    psnr_moving_db: float | None = None
+    """On pixels that differ from the camera's first image."""
+    frozen_psnr_moving_db: float | None = None
+    """The same of the model as it was fitted to the first set."""
+    previous_psnr_moving_db: float | None = None
+    """The same of the camera's previous image."""
+    psnr_unchanged_db: float | None = None
+    frozen_psnr_unchanged_db: float | None = None
+
+
+@dataclass(frozen=True)
+class Renderings:
+    """One image and what was shown in its place."""
+
+    view: View
+    image: Image
+    first: Image
+    """The camera's first image."""
+    ours: Image
+    """The newest cloud published by then, moved to the image's own stamp."""
+    frozen: Image
+    previous: Image | None
+    """The camera's image before this one."""
+
+
+def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Image]) -> Iterator[Renderings]:
+    """Every image beside the newest cloud published by then; a dropped set is shown the cloud before it."""
+    first: dict[str, Image] = {}
+    previous: dict[str, Image] = {}
+    still: dict[str, Image] = {}
+    state: TwinState | None = None
+    for tick in ticks:
+        state = tick.state or state
+        if state is None:
+            continue
+        for view in tick.frames.views:
+            name = view.camera.name
+            image = view.rgb.astype(np.float32) / 255
+            if name not in first:
+                first[name], still[name] = image, frozen(view.camera)
+            ours = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
+            yield Renderings(view, image, first[name], ours, still[name], previous.get(name))
+            previous[name] = image
+
+
+def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> Image:
+    """[H, W, 3] what `camera` sees of a cloud, moved on along its velocities by some seconds."""
+    means = torch.from_numpy(cloud.means + cloud.velocities * np.float32(seconds))
+    splats = Splats(
+        means[None],
+        torch.from_numpy(cloud.quats)[None],
+        torch.from_numpy(cloud.scales),
+        torch.from_numpy(cloud.opacities),
+        torch.from_numpy(cloud.rgb),
+    )
+    with torch.no_grad():
+        rgb: Image = render(splats, [camera])[0].rgb.clamp(0, 1).numpy()
+    return rgb
+
+
+def score(renderings: Iterable[Renderings]) -> Quality:
+    """Mean PSNR over all images, for all pixels, moving ones and unchanged ones."""
+    totals = {field.name: _Mean() for field in dataclasses.fields(Quality)}
+    for shown in renderings:
+        error = squared_error(shown.ours, shown.image)
+        frozen_error = squared_error(shown.frozen, shown.image)
+        moving = moving_pixels(shown.image, shown.first)
+        totals["psnr_db"].add(psnr(float(error.mean())))
+        if moving.sum() >= FEWEST_PIXELS:
+            totals["psnr_moving_db"].add(psnr(float(error[moving].mean())))
+            totals["frozen_psnr_moving_db"].add(psnr(float(frozen_error[moving].mean())))
+            if shown.previous is not None:
+                previous_error = squared_error(shown.previous, shown.image)
+                totals["previous_psnr_moving_db"].add(psnr(float(previous_error[moving].mean())))
+        if (~moving).sum() >= FEWEST_PIXELS:
+            totals["psnr_unchanged_db"].add(psnr(float(error[~moving].mean())))
+            totals["frozen_psnr_unchanged_db"].add(psnr(float(frozen_error[~moving].mean())))
+    return Quality(**{name: total.value for name, total in totals.items()})
+
+
+def leave_one_out(
+    sets: Callable[[], Iterable[FrameSet]], cameras: Sequence[Camera], make_model: Callable[[], WindowModel]
+) -> dict[str, LeftOut]:
+    """For each camera in turn: a fresh model that never sees it follows the others, and is scored on its images."""
+    left_out = {}
+    for camera in cameras if len(cameras) > 1 else ():
+        quality = score(_without(camera.name, sets(), make_model()))
+        left_out[camera.name] = LeftOut(quality.psnr_moving_db, quality.frozen_psnr_moving_db)
+    return left_out
+
+
+def _without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator[Renderings]:
+    first: Image | None = None
+    still: Image | None = None
+    for frames in sets:
+        kept = tuple(view for view in frames.views if view.camera.name != name)
+        hidden = next((view for view in frames.views if view.camera.name == name), None)
+        if not kept:
+            continue
+        state = model.update(dataclasses.replace(frames, stamp=max(v.stamp for v in kept), views=kept))
+        if hidden is None:
+            continue
+        image = hidden.rgb.astype(np.float32) / 255
+        if first is None or still is None:
+            first, still = image, model.render_frozen(hidden.camera)
+        ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
+        yield Renderings(hidden, image, first, ours, still, None)
+
+
+class _Mean:
+    """A running mean; its value is None as long as nothing was added."""
+
+    def __init__(self) -> None:
+        self._sum = 0.0
+        self._count = 0
+
+    def add(self, value: float) -> None:
+        if math.isfinite(value):
+            self._sum += value
+            self._count += 1
+
+    @property
+    def value(self) -> float | None:
+        return self._sum / self._count if self._count else None
