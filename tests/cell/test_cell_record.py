@@ -37,10 +37,11 @@ def test_the_log_has_every_topic_at_its_rate(log: Path) -> None:
     assert counts == {"/tf_static": 1, "/joint_states": 63, "/arm/trajectory": 5, "/truth/occupancy": 15}
 
 
-def test_the_log_carries_the_rig(log: Path, small: Scenario) -> None:
+def test_the_log_carries_the_rig_and_where_it_comes_from(log: Path, small: Scenario) -> None:
     reader, expected = open_log(log), SimulatedRig(small).rig
     assert expected.workspace is not None
     assert np.array_equal(read_rig_record(reader).workspace, expected.workspace)
+    assert reader.metadata["twin_node.scenario"] == {"name": "demo", "seed": "1"}
     tree = TransformTree()
     tree.add(next(reader.messages(["/tf_static"])).message)
     for camera in expected.cameras:

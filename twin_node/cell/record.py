@@ -29,6 +29,9 @@ from twin_node.scene import Rig
 TRAJECTORY_RATE_HZ = 10.0
 """Rate of `/arm/trajectory`; each message reaches 0.5 s ahead."""
 
+SCENARIO_METADATA = "twin_node.scenario"
+"""Metadata record with the scenario's `name` and `seed`: where the log comes from."""
+
 COMPRESSION: Literal["zstd"] = "zstd"
 """Of the log's chunks: raw depth shrinks to a third."""
 
@@ -55,6 +58,7 @@ def write_log(scenario: Scenario, path: Path, progress: Progress | None = None) 
     recording = Recording(scenario)
     with LogWriter(path, COMPRESSION) as writer:
         write_rig(writer, recording.rig, scenario.start_ns)
+        writer.add_metadata(SCENARIO_METADATA, {"name": scenario.name, "seed": str(scenario.seed)})
         for done, entry in enumerate(recording.entries(), start=1):
             writer.write(entry.topic, entry.message, entry.stamp)
             if progress is not None:
