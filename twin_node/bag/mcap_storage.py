@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from typing import BinaryIO
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, Message, Metadata, Schema, Statistics
+from mcap.records import Chunk, DataEnd, Footer, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from zstandard import ZstdError
@@ -23,8 +24,13 @@ from twin_node.bag.qos import offers_latched
 
 MAGIC = b"\x89MCAP0\r\n"
 
-DAMAGED = (McapError, StructError, ZstdError, EOFError, ValueError, KeyError, RuntimeError, MemoryError)
+DAMAGED = (McapError, StructError, ZstdError, EOFError, ValueError, KeyError, RuntimeError, OverflowError, MemoryError)
 """What the mcap package lets out when bytes are not what they should be (decompressors and decoding included)."""
+
+FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
+"""A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
+
+CRC_BYTES = 4
 
 LOOSE_PART_BYTES = 1 << 20
 """Messages outside of chunks are read in parts of this size: the default chunk size of mcap writers."""
@@ -120,6 +126,8 @@ class McapStorage:
     def _from_summary(self) -> _Index | None:
         """Index from the file's summary; None where the file has none, or one that leaves messages out."""
         try:
+            if not self._summary_is_intact():
+                return None
             self._file.seek(0)
             reader = make_reader(self._file)
             reader.get_header()
@@ -136,15 +144,27 @@ class McapStorage:
         counts = Counter(summary.statistics.channel_message_counts)
         return _Index(summary.schemas, summary.channels, counts, parts, metadata)
 
+    def _summary_is_intact(self) -> bool:
+        """Whether the footer leads to a summary whose checksum, where it has one, is right (MCAP format, Footer)."""
+        footer_start = self._file.seek(-(FOOTER_BYTES + len(MAGIC)), io.SEEK_END)
+        footer = next(StreamReader(self._file, skip_magic=True).records)
+        if not isinstance(footer, Footer) or footer.summary_start == 0:
+            return False
+        self._file.seek(footer.summary_start)
+        covered = self._file.read(footer_start + FOOTER_BYTES - CRC_BYTES - footer.summary_start)
+        return footer.summary_crc in (0, zlib.crc32(covered))
+
     def _from_scan(self) -> _Index:
-        """Index from one pass over all records, up to the damage where the file is damaged or was never closed."""
+        """Index from one pass over the data section, up to the damage where it is damaged or was never ended."""
         index = _Index()
         self._file.seek(0)
-        reader = StreamReader(self._file, emit_chunks=True)
         size = self._path.stat().st_size
+        reader = StreamReader(self._file, emit_chunks=True, record_size_limit=size)
         start = len(MAGIC)
         try:
             for record in reader.records:
+                if isinstance(record, DataEnd):
+                    break
                 end = self._file.tell()
                 if end > size:
                     raise EOFError

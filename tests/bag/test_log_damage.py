@@ -1,0 +1,188 @@
+"""Damaged, truncated and foreign files: read up to the damage and said so, or refused in one line; never silent."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
+from rosbags.typesys import Stores, get_typestore
+
+from twin_node.bag import BagError, LogWriter, open_log
+from twin_node.messages import message_type, serialize
+
+COUNT = 400
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("whole") / "log.mcap"
+    with LogWriter(path) as log:
+        for i in range(COUNT):
+            log.write("/a" if i % 3 else "/b", message_type("std_msgs/msg/String")(data="x" * 500 + str(i)), i)
+            if i % 20 == 19:
+                log.flush()
+    return path
+
+
+def read(path: Path) -> tuple[list[int], str | None]:
+    with open_log(path) as log:
+        stamps = [m.stamp for m in log.messages() if m.message.data]
+        assert [m.stamp for m in log.messages()] == stamps
+        return stamps, log.damage
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75, 0.95])
+def test_a_truncated_file_is_read_up_to_its_end(tmp_path: Path, whole: Path, share: float) -> None:
+    path = tmp_path / "cut.mcap"
+    content = whole.read_bytes()
+    path.write_bytes(content[: int(len(content) * share)])
+    stamps, damage = read(path)
+    assert stamps == list(range(len(stamps)))
+    assert COUNT * (share - 0.15) < len(stamps) < COUNT
+    assert damage is not None
+    assert "cut.mcap: damaged at byte" in damage
+    with open_log(path) as log:
+        assert sum(topic.count for topic in log.topics) == len(stamps)
+        assert (log.start_ns, log.end_ns) == (0, stamps[-1])
+
+
+def test_a_file_without_its_end_loses_nothing(tmp_path: Path, whole: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[:-20])
+    assert read(path) == (list(range(COUNT)), None)
+
+
+def test_a_damaged_index_loses_nothing(tmp_path: Path, whole: Path) -> None:
+    broken = bytearray(whole.read_bytes())
+    broken[broken.rindex(b"/b")] ^= 0xFF
+    path = tmp_path / "broken.mcap"
+    path.write_bytes(broken)
+    assert read(path) == (list(range(COUNT)), None)
+    with open_log(path) as log:
+        assert [topic.name for topic in log.topics] == ["/a", "/b"]
+
+
+def test_a_damaged_chunk_ends_reading_there(tmp_path: Path, whole: Path) -> None:
+    broken = bytearray(whole.read_bytes())
+    broken[broken.index(b"x" * 500 + b"200") + 10] ^= 0xFF
+    path = tmp_path / "broken.mcap"
+    path.write_bytes(broken)
+    stamps, damage = read(path)
+    assert stamps == list(range(200))
+    assert damage is not None
+    assert "crc" in damage
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_random_damage_is_never_silent(tmp_path: Path, whole: Path, data: st.DataObject) -> None:
+    content = whole.read_bytes()
+    broken = bytearray(content[: data.draw(st.integers(0, len(content)))])
+    for position in data.draw(st.lists(st.integers(0, max(0, len(broken) - 1)), max_size=3)):
+        if broken:
+            broken[position] = data.draw(st.integers(0, 255))
+    path = tmp_path / "broken.mcap"
+    path.write_bytes(broken)
+    try:
+        stamps, damage = read(path)
+    except BagError as error:
+        assert "\n" not in str(error)
+    else:
+        assert damage is not None or stamps == list(range(COUNT))
+        assert damage is None or "\n" not in damage
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "found an empty file"),
+        (b"just text, no log", "found a file that begins with b'just tex'"),
+        (b"\x89MCAP0\r\n", "no message could be read"),
+        (b"SQLite format 3\x00 and nothing else", "not a readable rosbag2 SQLite file"),
+        (b"#ROSBAG V2.0\n", "found a file that begins with b'#ROSBAG '"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "file.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=words) as caught:
+        open_log(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_paths_and_folders_without_a_bag_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="No such file"):
+        open_log(tmp_path / "missing.mcap")
+    with pytest.raises(BagError, match=r"no metadata\.yaml in this folder"):
+        open_log(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "words"),
+    [
+        ("{", "not the metadata of a rosbag2 folder"),
+        ("something: else", "not the metadata of a rosbag2 folder"),
+        ("rosbag2_bagfile_information: {relative_file_paths: [], topics_with_message_count: []}", "none at all"),
+        (
+            "rosbag2_bagfile_information: {relative_file_paths: [gone.mcap], topics_with_message_count: []}",
+            r"not there: gone\.mcap",
+        ),
+        (
+            "rosbag2_bagfile_information: "
+            "{relative_file_paths: [a], topics_with_message_count: [], compression_mode: FILE}",
+            "FILE compression",
+        ),
+    ],
+)
+def test_folders_with_wrong_metadata_are_refused(tmp_path: Path, metadata: str, words: str) -> None:
+    (tmp_path / "metadata.yaml").write_text(metadata)
+    with pytest.raises(BagError, match=words) as caught:
+        open_log(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_logs_without_messages_or_without_cdr_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path):
+        pass
+    with pytest.raises(BagError, match="holds no messages"):
+        open_log(path)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/a", "json", writer.register_schema("a", "jsonschema", b"{}"))
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    with pytest.raises(BagError, match="expected messages in cdr, found json"):
+        open_log(path)
+
+
+def test_a_damaged_sqlite_file_is_read_up_to_the_damage(tmp_path: Path) -> None:
+    with FolderWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        connection = bag.add_connection("/a", "std_msgs/msg/String", typestore=get_typestore(Stores.ROS2_JAZZY))
+        for i in range(COUNT):
+            bag.write(connection, i, serialize(message_type("std_msgs/msg/String")(data="x" * 10_000 + str(i))))
+    file = tmp_path / "bag" / "bag.db3"
+    content = bytearray(file.read_bytes())
+    page = (content.index(b"x" * 4000, len(content) // 2) // 4096) * 4096
+    content[page : page + 4] = b"\xff\xff\xff\xff"  # link to the next page of a large value (SQLite file format 1.6)
+    file.write_bytes(content)
+    stamps, damage = read(tmp_path / "bag")
+    assert stamps == list(range(len(stamps)))
+    assert COUNT // 4 < len(stamps) < COUNT
+    assert damage is not None
+    assert "bag.db3: damaged after the message at" in damage
+
+
+def test_a_truncated_sqlite_file_is_refused(tmp_path: Path) -> None:
+    with FolderWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        connection = bag.add_connection("/a", "std_msgs/msg/String", typestore=get_typestore(Stores.ROS2_JAZZY))
+        bag.write(connection, 0, serialize(message_type("std_msgs/msg/String")(data="x" * 100_000)))
+    file = tmp_path / "bag" / "bag.db3"
+    file.write_bytes(file.read_bytes()[:6000])
+    with pytest.raises(BagError, match="not a readable rosbag2 SQLite file"):
+        open_log(tmp_path / "bag")

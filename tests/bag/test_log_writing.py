@@ -1,0 +1,107 @@
+"""A log takes its name only when it is whole; wrong calls are one clear line."""
+
+from pathlib import Path
+
+import pytest
+
+from twin_node.bag import BagError, LogWriter, open_log
+from twin_node.messages import Message, MessageError, message_type
+
+STRING = "std_msgs/msg/String"
+
+
+def text(data: str) -> Message:
+    return message_type(STRING)(data=data)
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "folder"])
+def test_nothing_is_left_after_an_exception(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RuntimeError, match="mid-way"), LogWriter(tmp_path / name) as log:
+        log.write("/a", text("a"), 0)
+        raise RuntimeError("mid-way")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_stood_there_stays_until_the_log_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(RuntimeError), LogWriter(path) as log:
+        log.write("/a", text("a"), 0)
+        raise RuntimeError
+    assert path.read_bytes() == b"precious"
+    with LogWriter(path) as log:
+        log.write("/a", text("a"), 0)
+        assert path.read_bytes() == b"precious"
+    with open_log(path) as reader:
+        assert [m.message.data for m in reader.messages()] == ["a"]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_unfinished_file_opens_up_to_the_last_flush(tmp_path: Path) -> None:
+    log = LogWriter(tmp_path / "log.mcap")
+    log.write("/a", text("flushed"), 0)
+    log.flush()
+    log.write("/a", text("lost"), 1)
+    with open_log(tmp_path / "log.mcap.partial") as reader:
+        assert [m.message.data for m in reader.messages()] == ["flushed"]
+        assert reader.damage is not None
+        assert "ends in the middle" in reader.damage
+    log.abort()
+    log.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_left_over_partial_folder_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "bag.partial" / "bag").mkdir(parents=True)
+    with LogWriter(tmp_path / "bag") as log:
+        log.write("/a", text("a"), 0)
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("missing/log.mcap", "folder .*missing does not exist"),
+        ("log.db3", "expected a name ending in .mcap"),
+        ("taken", "exists already"),
+        ("taken.mcap", "is a folder"),
+    ],
+)
+def test_wrong_targets_are_refused(tmp_path: Path, name: str, words: str) -> None:
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken.mcap").mkdir()
+    with pytest.raises(BagError, match=words):
+        LogWriter(tmp_path / name)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_topic_has_one_type(tmp_path: Path) -> None:
+    clock = message_type("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+    with pytest.raises(BagError, match="topic /a holds std_msgs/msg/String"), LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/a", text("a"), 0)
+        log.write("/a", clock, 1)
+
+
+def test_unknown_types_and_negative_stamps_are_refused(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        with pytest.raises(MessageError, match="mine/msg/Thing"):
+            log.write_raw("/a", "mine/msg/Thing", b"", 0)
+        with pytest.raises(BagError, match="-1 ns"):
+            log.write("/b", text("a"), -1)
+
+
+class FullDisk:
+    """A file that takes no more than some bytes."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def write(self, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+
+def test_a_full_disk_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(BagError, match="No space left on device"), LogWriter(tmp_path / "log.mcap") as log:
+        monkeypatch.setattr("mcap.writer.Writer.add_message", lambda *_: FullDisk(tmp_path).write(b""))
+        log.write("/a", text("a"), 0)
+    assert list(tmp_path.iterdir()) == []
