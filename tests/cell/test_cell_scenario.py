@@ -8,6 +8,7 @@ import yaml
 from twin_node import resources
 from twin_node.cell import CellError, load_scenario
 from twin_node.cell.world import World
+from twin_node.errors import TwinError
 from twin_node.resources import ResourceError
 
 CAMERA = {"name": "cam", "position": [1.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0]}
@@ -29,6 +30,12 @@ def test_every_scenario_that_ships_loads(path: Path) -> None:
 
 def test_a_scenario_is_found_by_its_bare_name() -> None:
     assert load_scenario("demo") == load_scenario("sim/demo.yaml")
+
+
+def test_a_folder_of_the_same_name_does_not_hide_a_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "demo").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario("demo").name == "demo"
 
 
 def test_what_a_scenario_does_not_set_comes_from_the_one_it_extends() -> None:
@@ -67,6 +74,7 @@ def test_what_a_scenario_does_not_set_comes_from_the_one_it_extends() -> None:
         ),
         ({"cameras": [CAMERA], "faults": [{"kind": "frozen", "camera": "cam2"}]}, "'cam2'; known cameras: cam"),
         ({"cameras": [CAMERA], "faults": [{"kind": "fog", "camera": "cam"}]}, "'fog'"),
+        ({"extends": "cel", "cameras": [CAMERA]}, "extends 'cel'.*beside it are: none"),
         ("[1, 2", "YAML"),
         ("just words", "keys and values"),
     ],
@@ -85,8 +93,6 @@ def test_a_scenario_that_is_not_there_says_where_it_was_looked_for() -> None:
 
 
 def test_an_unknown_arm_is_refused(tmp_path: Path) -> None:
-    from twin_node.errors import TwinError
-
     scenario = load_scenario(written(tmp_path, {"cameras": [CAMERA], "arm": {"model": "ur99"}}))
     with pytest.raises(TwinError, match="ur99"):
         World(scenario)

@@ -247,7 +247,7 @@ def load_scenario(name: str | FilePath) -> Scenario:
     path = _find(name)
     content = _read(path)
     if "extends" in content:
-        content = {**_read(path.with_name(f"{content.pop('extends')}.yaml")), **content}
+        content = {**_read(_base(path, content.pop("extends"))), **content}
     try:
         return fill(Scenario, content, path.name)
     except ParameterError as error:
@@ -266,6 +266,14 @@ def _read(path: FilePath) -> dict[str, object]:
     return content
 
 
+def _base(path: FilePath, name: object) -> FilePath:
+    base = path.with_name(f"{name}.yaml")
+    if not base.is_file():
+        known = ", ".join(sorted(file.stem for file in path.parent.glob("*.yaml") if file != path))
+        raise CellError(f"{path}: extends '{name}', but {base} does not exist; beside it are: {known or 'none'}")
+    return base
+
+
 def _find(name: str | FilePath) -> FilePath:
     bare = FilePath(name)
-    return resources.find(f"sim/{bare}.yaml" if not bare.suffix and not bare.exists() else bare)
+    return resources.find(bare if bare.suffix or bare.is_file() else f"sim/{bare}.yaml")
