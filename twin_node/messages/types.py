@@ -32,8 +32,9 @@ class MessageTypes:
     Type names are full ROS 2 names: `sensor_msgs/msg/Image`. Raises `MessageError` for names that are not in the set.
     """
 
-    def __init__(self, store: Typestore) -> None:
+    def __init__(self, store: Typestore, fallback: MessageTypes | None = None) -> None:
         self._store = store
+        self._fallback = fallback
 
     def __contains__(self, name: str) -> bool:
         return name in self._store.types
@@ -52,12 +53,15 @@ class MessageTypes:
     def deserialize(self, data: bytes | memoryview, name: str) -> Message:
         """Message from CDR bytes; array fields are read-only numpy views of `data`, nothing is copied.
 
-        Raises `MessageError` if `data` is not a message of that type.
+        Where a definition given to `extended` does not fit, that of the set that it extends is tried: some recorders
+        store placeholders. Raises `MessageError` if `data` is not a message of that type.
         """
         self._require(name)
         try:
             return self._store.deserialize_cdr(memoryview(data), name)
         except (SerdeError, IndexError, TypeError, OverflowError) as error:
+            if self._fallback is not None and name in self._fallback:
+                return self._fallback.deserialize(data, name)
             raise MessageError(
                 f"{name}: {len(data)} bytes are not a CDR message of this type ({error}); "
                 "the sender's definition differs or the data are damaged"
@@ -91,7 +95,7 @@ class MessageTypes:
                 continue
             if _complete(store, parsed):
                 _replace(store, parsed)
-        return MessageTypes(store)
+        return MessageTypes(store, fallback=self)
 
     def _require(self, name: str) -> None:
         if name not in self._store.types:
