@@ -76,6 +76,22 @@ def test_a_damaged_chunk_ends_reading_there(tmp_path: Path, whole: Path) -> None
     assert "crc" in damage
 
 
+def test_parts_without_the_wanted_topics_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for i, topic in enumerate(["/a", "/b", "/a"]):
+            log.write(topic, message_type("std_msgs/msg/String")(data=f"text {i}"), i)
+            log.flush()
+    broken = bytearray(path.read_bytes())
+    broken[broken.index(b"text 1")] ^= 0xFF
+    path.write_bytes(broken)
+    with open_log(path) as reader:
+        assert [m.stamp for m in reader.messages(["/a"])] == [0, 2]
+        assert reader.damage is None
+        assert [m.stamp for m in reader.messages()] == [0]
+        assert reader.damage is not None
+
+
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_random_damage_is_never_silent(tmp_path: Path, whole: Path, data: st.DataObject) -> None:

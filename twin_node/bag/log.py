@@ -86,6 +86,13 @@ class Part:
     """Where it stands in its file, bytes."""
     size: int = 0
     """Length in bytes."""
+    topics: frozenset[str] | None = None
+    """Topics that it has messages of; None where only reading it tells."""
+
+    def holds(self, topics: Collection[str] | None, start: int, stop: int) -> bool:
+        """Whether it may have messages of the topics (None: any) from `start` up to before `stop`, ns."""
+        wanted = topics is None or self.topics is None or any(topic in self.topics for topic in topics)
+        return wanted and self.start < stop and self.end >= start
 
 
 class Storage(Protocol):

@@ -14,7 +14,7 @@ from typing import BinaryIO
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, DataEnd, Footer, Message, Metadata, Schema, Statistics
+from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from zstandard import ZstdError
@@ -137,12 +137,21 @@ class McapStorage:
             metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         except (*DAMAGED, OSError):
             return None
-        parts = [
-            Part(self, chunk.message_start_time, chunk.message_end_time, chunk.chunk_start_offset, chunk.chunk_length)
-            for chunk in sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
-        ]
+        chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+        parts = [self._indexed_part(chunk, summary.channels) for chunk in chunks]
         counts = Counter(summary.statistics.channel_message_counts)
         return _Index(summary.schemas, summary.channels, counts, parts, metadata)
+
+    def _indexed_part(self, chunk: ChunkIndex, channels: Mapping[int, ChannelRecord]) -> Part:
+        known = [channels[channel].topic for channel in chunk.message_index_offsets if channel in channels]
+        return Part(
+            storage=self,
+            start=chunk.message_start_time,
+            end=chunk.message_end_time,
+            offset=chunk.chunk_start_offset,
+            size=chunk.chunk_length,
+            topics=frozenset(known) or None,
+        )
 
     def _summary_is_intact(self) -> bool:
         """Whether the footer leads to a summary whose checksum, where it has one, is right (MCAP format, Footer)."""

@@ -79,16 +79,17 @@ class LogReader:
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[LogMessage]:
-        """Messages in log-time order (ties as stored), at most a few parts of the log in memory at a time.
+        """Messages in log-time order (ties as stored); of the log, only the parts about that time are in memory.
 
-        `topics`: names, None for all. From `start_ns` on and before `stop_ns`. Where a part is damaged, reading ends.
+        `topics`: names, None for all. From `start_ns` on and before `stop_ns`. Parts that hold none of these are not
+        read; where one that is read is damaged, the messages end, and `damage` tells.
         """
         start = NO_START if start_ns is None else start_ns
         stop = NO_STOP if stop_ns is None else stop_ns
         streams = [
             _stream(index, part, topics, start, stop)
             for index, part in enumerate(self._parts)
-            if part.start < stop and part.end >= start
+            if part.holds(topics, start, stop)
         ]
         try:
             for entry in heapq.merge(*streams, key=_Entry.order):
