@@ -1,1 +1,17 @@
-"""What will be occupied, up to 200 ms ahead."""
+"""Where things will be: motion experts, a calibrated bound, occupancy grids and the obstacles that cover them."""
+
+from twin_node.forecast.errors import ForecastError
+from twin_node.forecast.grid import default_grid
+from twin_node.forecast.obstacles import CoverParameters, Motion, cover
+from twin_node.forecast.occupancy import Forecaster, ForecastParameters, ForecastQuality
+
+__all__ = [
+    "CoverParameters",
+    "ForecastError",
+    "ForecastParameters",
+    "ForecastQuality",
+    "Forecaster",
+    "Motion",
+    "cover",
+    "default_grid",
+]

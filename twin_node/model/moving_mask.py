@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
 
@@ -32,6 +34,10 @@ class MovingMaskParameters:
     """A cast shadow keeps at least this share of the background's brightness (and its colour)."""
     reflection_brightest: float = 1.2
     """A reflected glow adds at most up to this multiple of the background's brightness."""
+    ground_certainty: float = 0.9
+    """A settled pixel of a colour this surely ground's is ground, if it touches ground."""
+    growth_pixels: int = 2
+    """Rings of uncovered ground found per image; each ring is two pixels wide."""
     learning_rate: float = 0.05
     """Share of each new image that enters the background where it is free."""
     depth_levels: float = 0.02
@@ -78,6 +84,7 @@ class _CameraMask:
         self._sigma = parameters.change_levels / parameters.change_sigmas
         self._past: deque[tuple[int, Float32]] = deque([(view.stamp, self._background.copy())])
         self._close = _disk(max(1, round(parameters.gap * min(self.shape))))
+        self._colours = _Colours()
 
     def update(self, view: View, robot: Bool | None) -> Bool:
         """The mask [H, W] of this view."""
@@ -85,42 +92,41 @@ class _CameraMask:
         seen = _seen(view, robot)
         free = seen & ~self._mask
         gain = _gain(image, self._background, free)
-        expected = self._background * gain
-        difference = _difference(image, expected)
-        change = self._measure_change(image, view.stamp, free)
+        settled = self._settled(image, view.stamp, free)
         threshold = max(self.parameters.change_levels, self.parameters.change_sigmas * self._sigma)
-        lit = self._lighting_only(image, expected, threshold)
-        stands_out = np.where(self._trusted & ~lit, difference, 0)
-        moving = self._regions(np.maximum(stands_out, np.where(lit & self._trusted, 0, change)), threshold)
+        expected = self._background * gain
+        difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
         in_front = self._depth_in_front(view)
-        moving |= in_front
+        moving = self._regions(np.where(self._trusted, difference, 0), threshold) | in_front
         moving = (moving | self._unconfirmed_holes(moving)) & seen
-        background_again = self._trusted & (lit | (difference < 0.5 * threshold))
-        mask = (moving | (self._mask & ~_eroded(background_again))) & seen
-        self._trusted &= ~(mask & ~self._mask & (difference < 0.5 * threshold) & (change < threshold) & ~in_front)
-        self._confirmed |= self._mask & ~mask
-        self._mask = mask
-        self._release_uncovered(image, gain, difference, change, threshold, ~in_front)
+        like_ground = difference < 0.5 * threshold
+        mask = (moving | (self._mask & ~_eroded(self._trusted & like_ground))) & seen
+        self._trusted &= ~(mask & ~self._mask & like_ground & ~in_front)
+        uncovered = self._uncovered(image / gain, settled & mask & ~in_front, seen & ~mask, threshold)
+        uncovered &= (difference > threshold) | ~self._trusted
+        self._confirmed |= (self._mask & ~mask) | uncovered
+        self._background[:, uncovered] = (image / gain)[:, uncovered]
+        self._trusted |= uncovered
+        self._mask = mask & ~uncovered
         self._learn(image / gain, view, seen & ~self._mask)
         return self._mask.copy()
 
-    def _measure_change(self, image: Float32, stamp: int, free: Bool) -> Float32:
-        """Difference [H, W] from the image one baseline ago; updates noise, stillness and the past."""
-        reference = next(
-            (past for at, past in self._past if stamp - at <= self.parameters.baseline_ns), self._past[-1][1]
-        )
+    def _settled(self, image: Float32, stamp: int, free: Bool) -> Bool:
+        """Pixels that look as they did one baseline ago and have been still since; measures the noise on the way."""
+        recent = (past for at, past in self._past if stamp - at <= self.parameters.baseline_ns)
+        reference = next(recent, self._past[-1][1])
         change = _difference(image, reference * _gain(image, reference, free))
         sample = change[::4, ::4][free[::4, ::4]]
         if sample.size > 50:
             self._sigma += 0.05 * (max(0.5, 1.48 * float(np.median(sample))) - self._sigma)
         last_stamp, last = self._past[-1]
-        step = _difference(image, last)
-        quiet = step < 0.7 * self.parameters.change_levels
+        quiet = _difference(image, last) < 0.7 * self.parameters.change_levels
         self._still_ns = np.where(quiet, self._still_ns + np.float32(stamp - last_stamp), np.float32(0))
         self._past.append((stamp, image))
         while len(self._past) > 2 and stamp - self._past[1][0] > self.parameters.baseline_ns:
             self._past.popleft()
-        return change
+        settled: Bool = (self._still_ns > self.parameters.settle_ns) & (change < 0.7 * self.parameters.change_levels)
+        return settled
 
     def _lighting_only(self, image: Float32, expected: Float32, threshold: float) -> Bool:
         """Where the image is the background in a shadow or a glow: same colour, another brightness."""
@@ -158,27 +164,22 @@ class _CameraMask:
         near = known & (view.depth < self._depth * (1 - self.parameters.depth_levels) - 0.01)
         return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
 
-    def _release_uncovered(
-        self, image: Float32, gain: Float32, difference: Float32, change: Float32, threshold: float, candidates: Bool
-    ) -> None:
-        """Frees still pixels that continue the free ground beside them although the background differs there.
+    def _uncovered(self, image: Float32, settled: Bool, free: Bool, threshold: float) -> Bool:
+        """Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
 
-        Such a pixel was hidden by the thing that moved off: its old background shows that thing.
+        They continue the free ground beside them, or have a colour of the ground around and not of moving things.
         """
-        settled = candidates & self._mask & (self._still_ns > self.parameters.settle_ns) & (change < 0.5 * threshold)
-        settled &= (difference > threshold) | ~self._trusted
-        if not settled.any():
-            return
-        free = (~self._mask).astype(np.float32)
-        weight = cv2.boxFilter(free, -1, (5, 5))
-        beside = weight > 0.2
-        sums = np.stack([cv2.boxFilter(plane * free, -1, (5, 5)) for plane in image])
-        ground = (sums / np.maximum(weight, 1e-3)).astype(np.float32)
-        released = settled & beside & (_difference(image, ground) < 0.6 * threshold)
-        self._background[:, released] = (image / gain)[:, released]
-        self._trusted |= released
-        self._confirmed |= released
-        self._mask &= ~released
+        self._colours.learn(image, free, ~free & self._confirmed & ~settled)
+        found = np.zeros(self.shape, np.bool_)
+        ground_coloured = settled & (self._colours.ground_share(image) > self.parameters.ground_certainty)
+        for _ in range(self.parameters.growth_pixels):
+            known = (free | found).astype(np.float32)
+            weight = cv2.boxFilter(known, -1, (5, 5))
+            sums = np.stack([cv2.boxFilter(plane * known, -1, (5, 5)) for plane in image])
+            ground = (sums / np.maximum(weight, 1e-3)).astype(np.float32)
+            continues = settled & (_difference(image, ground) < 0.6 * threshold)
+            found |= (weight > 0.2) & (continues | ground_coloured)
+        return found
 
     def _learn(self, image: Float32, view: View, free: Bool) -> None:
         """Draws the background towards the image where it is free."""
@@ -187,6 +188,40 @@ class _CameraMask:
         if view.depth is not None and self._depth is not None:
             deeper = (view.depth > self._depth) | (self._depth == 0)
             self._depth = np.where(free & (view.depth > 0) | deeper, view.depth, self._depth)
+
+
+class _Colours:
+    """How often each colour is free ground and how often a moving thing, in bins of 16 levels per channel."""
+
+    def __init__(self) -> None:
+        self._ground = np.zeros(16**3)
+        self._moving = np.zeros(16**3)
+
+    def learn(self, image: Float32, ground: Bool, moving: Bool) -> None:
+        """Counts the pixels of both; older counts fade over about 50 images."""
+        bins = self._bins(image)
+        self._ground = 0.98 * self._ground + np.bincount(bins[ground], minlength=self._ground.size)
+        self._moving = 0.98 * self._moving + np.bincount(bins[moving], minlength=self._moving.size)
+
+    def ground_share(self, image: Float32) -> Float32:
+        """Probability [H, W] that a pixel of this colour is ground; 0 until moving things have been seen."""
+        if self._moving.sum() < 200:
+            return np.zeros(image.shape[1:], np.float32)
+        ground, moving = (_smooth(counts / max(counts.sum(), 1)) for counts in (self._ground, self._moving))
+        share = ground / np.maximum(ground + moving, 1e-9)
+        return share.astype(np.float32)[self._bins(image)]
+
+    @staticmethod
+    def _bins(image: Float32) -> NDArray[np.intp]:
+        levels = (np.clip(image, 0, 255) / 16).astype(np.intp)
+        bins: NDArray[np.intp] = (levels[0] * 16 + levels[1]) * 16 + levels[2]
+        return bins
+
+
+def _smooth(density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A colour density spread over its neighbouring bins."""
+    cube: NDArray[np.float64] = uniform_filter(density.reshape(16, 16, 16), 3, mode="nearest")
+    return cube.ravel()
 
 
 def _eroded(mask: Bool) -> Bool:

@@ -1,0 +1,121 @@
+"""The cover: every occupied voxel inside an obstacle for as long as it is occupied, under any cap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin_node.forecast import CoverParameters, ForecastError, Motion, cover
+from twin_node.forecast.grid import encode_runs
+from twin_node.scene import (
+    HORIZONS_NS,
+    Bool,
+    Float64,
+    Grid,
+    ObstacleKind,
+    Obstacles,
+    Occupancy,
+    OccupancyLayer,
+)
+
+GRID = Grid(np.array([-0.5, 0.25, 0.0]), 0.02, (31, 26, 40))
+
+
+def layer(horizon: int, indices: np.ndarray) -> OccupancyLayer:
+    chosen = np.unique(indices).astype(np.uint32)
+    return OccupancyLayer(horizon, chosen, np.full(len(chosen), 200, np.uint8))
+
+
+def occupancy(blobs: Float64, static: np.ndarray, unknown: Bool | None = None) -> Occupancy:
+    """Layers with a ball about one of `blobs` [5, 3] each, m."""
+    centers = GRID.centers(np.arange(GRID.size))
+    layers = tuple(
+        layer(horizon, np.flatnonzero(np.linalg.norm(centers - blob, axis=1) < 0.08))
+        for horizon, blob in zip(HORIZONS_NS, blobs, strict=True)
+    )
+    runs = encode_runs(np.zeros(GRID.size, np.bool_) if unknown is None else unknown)
+    return Occupancy(1_000, 33_000_000, GRID, layers, layer(0, static), runs)
+
+
+def held(obstacles: Obstacles, indices: np.ndarray, stamp: int, kind: ObstacleKind) -> Bool:
+    """Whether all eight corners of each voxel lie in one obstacle of the kind that is valid at the stamp."""
+    inside = np.zeros(len(indices), np.bool_)
+    valid = (obstacles.valid_from <= stamp) & (obstacles.valid_to >= stamp) & (obstacles.kinds == kind)
+    for row in np.flatnonzero(valid):
+        offset = np.abs(GRID.centers(indices) - obstacles.positions[row]) + GRID.voxel_size / 2
+        inside |= np.all(offset <= obstacles.sizes[row] / 2 + 1e-9, axis=1)
+    return inside
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    most_moving=st.integers(1, 40),
+    most_static=st.integers(1, 40),
+    scattered=st.integers(0, 300),
+)
+def test_every_occupied_voxel_is_held_over_its_interval(
+    seed: int, most_moving: int, most_static: int, scattered: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    blobs = GRID.origin + rng.uniform(0, 1, (5, 3)) * np.array(GRID.dims) * GRID.voxel_size
+    found = occupancy(blobs, rng.integers(0, GRID.size, scattered))
+    obstacles = cover(found, None, CoverParameters(most_moving=most_moving, most_static=most_static))
+    for index, horizon in enumerate(HORIZONS_NS):
+        indices = found.layers[index].indices.astype(np.int64)
+        for earlier in HORIZONS_NS[max(index - 1, 0) : index + 2]:
+            middle = found.publish_stamp + (horizon + earlier) // 2
+            assert held(obstacles, indices, middle, ObstacleKind.MOVING).all()
+    last = found.publish_stamp + HORIZONS_NS[-1]
+    assert held(obstacles, found.static.indices.astype(np.int64), last, ObstacleKind.STATIC).all()
+    moving = obstacles.kinds == ObstacleKind.MOVING
+    assert np.unique(obstacles.valid_from[moving], return_counts=True)[1].max(initial=0) <= most_moving
+    assert np.count_nonzero(obstacles.kinds == ObstacleKind.STATIC) <= most_static
+    assert len(np.unique(obstacles.ids)) == len(obstacles.ids)
+
+
+def test_nothing_occupied_gives_no_obstacles() -> None:
+    far = np.full((5, 3), 100.0)
+    assert len(cover(occupancy(far, np.zeros(0, np.int64))).ids) == 0
+
+
+def test_ids_stay_under_small_motion() -> None:
+    start = np.tile([-0.2, 0.5, 0.4], (5, 1))
+    first = cover(occupancy(start, np.zeros(0, np.int64)))
+    second = cover(occupancy(start + 0.01, np.zeros(0, np.int64)), first)
+    shared = np.intersect1d(first.ids, second.ids)
+    assert len(shared) >= 0.7 * len(first.ids)
+    for one in shared:
+        moved = first.positions[first.ids == one] - second.positions[second.ids == one]
+        assert np.linalg.norm(moved) < 0.05
+
+
+def test_unknown_space_becomes_few_coarse_boxes() -> None:
+    unknown = np.zeros(GRID.dims, np.bool_)
+    unknown[:16, :16, :32] = True
+    obstacles = cover(
+        occupancy(np.full((5, 3), 100.0), np.zeros(0, np.int64), unknown.ravel()),
+        None,
+        CoverParameters(most_unknown=8),
+    )
+    assert (obstacles.kinds == ObstacleKind.UNKNOWN).all()
+    assert 1 <= len(obstacles.ids) <= 8
+    middle = GRID.indices(GRID.origin + np.array([[0.16, 0.16, 0.3]]))
+    assert held(obstacles, middle, 40_000_000, ObstacleKind.UNKNOWN).all()
+
+
+def test_motion_gives_velocity_and_bound() -> None:
+    blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
+    motion = Motion(blobs[:1], np.array([[0.5, 0.0, 0.0]]), np.full((5, 1), 0.06))
+    obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
+    moving = obstacles.kinds == ObstacleKind.MOVING
+    assert np.allclose(obstacles.velocities[moving], [0.5, 0, 0])
+    assert np.allclose(obstacles.bounds[moving], 0.06)
+    assert np.allclose(obstacles.velocities[~moving], 0)
+
+
+def test_cap_below_one_is_refused() -> None:
+    with pytest.raises(ForecastError, match="most_moving"):
+        cover(occupancy(np.full((5, 3), 100.0), np.zeros(0, np.int64)), None, CoverParameters(most_moving=0))

@@ -1,0 +1,134 @@
+"""Voxel grids: the default one for a workspace, runs of indices, and dilation on packed bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.errors import ForecastError
+from twin_node.scene import Bool, Float64, Grid, UInt32
+
+MOST_VOXELS = 1_500_000
+"""Above this many voxels two CPU cores no longer keep up with camera rate; the voxels are made larger."""
+
+Words = NDArray[np.uint64]
+
+
+def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int = MOST_VOXELS) -> Grid:
+    """Grid over a workspace [2, 3] (lower and upper corner, m), coarsened until it has at most `most_voxels`.
+
+    Raises `ForecastError` for a workspace that is not finite or not lower < upper, and for a voxel size <= 0.
+    """
+    corners = np.asarray(workspace, dtype=np.float64)
+    if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
+        raise ForecastError(
+            f"workspace: expected two corners [2, 3] with lower < upper in metres, found {corners.tolist()}; "
+            "correct `workspace` in the rig file"
+        )
+    if not voxel_size > 0:
+        raise ForecastError(f"voxel_size: expected more than 0 m, found {voxel_size}; 0.02 suits two CPU cores")
+    extent = corners[1] - corners[0]
+    size = max(voxel_size, float(np.cbrt(extent.prod() / most_voxels)))
+    while np.prod(np.ceil(extent / size - 1e-9)) > most_voxels:
+        size *= 1.02
+    dims = np.maximum(np.ceil(extent / size - 1e-9), 1).astype(int)
+    return Grid(corners[0].copy(), size, (int(dims[0]), int(dims[1]), int(dims[2])))
+
+
+def encode_runs(mask: Bool) -> UInt32:
+    """Runs [r, 2] (start, length) of the True entries of a flat mask [n]."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    starts, ends = edges[::2], edges[1::2]
+    return np.stack([starts, ends - starts], axis=1).astype(np.uint32)
+
+
+def decode_runs(runs: UInt32, size: int) -> Bool:
+    """Flat mask [size] of runs [r, 2] (start, length)."""
+    steps = np.zeros(size + 1, np.int32)
+    np.add.at(steps, runs[:, 0].astype(np.int64), 1)
+    np.add.at(steps, runs.astype(np.int64).sum(axis=1), -1)
+    return np.cumsum(steps[:-1]) > 0
+
+
+def pack(dense: Bool) -> Words:
+    """Bits [nx, ny, w] of a dense mask [nx, ny, nz], 64 voxels along z per word, lowest bit first."""
+    nx, ny, nz = dense.shape
+    packed = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
+    bits = np.packbits(dense, axis=2, bitorder="little")
+    packed[:, :, : bits.shape[2]] = bits
+    words: Words = packed.view(np.uint64)
+    return words
+
+
+def unpack(words: Words, nz: int) -> Bool:
+    """Dense mask [nx, ny, nz] of packed bits [nx, ny, w]."""
+    return np.unpackbits(words.view(np.uint8), axis=2, count=nz, bitorder="little").view(np.bool_)
+
+
+def grow(words: Words, diagonal: bool) -> Words:
+    """Packed bits grown by one voxel: to the 6 face neighbours, or to the 18 face and edge neighbours."""
+    along_z = words | (words << np.uint64(1)) | (words >> np.uint64(1))
+    along_z[:, :, 1:] |= words[:, :, :-1] >> np.uint64(63)
+    along_z[:, :, :-1] |= words[:, :, 1:] << np.uint64(63)
+    spread = along_z if diagonal else words
+    grown = along_z.copy()
+    grown[1:] |= spread[:-1]
+    grown[:-1] |= spread[1:]
+    grown[:, 1:] |= spread[:, :-1]
+    grown[:, :-1] |= spread[:, 1:]
+    if diagonal:
+        grown[1:, 1:] |= words[:-1, :-1]
+        grown[1:, :-1] |= words[:-1, 1:]
+        grown[:-1, 1:] |= words[1:, :-1]
+        grown[:-1, :-1] |= words[1:, 1:]
+    return grown
+
+
+def grow_by(levels: NDArray[np.uint8]) -> Bool:
+    """Union of balls: every voxel of `levels` [nx, ny, nz] with level l > 0 grows by l - 1 voxels.
+
+    Three steps to 18 neighbours and one to 6, in turn: their Minkowski sum holds the Euclidean ball (support 1 along
+    the axes and 1.01 along the space diagonals per step) and exceeds it by at most 1.24 times its radius.
+    """
+    most = int(levels.max(initial=0))
+    words = pack(levels == most) if most else pack(np.zeros(levels.shape, np.bool_))
+    for level in range(most - 1, 0, -1):
+        words = grow(words, diagonal=(level % 4) != 0)
+        words |= pack(levels == level)
+    return unpack(words, levels.shape[2])
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Voxels reached by balls about points."""
+
+    indices: NDArray[np.int64]
+    """[n] flat indices, strictly increasing."""
+    core: Bool
+    """[n] True for voxels that hold a point themselves."""
+
+
+def spread(grid: Grid, points: Float64, radii: Float64) -> Spread:
+    """Voxels of `grid` within `radii` [n] (m, rounded up to whole voxels) of the voxels that hold `points` [n, 3]."""
+    places = np.floor((points - grid.origin) / grid.voxel_size).astype(np.int64)
+    reach = np.ceil(radii / grid.voxel_size - 1e-6).astype(np.int64)
+    most = int(reach.max(initial=0))
+    near = np.all((places >= -most) & (places < np.array(grid.dims) + most), axis=1)
+    if not near.any():
+        return Spread(np.zeros(0, np.int64), np.zeros(0, np.bool_))
+    places, reach = places[near], reach[near]
+    low = places.min(axis=0) - most
+    dims = places.max(axis=0) + most + 1 - low
+    local = np.ravel_multi_index(tuple((places - low).T), tuple(dims))
+    order = np.argsort(reach, kind="stable")
+    levels = np.zeros(dims, np.uint8)
+    levels.ravel()[local[order]] = reach[order] + 1
+    inside = tuple(
+        slice(max(0, -a), max(0, -a) + max(0, min(n, a + m) - max(0, a)))
+        for a, m, n in zip(low, dims, grid.dims, strict=True)
+    )
+    grown = np.argwhere(grow_by(levels)[inside]) + np.maximum(low, 0)
+    core = levels[inside][tuple((grown - np.maximum(low, 0)).T)] > 0
+    return Spread(np.ravel_multi_index(tuple(grown.T), grid.dims), core)

@@ -1,0 +1,75 @@
+"""Space that stands still: where STATIC Gaussians or measured surfaces are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.carving import Carver
+from twin_node.geometry import transform
+from twin_node.scene import Float64, Grid, OccupancyLayer, Tier, TwinState, View
+
+
+@dataclass(frozen=True)
+class StaticParameters:
+    """What counts as standing, and how often it is looked at again."""
+
+    opacity: float = 0.5
+    """A STATIC Gaussian at least this opaque occupies the voxels within one standard deviation of its centre."""
+    period_ns: int = 500_000_000
+    """The static layer is made anew this often: what stands does not change faster."""
+
+
+class StaticSpace:
+    """The voxels that stand still, refreshed now and then."""
+
+    def __init__(self, grid: Grid, parameters: StaticParameters | None = None) -> None:
+        self.grid = grid
+        self.parameters = parameters or StaticParameters()
+        self._surfaces = np.zeros(grid.size, np.bool_)
+        self._layer = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
+        self._made_at: int | None = None
+
+    def update(self, state: TwinState, carver: Carver) -> OccupancyLayer:
+        """The static layer as of this state."""
+        if self._made_at is None or state.stamp - self._made_at >= self.parameters.period_ns:
+            self._made_at = state.stamp
+            self._remember_surfaces(state, carver)
+            occupied = self._surfaces.copy()
+            occupied[self._gaussian_voxels(state)] = True
+            indices = np.flatnonzero(occupied).astype(np.uint32)
+            self._layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
+        return self._layer
+
+    def _remember_surfaces(self, state: TwinState, carver: Carver) -> None:
+        """Adds surfaces measured off the moving and robot masks; forgets those that a camera sees through."""
+        if not any(view.depth is not None for view in state.frames.views):
+            return
+        known = np.flatnonzero(self._surfaces)
+        self._surfaces[known[carver.frees(state, known)]] = False
+        for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
+            if view.depth is None:
+                continue
+            still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
+            found = self.grid.indices(_unproject(view, still))
+            self._surfaces[found[found >= 0]] = True
+
+    def _gaussian_voxels(self, state: TwinState) -> NDArray[np.int64]:
+        """Voxels within one standard deviation of the opaque STATIC Gaussians."""
+        cloud = state.gaussians
+        chosen = (cloud.tiers == Tier.STATIC) & (cloud.opacities >= self.parameters.opacity)
+        chosen &= cloud.scales.max(axis=1, initial=0) < 20 * self.grid.voxel_size
+        found = self.grid.indices(cloud.means[chosen])
+        return found[found >= 0]
+
+
+def _unproject(view: View, where: NDArray[np.bool_]) -> Float64:
+    """Base-frame points [n, 3] of the pixels in `where` [H, W]."""
+    assert view.depth is not None
+    rows, columns = np.nonzero(where)
+    z = view.depth[rows, columns].astype(np.float64)
+    K = view.camera.K
+    points = np.stack([(columns + 0.5 - K[0, 2]) * z / K[0, 0], (rows + 0.5 - K[1, 2]) * z / K[1, 1], z], axis=1)
+    return transform(view.camera.T_base_cam, points)

@@ -1,0 +1,144 @@
+"""Tracks: where each part has been, what was forecast for it, and how wrong that was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twin_node.forecast.experts import EXPERTS, Autoregression, History, mix, steps
+from twin_node.scene import Float64
+
+REACH = 0.12
+"""A part continues the track whose forecast place is at most this far off, m (one and a half parts)."""
+KEPT = 32
+"""Samples kept per track: half a second at 60 Hz."""
+
+_EXPERTS = len(EXPERTS) + 1
+
+
+@dataclass
+class Tracks:
+    """Tracks of M parts over the last T samples; arrays are re-indexed as parts take over from parts."""
+
+    horizon_s: float
+    """Horizon at which the experts are judged: latency + 200 ms."""
+    times: Float64 = field(default_factory=lambda: np.zeros(0))
+    """[T] s."""
+    positions: Float64 = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    """[T, M, 3] m."""
+    velocities: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
+    """[M, 3] m/s."""
+    ages: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """[M] samples since birth."""
+    forecasts: Float64 = field(default_factory=lambda: np.zeros((0, _EXPERTS, 0, 3)))
+    """[T, E, M, 3] places each expert forecast for `horizon_s` after each sample, m."""
+    errors: Float64 = field(default_factory=lambda: np.zeros((_EXPERTS, 0)))
+    """[E, M] recent errors of the experts, m."""
+    own_errors: Float64 = field(default_factory=lambda: np.zeros(0))
+    """[M] recent error of the mixture, m: quick to grow, slow to shrink."""
+    autoregression: Autoregression = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.autoregression = Autoregression(np.array([self.horizon_s]))
+
+    @property
+    def history(self) -> History:
+        """The tracks as the experts see them."""
+        return History(self.times, self.positions)
+
+    @property
+    def ages_s(self) -> Float64:
+        """[M] time since each part's track began, s."""
+        if len(self.times) == 0:
+            return np.zeros(len(self.ages))
+        return self.times[-1] - self.times[np.maximum(len(self.times) - 1 - self.ages, 0)]
+
+    @property
+    def mean_weights(self) -> Float64:
+        """[E] weights of the experts, averaged over the parts."""
+        return mix(self.errors).mean(axis=1) if self.errors.size else np.zeros(len(EXPERTS) + 1)
+
+    def expected_velocities(self, centers: Float64) -> Float64:
+        """Velocities [M', 3] that parts at `centers` would have if they went on with the nearest track."""
+        parents = self._parents(centers)
+        known = np.append(self.velocities, np.zeros((1, 3)), axis=0)
+        return known[parents]
+
+    def advance(self, time: float, centers: Float64, velocities: Float64) -> None:
+        """Continues the tracks into parts at `centers` [M', 3] that move at `velocities` [M', 3], at `time` (s)."""
+        step = time - self.times[-1] if len(self.times) else 0.0
+        parents = self._parents(centers - velocities * step)
+        shift = self._inherit(parents, centers, velocities * step)
+        self.positions = np.concatenate([self.positions + shift, centers[None]])[-KEPT:]
+        self.forecasts = self.forecasts + shift
+        self.times = np.append(self.times, time)[-KEPT:]
+        self.velocities = velocities
+        self._learn_from_due_forecasts()
+        self._issue()
+
+    def displacements(self, horizons: Float64) -> Float64:
+        """The mixture's displacements [H, M, 3] after horizons [H] in seconds."""
+        weights = mix(self.errors)
+        single = [expert(self.history, horizons) for expert in EXPERTS]
+        regressed = self.autoregression.forecast(self.history) * (horizons / self.horizon_s)[:, None, None]
+        return np.einsum("em,ehmc->hmc", weights, np.stack([*single, regressed]))
+
+    def _parents(self, places: Float64) -> NDArray[np.int64]:
+        """Track [n] that each place continues; M (one past the last) for none."""
+        count = len(self.velocities)
+        if count == 0 or len(places) == 0:
+            return np.full(len(places), count, np.int64)
+        found = cKDTree(self.positions[-1]).query(places, distance_upper_bound=REACH)[1]
+        return found.astype(np.int64)
+
+    def _inherit(self, parents: NDArray[np.int64], centers: Float64, moved: Float64) -> Float64:
+        """Re-indexes all arrays by parent; gives the shift [M', 3] that joins the parents' paths to the parts.
+
+        A part is a cell of a lattice, not a body: its path is its parent's, moved so that the last step is `moved`.
+        """
+        born = parents == len(self.velocities)
+        self.positions = _taken(self.positions, parents, 1, 0.0)
+        self.forecasts = _taken(self.forecasts, parents, 2, np.nan)
+        self.errors = _taken(self.errors, parents, 1, UNTRIED_ERROR)
+        self.own_errors = _taken(self.own_errors, parents, 0, UNTRIED_ERROR)
+        self.ages = np.where(born, 0, np.append(self.ages, 0)[parents] + 1)
+        self.positions[:, born] = (centers - moved)[born]
+        return centers - moved - self.positions[-1] if len(self.positions) else np.zeros(centers.shape)
+
+    def _issue(self) -> None:
+        """Has every expert forecast the place at the horizon."""
+        at = np.array([self.horizon_s])
+        single = [expert(self.history, at)[0] for expert in EXPERTS]
+        places = self.positions[-1] + np.stack([*single, self.autoregression.forecast(self.history)[0]])
+        self.forecasts = np.concatenate([self.forecasts, places[None]])[-KEPT:]
+
+    def _learn_from_due_forecasts(self) -> None:
+        """Judges the forecasts that were made for about now, and teaches the autoregression."""
+        due = int(np.abs(self.times[:-1] + self.horizon_s - self.times[-1]).argmin()) if len(self.times) > 1 else -1
+        period = self.times[-1] - self.times[-2] if len(self.times) > 1 else 0.0
+        if due < 0 or abs(self.times[due] + self.horizon_s - self.times[-1]) > 0.6 * period + 0.01:
+            return
+        wrong = np.linalg.norm(self.forecasts[due] - self.positions[-1], axis=-1)
+        judged = np.isfinite(wrong).all(axis=0)
+        self.errors = np.where(judged, self.errors + 0.15 * (wrong - self.errors), self.errors)
+        mixed = np.einsum("em,emc->mc", mix(self.errors), self.forecasts[due])
+        own = np.linalg.norm(mixed - self.positions[-1], axis=-1)
+        rate = np.where(own > self.own_errors, 0.5, 0.08)
+        self.own_errors = np.where(judged, self.own_errors + rate * (own - self.own_errors), self.own_errors)
+        then = History(self.times[: due + 1], self.positions[: due + 1][:, judged])
+        came_true = (self.positions[-1] - self.positions[due])[judged]
+        self.autoregression.learn(steps(then), came_true[None])
+
+
+def _taken(values: Float64, rows: NDArray[np.int64], axis: int, missing: float) -> Float64:
+    """`values` re-indexed along `axis`; one row past the last gives `missing`."""
+    shape = list(values.shape)
+    shape[axis] = 1
+    return np.take(np.concatenate([values, np.full(shape, missing)], axis=axis), rows, axis=axis)
+
+
+UNTRIED_ERROR = 0.1
+"""Error ascribed to experts that have not been judged yet, m: about their mean on human motion at 200 ms."""
