@@ -31,17 +31,30 @@ struct PixelsIn {
   const float *v_render, *v_alpha;  // v_alpha may be null
 };
 
-struct BlockOffsets {
-  Vec x, y;  // pixel centres relative to the block's corner
-};
-inline BlockOffsets block_offsets() {
-  BlockOffsets out;
-  for (int lane = 0; lane < kLanes; lane++) {
-    out.x[lane] = static_cast<float>(lane % kBlockWidth) + 0.5f;
-    out.y[lane] = static_cast<float>(lane / kBlockWidth) + 0.5f;
+// Pixel centres of a tile's blocks, relative to the tile's corner.
+struct PixelGrid {
+  Vec x[kBlockColumns], y[kBlockRows];
+  PixelGrid() {
+    for (int lane = 0; lane < kLanes; lane++) {
+      for (int i = 0; i < kBlockColumns; i++) x[i][lane] = i * kBlockWidth + lane % kBlockWidth + 0.5f;
+      for (int i = 0; i < kBlockRows; i++) y[i][lane] = i * kBlockHeight + lane / kBlockWidth + 0.5f;
+    }
   }
-  return out;
-}
+};
+
+// A tile's 4x4 pixel cells, one per lane: the smallest patches that a footprint is tested against.
+constexpr int kCell = 4, kCells = kTile / kCell * (kTile / kCell), kCellVectors = kCells / kLanes;
+struct CellGrid {
+  Vec left[kCellVectors], top[kCellVectors];  // first pixel centres, relative to the tile's corner
+  CellGrid() {
+    for (int cell = 0; cell < kCells; cell++) {
+      left[cell / kLanes][cell % kLanes] = cell % (kTile / kCell) * kCell + 0.5f;
+      top[cell / kLanes][cell % kLanes] = cell / (kTile / kCell) * kCell + 0.5f;
+    }
+  }
+};
+inline const PixelGrid kPixels;
+inline const CellGrid kCellCorners;
 
 struct Tile {
   int index, x0, y0;
@@ -69,20 +82,43 @@ inline Vec initial_transmittance(const Image &image, const Tile &tile, int block
   return out;
 }
 
-// Blocks of the tile that a footprint's bounding box meets.
-inline BlockSet blocks_in_reach(const Footprint &f, float x0, float y0) {
-  const int left = static_cast<int>(std::ceil(std::max(f.x - f.reach_x - x0 - 0.5f, 0.f)));
-  const int right = static_cast<int>(std::floor(std::min(f.x + f.reach_x - x0 - 0.5f, kTile - 1.f)));
-  const int top = static_cast<int>(std::ceil(std::max(f.y - f.reach_y - y0 - 0.5f, 0.f)));
-  const int bottom = static_cast<int>(std::floor(std::min(f.y + f.reach_y - y0 - 0.5f, kTile - 1.f)));
-  if (right < left || bottom < top) return 0;
-  constexpr BlockSet kAll = kBlocks == 64 ? ~BlockSet{0} : (BlockSet{1} << (kBlocks % 64)) - 1;
-  constexpr BlockSet kFirstColumn = kAll / ((BlockSet{1} << kBlockColumns) - 1);
-  const int column0 = left / kBlockWidth, column1 = right / kBlockWidth;
-  const BlockSet columns = ((2u << column1) - (1u << column0)) * kFirstColumn;
-  const int row0 = top / kBlockHeight, row1 = bottom / kBlockHeight;
-  const BlockSet upto = row1 == kBlockRows - 1 ? kAll : (BlockSet{1} << (kBlockColumns * (row1 + 1))) - 1;
-  return columns & upto & ~((BlockSet{1} << (kBlockColumns * row0)) - 1);
+// A footprint in the coordinates of one tile.
+struct LocalFootprint {
+  Vec x, y, a, b, c, peak;
+  LocalFootprint(const Footprint &f, const Tile &tile)
+      : x(broadcast(f.x - static_cast<float>(tile.x0))), y(broadcast(f.y - static_cast<float>(tile.y0))),
+        a(broadcast(f.a)), b(broadcast(f.b)), c(broadcast(f.c)), peak(broadcast(f.log2_opacity)) {}
+};
+
+// Cells in which the footprint's alpha reaches the threshold anywhere, exactly but for a margin against rounding.
+//
+// The smallest a dx^2 + b dx dy + c dy^2 over a rectangle without the centre lies on an edge that faces the centre.
+inline uint32_t cells_reached(const Footprint &f, const LocalFootprint &local) {
+  const float limit = (f.log2_opacity - kLog2AlphaThreshold) * 1.002f + 0.01f;
+  const Vec x_of_y = broadcast(-0.5f * f.b / f.a), y_of_x = broadcast(-0.5f * f.b / f.c), most = broadcast(limit);
+  uint32_t reached = 0;
+  for (int i = 0; i < kCellVectors; i++) {
+    const Vec left = kCellCorners.left[i] - local.x, right = left + (kCell - 1.f);
+    const Vec top = kCellCorners.top[i] - local.y, bottom = top + (kCell - 1.f);
+    const Vec near_x = min(max(Vec{}, left), right), near_y = min(max(Vec{}, top), bottom);
+    const Vec best_y = min(max(y_of_x * near_x, top), bottom), best_x = min(max(x_of_y * near_y, left), right);
+    const Vec on_side = near_x * (local.a * near_x + local.b * best_y) + local.c * best_y * best_y;
+    const Vec on_floor = best_x * (local.a * best_x + local.b * near_y) + local.c * near_y * near_y;
+    reached |= bits(le(min(on_side, on_floor), most)) << (i * kLanes);
+  }
+  return reached;
+}
+
+// The blocks that make up cells: with fewer than 16 lanes a cell is several rows of blocks.
+inline BlockSet blocks_of_cells(uint32_t cells) {
+  if (kBlockHeight == kCell) return cells;
+  constexpr int kRows = kCell / kBlockHeight, kAcross = kTile / kCell;
+  BlockSet blocks = 0;
+  for (int row = 0; row < kTile / kCell; row++) {
+    const BlockSet across = cells >> (row * kAcross) & ((1u << kAcross) - 1);
+    for (int i = 0; i < kRows; i++) blocks |= across << ((row * kRows + i) * kAcross);
+  }
+  return blocks;
 }
 
 // One footprint evaluated at one block of pixels.
@@ -91,13 +127,12 @@ struct Coverage {
   Mask hit;              // above the threshold, in pixels that are not finished
 };
 
-inline Coverage cover(const Footprint &f, const Tile &tile, int block, const BlockOffsets &offsets, Vec transmittance) {
+inline Coverage cover(const LocalFootprint &f, int block, Vec transmittance) {
   Coverage out;
-  out.dx = (f.x - static_cast<float>(tile.block_x(block))) - offsets.x;
-  out.dy = (f.y - static_cast<float>(tile.block_y(block))) - offsets.y;
-  const Vec peak = broadcast(f.log2_opacity);
-  out.exponent = peak - (out.dx * (f.a * out.dx + f.b * out.dy) + f.c * out.dy * out.dy);
-  out.hit = both(both(ge(out.exponent, broadcast(kLog2AlphaThreshold)), le(out.exponent, peak)),
+  out.dx = f.x - kPixels.x[block % kBlockColumns];
+  out.dy = f.y - kPixels.y[block / kBlockColumns];
+  out.exponent = f.peak - (out.dx * (f.a * out.dx + f.b * out.dy) + f.c * out.dy * out.dy);
+  out.hit = both(both(ge(out.exponent, broadcast(kLog2AlphaThreshold)), le(out.exponent, f.peak)),
                  gt(transmittance, Vec{}));
   return out;
 }
@@ -143,14 +178,16 @@ inline void blend_tile(Image &image, const Tile &tile, const Pass &pass, float m
     for (int q = 0; q < C; q++) sums[block][q] = Vec{};
     transmittance[block] = (rendered >> block & 1) ? initial_transmittance(image, tile, block) : broadcast(-1.f);
   }
-  const BlockOffsets offsets = block_offsets();
   const Vec limit = broadcast(max_alpha), cut = broadcast(kTransmittanceCut);
   int at = image.tile_begin[tile.index];
   for (const int end = image.tile_begin[tile.index + 1]; at < end && alive; at++) {
     const Splat &splat = image.splats[image.tile_splat[at]];
-    for (BlockSet left = blocks_in_reach(splat.shape, tile.x0, tile.y0) & alive; left; left &= left - 1) {
+    const LocalFootprint footprint(splat.shape, tile);
+    const uint32_t cells = cells_reached(splat.shape, footprint);
+    image.tile_cells[at] = static_cast<uint16_t>(cells);
+    for (BlockSet left = blocks_of_cells(cells) & alive; left; left &= left - 1) {
       const int block = __builtin_ctzll(left);
-      const Coverage c = cover(splat.shape, tile, block, offsets, transmittance[block]);
+      const Coverage c = cover(footprint, block, transmittance[block]);
       if (!any(c.hit)) continue;
       const Vec alpha = min(exp2_nonpositive(c.exponent), limit);
       const Vec drawn_weight = transmittance[block] * alpha, behind = transmittance[block] - drawn_weight;
@@ -240,22 +277,23 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
     const int block = __builtin_ctzll(left);
     read_block<C>(image, tile, pass, block, in, blocks[block]);
   }
-  const BlockOffsets offsets = block_offsets();
   const Vec limit = broadcast(max_alpha), cut = broadcast(kTransmittanceCut);
   const int seen = image.tile_end[tile.index], end = image.tile_begin[tile.index + 1];
   for (int at = image.tile_begin[tile.index]; at < end; at++) {
     float *slot = &image.slot_gradient[static_cast<size_t>(image.tile_slot[at]) * pass.slot_stride];
-    if (at >= seen) {
+    BlockSet left = at < seen ? blocks_of_cells(image.tile_cells[at]) & alive : 0;
+    if (left == 0) {
       clear_slot(pass, slot);
       continue;
     }
     const Splat &splat = image.splats[image.tile_splat[at]];
+    const LocalFootprint footprint(splat.shape, tile);
     SlotSums<C> sums;
     bool touched = false;
-    for (BlockSet left = blocks_in_reach(splat.shape, tile.x0, tile.y0) & alive; left; left &= left - 1) {
+    for (; left; left &= left - 1) {
       const int block = __builtin_ctzll(left);
       BlockGradient<C> &g = blocks[block];
-      const Coverage c = cover(splat.shape, tile, block, offsets, g.transmittance);
+      const Coverage c = cover(footprint, block, g.transmittance);
       if (!any(c.hit)) continue;
       touched = true;
       const Vec raw = exp2_nonpositive(c.exponent), alpha = min(raw, limit);
