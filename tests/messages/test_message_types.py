@@ -1,6 +1,7 @@
 """Types, hashes and CDR against published values; arrays without copies; definitions that a log brings along."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from twin_node.messages import (
     to_time,
     type_hash,
 )
+from twin_node.messages.types import read_types
 
 OWN_TYPES = sorted(path.stem for path in resources.find("msgs/msg").glob("*.msg"))
 
@@ -36,6 +38,23 @@ def test_own_types_are_known_and_hashed(name: str) -> None:
     assert message_type(msgtype).__msgtype__ == msgtype
     assert re.fullmatch(r"RIHS01_[0-9a-f]{64}", type_hash(msgtype))
     assert builtin_types().extended({msgtype: definition(msgtype)}).type_hash(msgtype) == type_hash(msgtype)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("{ no definition", r"Wrong\.msg: not a ROS 2 message definition"),
+        ("twin_msgs/Missing item\n", "twin_msgs/msg/Wrong: uses twin_msgs/msg/Missing, defined nowhere"),
+        ("Missing[] items\n", "twin_msgs/msg/Wrong: uses twin_msgs/msg/Missing, defined nowhere"),
+    ],
+)
+def test_a_wrong_definition_file_is_named(tmp_path: Path, content: str, words: str) -> None:
+    (tmp_path / "Right.msg").write_text("uint8 value\n")
+    assert "twin_msgs/msg/Right" in read_types(tmp_path)
+    (tmp_path / "Wrong.msg").write_text(content)
+    with pytest.raises(MessageError, match=words) as caught:
+        read_types(tmp_path)
+    assert "\n" not in str(caught.value)
 
 
 def test_hashes_are_those_that_ros_announces() -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import Typesdict
+from rosbags.interfaces.typing import Constdefs, Fielddefs, Typesdict
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -91,7 +92,7 @@ class MessageTypes:
                 continue
             try:
                 parsed = _parse(name, text)
-            except (TypesysError, KeyError, ValueError):
+            except (TypesysError, KeyError, IndexError, ValueError):
                 continue
             if _complete(store, parsed):
                 _replace(store, parsed)
@@ -115,15 +116,15 @@ def _parse(name: str, text: str) -> Typesdict:
     return get_types_from_msg(text, name)
 
 
+def _used(parsed: tuple[Constdefs, Fielddefs]) -> set[str]:
+    """Names of the types that a parsed definition has fields or arrays of."""
+    elements = [field[1][0] if field[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else field for _, field in parsed[1]]
+    return {str(element[1]) for element in elements if element[0] == Nodetype.NAME}
+
+
 def _complete(store: Typestore, parsed: Typesdict) -> bool:
     """Whether every type that the parsed ones use is among them or known."""
-    used = {
-        element[1]
-        for _, fields in parsed.values()
-        for _, field in fields
-        for element in (field[1][0] if field[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else field,)
-        if element[0] == Nodetype.NAME
-    }
+    used = {name for one in parsed.values() for name in _used(one)}
     return all(name in parsed or name in store.fielddefs for name in used)
 
 
@@ -133,7 +134,7 @@ def _replace(store: Typestore, parsed: Typesdict) -> None:
         known = store.fielddefs.get(name)
         if known is not None and [(n.lower(), d) for n, d in known[1]] != [(n.lower(), d) for n, d in fields]:
             del store.fielddefs[name], store.types[name]
-    new = {name: definition for name, definition in parsed.items() if name not in store.fielddefs}
+    new = {name: one for name, one in parsed.items() if name not in store.fielddefs}
     if new:
         store.register(new)
 
@@ -141,10 +142,27 @@ def _replace(store: Typestore, parsed: Typesdict) -> None:
 @cache
 def builtin_types() -> MessageTypes:
     """The ROS 2 Jazzy set and `twin_msgs`, read once from `msgs/msg/*.msg`."""
+    folders = [root / "msgs" / "msg" for root in resources.roots()]
+    folder = next((folder for folder in folders if folder.is_dir()), None)
+    return read_types(folder or resources.find("msgs/msg"))
+
+
+def read_types(folder: Path) -> MessageTypes:
+    """The ROS 2 Jazzy set and, as package `twin_msgs`, the types of a folder of `.msg` files.
+
+    Raises `MessageError` naming the file that is no message definition or uses a type that is nowhere defined.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
     own: Typesdict = {}
-    for path in sorted(resources.find("msgs/msg").glob("*.msg")):
-        own.update(get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}"))
+    for path in sorted(folder.glob("*.msg")):
+        try:
+            own.update(get_types_from_msg(path.read_text(encoding="utf-8"), f"{OWN_PACKAGE}/msg/{path.stem}"))
+        except (TypesysError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise MessageError(f"{path}: not a ROS 2 message definition ({reason}); correct the file") from None
+    for name, parsed in own.items():
+        if undefined := sorted(_used(parsed) - own.keys() - store.fielddefs.keys()):
+            raise MessageError(f"{name}: uses {', '.join(undefined)}, defined nowhere; correct {folder}")
     store.register(own)
     return MessageTypes(store)
 
