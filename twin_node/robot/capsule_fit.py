@@ -12,9 +12,11 @@ from scipy.spatial import ConvexHull, QhullError
 from twin_node.scene import Float64
 
 _LLOYD_ROUNDS = 6
-"""Rounds of assigning triangles to capsules and fitting again; the volume stops falling after three or four."""
+"""Most rounds of giving pieces to capsules and fitting again; the volume stops falling after two to four."""
 
 
+_PIECE_SHARE = 0.05
+"""Longest edge of a piece as a share of the mesh's extent."""
 _END_SHARES = (0.1, 0.15, 0.2, 0.25)
 """Shares of a link's length tried for the housings at its ends."""
 
@@ -34,34 +36,29 @@ class Capsule:
         return float(np.pi * self.radius**2 * (length + 4 / 3 * self.radius))
 
 
-def fit_capsule(points: NDArray[np.floating]) -> Capsule:
-    """Small capsule that holds all points [N, 3] (m): a local minimum of its volume, started from their main axis.
+def fit_capsule(points: NDArray[np.floating], near: Capsule | None = None) -> Capsule:
+    """Small capsule that holds all points [N, 3] (m): a local minimum of its volume, started from their main axes.
 
-    The radius is the largest distance from a point to the segment, so enclosure is exact whatever the minimiser does.
+    `near` starts from that capsule instead. The radius is the largest distance from a point to the segment, so
+    enclosure is exact whatever the minimiser does.
     """
     cloud = _extreme_points(np.asarray(points, dtype=np.float64))
-    center = (cloud.min(0) + cloud.max(0)) / 2
-    axes = np.linalg.svd(cloud - cloud.mean(0), full_matrices=False)[2]
-    reach = np.abs((cloud - center) @ axes.T).max(0)
-    best: Capsule | None = None
-    for axis, half in zip(axes, reach, strict=True):
-        start = np.concatenate([center - axis * half / 2, center + axis * half / 2])
-        found = minimize(_volume_holding, start, args=(cloud,), method="Nelder-Mead", options={"maxiter": 1500})
-        candidate = _capsule_holding(found.x, cloud)
-        if best is None or candidate.volume < best.volume:
-            best = candidate
-    assert best is not None
-    return best
+    starts = _main_axes(cloud) if near is None else [near.ends]
+    options = {"maxiter": 1500, "xatol": 1e-4, "fatol": 1e-7}
+    found = [minimize(_volume_holding, start.ravel(), (cloud,), "Nelder-Mead", options=options) for start in starts]
+    return min((_capsule_holding(result.x, cloud) for result in found), key=lambda capsule: capsule.volume)
 
 
-def fit_capsules(triangles: NDArray[np.floating], count: int, max_edge: float = 0.01) -> tuple[Capsule, ...]:
+def fit_capsules(triangles: NDArray[np.floating], count: int) -> tuple[Capsule, ...]:
     """`count` capsules that together hold a mesh's surface, triangles [T, 3, 3] in metres.
 
-    Triangles are split until no edge is longer than `max_edge` (m); each piece lies inside one capsule, and a
-    capsule is convex, so the union holds the whole surface. Pieces move between capsules by Lloyd's scheme; the
+    Triangles are split into pieces much smaller than the mesh; each piece lies inside one capsule, and a capsule is
+    convex, so the union holds the whole surface. Pieces move between capsules by Lloyd's scheme; the
     smallest total volume met is kept.
     """
-    pieces = _split(np.asarray(triangles, dtype=np.float64), max_edge)
+    corners = np.asarray(triangles, dtype=np.float64)
+    extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    pieces = _split(corners, _PIECE_SHARE * extent)
     centers = pieces.mean(1)
     axis = np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0]
     along = centers @ axis
@@ -88,13 +85,25 @@ def _first_cuts(count: int) -> list[Float64]:
 
 def _lloyd(pieces: Float64, owner: NDArray[np.integer]) -> tuple[Capsule, ...]:
     """Fits a capsule to each owner's pieces, gives each piece to the capsule that holds it best, and again."""
-    best: tuple[Capsule, ...] = ()
+    capsules = tuple(fit_capsule(pieces[owner == k].reshape(-1, 3)) for k in np.unique(owner))
+    best = capsules
     for _ in range(_LLOYD_ROUNDS):
-        capsules = tuple(fit_capsule(pieces[owner == k].reshape(-1, 3)) for k in np.unique(owner))
-        if not best or _total_volume(capsules) < _total_volume(best):
-            best = capsules
         owner = np.argmin(np.stack([_outside(pieces, capsule) for capsule in capsules]), axis=0)
+        kept = [(capsule, pieces[owner == k].reshape(-1, 3)) for k, capsule in enumerate(capsules)]
+        capsules = tuple(fit_capsule(own, near=capsule) for capsule, own in kept if len(own))
+        if _total_volume(capsules) >= _total_volume(best):
+            break
+        best = capsules
     return best
+
+
+def _main_axes(cloud: Float64) -> list[Float64]:
+    """Segments [2, 3] along each main axis of a cloud, half as long as it."""
+    center = (cloud.min(0) + cloud.max(0)) / 2
+    axes = np.linalg.svd(cloud - cloud.mean(0), full_matrices=False)[2]
+    reach = np.abs((cloud - center) @ axes.T).max(0)
+    half = axes * reach[:, None] / 2
+    return list(np.stack([center - half, center + half], axis=1))
 
 
 def _capsule_holding(parameters: Float64, cloud: Float64) -> Capsule:

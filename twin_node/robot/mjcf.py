@@ -70,7 +70,9 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     of hinges.
     """
     try:
-        engine = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # a URDF's base would become part of the world
+        engine = spec.compile()
     except (ValueError, FileNotFoundError) as error:
         reason = " ".join(str(error).split())
         raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error

@@ -1,0 +1,139 @@
+"""The shipped arm files are what the models say, and foreign arm files become models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from twin_node.resources import find
+from twin_node.robot import UR_NAMES, RobotError, forward_kinematics, place_capsules, ur_model
+from twin_node.robot.capsule_fit import distance_to_segment
+from twin_node.robot.mjcf import geom_names, load_arm, write_mjcf
+
+UR10E_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e_model"
+
+
+@pytest.mark.parametrize("name", UR_NAMES)
+def test_shipped_file_is_up_to_date(name: str) -> None:
+    assert find(f"sim/{name}.xml").read_text() == write_mjcf(ur_model(name)), f"write sim/{name}.xml again"
+
+
+@pytest.mark.parametrize("name", UR_NAMES)
+def test_mujoco_poses_the_capsules_where_the_model_does(name: str) -> None:
+    model = ur_model(name)
+    engine = mujoco.MjModel.from_xml_path(str(find(f"sim/{name}.xml")))
+    data = mujoco.MjData(engine)
+    geoms = [engine.geom(geom).id for geom in geom_names(model)]
+    assert engine.ngeom == len(geoms)
+    for q in np.random.default_rng(1).uniform(-3, 3, (20, 6)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(engine, data)
+        placed = place_capsules(model, forward_kinematics(model, q))
+        np.testing.assert_allclose(data.geom_xpos[geoms], placed.ends.mean(1), atol=1e-6)
+        np.testing.assert_allclose(engine.geom_size[geoms, 0], placed.radii)
+
+
+def test_a_written_arm_reads_back_as_it_was() -> None:
+    model = ur_model("ur16e")
+    loaded = load_arm(find("sim/ur16e.xml"))
+    assert (loaded.name, loaded.joint_names, loaded.link_names) == (model.name, model.joint_names, model.link_names)
+    np.testing.assert_allclose(loaded.origins, model.origins, atol=1e-8)
+    np.testing.assert_allclose([loaded.lower, loaded.upper], [model.lower, model.upper], atol=1e-8)
+    np.testing.assert_array_equal(loaded.capsules.links, model.capsules.links)
+    np.testing.assert_allclose(loaded.capsules.radii, model.capsules.radii)
+    np.testing.assert_allclose(loaded.capsules.ends.sum(1), model.capsules.ends.sum(1), atol=1e-8)
+
+
+FOREIGN = """
+<mujoco>
+  <compiler angle="degree"/>
+  <worldbody>
+    <body name="stand" pos="0 0 0.1">
+      <geom type="box" size="0.1 0.08 0.05"/>
+      <body name="first" pos="0 0 0.2" euler="0 0 30">
+        <joint name="swing" axis="0 1 0" pos="0.02 0 0" range="-90 90"/>
+        <geom type="cylinder" size="0.05 0.2" pos="0 0 0.2"/>
+        <body name="second" pos="0 0 0.4">
+          <joint name="turn" axis="1 0 1"/>
+          <geom name="tube" type="capsule" size="0.04" fromto="0 0 0 0 0 0.3"/>
+          <geom type="box" size="0.5 0.5 0.5" contype="0" conaffinity="0"/>
+          <body name="finger" pos="0 0 0.3">
+            <joint name="slide" type="slide" axis="1 0 0"/>
+            <geom type="sphere" size="0.03"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_a_foreign_arm_moves_as_its_file_says(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.xml"
+    path.write_text(FOREIGN)
+    model = load_arm(path, joint_names=("swing", "turn"))
+    assert model.link_names == ("stand", "first", "second")
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(engine)
+    tube = engine.geom("tube").id
+    capsule = int(np.flatnonzero(np.isclose(model.capsules.radii, 0.04))[0])
+    for q in np.random.default_rng(5).uniform(-1.5, 1.5, (20, 2)):
+        data.qpos[:2] = q
+        mujoco.mj_kinematics(engine, data)
+        placed = place_capsules(model, forward_kinematics(model, q))
+        np.testing.assert_allclose(placed.ends[capsule].mean(0), data.geom_xpos[tube], atol=1e-9)
+    assert model.upper[0] == pytest.approx(np.pi / 2)
+    assert len(model.capsules) == 4  # the visual box is left out, the finger belongs to the second link
+    assert (model.capsules.links == [0, 1, 2, 2]).all()
+
+
+def test_other_shapes_are_enclosed(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.xml"
+    path.write_text(FOREIGN)
+    model = load_arm(path, joint_names=("swing", "turn"))
+    rim = np.stack([0.05 * np.cos(np.linspace(0, 6.28, 50)), 0.05 * np.sin(np.linspace(0, 6.28, 50)), np.full(50, 0.4)])
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(engine)
+    mujoco.mj_kinematics(engine, data)
+    first = engine.body("first").id
+    points = rim.T @ data.xmat[first].reshape(3, 3).T + data.xpos[first]
+    placed = place_capsules(model, forward_kinematics(model, np.zeros(2)))
+    assert (distance_to_segment(points, placed.ends[1]) <= placed.radii[1] + 1e-9).all()
+
+
+def test_meshes_of_a_urdf_become_capsules(tmp_path: Path) -> None:
+    if not UR10E_DATA.exists():
+        pytest.skip(f"no UR10e URDF at {UR10E_DATA}")
+    text = (UR10E_DATA / "ur10e.urdf").read_text().replace("meshes/ur10e/collision/", f"{UR10E_DATA}/meshes/")
+    before, after = text.split("<link name", 1)
+    compiler = '<mujoco><compiler strippath="false" discardvisual="true"/></mujoco>'
+    (tmp_path / "ur10e.urdf").write_text(f"{before}{compiler}<link name{after}")
+    loaded, model = load_arm(tmp_path / "ur10e.urdf"), ur_model("ur10e")
+    q = np.array([0.3, -1.0, 1.2, -0.4, 0.8, 2.0])
+    np.testing.assert_allclose(
+        forward_kinematics(loaded, q)[1:, :3, 3], forward_kinematics(model, q)[1:, :3, 3], atol=1e-4
+    )
+    assert set(loaded.capsules.links) == set(range(7))
+
+
+def test_wrong_files_are_refused(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><worldbody>")
+    with pytest.raises(RobotError, match=r"broken\.xml: expected an arm as MJCF or URDF"):
+        load_arm(broken)
+    with pytest.raises(RobotError, match=r"nowhere\.xml: expected an arm"):
+        load_arm(tmp_path / "nowhere.xml")
+    foreign = tmp_path / "foreign.xml"
+    foreign.write_text(FOREIGN)
+    with pytest.raises(RobotError, match="slide does not go on"):
+        load_arm(foreign)
+    with pytest.raises(RobotError, match="expected joint elbow, found swing, turn, slide"):
+        load_arm(foreign, joint_names=("elbow",))
+    empty = tmp_path / "empty.xml"
+    empty.write_text("<mujoco/>")
+    with pytest.raises(RobotError, match="found no joints"):
+        load_arm(empty)

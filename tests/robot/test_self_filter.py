@@ -1,0 +1,89 @@
+"""The robot mask against casting a ray through every pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from twin_node.robot import RobotError, forward_kinematics, place_capsules, robot_mask, ur_model
+from twin_node.scene import Camera
+
+MODEL = ur_model("ur5e")
+
+
+def camera_at(position: NDArray[np.float64], target: NDArray[np.float64], focal: float = 55.0) -> Camera:
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = position
+    K = np.array([[focal, 0, 32.0], [0, focal, 20.0], [0, 0, 1.0]])
+    return Camera("test", 64, 40, K, pose)
+
+
+def cast(camera: Camera, q: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
+    """True where the ray of a pixel's centre passes any of 60 spheres threaded on a capsule's axis."""
+    placed = place_capsules(MODEL, forward_kinematics(MODEL, q))
+    columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    K = camera.K
+    rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(rows)], -1).reshape(-1, 3)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    hit = np.zeros(len(rays), bool)
+    for ends, radius in zip(placed.ends, placed.radii + margin, strict=True):
+        beads = ends[0] + np.linspace(0, 1, 60)[:, None] * (ends[1] - ends[0])
+        local = beads @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        along = np.maximum(rays @ local.T, 0.0)
+        gap_sq = (local**2).sum(1) - 2 * along * (rays @ local.T) + along**2
+        hit |= (gap_sq <= radius**2).any(1)
+    return hit.reshape(camera.height, camera.width)
+
+
+@given(
+    q=st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array),
+    turn=st.floats(0, 6.28),
+    distance=st.floats(1.2, 3.0),
+    margin=st.floats(0.0, 0.1),
+)
+@settings(max_examples=25, deadline=None)
+def test_mask_holds_every_pixel_that_a_ray_says_and_few_more(
+    q: NDArray[np.float64], turn: float, distance: float, margin: float
+) -> None:
+    position = np.array([distance * np.cos(turn), distance * np.sin(turn), 0.9])
+    camera = camera_at(position, np.array([0.0, 0.0, 0.4]))
+    expected, mask = cast(camera, q, margin), robot_mask(MODEL, q, camera, margin)
+    assert not (expected & ~mask).any()
+    # Beyond the exact outline: polygons drawn around circles, and pixels that the outline only crosses.
+    near_edge = cast(camera, q, margin + 0.04)
+    assert not (mask & ~near_edge).any()
+
+
+def test_a_camera_next_to_the_arm_is_masked_right() -> None:
+    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
+    elbow = forward_kinematics(MODEL, q)[3, :3, 3]
+    camera = camera_at(elbow + np.array([0.05, 0.28, 0.0]), elbow + np.array([0.05, -0.3, -0.4]), focal=40.0)
+    expected, mask = cast(camera, q, 0.02), robot_mask(MODEL, q, camera, 0.02)
+    assert expected.any()
+    assert not (expected & ~mask).any()
+
+
+def test_an_arm_behind_the_camera_is_not_seen() -> None:
+    camera = camera_at(np.array([2.0, 0.0, 0.5]), np.array([4.0, 0.0, 0.5]))
+    assert not robot_mask(MODEL, np.zeros(6), camera).any()
+
+
+def test_calibration_error_grows_the_mask() -> None:
+    sharp = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))
+    rough = Camera(sharp.name, sharp.width, sharp.height, sharp.K, sharp.T_base_cam, sigma_m=0.03)
+    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
+    small, large = robot_mask(MODEL, q, sharp, 0.0), robot_mask(MODEL, q, rough, 0.0)
+    assert not (small & ~large).any()
+    np.testing.assert_array_equal(large, robot_mask(MODEL, q, sharp, 0.06))
+
+
+def test_joints_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(RobotError, match="finite"):
+        robot_mask(MODEL, np.full(6, np.nan), camera_at(np.array([2.0, 0.0, 1.0]), np.zeros(3)))
