@@ -3,6 +3,7 @@
 from twin_node.rig.errors import RigError
 from twin_node.rig.frames import DecodedImage, FrameAssembler
 from twin_node.rig.rig_file import RigFile, VideoSource, load_rig, save_rig
+from twin_node.rig.stamps import StampsFile, read_stamps
 from twin_node.rig.synchronizer import (
     ApproximateTimeSynchronizer,
     InputCounts,
@@ -20,12 +21,14 @@ __all__ = [
     "InputCounts",
     "RigError",
     "RigFile",
+    "StampsFile",
     "SyncParameters",
     "SyncReport",
     "SyncSet",
     "Undistorter",
     "VideoSource",
     "load_rig",
+    "read_stamps",
     "save_rig",
     "workspace_of",
 ]

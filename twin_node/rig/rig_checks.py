@@ -7,13 +7,22 @@ from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.errors import RigError
-from twin_node.rig.workspace import MIN_AXES_SPREAD, axes_focus, axes_spread
+from twin_node.rig.workspace import axes_focus, axes_spread
 
 DISTORTION_LENGTHS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 """ROS distortion models and how many coefficients each takes."""
 
 MAX_DISTANCE_M = 100.0
 """No camera of a robot cell is further from the base; beyond this a translation is taken for millimetres."""
+
+OUT_OF_SIGHT = np.radians(60)
+"""A camera that looks past what the others look at by more than this does not see it: half of a wide lens's view."""
+
+IN_SIGHT = np.radians(20)
+"""A camera that looks past what the others look at by less than this has it well inside its view."""
+
+TELLING_SPREAD = 0.03
+"""Mean squared sine of the angles between optical axes and their mean (10 deg) from which they surely meet."""
 
 ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R R^T from the identity: rounding to four digits passes, a scaled rotation does not."""
@@ -77,31 +86,32 @@ def check_pose(where: str, T: Float) -> None:
 
 
 def check_facing(names: tuple[str, ...], poses: tuple[Float, ...]) -> None:
-    """Raises `RigError` where poses in another convention would explain why all cameras look away from each other.
+    """Raises `RigError` where the cameras see nothing together unless their poses are read in another convention.
 
-    Cameras of a rig look at one volume: the point nearest to all optical axes lies in front of them. Where it lies
-    behind every one, and a customary mistake (world-to-camera poses, OpenGL axes) puts it in front of every one, that
-    is named. Axes nearer to parallel than `MIN_AXES_SPREAD` tell nothing.
+    Cameras of a rig look at one volume: the point nearest to all optical axes lies in front of them. Where it lies out
+    of sight, and undoing a customary mistake (world-to-camera poses, OpenGL axes) puts it into the middle of every
+    image, that is named. Axes nearer to parallel than `TELLING_SPREAD` tell nothing.
     """
-    if axes_spread(np.stack(poses)) < MIN_AXES_SPREAD or any(_in_front(poses)):
+    stacked = np.stack(poses)
+    if axes_spread(stacked) < TELLING_SPREAD or _aims_off(stacked) < OUT_OF_SIGHT:
         return
     readings = {
-        "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": tuple(inverse_pose(T) for T in poses),
-        "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": tuple(
-            T @ np.diag([1.0, -1.0, -1.0, 1.0]) for T in poses
-        ),
+        "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": inverse_pose(stacked),
+        "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": stacked * [1.0, -1.0, -1.0, 1.0],
     }
-    for cause, reading in readings.items():
-        if all(_in_front(reading)):
-            raise RigError(
-                f"cameras {', '.join(names)}: expected optical axes that meet in front of the cameras, "
-                f"found them meeting behind every one; {cause}"
-            )
+    cause = min(readings, key=lambda reading: _aims_off(readings[reading]))
+    if _aims_off(readings[cause]) < IN_SIGHT:
+        raise RigError(
+            f"cameras {', '.join(names)}: expected optical axes that meet in front of the cameras, "
+            f"found none that do; {cause}"
+        )
 
 
-def _in_front(poses: tuple[Float, ...]) -> list[bool]:
-    focus = axes_focus(np.stack(poses))
-    return [bool((focus - T[:3, 3]) @ T[:3, 2] > 0) for T in poses]
+def _aims_off(poses: Float) -> float:
+    """Largest angle (rad) between an optical axis of poses [N, 4, 4] and the way to the point nearest to all axes."""
+    to_focus = axes_focus(poses) - poses[:, :3, 3]
+    cosines = (to_focus * poses[:, :3, 2]).sum(1) / np.linalg.norm(to_focus, axis=1)
+    return float(np.arccos(np.clip(cosines, -1, 1)).max())
 
 
 def _rotation_hint(R: Float) -> str:

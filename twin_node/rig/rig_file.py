@@ -7,41 +7,39 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from twin_node.geometry import pose, rotation_from_quat
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
-from twin_node.rig.stamps import UNITS_NS, StampsFile, read_stamps
+from twin_node.rig.stamps import UNITS_NS, StampsFile
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64, Rig, RigCamera
+
+CAMERA_FIELDS = (
+    "name",
+    "size",
+    "K",
+    "distortion",
+    "T_base_cam",
+    "sigma_m",
+    "time_offset",
+    "video",
+    "stamps",
+    "fps",
+)
+"""What a camera of a rig file may have."""
 
 
 @dataclass(frozen=True)
 class VideoSource:
-    """The video of one camera and what its frames are stamped by: a file or a frame rate."""
+    """The video of one camera and what its frames are stamped by on the camera's own clock: a file or a frame rate."""
 
     camera: str
     video: Path
     stamps: StampsFile | None = None
+    """To be read with `read_stamps`."""
     fps: float | None = None
-    """Frames per second, the first frame at 0 s; where `stamps` is None."""
-
-    def frame_stamps(self, count: int, time_offset_ns: int = 0) -> NDArray[np.int64]:
-        """Stamps [count] in ns of the first `count` frames, on the rig's clock where `time_offset_ns` is the camera's.
-
-        Raises `RigError` where the stamps file is missing, wrong or has fewer stamps than the video has frames.
-        """
-        if self.stamps is None:
-            assert self.fps is not None
-            return np.round(np.arange(count) * (1e9 / self.fps)).astype(np.int64) + time_offset_ns
-        stamps = read_stamps(self.stamps)
-        if len(stamps) < count:
-            raise RigError(
-                f"{self.stamps.path}: expected a stamp for each of the {count} frames of {self.video}, "
-                f"found {len(stamps)}"
-            )
-        return stamps[:count] + time_offset_ns
+    """Frames per second, the first frame at 0 s; set where `stamps` is None."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +125,7 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
 
 
 def _camera(fields: Fields) -> RigCamera:
-    fields.only(
-        "name", "K", "distortion", "size", "T_base_cam", "video", "stamps", "fps", "time_offset", "sigma_m"
-    )  # fmt: skip
+    fields.only(*CAMERA_FIELDS)
     name = fields.text("name")
     fields = fields.named(f"{fields.where} ({name})")
     width, height = (int(value) for value in fields.array("size", (2,)))

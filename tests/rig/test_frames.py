@@ -1,0 +1,123 @@
+"""Frame sets: order, stamps, joints; and the workspace that a rig implies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.geometry import pose
+from twin_node.rig import DecodedImage, FrameAssembler, RigError, load_rig, workspace_of
+from twin_node.scene import Float64, JointSample, RigCamera
+
+PROJECT = Path(__file__).resolve().parents[2]
+MS = 1_000_000
+K = np.array([[240.0, 0, 159.5], [0, 240, 119.5], [0, 0, 1]])
+
+
+def camera(name: str, centre: tuple[float, float, float], target: tuple[float, float, float]) -> RigCamera:
+    z = np.subtract(target, centre) / np.linalg.norm(np.subtract(target, centre))
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    return RigCamera(name, 320, 240, K, pose(np.stack([x, np.cross(z, x), z], axis=1), np.array(centre)))
+
+
+TARGET = (0.5, 0.0, 0.1)
+CAMERAS = (
+    camera("left", (1.2, 0.8, 0.9), TARGET),
+    camera("right", (1.2, -0.8, 0.9), TARGET),
+    camera("back", (-0.5, 0.1, 1.0), TARGET),
+)
+
+
+def image(stamp: int) -> DecodedImage:
+    return DecodedImage(stamp, np.full((240, 320, 3), stamp // MS % 256, np.uint8))
+
+
+def joints(stamp: int) -> JointSample:
+    return JointSample(stamp, ("j",), np.array([stamp / MS]), np.zeros(1))
+
+
+def test_views_stand_in_the_rigs_order_with_their_own_stamps() -> None:
+    assembler = FrameAssembler(CAMERAS, width=160)
+    frames = assembler.assemble({"back": image(5 * MS), "left": image(9 * MS), "right": image(7 * MS)})
+    assert [view.camera.name for view in frames.views] == ["left", "right", "back"]
+    assert [view.stamp for view in frames.views] == [9 * MS, 7 * MS, 5 * MS]
+    assert [int(view.rgb[0, 0, 0]) for view in frames.views] == [9, 7, 5]
+    assert frames.stamp == 9 * MS
+    assert frames.joints is None
+    assert {view.rgb.shape for view in frames.views} == {(120, 160, 3)}
+    assert assembler.cameras == tuple(view.camera for view in frames.views)
+
+
+def test_a_silent_camera_is_missing_and_sets_are_counted() -> None:
+    assembler = FrameAssembler(CAMERAS, width=160)
+    sets = [assembler.assemble({name: image(0)}) for name in ("right", "left")]
+    assert [frames.sequence for frames in sets] == [0, 1]
+    assert [view.camera.name for view in sets[0].views] == ["right"]
+    assembler.reset()
+    assert assembler.assemble({"left": image(0)}).sequence == 0
+
+
+def test_the_nearest_joints_are_attached() -> None:
+    assembler = FrameAssembler(CAMERAS, width=160, max_joint_gap_ns=20 * MS)
+    for stamp in (0, 10 * MS, 30 * MS, 20 * MS, 3_000 * MS):
+        assembler.add_joints(joints(stamp))
+    attached = [assembler.assemble({"left": image(t * MS)}).joints for t in (1, 19, 26, 3_010, 3_030)]
+    # The first three are more than two seconds older than the newest: forgotten.
+    assert [None if sample is None else sample.stamp // MS for sample in attached] == [None, None, None, 3_000, None]
+    assembler.reset()
+    for stamp in (0, 10 * MS, 30 * MS, 20 * MS):
+        assembler.add_joints(joints(stamp))
+    attached = [assembler.assemble({"left": image(t * MS)}).joints for t in (1, 19, 26, 60)]
+    assert [None if sample is None else sample.stamp // MS for sample in attached] == [0, 20, 30, None]
+
+
+def test_wrong_images() -> None:
+    assembler = FrameAssembler(CAMERAS, width=160)
+    with pytest.raises(RigError, match="expected images of left, right, back, found one of 'front'"):
+        assembler.assemble({"front": image(0)})
+    with pytest.raises(RigError, match="at least one camera, found none"):
+        assembler.assemble({})
+    with pytest.raises(RigError, match="at least one camera, found none"):
+        FrameAssembler(())
+
+
+def share_covered(box: Float64, by: Float64) -> float:
+    """Share of the volume of `box` that lies inside `by`."""
+    common = np.minimum(box[1], by[1]) - np.maximum(box[0], by[0])
+    return float(np.prod(np.maximum(common, 0)) / np.prod(box[1] - box[0]))
+
+
+@pytest.mark.parametrize("name", ["pusht_3cam", "pusht_3cam_refined", "walker_4cam"])
+def test_the_derived_workspace_holds_what_a_person_would_choose(name: str) -> None:
+    rig = load_rig(PROJECT / "calibration" / f"{name}.yaml").rig
+    assert rig.workspace is not None
+    derived = workspace_of(FrameAssembler(rig.cameras, width=160).cameras)
+    assert share_covered(rig.workspace, derived) > 0.75
+    assert np.prod(derived[1] - derived[0]) < 4 * np.prod(rig.workspace[1] - rig.workspace[0])
+
+
+def test_the_workspace_surrounds_what_all_look_at_and_does_not_depend_on_resolution() -> None:
+    cameras = FrameAssembler(CAMERAS, width=160).cameras
+    box = workspace_of(cameras)
+    assert (box[0] < TARGET).all()
+    assert (box[1] > TARGET).all()
+    assert box[0, 2] == pytest.approx(-0.05, abs=1e-9)
+    np.testing.assert_allclose(box, workspace_of(FrameAssembler(CAMERAS).cameras), atol=1e-9)
+
+
+def test_cameras_below_the_base_see_below_it() -> None:
+    lowered = [replace(c, T_base_cam=pose(np.eye(3), np.array([0.0, 0, -2.0])) @ c.T_base_cam) for c in CAMERAS]
+    assert workspace_of(FrameAssembler(lowered, width=160).cameras)[0, 2] < -2
+
+
+@pytest.mark.parametrize("names", [["left"], ["left", "twin"]])
+def test_parallel_views_imply_no_workspace(names: list[str]) -> None:
+    left = CAMERAS[0]
+    twin = replace(left, name="twin", T_base_cam=pose(np.eye(3), np.array([0.0, 0.1, 0])) @ left.T_base_cam)
+    chosen = [c for c in (left, twin) if c.name in names]
+    with pytest.raises(RigError, match="found parallel ones; set `workspace"):
+        workspace_of(FrameAssembler(chosen, width=160).cameras)

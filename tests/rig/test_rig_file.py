@@ -1,0 +1,263 @@
+"""Rig files: what is read, what is written, and what every mistake is called."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.geometry import inverse_pose, pose, rotation_from_quat
+from twin_node.rig import RigError, RigFile, StampsFile, VideoSource, load_rig, save_rig
+from twin_node.scene import Float64, Rig, RigCamera
+
+PROJECT = Path(__file__).resolve().parents[2]
+SHARED = PROJECT.parent / "shared" / "data"
+K = [[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]]
+
+
+def looking_at(centre: list[float], target: list[float]) -> Float64:
+    """`T_base_cam` of an upright camera at `centre` that looks at `target`."""
+    z = np.subtract(target, centre) / np.linalg.norm(np.subtract(target, centre))
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    return pose(np.stack([x, np.cross(z, x), z], axis=1), np.array(centre))
+
+
+def entry(name: str, centre: list[float]) -> dict[str, Any]:
+    T = looking_at(centre, [0.4, 0.0, 0.0])
+    return {"name": name, "size": [320, 240], "K": copy.deepcopy(K), "T_base_cam": T.tolist()}
+
+
+def valid() -> dict[str, Any]:
+    return {
+        "cameras": [entry("left", [1.2, 0.9, 0.9]), entry("right", [0.7, -0.8, 1.2]), entry("top", [0.2, 0.2, 1.4])]
+    }
+
+
+def written(folder: Path, data: object) -> Path:
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_a_minimal_file(tmp_path: Path) -> None:
+    rig_file = load_rig(written(tmp_path, valid()))
+    left = rig_file.rig.cameras[0]
+    assert (left.name, left.width, left.height, left.distortion_model) == ("left", 320, 240, "plumb_bob")
+    assert not left.D.any()
+    np.testing.assert_array_equal(left.K, K)
+    assert rig_file.rig.workspace is None
+    assert rig_file.frame == "base_link"
+    assert rig_file.sources == (None, None, None)
+
+
+def test_every_field(tmp_path: Path) -> None:
+    data = valid()
+    data |= {
+        "data": "films",
+        "date": "2026-01-02",
+        "notes": "as built",
+        "workspace": {"min": [0, 0, 0], "max": [1, 2, 3]},
+    }
+    quat = [0.5, 0.5, -0.5, 0.5]
+    data["cameras"][0] |= {
+        "T_base_cam": {"translation": [1, 2, 3], "quaternion": quat},
+        "distortion": {"model": "equidistant", "coefficients": [0.1, 0.2, 0.3, 0.4]},
+        "sigma_m": 0.01,
+        "time_offset": -0.0125,
+        "video": "left.mp4",
+        "fps": 30,
+    }
+    data["cameras"][1] |= {"video": "right.mp4", "stamps": {"file": "right.csv", "key": "t", "unit": "ms"}}
+    rig_file = load_rig(written(tmp_path, data))
+    left = rig_file.rig.cameras[0]
+    np.testing.assert_allclose(left.T_base_cam, pose(rotation_from_quat(np.array(quat)), np.array([1.0, 2.0, 3.0])))
+    assert (left.distortion_model, left.D.tolist()) == ("equidistant", [0.1, 0.2, 0.3, 0.4])
+    assert (left.sigma_m, left.time_offset_ns) == (0.01, -12_500_000)
+    assert rig_file.rig.workspace is not None
+    assert rig_file.rig.workspace.tolist() == [[0, 0, 0], [1, 2, 3]]
+    films = tmp_path / "films"
+    assert rig_file.sources == (
+        VideoSource("left", films / "left.mp4", fps=30.0),
+        VideoSource("right", films / "right.mp4", StampsFile(films / "right.csv", "t", "ms")),
+        None,
+    )
+
+
+def spoil(change: Callable[[dict[str, Any], dict[str, Any]], object]) -> dict[str, Any]:
+    data = valid()
+    change(data, data["cameras"][0])
+    return data
+
+
+def scaled(camera: dict[str, Any], factor: float, columns: int) -> None:
+    T = np.array(camera["T_base_cam"])
+    T[:3, :columns] *= factor
+    camera["T_base_cam"] = T.tolist()
+
+
+def reposed(data: dict[str, Any], change: Callable[[Float64], Float64]) -> None:
+    for camera in data["cameras"]:
+        camera["T_base_cam"] = change(np.array(camera["T_base_cam"])).tolist()
+
+
+MISTAKES = {
+    "unknown key": (lambda d, c: c.update(distorsion={}), r"left.*|distorsion.*did you mean 'distortion'"),
+    "unknown root key": (lambda d, c: d.update(works_space={}), r"'works_space'; did you mean 'workspace'"),
+    "no cameras": (lambda d, c: d.update(cameras=[]), r"cameras: expected a list of at least one, found an empty list"),
+    "no K": (lambda d, c: c.pop("K"), r"left.*expected the field 'K'"),
+    "K not 3x3": (lambda d, c: c.update(K=[1, 2, 3]), r"left.*\.K: expected 3x3 numbers, found 3"),
+    "ragged K": (lambda d, c: c.update(K=[[1], [2, 3]]), r"left.*\.K: expected 3x3 numbers"),
+    "NaN in K": (lambda d, c: c["K"][0].__setitem__(2, float("nan")), r"left.*\.K: expected finite numbers"),
+    "negative focal length": (lambda d, c: c["K"][0].__setitem__(0, -300.0), r"left.*\.K: expected .* fx, fy > 0"),
+    "transposed K": (lambda d, c: c.update(K=np.transpose(K).tolist()), r"left.*\.K: .*transpose it"),
+    "K of another resolution": (lambda d, c: c.update(size=[150, 110]), r"left.*\.K: .*resolution \(about 319x239\)"),
+    "size": (lambda d, c: c.update(size=[0, 240]), r"left.*\.size: expected \[width, height\] in pixels"),
+    "distortion model": (
+        lambda d, c: c.update(distortion={"model": "fisheye", "coefficients": [0]}),
+        r"left.*distortion\.model: expected one of plumb_bob, rational_polynomial, equidistant, found 'fisheye'",
+    ),
+    "distortion length": (
+        lambda d, c: c.update(distortion={"model": "equidistant", "coefficients": [0] * 5}),
+        r"left.*coefficients: expected 4 numbers for equidistant, found 5",
+    ),
+    "translation in mm": (lambda d, c: scale_translation(c, 1000), r"left.*T_base_cam: expected .* in metres.*divide"),
+    "scaled rotation": (lambda d, c: scaled(c, 1.5, 3), r"left.*T_base_cam: .*rotation scaled by 1\.5"),
+    "rotation not orthonormal": (lambda d, c: scaled(c, 1.1, 1), r"left.*T_base_cam: expected orthonormal"),
+    "mirrored axis": (lambda d, c: scaled(c, -1.0, 1), r"left.*T_base_cam: .*mirrored"),
+    "transposed pose": (
+        lambda d, c: c.update(T_base_cam=np.transpose(c["T_base_cam"]).tolist()),
+        r"left.*T_base_cam: .*transpose it",
+    ),
+    "quaternion": (
+        lambda d, c: c.update(T_base_cam={"translation": [0, 0, 0], "quaternion": [1, 1, 0, 0]}),
+        r"left.*quaternion: expected \[w, x, y, z\] of length 1",
+    ),
+    "world-to-camera poses": (lambda d, c: reposed(d, inverse_pose), r"cameras left, right, top: .*invert them"),
+    "OpenGL axes": (lambda d, c: reposed(d, lambda T: T @ np.diag([1.0, -1, -1, 1])), r"left, right, top: .*OpenGL"),
+    "duplicate names": (lambda d, c: c.update(name="right"), r"distinct names, found 'right' 2 times"),
+    "workspace": (
+        lambda d, c: d.update(workspace={"min": [0, 0, 0], "max": [1, -1, 1]}),
+        r"workspace: expected min below max",
+    ),
+    "video without stamps": (lambda d, c: c.update(video="a.mp4"), r"left.*expected either `stamps` or `fps`"),
+    "stamps and rate": (lambda d, c: c.update(video="a.mp4", fps=30, stamps="a.txt"), r"left.*found both"),
+    "frame rate": (lambda d, c: c.update(video="a.mp4", fps=-1), r"left.*fps: expected a positive frame rate"),
+    "stamp unit": (
+        lambda d, c: c.update(video="a.mp4", stamps={"file": "a.txt", "unit": "min"}),
+        r"left.*unit: expected one of s, ms, us, ns, found 'min'",
+    ),
+    "sigma in mm": (lambda d, c: c.update(sigma_m=16), r"left.*sigma_m: expected metres from 0 to 1, found 16"),
+    "exponent that YAML takes for text": (lambda d, c: c.update(sigma_m="1e-3"), r"left.*sigma_m: .*1\.0e-3"),
+}
+
+
+def scale_translation(camera: dict[str, Any], factor: float) -> None:
+    T = np.array(camera["T_base_cam"])
+    T[:3, 3] *= factor
+    camera["T_base_cam"] = T.tolist()
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_that_names_it(tmp_path: Path, mistake: str) -> None:
+    change, message = MISTAKES[mistake]
+    path = written(tmp_path, spoil(change))
+    with pytest.raises(RigError, match=message) as caught:
+        load_rig(path)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2", "just words", "\tcameras: 1", "- 1"])
+def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(RigError, match="expected a") as caught:
+        load_rig(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_rig_file(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match=r"absent\.yaml: expected a rig file"):
+        load_rig(tmp_path / "absent.yaml")
+
+
+def test_missing_videos_are_named(tmp_path: Path) -> None:
+    data = valid()
+    for camera in data["cameras"]:
+        camera |= {"video": f"{camera['name']}.mp4", "stamps": "stamps.txt"}
+    rig_file = load_rig(written(tmp_path, data))
+    with pytest.raises(RigError, match=r"camera left: expected a file at .*left\.mp4"):
+        rig_file.videos()
+    (tmp_path / "left.mp4").touch()
+    with pytest.raises(RigError, match=r"camera left: expected a file at .*stamps\.txt"):
+        rig_file.videos()
+    (tmp_path / "stamps.txt").touch()
+    (tmp_path / "right.mp4").touch()
+    (tmp_path / "top.mp4").touch()
+    assert [source.camera for source in rig_file.videos()] == ["left", "right", "top"]
+    with pytest.raises(RigError, match="camera left: expected a video, found none"):
+        load_rig(written(tmp_path, valid())).videos()
+
+
+def test_cameras_that_look_along_parallel_axes_are_no_mistake(tmp_path: Path) -> None:
+    data = valid()
+    left, right, _ = data["cameras"]
+    right["T_base_cam"] = (pose(np.eye(3), np.array([0.0, 0.1, 0.0])) @ left["T_base_cam"]).tolist()
+    data["cameras"] = [left, right]
+    assert len(load_rig(written(tmp_path, data)).rig.cameras) == 2
+
+
+finite = st.floats(-50, 50, allow_nan=False)
+
+
+@given(
+    quat=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    centre=st.tuples(finite, finite, finite),
+    D=st.lists(finite, min_size=8, max_size=8),
+    sigma_m=st.floats(0, 0.5),
+    offset_ns=st.integers(-(10**12), 10**12),
+    notes=st.text(max_size=40),
+)
+def test_what_is_saved_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory,
+    quat: tuple[float, ...],
+    centre: tuple[float, ...],
+    D: list[float],
+    sigma_m: float,
+    offset_ns: int,
+    notes: str,
+) -> None:
+    folder = tmp_path_factory.mktemp("rig")
+    T = pose(rotation_from_quat(np.array(quat)), np.array(centre))
+    camera = RigCamera("only", 320, 240, np.array(K), T, "rational_polynomial", np.array(D), sigma_m, offset_ns)
+    source = VideoSource("only", folder / "films" / "a.mp4", StampsFile(folder / "b.json", "t", "ns"))
+    saved = RigFile(Rig((camera,), np.array([[0.0, 0, 0], [1, 1, 1]])), (source,), "world", "today", notes)
+    save_rig(saved, folder / "rig.yaml")
+    loaded = load_rig(folder / "rig.yaml")
+    (read,) = loaded.rig.cameras
+    np.testing.assert_array_equal(read.T_base_cam, T)
+    np.testing.assert_array_equal(read.D, D)
+    assert (read.sigma_m, read.distortion_model) == (sigma_m, "rational_polynomial")
+    assert abs(read.time_offset_ns - offset_ns) <= 1
+    assert (loaded.frame, loaded.date, loaded.notes) == ("world", "today", notes)
+    (video,) = loaded.sources
+    assert video is not None
+    assert video.video.resolve() == source.video.resolve()
+
+
+@pytest.mark.parametrize(("name", "cameras"), [("pusht_3cam", 3), ("pusht_3cam_refined", 3), ("walker_4cam", 4)])
+def test_the_rig_files_that_ship(name: str, cameras: int) -> None:
+    rig_file = load_rig(PROJECT / "calibration" / f"{name}.yaml")
+    assert len(rig_file.rig.cameras) == cameras
+    assert rig_file.rig.workspace is not None
+    if not SHARED.exists():
+        pytest.skip(f"{SHARED} is absent: the videos are not looked for")
+    assert len(rig_file.videos()) == cameras
