@@ -63,7 +63,7 @@ def find_births(
     parts = []
     for index, one in enumerate(observed):
         pixels = _unexplained(one, renderings[index], threshold, quota)
-        parts.append(_lift(observed, renderings[index], index, pixels, parameters.ray_samples))
+        parts.append(_lift(observed, renderings[index], index, pixels, parameters.ray_samples, threshold))
     return Births(
         np.concatenate([part.means for part in parts]),
         np.concatenate([part.radii for part in parts]),
@@ -75,7 +75,7 @@ def find_births(
 
 def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> _Pixels:
     image = one.rgb
-    error = np.abs(image - rendering.rgb.detach().cpu().numpy()).max(-1) * one.usable
+    error = np.abs(image - rendering.rgb.detach().cpu().numpy()).max(-1) * (one.usable & ~one.stale & (one.surprise > 0.5 * threshold))
     height, width = error.shape[0] // BLOCK * BLOCK, error.shape[1] // BLOCK * BLOCK
     blocks = error[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean((1, 3))
     order = np.argsort(-blocks, axis=None, kind="stable")[:quota]
@@ -85,7 +85,7 @@ def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: i
     return _Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns])
 
 
-def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels: _Pixels, samples: int) -> Births:
+def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels: _Pixels, samples: int, threshold: float) -> Births:
     one = observed[index]
     camera = one.view.camera
     rows, columns = pixels.rows, pixels.columns
@@ -97,7 +97,19 @@ def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels
         depth, on_background = _agreed(observed, rendering, index, pixels, rays, far, samples)
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
     radii = 0.5 * BLOCK * depth / camera.K[0, 0]
-    return Births(means, radii, pixels.rgb, on_background, np.full(len(rows), index))
+    kept = ~(on_background & _contradicted(observed, index, means, threshold))
+    return Births(means[kept], radii[kept], pixels.rgb[kept], on_background[kept], np.full(int(kept.sum()), index))
+
+
+def _contradicted(observed: Sequence[Observed], index: int, means: Float64, threshold: float) -> Bool:
+    """[n] points on the background at which another view shows the background unchanged."""
+    out = np.zeros(len(means), bool)
+    for other_index, other in enumerate(observed):
+        if other_index != index:
+            seen = look(other.view.camera, means)
+            visible = seen.inside & ~other.occluded(seen) & other.usable[seen.rows, seen.columns]
+            out |= visible & (other.surprise[seen.rows, seen.columns] < 0.5 * threshold)
+    return out
 
 
 def _measured(one: Observed, rows: NDArray[np.int64], columns: NDArray[np.int64], far: Float64) -> tuple[Float64, Bool]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians
 from twin_node.model.nodes import Poses
-from twin_node.model.observation import Observed
+from twin_node.model.observation import Observed, grow
 from twin_node.model.parameters import TrackParameters
+from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, join, place, render
 from twin_node.scene import Bool, View
 
@@ -92,21 +95,36 @@ def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float) 
     gaussians.values[rows, RGB] = gaussians.values[rows, RGB].clamp(0, 1)
 
 
-def fit_moving(gaussians: Gaussians, poses: Poses, observed: Sequence[Observed], parameters: TrackParameters) -> None:
-    """A few steps on the Gaussians that move, inside the pixels that changed; STATIC ones are looked past, not touched.
+def fit_window(
+    gaussians: Gaussians, poses: Poses, observed: Sequence[Observed], revised: Tensor, parameters: TrackParameters
+) -> None:
+    """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
 
-    `poses` holds the nodes at each view's own time.
+    `poses` holds the nodes at each view's own time. All other STATIC Gaussians are looked past, not touched.
     """
-    rows, still = gaussians.moving_rows, gaussians.static_rows
+    device = gaussians.values.device
+    rows = torch.cat([gaussians.moving_rows, revised])
     if not len(rows):
         return
-    device = gaussians.values.device
+    kept = gaussians.static_rows
+    kept = kept[~torch.isin(kept, revised)]
     masks = [(one.near_moving | (one.surprise > parameters.residual)) & one.usable for one in observed]
+    if len(revised):
+        points = gaussians.values[revised, MEAN].cpu().numpy()
+        masks = [mask | (_footprint(one, points) & one.usable) for mask, one in zip(masks, observed, strict=True)]
     targets = [target_of(one.view, device, mask) for one, mask in zip(observed, masks, strict=True)]
     cameras = [one.view.camera for one in observed]
-    static = place(gaussians.values[still], gaussians.nodes[still], poses.positions, poses.quats)
+    static = place(gaussians.values[kept], gaussians.nodes[kept], poses.positions, poses.quats)
     for _ in range(parameters.steps):
         values = gaussians.values[rows].requires_grad_()
         splats = join(static, place(values, gaussians.nodes[rows], poses.positions, poses.quats))
         photometric(render(splats, cameras, masks), targets).backward()
         _descend(gaussians, rows, values, parameters.learning_rate)
+
+
+def _footprint(one: Observed, points: NDArray[np.floating]) -> Bool:
+    """[H, W] pixels at and around the projections of points [n, 3]."""
+    seen = look(one.view.camera, points)
+    mask = np.zeros(one.usable.shape, bool)
+    mask[seen.rows[seen.inside], seen.columns[seen.inside]] = True
+    return grow(mask, 2)

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import torch
 
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.gaussians import MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import place, render
 from twin_node.model.sweep import Shell
-from twin_node.scene import Bool, Camera, Float32, Float64, View
+from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, View
 
 OCCLUSION = 0.03
 """Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
@@ -47,6 +47,8 @@ class Observed:
     """[H, W] pixels that count: valid and off the robot."""
     surprise: Float32
     """[H, W] largest channel of |image - background|, 0 to 1; 0 where the pixel does not count."""
+    stale: Bool
+    """[H, W] the background has been wrong here for a while although nothing moves: it has to be learnt anew."""
 
     @property
     def rgb(self) -> Float32:
@@ -66,16 +68,19 @@ class Backgrounds:
         self._plane = plane
         self._shell = shell
         self._known: dict[str, Background] = {}
+        self._seen: dict[str, Seen] = {}
+        self.rows = torch.zeros(0, dtype=torch.int64)
 
     def forget(self) -> None:
         """The STATIC Gaussians have changed."""
         self._known.clear()
+        self._seen.clear()
 
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera."""
         missing = [camera for camera in cameras if camera.name not in self._known]
         if missing:
-            rows = gaussians.static_rows
+            rows = self.rows = gaussians.static_rows
             values, nodes = gaussians.values[rows], gaussians.nodes[rows]
             nowhere = values.new_zeros(1, 1, 4)
             with torch.no_grad():
@@ -83,7 +88,12 @@ class Backgrounds:
             for camera, seen in zip(missing, renderings, strict=True):
                 depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), self.surface(camera))
                 self._known[camera.name] = Background(seen.rgb.cpu().numpy(), depth)
+                self._seen[camera.name] = look(camera, values[:, MEAN].cpu().numpy())
         return [self._known[camera.name] for camera in cameras]
+
+    def seen(self, cameras: Sequence[Camera]) -> list[Seen]:
+        """Where `rows`, the STATIC Gaussians, fall in each of `cameras`, for which `of` has been called."""
+        return [self._seen[camera.name] for camera in cameras]
 
     def surface(self, camera: Camera) -> Float64:
         """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
@@ -92,22 +102,40 @@ class Backgrounds:
         return np.where((plane > 0.05) & (plane < shell), plane, shell)
 
 
-def observe(
-    views: Sequence[View],
-    stamp: int,
-    moving: Sequence[Bool],
-    robots: Sequence[Bool | None],
-    backgrounds: Sequence[Background],
-) -> list[Observed]:
-    """Puts a set's images, masks and backgrounds side by side."""
-    out = []
-    for view, mask, robot, background in zip(views, moving, robots, backgrounds, strict=True):
-        usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
-        usable = usable if robot is None else usable & ~robot
-        surprise = np.abs(view.rgb.astype(np.float32) / 255 - background.rgb).max(-1) * usable
-        grown = _grow(mask, margin_px(view.camera, background.depth))
-        out.append(Observed(view, (view.stamp - stamp) * 1e-9, background, mask, grown, usable, surprise))
-    return out
+class Observer:
+    """Puts a set's images, masks and backgrounds side by side; remembers for how long the background has been wrong."""
+
+    def __init__(self, threshold: float, stale_s: float) -> None:
+        self._threshold = threshold
+        self._stale_s = stale_s
+        self._wrong_s: dict[str, Float32] = {}
+
+    def observe(
+        self,
+        frames: FrameSet,
+        moving: Sequence[Bool],
+        robots: Sequence[Bool | None],
+        backgrounds: Sequence[Background],
+        dt_s: float,
+    ) -> list[Observed]:
+        """What is known about each view of `frames`, `dt_s` after the set before."""
+        out = []
+        for view, mask, robot, background in zip(frames.views, moving, robots, backgrounds, strict=True):
+            usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
+            usable = usable if robot is None else usable & ~robot
+            surprise = np.abs(view.rgb.astype(np.float32) / 255 - background.rgb).max(-1) * usable
+            grown = grow(mask, margin_px(view.camera, background.depth))
+            stale = self._stale(view.camera.name, (surprise > self._threshold) & ~grown, dt_s)
+            offset_s = (view.stamp - frames.stamp) * 1e-9
+            out.append(Observed(view, offset_s, background, mask, grown, usable, surprise, stale))
+        return out
+
+    def _stale(self, name: str, wrong: Bool, dt_s: float) -> Bool:
+        before = self._wrong_s.get(name)
+        if before is None or before.shape != wrong.shape:
+            before = np.zeros(wrong.shape, np.float32)
+        now = self._wrong_s[name] = np.where(wrong, before + np.float32(dt_s), np.float32(0))
+        return now > self._stale_s
 
 
 def margin_px(camera: Camera, depth: Float64) -> int:
@@ -115,7 +143,8 @@ def margin_px(camera: Camera, depth: Float64) -> int:
     return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth)))
 
 
-def _grow(mask: Bool, radius: int) -> Bool:
+def grow(mask: Bool, radius: int) -> Bool:
+    """The mask dilated by a square of `radius` pixels."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return cv2.dilate(mask.astype(np.uint8), kernel).astype(bool)
 

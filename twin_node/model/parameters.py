@@ -58,9 +58,11 @@ class BirthParameters:
     """A Gaussian joins a node whose centre is nearer than this; else a new node is born."""
     node_members: int = 12
     """Gaussians that a new node needs."""
-    settle_s: float = 1.0
-    """A TRANSIENT on the background that still agrees with the images after this time becomes STATIC."""
-    carve_sets: int = 3
+    transient_s: float = 0.5
+    """Life of a TRANSIENT: by then a node carries what it stood for, or the background has learnt it."""
+    stale_s: float = 0.15
+    """The background is learnt anew where it has been wrong for this long and nothing moves."""
+    carve_sets: int = 2
     """Sets in a row in which a camera sees through a moving Gaussian before it dies."""
 
 

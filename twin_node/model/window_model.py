@@ -11,12 +11,12 @@ from torch import Tensor
 
 from twin_node.model.alignment import FlowSolver, solve_twists
 from twin_node.model.births import Births, find_births
-from twin_node.model.deaths import refuted_moving, refuted_static
-from twin_node.model.fitting import fit_all, fit_moving
-from twin_node.model.gaussians import MEAN, Gaussians, Newborns
+from twin_node.model.deaths import refuted_moving, refuted_static, showing_stale
+from twin_node.model.fitting import fit_all, fit_window
+from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import Nodes, Poses
-from twin_node.model.observation import Backgrounds, Observed, observe
+from twin_node.model.observation import Backgrounds, Observed, Observer
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Rendering, Splats, join, on_device, place, render
@@ -61,6 +61,8 @@ class WindowModel:
         self._gaussians = Gaussians(0, self._device)
         self._frozen: Splats | None = None
         self._backgrounds: Backgrounds | None = None
+        self._observer = Observer(self.parameters.track.residual, self.parameters.birth.stale_s)
+        self._static_died = False
         self._bytes_per_frame = 0
 
     @property
@@ -144,8 +146,9 @@ class WindowModel:
     def _track(self, frames: FrameSet, moving: tuple[Bool, ...], robots: tuple[Bool | None, ...]) -> tuple[str, ...]:
         assert self._backgrounds is not None
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
-        backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
-        observed = observe(frames.views, frames.stamp, moving, robots, backgrounds)
+        cameras = [view.camera for view in frames.views]
+        backgrounds = self._backgrounds.of(self._gaussians, cameras)
+        observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         good = self._gaussians.values.clone()
         self._bury_static(observed)
         self._nodes.predict(frames.stamp, self.parameters.track.velocity_damping)
@@ -153,7 +156,7 @@ class WindowModel:
         self._fit(observed)
         self._bury_moving(observed)
         born = self._bear(observed)
-        self._settle()
+        self._end_transients()
         self._nodes.remember()
         self._bytes_per_frame = 4 * (14 * born + 7 * len(self._nodes.rows) + 3 * len(self._gaussians.moving_rows))
         return self._restore(good)
@@ -190,17 +193,22 @@ class WindowModel:
         del predicted
 
     def _fit(self, observed: list[Observed]) -> None:
-        """Canonical attributes of what moves, by a few warm-started gradient steps."""
-        fit_moving(self._gaussians, self._on_device(self._poses(observed)), observed, self.parameters.track)
+        """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
+        assert self._backgrounds is not None
+        static = self._backgrounds.seen([one.view.camera for one in observed])
+        chosen = torch.from_numpy(showing_stale(observed, static)).to(self._device)
+        revised = self._backgrounds.rows[chosen]
+        revised = revised[self._gaussians.alive[revised]]
+        fit_window(self._gaussians, self._on_device(self._poses(observed)), observed, revised, self.parameters.track)
+        if len(revised) or self._static_died:
+            self._backgrounds.forget()
 
     def _bury_static(self, observed: list[Observed]) -> None:
         """STATIC Gaussians that are no longer where they were die; what left is born again where it went."""
-        rows = self._gaussians.static_rows
-        means = self._gaussians.values[rows, MEAN].cpu().numpy()
-        gone = torch.from_numpy(refuted_static(observed, means, self.parameters.track.residual)).to(self._device)
-        if self._count_doubts(rows, gone):
-            assert self._backgrounds is not None
-            self._backgrounds.forget()
+        assert self._backgrounds is not None
+        static = self._backgrounds.seen([one.view.camera for one in observed])
+        gone = torch.from_numpy(refuted_static(observed, static, self.parameters.track.residual)).to(self._device)
+        self._static_died = self._count_doubts(self._backgrounds.rows, gone)
 
     def _bury_moving(self, observed: list[Observed]) -> None:
         """Moving Gaussians that a camera sees through die, and nodes that carry nothing with them."""
@@ -298,16 +306,11 @@ class WindowModel:
             )
         return out
 
-    def _settle(self) -> None:
-        """TRANSIENTs on the background that lasted become STATIC: shadows that stay, ground that was uncovered."""
-        ripe_at = self._nodes.stamp - round(self.parameters.birth.settle_s * 1e9)
+    def _end_transients(self) -> None:
+        """TRANSIENTs die of age."""
+        born_before = self._nodes.stamp - round(self.parameters.birth.transient_s * 1e9)
         g = self._gaussians
-        rows = torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < ripe_at) & (g.doubts == 0))[:, 0]
-        if len(rows):
-            assert self._backgrounds is not None
-            g.tiers[rows] = int(Tier.STATIC)
-            g.forget_moments(rows)
-            self._backgrounds.forget()
+        g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
 
     def _restore(self, good: Tensor) -> tuple[str, ...]:
         """Goes back to the last good values where any is not finite, and says so."""
