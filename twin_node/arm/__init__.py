@@ -6,6 +6,7 @@ from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import LimiterParameters, SpeedLimiter
 from twin_node.arm.path import CycleParameters, CyclicPath, default_path, extrapolate, path_ahead, sample_path
+from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
 
@@ -19,6 +20,7 @@ __all__ = [
     "CycleParameters",
     "CyclicPath",
     "LimiterParameters",
+    "SelfClearance",
     "SeparationParameters",
     "SpeedLimiter",
     "StoppingTable",

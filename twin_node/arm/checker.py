@@ -13,6 +13,7 @@ from twin_node.arm.errors import ArmError
 from twin_node.arm.narrow import axis_distances, box_gaps, sphere_gaps
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.scene import CollisionScene, Contacts
+from twin_node.arm.self_collision import SelfClearance, SelfCollision
 from twin_node.robot import ArmModel, Capsules, PlacedCapsules, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Bool, Float64, Obstacles
 
@@ -154,6 +155,13 @@ class ArmCollisionChecker:
         gaps = self._gaps(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
         return Approaches(capsules, rows, gaps.reshape(steps, count))
 
+    def self_distance(self, q: NDArray[np.floating]) -> SelfClearance:
+        """Closest pair of the arm's own links and attachments at joint angles [J] (rad).
+
+        Raises `RobotError` for a wrong number of angles or one that is not finite.
+        """
+        return self._self_collision.closest(self._model.check_positions(q))
+
     def contacts(self, q: NDArray[np.floating]) -> Contacts:
         """Every overlap with an obstacle at joint angles [J] (rad), by MuJoCo alone, exempt ones and the base too."""
         self._scene.pose(self._model.check_positions(q))
@@ -220,6 +228,7 @@ class ArmCollisionChecker:
             names += [part.name] * len(part.radii)
         self._model = replace(self.bare_model, capsules=self.bare_model.capsules.joined(carried))
         self._names = tuple(names)
+        self._self_collision = SelfCollision(self._model, self._names)
         self._scene = CollisionScene(self._model, self._max_obstacles)
         self._scene.place(self._obstacles.source)
         self._exempt = self._exemptions()

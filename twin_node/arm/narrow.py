@@ -44,6 +44,25 @@ def axis_distances(ends: Float64, centers: Float64) -> Float64:
     return distances
 
 
+def segment_distances(first: Float64, second: Float64) -> Float64:
+    """Distances [...] between segments [..., 2, 3] and segments [..., 2, 3], m.
+
+    Ericson, Real-Time Collision Detection (2005), section 5.1.9.
+    """
+    u, v = first[..., 1, :] - first[..., 0, :], second[..., 1, :] - second[..., 0, :]
+    offset = first[..., 0, :] - second[..., 0, :]
+    uu, vv, uv = (u * u).sum(-1) + _TINY, (v * v).sum(-1) + _TINY, (u * v).sum(-1)
+    u_offset, v_offset = (u * offset).sum(-1), (v * offset).sum(-1)
+    determinant = uu * vv - uv * uv
+    parallel = determinant < 1e-12 * uu * vv
+    s = np.where(parallel, 0.0, (uv * v_offset - u_offset * vv) / np.where(parallel, 1.0, determinant))
+    t = (uv * np.clip(s, 0.0, 1.0) + v_offset) / vv
+    s = np.where((t < 0) | (t > 1) | parallel, (uv * np.clip(t, 0.0, 1.0) - u_offset) / uu, s)
+    t, s = np.clip(t, 0.0, 1.0), np.clip(s, 0.0, 1.0)
+    distances: Float64 = np.linalg.norm(offset + s[..., None] * u - t[..., None] * v, axis=-1)
+    return distances
+
+
 def sphere_gaps(ends: Float64, radii: Float64, centers: Float64, sphere_radii: Float64) -> Gaps:
     """Gaps of n pairs: capsules with ends [n, 2, 3] and radii [n], spheres with centres [n, 3] and radii [n]."""
     start, axis = ends[:, 0], ends[:, 1] - ends[:, 0]

@@ -63,6 +63,8 @@ class ArmModel:
     max_acceleration: Float64
     """[J] rad/s^2."""
     capsules: Capsules
+    never_meet: tuple[tuple[str, str], ...] = ()
+    """Pairs of links, not neighbours, that cannot touch however the joints turn, though their capsules may overlap."""
 
     @property
     def joints(self) -> int:
