@@ -13,6 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twin_node.errors import TwinError
 from twin_node.geometry import inverse_pose, pose, rotation_from_quat
 from twin_node.rig import RigError, RigFile, StampsFile, VideoSource, load_rig, save_rig
 from twin_node.scene import Float64, Rig, RigCamera
@@ -119,7 +120,8 @@ MISTAKES = {
     "negative focal length": (lambda d, c: c["K"][0].__setitem__(0, -300.0), r"left.*\.K: expected .* fx, fy > 0"),
     "transposed K": (lambda d, c: c.update(K=np.transpose(K).tolist()), r"left.*\.K: .*transpose it"),
     "K of another resolution": (lambda d, c: c.update(size=[150, 110]), r"left.*\.K: .*resolution \(about 319x239\)"),
-    "size": (lambda d, c: c.update(size=[0, 240]), r"left.*\.size: expected \[width, height\] in pixels"),
+    "size": (lambda d, c: c.update(size=[0, 240]), r"left.*\.size: expected \[width, height\] in whole pixels"),
+    "half a pixel": (lambda d, c: c.update(size=[320, 240.5]), r"left.*\.size: expected .* whole pixels"),
     "distortion model": (
         lambda d, c: c.update(distortion={"model": "fisheye", "coefficients": [0]}),
         r"left.*distortion\.model: expected one of plumb_bob, rational_polynomial, equidistant, found 'fisheye'",
@@ -185,7 +187,7 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
 
 
 def test_a_missing_rig_file(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match=r"absent\.yaml: expected a rig file"):
+    with pytest.raises(TwinError, match=r"absent\.yaml: no such file"):
         load_rig(tmp_path / "absent.yaml")
 
 
@@ -251,6 +253,16 @@ def test_what_is_saved_is_read_back(
     (video,) = loaded.sources
     assert video is not None
     assert video.video.resolve() == source.video.resolve()
+
+
+def test_the_worked_example_of_the_readme(tmp_path: Path) -> None:
+    readme = (PROJECT / "calibration" / "README.md").read_text()
+    path = tmp_path / "rig.yaml"
+    path.write_text(readme.split("```yaml\n")[1].split("```")[0])
+    rig_file = load_rig(path)
+    assert [camera.name for camera in rig_file.rig.cameras] == ["left", "right"]
+    assert [source is not None for source in rig_file.sources] == [True, True]
+    assert rig_file.date == "2026-03-02"
 
 
 @pytest.mark.parametrize(("name", "cameras"), [("pusht_3cam", 3), ("pusht_3cam_refined", 3), ("walker_4cam", 4)])

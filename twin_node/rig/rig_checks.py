@@ -85,24 +85,23 @@ def check_pose(where: str, T: Float) -> None:
         )
 
 
-def check_facing(names: tuple[str, ...], poses: tuple[Float, ...]) -> None:
-    """Raises `RigError` where the cameras see nothing together unless their poses are read in another convention.
+def check_facing(where: str, names: tuple[str, ...], poses: Float) -> None:
+    """Raises `RigError` where cameras with poses [N, 4, 4] see nothing together unless read in another convention.
 
     Cameras of a rig look at one volume: the point nearest to all optical axes lies in front of them. Where it lies out
     of sight, and undoing a customary mistake (world-to-camera poses, OpenGL axes) puts it into the middle of every
     image, that is named. Axes nearer to parallel than `TELLING_SPREAD` tell nothing.
     """
-    stacked = np.stack(poses)
-    if axes_spread(stacked) < TELLING_SPREAD or _aims_off(stacked) < OUT_OF_SIGHT:
+    if axes_spread(poses) < TELLING_SPREAD or _aims_off(poses) < OUT_OF_SIGHT:
         return
     readings = {
-        "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": inverse_pose(stacked),
-        "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": stacked * [1.0, -1.0, -1.0, 1.0],
+        "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": inverse_pose(poses),
+        "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": poses * [1.0, -1.0, -1.0, 1.0],
     }
     cause = min(readings, key=lambda reading: _aims_off(readings[reading]))
     if _aims_off(readings[cause]) < IN_SIGHT:
         raise RigError(
-            f"cameras {', '.join(names)}: expected optical axes that meet in front of the cameras, "
+            f"{where}: cameras {', '.join(names)}: expected optical axes that meet in front of the cameras, "
             f"found none that do; {cause}"
         )
 

@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 
 from twin_node.geometry import pose, rotation_from_quat
+from twin_node.resources import find
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.stamps import UNITS_NS, StampsFile
@@ -76,9 +77,12 @@ class RigFile:
 def load_rig(path: str | Path) -> RigFile:
     """Reads and checks a rig file; the videos that it names need not exist yet (`RigFile.videos` sees to that).
 
-    Raises `RigError`: one line with the file, the camera and the field, what was expected, found and what to do.
+    `path` may be that of a file which ships with the package (`calibration/walker_4cam.yaml`).
+
+    Raises `ResourceError` where there is no such file; `RigError` where it is wrong: one line with the file, the camera
+    and the field, what was expected, what was found and what to do.
     """
-    path = Path(path)
+    path = find(path)
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -92,10 +96,7 @@ def load_rig(path: str | Path) -> RigFile:
     for name in names:
         if names.count(name) > 1:
             raise RigError(f"{path}: expected cameras with distinct names, found {name!r} {names.count(name)} times")
-    try:
-        check_facing(names, tuple(camera.T_base_cam for camera in cameras))
-    except RigError as error:
-        raise RigError(f"{path}: {error}") from None
+    check_facing(str(path), names, np.stack([camera.T_base_cam for camera in cameras]))
     sources = tuple(_source(entry, name, folder) for entry, name in zip(fields.entries("cameras"), names, strict=True))
     return RigFile(
         Rig(cameras, _workspace(fields)),
@@ -128,9 +129,10 @@ def _camera(fields: Fields) -> RigCamera:
     fields.only(*CAMERA_FIELDS)
     name = fields.text("name")
     fields = fields.named(f"{fields.where} ({name})")
-    width, height = (int(value) for value in fields.array("size", (2,)))
-    if min(width, height) < 1:
-        raise RigError(f"{fields.where}.size: expected [width, height] in pixels, found [{width}, {height}]")
+    size = fields.array("size", (2,))
+    if (size < 1).any() or (size % 1 != 0).any():
+        raise RigError(f"{fields.where}.size: expected [width, height] in whole pixels, found {size.tolist()}")
+    width, height = (int(value) for value in size)
     K, T = fields.array("K", (3, 3)), _pose(fields)
     check_intrinsics(fields.where, K, (width, height))
     check_pose(fields.where, T)
