@@ -17,22 +17,29 @@ inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, c
   });
 }
 
+// True where a splat has a gradient at all.
+inline bool has_gradient(const Image &image, int row, int stride) {
+  if (row < 0) return false;
+  const float *from = &image.slot_gradient[static_cast<size_t>(image.slot_begin[row]) * stride];
+  const float *end = &image.slot_gradient[static_cast<size_t>(image.slot_begin[row + 1]) * stride];
+  return std::any_of(from, end, [](float v) { return v != 0.f; });
+}
+
 // Sums of a vector of Gaussians' slots over the tiles of one image, [value][lane].
 class SlotTotals {
  public:
-  explicit SlotTotals(int values) : values_(values), totals_(static_cast<size_t>(values) * kLanes) {}
+  SlotTotals(int values, int stride) : values_(values), stride_(stride), totals_(static_cast<size_t>(values) * kLanes) {}
 
   // False where the image has nothing for any of the Gaussians.
-  bool collect(const Image &image, const Rows &rows, int stride) {
-    bool found = false;
-    for (int lane = 0; lane < rows.count; lane++) found |= image.row_of[rows.first + lane] >= 0;
-    if (!found) return false;
+  bool collect(const Image &image, const Rows &rows) {
+    uint32_t found = 0;
+    for (int lane = 0; lane < rows.count; lane++) found |= (image.row_of[rows.id[lane]] >= 0 ? 1u : 0u) << lane;
+    if (found == 0) return false;
     std::fill(totals_.begin(), totals_.end(), 0.f);
-    for (int lane = 0; lane < rows.count; lane++) {
-      const int row = image.row_of[rows.first + lane];
-      if (row < 0) continue;
+    for (; found; found &= found - 1) {
+      const int lane = __builtin_ctz(found), row = image.row_of[rows.id[lane]];
       for (int slot = image.slot_begin[row]; slot < image.slot_begin[row + 1]; slot++) {
-        const float *from = &image.slot_gradient[static_cast<size_t>(slot) * stride];
+        const float *from = &image.slot_gradient[static_cast<size_t>(slot) * stride_];
         for (int i = 0; i < values_; i++) totals_[static_cast<size_t>(i) * kLanes + lane] += from[i];
       }
     }
@@ -41,13 +48,12 @@ class SlotTotals {
   Vec operator[](int value) const { return load(&totals_[static_cast<size_t>(value) * kLanes]); }
 
  private:
-  int values_;
+  int values_, stride_;
   std::vector<float> totals_;
 };
 
 inline void add_column(float *base, int width, int index, const Rows &rows, Vec v) {
-  float *to = base + static_cast<int64_t>(rows.first) * width + index;
-  for (int lane = 0; lane < rows.count; lane++) to[static_cast<int64_t>(lane) * width] += v[lane];
+  for (int lane = 0; lane < rows.count; lane++) base[static_cast<int64_t>(rows.id[lane]) * width + index] += v[lane];
 }
 
 // Gradient of the colours; with harmonics also what comes back through the viewing direction.
@@ -68,7 +74,7 @@ inline void colors_vjp(const Request &r, const Gradients &g, int index, const Im
   for (int q = 0; q < 3; q++) {
     Vec color{};
     for (int lane = 0; lane < rows.count; lane++) {
-      const int row = image.row_of[rows.first + lane];
+      const int row = image.row_of[rows.id[lane]];
       if (row >= 0) color[lane] = image.splats[row].channel[q];
     }
     const Vec v = select(gt(color, Vec{}), totals[kGeometrySums + q], Vec{});  // the clamp at 0 stops it
@@ -120,7 +126,7 @@ inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int ba
   for (int camera = 0; camera < r.cameras; camera++) {
     const int index = batch * r.cameras + camera;
     const Image &image = *w.images[index];
-    if (!totals.collect(image, rows, make_pass(r, 0).slot_stride)) continue;
+    if (!totals.collect(image, rows)) continue;
     if (!touched) shape = load_shape(r, batch, rows);
     touched = true;
     Projection p;
@@ -132,7 +138,7 @@ inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int ba
     // Lanes that this camera does not see may hold infinities: they are dropped, not multiplied by zero.
     Mask seen = Mask{};
     IntVec row = broadcast(int32_t{-1});
-    for (int lane = 0; lane < rows.count; lane++) row[lane] = image.row_of[rows.first + lane];
+    for (int lane = 0; lane < rows.count; lane++) row[lane] = image.row_of[rows.id[lane]];
     seen = ge(__builtin_convertvector(row, Vec), Vec{});
     ShapeGradient here = zero_gradient();
     project_vjp(image.camera, shape, p, v_projection, r.antialiased, r.min_compensation, g.v_viewmats != nullptr, here);
@@ -151,6 +157,21 @@ inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int ba
   for (int i = 0; i < 4; i++) add_column(g.v_quats + batch * r.quats_stride, 4, i, rows, v.quat[i]);
   for (int i = 0; i < 3; i++) add_column(g.v_scales + batch * r.scales_stride, 3, i, rows, v.scale[i]);
   add_column(g.v_opacities + batch * r.opacities_stride, 1, 0, rows, v_opacity);
+}
+
+// Lists a task's Gaussians that any camera of the batch has a gradient for; the number of them.
+inline int find_touched(const Request &r, const Workspace &w, int batch, int task, int stride, int32_t *ids) {
+  const int begin = task * kGaussiansPerTask, end = std::min(r.gaussians, begin + kGaussiansPerTask);
+  int count = 0;
+  for (int id = begin; id < end; id++) {
+    bool touched = false;
+    for (int camera = 0; camera < r.cameras && !touched; camera++) {
+      const Image &image = *w.images[batch * r.cameras + camera];
+      touched = has_gradient(image, image.row_of[id], stride);
+    }
+    if (touched) ids[count++] = id;
+  }
+  return count;
 }
 
 // Adds the tasks' camera sums up, in the tasks' order.
@@ -187,13 +208,12 @@ inline Status backward(Workspace &w, const Request &r, const Gradients &g) {
   }
   // A task owns its Gaussians in every batch and camera, so that sums need no locks and have one order.
   parallel_for(r.threads, tasks, [&](int64_t task) {
-    const int begin = static_cast<int>(task) * kGaussiansPerTask, end = std::min(r.gaussians, begin + kGaussiansPerTask);
-    SlotTotals totals(kGeometrySums + channels_of(r));
+    SlotTotals totals(kGeometrySums + channels_of(r), stride);
     for (int batch = 0; batch < r.batches; batch++) {
       float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + batch * r.cameras) * kCameraSums];
-      for (int first = begin; first < end; first += kLanes) {
-        shape_vjp(r, g, w, batch, Rows(first, end), totals, sums);
-      }
+      int32_t ids[kGaussiansPerTask];
+      const int count = find_touched(r, w, batch, static_cast<int>(task), stride, ids);
+      for (int i = 0; i < count; i += kLanes) shape_vjp(r, g, w, batch, Rows(ids + i, count - i), totals, sums);
     }
   });
   if (g.v_viewmats != nullptr) write_camera_gradients(r, g, w, tasks);

@@ -54,11 +54,11 @@ struct Image {
   Buffer<int32_t> live_table;  // [(rows + 1) * (columns + 1)] live tiles above and left
   Buffer<Footprint> found;     // [N] packed at the front of each task's share, as are the next two
   Buffer<uint32_t> found_key;  // bits of the depth
-  Buffer<uint32_t> found_id;
+  Buffer<int32_t> found_id;
   Buffer<int32_t> found_count; // [tasks]
   Buffer<uint32_t> key, place, key_spare, place_spare;  // radix sort; place: row of `found`
   Buffer<Splat> splats;        // [visible] in depth order
-  Buffer<uint32_t> id;         // [visible] Gaussian
+  Buffer<int32_t> id;          // [visible] Gaussian
   Buffer<float> depth;         // [visible]
   Buffer<int32_t> row_of;      // [N] row in `splats`, -1 for none
   Buffer<int32_t> slot_begin;  // [visible + 1] first of a splat's intersections, counted splat by splat
@@ -186,7 +186,8 @@ inline void order_by_depth(Image &image, int gaussians) {
 // Copies rows [begin, end) of the depth order into their splats.
 inline void gather_splats(Image &image, int begin, int end) {
   for (int row = begin; row < end; row++) {
-    const uint32_t place = image.place[row], id = image.found_id[place];
+    const uint32_t place = image.place[row];
+    const int32_t id = image.found_id[place];
     image.splats[row].shape = image.found[place];
     image.id[row] = id;
     std::memcpy(&image.depth[row], &image.found_key[place], sizeof(float));

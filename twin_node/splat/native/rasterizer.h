@@ -40,18 +40,20 @@ inline int non_finite_argument(const Request &r) {
   return first_non_finite(arguments);
 }
 
-// The Gaussians [first, first + count) of a batch, one per lane; lanes beyond repeat the last one.
+// Some Gaussians of a batch, one per lane; lanes beyond the count repeat the last one.
 struct Rows {
-  int first, count;
-  IntVec lane;
-  Rows(int first_, int end) : first(first_), count(std::min(kLanes, end - first_)) {
-    lane = lane_numbers();
-    lane = lane < count ? lane : broadcast(int32_t{count - 1});
+  int count;
+  IntVec id;
+  // The neighbours [first, end), as many as there are lanes.
+  Rows(int first, int end) : count(std::min(kLanes, end - first)) {
+    id = first + lane_numbers();
+    id = id < end ? id : broadcast(int32_t{end - 1});
+  }
+  Rows(const int32_t *ids, int count_) : count(std::min(kLanes, count_)) {
+    for (int lane = 0; lane < kLanes; lane++) id[lane] = ids[std::min(lane, count - 1)];
   }
   uint32_t valid() const { return (1u << count) - 1; }
-  Vec column(const float *base, int width, int index) const {
-    return gather(base + static_cast<int64_t>(first) * width + index, lane * width);
-  }
+  Vec column(const float *base, int width, int index) const { return gather(base + index, id * width); }
 };
 
 inline Shape load_shape(const Request &r, int batch, const Rows &rows) {
@@ -106,15 +108,16 @@ class Finder {
       const int lane = __builtin_ctz(found);
       const Footprint f{value[0][lane], value[1][lane], value[2][lane], value[3][lane],
                         value[4][lane], value[5][lane], value[6][lane], value[7][lane]};
-      add_one(rows.first + lane, f, std::ceil(value[8][lane]), std::ceil(value[9][lane]), value[10][lane]);
+      add_one(rows.id[lane], f, std::ceil(value[8][lane]), std::ceil(value[9][lane]), value[10][lane]);
     }
   }
   int end() const { return next_; }
 
  private:
   void store_missing(const Rows &rows) {
-    const int64_t at = output_ + rows.first;
-    std::fill_n(&image_.row_of[rows.first], rows.count, -1);
+    const int first = rows.id[0];
+    const int64_t at = output_ + first;
+    std::fill_n(&image_.row_of[first], rows.count, -1);
     std::fill_n(request_.radii + 2 * at, 2 * rows.count, 0);
     std::fill_n(request_.means2d + 2 * at, 2 * rows.count, 0.f);
     std::fill_n(request_.depths + at, rows.count, 0.f);
@@ -135,7 +138,7 @@ class Finder {
     if (p.empty() || image_.live_tiles(p.x0 / kTile, p.x1 / kTile, p.y0 / kTile, p.y1 / kTile) == 0) return;
     image_.found[next_] = f;
     std::memcpy(&image_.found_key[next_], &depth, sizeof(depth));
-    image_.found_id[next_] = static_cast<uint32_t>(gaussian);
+    image_.found_id[next_] = gaussian;
     next_++;
   }
 
@@ -178,16 +181,15 @@ inline void evaluate_harmonics(const Request &r, Image &image, int index, int be
   const float *means = r.means + index / r.cameras * r.means_stride;
   const int bases = (r.sh_degree + 1) * (r.sh_degree + 1), width = floats_per_color(r);
   for (int first = begin; first < end; first += kLanes) {
-    IntVec id;
-    for (int lane = 0; lane < kLanes; lane++) id[lane] = static_cast<int32_t>(image.id[std::min(first + lane, end - 1)]);
-    const Vec mean[3] = {gather(means, id * 3), gather(means + 1, id * 3), gather(means + 2, id * 3)};
+    const Rows rows(&image.id[first], end - first);
+    const Vec mean[3] = {rows.column(means, 3, 0), rows.column(means, 3, 1), rows.column(means, 3, 2)};
     Vec inverse_length, value[kMaxBases];
     harmonics(r.sh_degree, view_direction(image.camera, mean, inverse_length), value);
     for (int q = 0; q < 3; q++) {
       Vec color = broadcast(0.5f);
-      for (int k = 0; k < bases; k++) color += value[k] * gather(colors + 3 * k + q, id * width);
+      for (int k = 0; k < bases; k++) color += value[k] * rows.column(colors, width, 3 * k + q);
       color = max(color, Vec{});
-      for (int lane = 0; lane < std::min(kLanes, end - first); lane++) image.splats[first + lane].channel[q] = color[lane];
+      for (int lane = 0; lane < rows.count; lane++) image.splats[first + lane].channel[q] = color[lane];
     }
   }
 }
