@@ -70,7 +70,7 @@ def test_noise_is_as_strong_as_the_scenario_says(small: Scenario) -> None:
 def test_surfaces_have_texture_and_all_three_cameras_see_arm_and_person(small: Scenario) -> None:
     rig = SimulatedRig(small)
     for camera in range(3):
-        rendering = rig.see(camera, small.start_ns)
+        rendering = rig.see(camera, small.start_ns + 2_200_000_000)
         for name in ("arm", "operator", "table"):
             pixels = rendering.rgb[rendering.owners == rig.world.names.index(name)]
             assert len(pixels) > 0.01 * rendering.owners.size, name

@@ -9,7 +9,7 @@ from twin_node.cell import CellTruth, Scenario, SimulatedRig, load_scenario
 from twin_node.cell.truth import back_project, workspace_grid
 from twin_node.scene import Grid
 
-STEPS_NS = (0, 2_200_000_000, 4_600_000_000)
+STEPS_NS = (1_300_000_000, 2_200_000_000, 4_600_000_000)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_volume_of_a_ball_is_right_and_it_moves_as_thrown() -> None:
 
 
 def test_seen_voxels_are_moving_and_on_the_side_of_a_camera(rig: SimulatedRig, truth: CellTruth) -> None:
-    stamp = rig.scenario.start_ns
+    stamp = rig.scenario.start_ns + 2_200_000_000
     seen = truth.seen_voxels(truth.grid, stamp)
     moving = truth.moving_voxels(truth.grid, stamp)
     assert np.isin(seen, moving).all()
