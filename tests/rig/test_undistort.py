@@ -100,6 +100,22 @@ def test_pixels_that_the_lens_never_saw_are_not_valid() -> None:
     assert Undistorter(LENSES["plumb_bob"], 160).view(0, white).valid is None
 
 
+def test_what_lies_beyond_the_lens_models_reach_is_not_valid() -> None:
+    """With k1 = -0.5 the image radius shrinks again beyond 39 degrees: those pixels would show the scene folded."""
+    K = PINHOLE.K * [[0.6], [0.6], [1.0]] + [[0, 0, 95.0], [0, 0, 55.0], [0, 0, 0]]
+    view = Undistorter(replace(PINHOLE, K=K, D=np.array([-0.5, 0.0, 0.0, 0.0])), 160).view(
+        0, np.zeros((270, 480, 3), np.uint8), np.ones((270, 480), np.float32)
+    )
+    assert view.valid is not None
+    assert view.depth is not None
+    camera = view.camera
+    u, v = np.meshgrid(np.arange(160) + 0.5, np.arange(90) + 0.5)
+    angle = np.arctan(np.hypot((u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]))
+    assert not view.valid[angle > np.radians(41)].any()
+    assert not view.depth[angle > np.radians(41)].any()
+    assert view.valid[angle < np.radians(37)].all()
+
+
 def test_depth_is_picked_and_never_averaged() -> None:
     depth = np.where(np.arange(480) < 240, 1.0, 3.0).astype(np.float32) * np.ones((270, 1), np.float32)
     image = np.zeros((270, 480, 3), np.uint8)
@@ -155,7 +171,7 @@ def test_depth_with_channels() -> None:
 
 
 def test_a_width_of_nothing() -> None:
-    with pytest.raises(RigError, match="at least one pixel, found 0"):
+    with pytest.raises(RigError, match="at least 2x2, found 0x0"):
         Undistorter(PINHOLE, 0)
 
 
@@ -164,8 +180,8 @@ def test_a_width_of_nothing() -> None:
 def test_any_size_keeps_the_view(width: int, size: tuple[int, int]) -> None:
     """Whatever the scale, the corners of the image stay the corners: the pinhole camera sees the same solid angle."""
     raw = replace(PINHOLE, width=size[0], height=size[1], K=np.array([[99.0, 0, 10], [0, 98, 20], [0, 0, 1]]))
-    if round(size[1] * width / size[0]) < 1:
-        with pytest.raises(RigError, match="at least one pixel"):
+    if round(size[1] * width / size[0]) < 2:
+        with pytest.raises(RigError, match="at least 2x2"):
             Undistorter(raw, width)
         return
     camera = Undistorter(raw, width).camera

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Camera, Float32, Float64, RigCamera, UInt8, View
 
-SUPERSAMPLING = 2
-"""Pixels per output pixel and axis that are interpolated before averaging, so that fine texture leaves no aliases."""
+SUPERSAMPLING = 1.5
+"""Least pixels per output pixel and axis that are interpolated before averaging: fine texture leaves no aliases."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Undistorter:
     """Undistorts and scales the images of one camera; maps are computed once.
 
     The output keeps the focal length and principal point of the input, so a wide lens loses its rim. Raises `RigError`
-    for a width below one pixel.
+    for a width that leaves less than two pixels either way.
     """
 
     def __init__(self, camera: RigCamera, width: int | None = None) -> None:
@@ -35,8 +35,8 @@ class Undistorter:
         self._raw = camera
         width = camera.width if width is None else width
         height = round(camera.height * width / camera.width)
-        if min(width, height) < 1:
-            raise RigError(f"camera {camera.name}: expected a working width of at least one pixel, found {width}")
+        if min(width, height) < 2:
+            raise RigError(f"camera {camera.name}: expected a working size of at least 2x2, found {width}x{height}")
         self.camera = Camera(
             camera.name, width, height, scaled_intrinsics(camera, width, height), camera.T_base_cam, camera.sigma_m
         )
@@ -45,7 +45,7 @@ class Undistorter:
         self._depth_maps: dict[tuple[int, int], tuple[NDArray[np.int16], Bool]] = {}
         self._valid: Bool | None = None
         if self._distorted:
-            self._source_size = _between((camera.width, camera.height), (width, height))
+            self._halvings = _halvings((camera.width, camera.height), (width, height))
             self._colour_map, self._valid = self._make_colour_map()
 
     def view(self, stamp: int, rgb: UInt8, depth: Float32 | None = None) -> View:
@@ -69,17 +69,19 @@ class Undistorter:
     def _colour(self, rgb: UInt8) -> UInt8:
         size = (self.camera.width, self.camera.height)
         if self._distorted:
-            source = _resize(rgb, self._source_size)
-            flat = cv2.remap(source, self._colour_map.xy, self._colour_map.fraction, cv2.INTER_LINEAR)
+            # Halving is far cheaper than any other area average: 0.4 ms of a 1080x1920 image against 6 ms to 320x569.
+            for _ in range(self._halvings):
+                rgb = _resize(rgb, (rgb.shape[1] // 2, rgb.shape[0] // 2))
+            flat = cv2.remap(rgb, self._colour_map.xy, self._colour_map.fraction, cv2.INTER_LINEAR)
             return _resize(np.asarray(flat, dtype=np.uint8), size)
         return _resize(rgb, size)
 
     def _make_colour_map(self) -> tuple[_PixelMap, Bool | None]:
-        """Map from the supersampled output into the reduced input, and which output pixels it covers (None: all)."""
-        width, height = self._source_size
-        pixels = self._raw_pixels(width, height)
-        source = _rescale(pixels, (self._raw.width, self._raw.height), self._source_size).astype(np.float32)
-        inside = (source > -0.5).all(-1) & (source < np.array([width - 0.5, height - 0.5])).all(-1)
+        """Map from the undistorted to the halved input, and which output pixels it covers (None: all)."""
+        raw_size = (self._raw.width, self._raw.height)
+        width, height = raw_size[0] >> self._halvings, raw_size[1] >> self._halvings
+        source = _rescale(self._raw_pixels(width, height), raw_size, (width, height)).astype(np.float32)
+        inside = (source > -0.5).all(-1) & (source < np.array([width - 0.5, height - 0.5])).all(-1) & ~_folded(source)
         covered = _resize(np.where(inside, 255, 0).astype(np.uint8), (self.camera.width, self.camera.height))
         valid = covered == 255
         # Clamped to the rim, so that pixels inside by less than half a pixel are not mixed with black.
@@ -110,7 +112,7 @@ class Undistorter:
         pixels = self._raw_pixels(self.camera.width, self.camera.height)
         source = np.rint(_rescale(pixels, (self._raw.width, self._raw.height), (shape[1], shape[0])))
         limit = np.array([shape[1] - 1, shape[0] - 1])
-        inside = np.asarray(((source >= 0) & (source <= limit)).all(-1))
+        inside = np.asarray(((source >= 0) & (source <= limit)).all(-1) & ~_folded(pixels))
         return np.clip(source, 0, limit).astype(np.int16), inside
 
 
@@ -138,6 +140,13 @@ def distort(camera: RigCamera, rays: Float64) -> Float64:
     return out
 
 
+def _folded(pixels: NDArray[np.floating]) -> Bool:
+    """Where a map [H, W, 2] runs backwards: rays too far out for the distortion model, whose polynomial turns there."""
+    du_dy, du_dx = np.gradient(pixels[..., 0])
+    dv_dy, dv_dx = np.gradient(pixels[..., 1])
+    return np.asarray((du_dx * dv_dy - du_dy * dv_dx <= 0) | (du_dx <= 0) | (dv_dy <= 0))
+
+
 def _rescale(pixels: Float64, size: tuple[int, int], to: tuple[int, int]) -> Float64:
     """Pixels (OpenCV convention) of an image of `size` (width, height) in the same image scaled to size `to`."""
     scale = np.array(to) / np.array(size)
@@ -145,9 +154,12 @@ def _rescale(pixels: Float64, size: tuple[int, int], to: tuple[int, int]) -> Flo
     return scaled
 
 
-def _between(size: tuple[int, int], to: tuple[int, int]) -> tuple[int, int]:
-    """Size to interpolate at: the output's times `SUPERSAMPLING`, but no more than the input's where that is larger."""
-    return to if to[0] * SUPERSAMPLING > size[0] else (to[0] * SUPERSAMPLING, to[1] * SUPERSAMPLING)
+def _halvings(size: tuple[int, int], to: tuple[int, int]) -> int:
+    """How often an image of `size` (width, height) can be halved and still supersample the output size `to`."""
+    count = 0
+    while size[0] % 2 == size[1] % 2 == 0 and min(size[0] / to[0], size[1] / to[1]) >= 2 * SUPERSAMPLING:
+        size, count = (size[0] // 2, size[1] // 2), count + 1
+    return count
 
 
 def _resize(image: UInt8, size: tuple[int, int]) -> UInt8:
