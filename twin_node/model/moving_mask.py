@@ -34,9 +34,9 @@ class MovingMaskParameters:
     """A cast shadow keeps at least this share of the background's brightness (and its colour)."""
     reflection_brightest: float = 1.2
     """A reflected glow adds at most up to this multiple of the background's brightness."""
-    ground_certainty: float = 0.9
+    ground_certainty: float = 0.7
     """A settled pixel of a colour this surely ground's is ground, if it touches ground."""
-    growth_pixels: int = 2
+    growth_pixels: int = 3
     """Rings of uncovered ground found per image; each ring is two pixels wide."""
     learning_rate: float = 0.05
     """Share of each new image that enters the background where it is free."""
@@ -98,11 +98,12 @@ class _CameraMask:
         difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
         in_front = self._depth_in_front(view)
         moving = self._regions(np.where(self._trusted, difference, 0), threshold) | in_front
-        moving = (moving | self._unconfirmed_holes(moving)) & seen
         like_ground = difference < 0.5 * threshold
-        mask = (moving | (self._mask & ~_eroded(self._trusted & like_ground))) & seen
+        mask = moving | (self._mask & ~_eroded(self._trusted & like_ground))
+        mask = (mask | self._unconfirmed_holes(mask)) & seen
         self._trusted &= ~(mask & ~self._mask & like_ground & ~in_front)
-        uncovered = self._uncovered(image / gain, settled & mask & ~in_front, seen & ~mask, threshold)
+        object_ = self._confirmed & self._trusted & (difference > threshold)
+        uncovered = self._uncovered(image / gain, settled & mask & ~in_front, seen & ~mask, object_, threshold)
         uncovered &= (difference > threshold) | ~self._trusted
         self._confirmed |= (self._mask & ~mask) | uncovered
         self._background[:, uncovered] = (image / gain)[:, uncovered]
@@ -143,18 +144,24 @@ class _CameraMask:
         strong[labels[evidence > threshold]] = True
         strong[0] = False
         strong &= stats[:, cv2.CC_STAT_AREA] >= self.parameters.smallest_area * evidence.size
-        margin = self._close.shape[0] // 2
-        padded = np.pad(strong[labels].astype(np.uint8), margin)
-        closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, self._close)[margin:-margin, margin:-margin]
-        return closed > 0
+        return self._closed(strong[labels])
 
-    def _unconfirmed_holes(self, moving: Bool) -> Bool:
+    def _unconfirmed_holes(self, mask: Bool) -> Bool:
         """Ground enclosed by what moves that was never seen uncovered: the even inside of a thing shows no change."""
-        outlines, _ = cv2.findContours(moving.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        closed = self._closed(mask)
+        outlines, _ = cv2.findContours(closed.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         filled = np.zeros(self.shape, np.uint8)
         cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
-        holes: Bool = (filled > 0) & ~moving & ~self._confirmed
+        inside = cv2.dilate(((filled > 0) & ~closed).astype(np.uint8), self._close) > 0
+        holes: Bool = inside & (filled > 0) & ~mask & ~self._confirmed
         return holes
+
+    def _closed(self, mask: Bool) -> Bool:
+        """The mask with gaps up to the kernel's width closed."""
+        margin = self._close.shape[0] // 2
+        padded = np.pad(mask.astype(np.uint8), margin)
+        closed: Bool = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, self._close)[margin:-margin, margin:-margin] > 0
+        return closed
 
     def _depth_in_front(self, view: View) -> Bool:
         """Where the measured surface stands in front of the background's."""
@@ -164,12 +171,12 @@ class _CameraMask:
         near = known & (view.depth < self._depth * (1 - self.parameters.depth_levels) - 0.01)
         return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
 
-    def _uncovered(self, image: Float32, settled: Bool, free: Bool, threshold: float) -> Bool:
+    def _uncovered(self, image: Float32, settled: Bool, free: Bool, object_: Bool, threshold: float) -> Bool:
         """Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
 
         They continue the free ground beside them, or have a colour of the ground around and not of moving things.
         """
-        self._colours.learn(image, free, ~free & self._confirmed & ~settled)
+        self._colours.learn(image, free, object_)
         found = np.zeros(self.shape, np.bool_)
         ground_coloured = settled & (self._colours.ground_share(image) > self.parameters.ground_certainty)
         for _ in range(self.parameters.growth_pixels):
