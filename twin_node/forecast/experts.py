@@ -103,7 +103,8 @@ def steps(history: History) -> Float64:
     share = (wanted - history.times[before]) / (history.times[after] - history.times[before])
     share = np.clip(share, 0, 1)[:, None, None]
     at = (1 - share) * history.positions[before] + share * history.positions[after]
-    return np.moveaxis(at[:-1] - at[1:], 0, -1)
+    newest_first: Float64 = np.moveaxis(at[:-1] - at[1:], 0, -1)
+    return newest_first
 
 
 EXPERTS: tuple[Expert, ...] = (persistence, constant_velocity, damped, constant_acceleration)

@@ -122,13 +122,14 @@ def spread(grid: Grid, points: Float64, radii: Float64) -> Spread:
     low = places.min(axis=0) - most
     dims = places.max(axis=0) + most + 1 - low
     local = np.ravel_multi_index(tuple((places - low).T), tuple(dims))
-    order = np.argsort(reach, kind="stable")
+    order = np.argsort(reach.astype(np.uint8), kind="stable")
     levels = np.zeros(dims, np.uint8)
     levels.ravel()[local[order]] = reach[order] + 1
-    inside = tuple(
-        slice(max(0, -a), max(0, -a) + max(0, min(n, a + m) - max(0, a)))
-        for a, m, n in zip(low, dims, grid.dims, strict=True)
-    )
-    grown = np.argwhere(grow_by(levels)[inside]) + np.maximum(low, 0)
-    core = levels[inside][tuple((grown - np.maximum(low, 0)).T)] > 0
-    return Spread(np.ravel_multi_index(tuple(grown.T), grid.dims), core)
+    start, stop = np.maximum(low, 0), np.minimum(low + dims, grid.dims)
+    inner = tuple(slice(a, b) for a, b in zip(start - low, stop - low, strict=True))
+    outer = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
+    reached, core = np.zeros((2, *grid.dims), np.bool_)
+    reached[outer] = grow_by(levels)[inner]
+    core[outer] = levels[inner] > 0
+    indices = np.flatnonzero(reached)
+    return Spread(indices, core.ravel()[indices])

@@ -14,6 +14,7 @@ from twin_node.forecast.grid import encode_runs, spread
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.parts import Parts, PartVelocities, split
 from twin_node.forecast.static import StaticParameters, StaticSpace
+from twin_node.forecast.tables import RigTables
 from twin_node.forecast.tracks import Tracks
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState, UInt32
 
@@ -55,8 +56,9 @@ class Forecaster:
     def __init__(self, grid: Grid, parameters: ForecastParameters | None = None) -> None:
         self.grid = grid
         self.parameters = parameters or ForecastParameters()
-        self._carver = Carver(grid, self.parameters.carving)
-        self._velocities = PartVelocities()
+        self._tables = RigTables(grid)
+        self._carver = Carver(self._tables, self.parameters.carving)
+        self._velocities = PartVelocities(self._tables)
         self._static = StaticSpace(grid, self.parameters.static)
         self._bound = Bound(self.parameters.bound)
         self._tracks: Tracks | None = None

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.geometry import project, transform
+from twin_node.forecast.tables import CameraTable, RigTables
+from twin_node.geometry import transform
 from twin_node.scene import Bool, Camera, Float32, Float64, Grid, TwinState, UInt8, View
 
 PART_SIZE = 0.08
@@ -36,20 +37,23 @@ class Parts:
 
 def split(grid: Grid, indices: NDArray[np.int64]) -> Parts:
     """Parts of the voxels `indices` [n]: one per occupied cell of a coarser lattice."""
+    side = max(1, round(PART_SIZE / grid.voxel_size))
+    lattice = tuple(-(-n // side) for n in grid.dims)
+    cells = np.ravel_multi_index(tuple(axis // side for axis in np.unravel_index(indices, grid.dims)), lattice)
+    counts = np.bincount(cells, minlength=int(np.prod(lattice)))
+    occupied = np.flatnonzero(counts)
+    numbers = np.zeros(len(counts), np.int64)
+    numbers[occupied] = np.arange(len(occupied))
     points = grid.centers(indices)
-    cells = np.floor((points - grid.origin) / PART_SIZE).astype(np.int64)
-    keys = (cells[:, 0] * 4096 + cells[:, 1]) * 4096 + cells[:, 2]
-    _, labels = np.unique(keys, return_inverse=True)
-    labels = labels.reshape(-1).astype(np.int64)
-    counts = np.bincount(labels)
-    sums = np.stack([np.bincount(labels, points[:, axis]) for axis in range(3)], axis=1)
-    return Parts(indices, points, labels, sums / np.maximum(counts, 1)[:, None])
+    sums = np.stack([np.bincount(cells, points[:, axis], len(counts))[occupied] for axis in range(3)], axis=1)
+    return Parts(indices, points, numbers[cells], sums / counts[occupied, None])
 
 
 class PartVelocities:
     """Velocities of parts from the optical flow of the views that see them."""
 
-    def __init__(self, baseline_ns: int = 30_000_000) -> None:
+    def __init__(self, tables: RigTables, baseline_ns: int = 30_000_000) -> None:
+        self._tables = tables
         self._baseline_ns = baseline_ns
         self._past: dict[str, list[tuple[int, UInt8]]] = {}
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
@@ -60,49 +64,78 @@ class PartVelocities:
 
         Least squares over the views: the image velocity of a part is its velocity seen through the projection.
         """
-        precision = np.tile(np.eye(3) * _PRIOR, (parts.count, 1, 1))
-        evidence = expected * _PRIOR
+        chosen = slice(None, None, _SAMPLING)
+        places = self._tables.blocks.locate(parts.indices[chosen])
+        sample = _Sample(places, parts.labels[chosen], parts.count)
+        precision: Float64 = np.tile(np.eye(3) * _PRIOR, (parts.count, 1, 1))
+        evidence: Float64 = expected * _PRIOR
         for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
             image_velocity = self._image_velocity(view)
             if image_velocity is None or parts.count == 0:
                 continue
-            mean, weight = _seen_by(view, image_velocity, mask, parts)
+            seen = _seen_by(view, image_velocity, mask, self._tables.of(view.camera), sample)
             jacobian = _jacobian(view.camera, parts.centers)
-            scaled = jacobian * weight[:, None, None]
+            scaled = jacobian * seen.weights[:, None, None]
             precision += np.einsum("mki,mkj->mij", scaled, jacobian)
-            evidence += np.einsum("mki,mk->mi", scaled, mean)
-        return np.linalg.solve(precision, evidence[..., None])[..., 0]
+            evidence += np.einsum("mki,mk->mi", scaled, seen.velocities)
+        velocities: Float64 = np.linalg.solve(precision, evidence[..., None])[..., 0]
+        return velocities
 
     def _image_velocity(self, view: View) -> Float32 | None:
         """[H, W, 2] pixels per second; None without an earlier image."""
-        grey = cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY)
+        grey = np.asarray(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         past = self._past.setdefault(view.camera.name, [])
         while len(past) > 1 and view.stamp - past[1][0] >= self._baseline_ns:
             past.pop(0)
-        flow = None
+        velocity = None
         if past and past[0][0] < view.stamp and past[0][1].shape == grey.shape:
-            flow = self._flow.calc(grey, past[0][1], None) / np.float32(-1e-9 * (view.stamp - past[0][0]))
-        past.append((view.stamp, grey.astype(np.uint8)))
-        return flow
+            flow = self._flow.calc(grey, past[0][1], np.zeros((*grey.shape, 2), np.float32))
+            velocity = (flow / (-1e-9 * (view.stamp - past[0][0]))).astype(np.float32)
+        past.append((view.stamp, grey))
+        return velocity
+
+
+_FLOW_NOISE = 3.0
+"""Noise of optical flow, pixels per second: weights favour the pixels that move, for the hull holds still ones too."""
+_SAMPLING = 3
+"""One voxel in so many is looked up in the images: a part has about 64."""
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Some voxels of all parts."""
+
+    places: NDArray[np.int64]
+    labels: NDArray[np.int64]
+    count: int
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Image velocities [M, 2] of parts in one view, and weights [M]: 1 for the parts that it shows, else 0."""
+
+    velocities: Float64
+    weights: Float64
 
 
 _PRIOR = 500.0
 """Weight of the expected velocity against one view: (pixels per metre)^2, as of a view from 6 m."""
 
 
-def _seen_by(view: View, image_velocity: Float32, mask: Bool, parts: Parts) -> tuple[Float64, Float64]:
-    """Mean image velocity [M, 2] over each part's visible voxels in the mask, and 1 for the parts it sees."""
-    u, v, z = project(view.camera.K, view.camera.viewmat, parts.points).T
-    inside = (z > 0) & (u >= 0) & (u < view.camera.width) & (v >= 0) & (v < view.camera.height)
-    column, row = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
-    nearest = np.full((view.camera.height // 2 + 1, view.camera.width // 2 + 1), np.inf)
-    np.minimum.at(nearest, (row[inside] // 2, column[inside] // 2), z[inside])
-    visible = inside & (z < nearest[row // 2, column // 2] + PART_SIZE)
-    velocity = image_velocity[row, column]
-    weight = (visible & mask[row, column]) * (np.linalg.norm(velocity, axis=1) + 3.0) ** 2
-    total = np.bincount(parts.labels, weight, parts.count)
-    mean = np.stack([np.bincount(parts.labels, weight * velocity[:, axis], parts.count) for axis in range(2)], axis=1)
-    return mean / np.maximum(total, 1e-9)[:, None], (total > 0).astype(np.float64)
+def _seen_by(view: View, image_velocity: Float32, mask: Bool, table: CameraTable, sample: _Sample) -> _Seen:
+    """What the view shows of each part: the voxels nearest to the camera, where the mask shows something moving."""
+    seen = table.at(sample.places)
+    inside = seen.pixels < table.outside
+    pixels = np.where(inside, seen.pixels, 0)
+    rows, columns = pixels // view.camera.width // 2, pixels % view.camera.width // 2
+    nearest = np.full((view.camera.height // 2 + 1, view.camera.width // 2 + 1), np.inf, np.float32)
+    np.minimum.at(nearest, (rows, columns), np.where(inside, seen.depth, np.inf).astype(np.float32))
+    visible = inside & (seen.depth < nearest[rows, columns] + PART_SIZE) & mask.ravel()[pixels]
+    velocity = image_velocity.reshape(-1, 2)[pixels]
+    weight = visible * (np.linalg.norm(velocity, axis=1) + _FLOW_NOISE) ** 2
+    total = np.bincount(sample.labels, weight, sample.count)
+    sums = [np.bincount(sample.labels, weight * velocity[:, axis], sample.count) for axis in range(2)]
+    return _Seen(np.stack(sums, axis=1) / np.maximum(total, 1e-9)[:, None], (total > 0).astype(np.float64))
 
 
 def _jacobian(camera: Camera, points: Float64) -> Float64:

@@ -54,7 +54,8 @@ class Tracks:
         """[M] time since each part's track began, s."""
         if len(self.times) == 0:
             return np.zeros(len(self.ages))
-        return self.times[-1] - self.times[np.maximum(len(self.times) - 1 - self.ages, 0)]
+        ages: Float64 = self.times[-1] - self.times[np.maximum(len(self.times) - 1 - self.ages, 0)]
+        return ages
 
     @property
     def mean_weights(self) -> Float64:
@@ -84,7 +85,8 @@ class Tracks:
         weights = mix(self.errors)
         single = [expert(self.history, horizons) for expert in EXPERTS]
         regressed = self.autoregression.forecast(self.history) * (horizons / self.horizon_s)[:, None, None]
-        return np.einsum("em,ehmc->hmc", weights, np.stack([*single, regressed]))
+        mixed: Float64 = np.einsum("em,ehmc->hmc", weights, np.stack([*single, regressed]))
+        return mixed
 
     def _parents(self, places: Float64) -> NDArray[np.int64]:
         """Track [n] that each place continues; M (one past the last) for none."""
@@ -92,7 +94,7 @@ class Tracks:
         if count == 0 or len(places) == 0:
             return np.full(len(places), count, np.int64)
         found = cKDTree(self.positions[-1]).query(places, distance_upper_bound=REACH)[1]
-        return found.astype(np.int64)
+        return np.asarray(found, dtype=np.int64)
 
     def _inherit(self, parents: NDArray[np.int64], centers: Float64, moved: Float64) -> Float64:
         """Re-indexes all arrays by parent; gives the shift [M', 3] that joins the parents' paths to the parts.
