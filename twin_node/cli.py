@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ def _add_replay(commands: Any) -> None:
     pace.add_argument("--lockstep", action="store_true", help="every set in turn, repeatable to the byte")
     _add_source_options(replay)
     replay.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file")
-    #    replay.set_defaults(run=_replay)
+    replay.set_defaults(run=_replay)
 
 
 def _add_source_options(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +73,7 @@ def _add_import(commands: Any) -> None:
 def _add_demo(commands: Any) -> None:
     demo = commands.add_parser("demo", help="make a log of a simulated cell and replay it")
     demo.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for log and report")
-    #    demo.set_defaults(run=_demo)
+    demo.set_defaults(run=_demo)
 
 
 def _add_bench(commands: Any) -> None:
@@ -83,10 +83,10 @@ def _add_bench(commands: Any) -> None:
     occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
     occupancy.add_argument("--json", action="store_true", help="print one JSON object")
     _add_source_options(occupancy)
-    #    occupancy.set_defaults(run=_bench_occupancy)
+    occupancy.set_defaults(run=_bench_occupancy)
     raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
     raster.add_argument("--json", action="store_true", help="print one JSON object")
-    #    raster.set_defaults(run=_bench_raster)
+    raster.set_defaults(run=_bench_raster)
 
 
 def _import_video(options: argparse.Namespace) -> None:
@@ -109,6 +109,75 @@ def _import_video(options: argparse.Namespace) -> None:
     for warning in imported.warnings:
         print(f"twin_node: warning: {warning}", file=sys.stderr)
     print(f"{options.output}: {sum(imported.frames)} images of {len(cameras)} cameras")
+
+
+def _replay(options: argparse.Namespace) -> None:
+    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.topics import parse_remaps
+
+    parameters = _with_source_options(load_parameters(options.params), options)
+    _check_output(options.output, options.log)
+    session = _open_session(options, parse_remaps(options.remap))
+    _run(session, parameters, None if options.lockstep else options.rate, options.output, options.report)
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from twin_node.cell import load_scenario, write_log
+    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.log_source import LogSession
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    log = options.out / "demo.mcap"
+    with tqdm(unit="image", desc="simulate", disable=None) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        write_log(load_scenario("demo"), log, show)
+    parameters = load_parameters(Path("launch/demo.yaml"))
+    _run(LogSession(log), parameters, 1.0, options.out / "twin.mcap", options.out / "report")
+
+
+def _run(session: Any, parameters: Any, rate: float | None, output: Path | None, report: Path | None) -> None:
+    """Replay a session with a progress bar, then write its report, and say where everything is."""
+    from twin_node.nodes.replay import replay
+    from twin_node.nodes.report import write_report
+
+    with session, tqdm(total=round(session.span.seconds, 2), unit="s", desc="replay", disable=None) as bar:
+
+        def show(seconds: float) -> None:
+            bar.update(min(seconds, session.span.seconds) - bar.n)
+
+        with replay(session, parameters, rate, output, report is not None, show) as run:
+            bar.close()
+            if run.damage:
+                print(f"twin_node: warning: {run.damage}", file=sys.stderr)
+            print(f"{session.log.path}: {run.sets} sets, {run.dropped} dropped, in {run.seconds:.1f} s")
+            if output is not None:
+                print(f"topics: {output}")
+            if report is not None:
+                with tqdm(desc="report", unit="step", disable=None) as steps:
+                    write_report(run, session, parameters, report, steps.update)
+                print(f"report: {report / 'report.html'}")
+
+
+def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> Any:
+    from twin_node.nodes.log_source import LogSession
+
+    return LogSession(options.log, options.rig, remaps, options.start_offset, options.duration)
+
+
+def _with_source_options(parameters: Any, options: argparse.Namespace) -> Any:
+    """Chain parameters with the command line's width and rate in place of the file's."""
+    given = {"width": options.width, "max_rate_hz": options.max_rate}
+    changed = {name: value for name, value in given.items() if value is not None}
+    return replace(parameters, synchronizer=replace(parameters.synchronizer, **changed))
+
+
+def _check_output(output: Path | None, log: Path) -> None:
+    if output is not None and output.resolve() == log.resolve():
+        raise TwinError(f"-o {output}: expected another file than the log that is read; choose a new name")
 
 
 def _positive(text: str) -> float:

@@ -28,7 +28,7 @@ class CollectorNode(Node):
         """From a set's arrival at the model to the speed decision, by the wall clock."""
         self.tier_counts: list[list[int]] = []
         self.separations: list[Separation] = []
-        self.state: TwinState | None = None
+        self.newest_state: TwinState | None = None
         self.warnings: dict[str, int] = {}
         """Warning -> number of sets it was given with."""
         self._spool = spool
@@ -57,7 +57,7 @@ class CollectorNode(Node):
         self._frames = frames
 
     def _on_state(self, state: TwinState) -> None:
-        self.state = state
+        self.newest_state = state
         for warning in state.warnings:
             self.warnings[warning] = self.warnings.get(warning, 0) + 1
 
@@ -65,7 +65,7 @@ class CollectorNode(Node):
         self._forecast = forecast
 
     def _on_separation(self, message: Any) -> None:
-        frames, state, forecast = self._frames, self.state, self._forecast
+        frames, state, forecast = self._frames, self.newest_state, self._forecast
         if frames is None or state is None or forecast is None:
             return
         separation = convert.separation_from_message(message)

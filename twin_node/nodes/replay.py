@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from twin_node.bag import LogWriter
+from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain, ChainParameters
@@ -22,7 +23,7 @@ from twin_node.nodes.player import Player
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, LATCHED, RECORDED, TRAJECTORY, GraphError
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, RECORDED, TRAJECTORY, GraphError
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import Clock, PacedClock, SteppedClock
 from twin_node.runtime.node import Node
@@ -112,7 +113,7 @@ class _Engine:
     def in_lockstep(self) -> Run:
         """Every message in the log's order, each dealt with before the next: the same bytes every time."""
         clock = SteppedClock(self._session.span.start_ns)
-        bus = LocalBus(LATCHED)
+        bus = LocalBus(is_latched)
         synchronizer = self._synchronizer(bus, clock)
         collector = CollectorNode(bus, clock, self._spool)
         chain = self._chain(collector, synchronizer, Latency(ASSUMED_LATENCY_NS, False), lambda: 0)
@@ -127,7 +128,7 @@ class _Engine:
         As a twin that goes live does, it first builds its model from the first set, and only then the clock starts.
         """
         clock = PacedClock(self._session.span.start_ns, rate)
-        reading, working = LocalBus(LATCHED), LocalBus(LATCHED)
+        reading, working = LocalBus(is_latched), LocalBus(is_latched)
         synchronizer = self._synchronizer(reading, clock)
         latency = Latency(ASSUMED_LATENCY_NS, True)
         collector = CollectorNode(working, clock, self._spool)
@@ -135,7 +136,12 @@ class _Engine:
         chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped)
         first = self._first_set()
         working.publish(FRAMES, first)
-        reading.subscribe(FRAMES, lambda frames: frames.stamp > first.stamp and bridge.put_frames(frames))
+
+        def hand_over(frames: FrameSet) -> None:
+            if frames.stamp > first.stamp:
+                bridge.put_frames(frames)
+
+        reading.subscribe(FRAMES, hand_over)
         for topic in (JOINT_STATES, TRAJECTORY):
             reading.subscribe(topic, partial(bridge.put, topic))
         reader = threading.Thread(target=self._read, args=(reading, clock, bridge), name="reader", daemon=True)
@@ -194,7 +200,7 @@ class _Engine:
         return chain
 
     def _finish(self, chain: Chain, collector: CollectorNode, dropped: int, seconds: float, is_lockstep: bool) -> Run:
-        if collector.state is None:
+        if collector.newest_state is None:
             raise _no_sets(self._session)
         chain.stop()
         return Run(

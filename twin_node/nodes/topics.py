@@ -26,7 +26,6 @@ JOINT_STATES = "/joint_states"
 TRAJECTORY = "/arm/trajectory"
 TF_STATIC = "/tf_static"
 TRUTH_OCCUPANCY = "/truth/occupancy"
-LATCHED = frozenset({GAUSSIANS, TF_STATIC, "/robot_description"})
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 RAW = "sensor_msgs/msg/Image"

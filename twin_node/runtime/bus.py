@@ -26,8 +26,9 @@ class LocalBus:
     is ever entered twice. Messages must not be changed after they were published.
     """
 
-    def __init__(self, latched: frozenset[str] = frozenset()) -> None:
-        self._latched = latched
+    def __init__(self, is_latched: Callable[[str], bool] = lambda topic: False) -> None:
+        """`is_latched(topic)`: whether a late subscriber is given a topic's last message."""
+        self._is_latched = is_latched
         self._last: dict[str, Any] = {}
         self._callbacks: dict[str, list[Callback]] = {}
         self._pending: deque[tuple[str, Any]] = deque()
@@ -53,7 +54,7 @@ class LocalBus:
             callback(self._last[topic])
 
     def _deliver(self, topic: str, message: Any) -> None:
-        if topic in self._latched:
+        if self._is_latched(topic):
             self._last[topic] = message
         for callback in self._callbacks.get(topic, ()):
             callback(message)

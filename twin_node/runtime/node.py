@@ -28,12 +28,12 @@ class Node:
         self.name = name
         self.bus = bus
         self.clock = clock
-        self._state = LifecycleState.UNCONFIGURED
+        self._lifecycle = LifecycleState.UNCONFIGURED
 
     @property
     def state(self) -> LifecycleState:
         """Where the node is in its life."""
-        return self._state
+        return self._lifecycle
 
     def configure(self) -> None:
         """Unconfigured to inactive: allocate, subscribe."""
@@ -68,6 +68,6 @@ class Node:
         """Called on the way from inactive to unconfigured."""
 
     def _move(self, source: LifecycleState, target: LifecycleState) -> None:
-        if self._state is not source:
-            raise LifecycleError(f"node '{self.name}' is {self._state.name.lower()}, not {source.name.lower()}")
-        self._state = target
+        if self._lifecycle is not source:
+            raise LifecycleError(f"node '{self.name}' is {self._lifecycle.name.lower()}, not {source.name.lower()}")
+        self._lifecycle = target

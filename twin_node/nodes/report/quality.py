@@ -73,12 +73,17 @@ def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Imag
             continue
         for view in tick.frames.views:
             name = view.camera.name
-            image = view.rgb.astype(np.float32) / 255
+            image = unit(view)
             if name not in first:
                 first[name], still[name] = image, frozen(view.camera)
             ours = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
             yield Renderings(view, image, first[name], ours, still[name], previous.get(name))
             previous[name] = image
+
+
+def unit(view: View) -> Image:
+    """[H, W, 3] a view's colours in 0 to 1."""
+    return view.rgb.astype(np.float32) / np.float32(255)
 
 
 def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> Image:
@@ -138,9 +143,9 @@ def _without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterato
         state = model.update(dataclasses.replace(frames, stamp=max(v.stamp for v in kept), views=kept))
         if hidden is None:
             continue
-        image = hidden.rgb.astype(np.float32) / 255
+        image = unit(hidden)
         if first is None or still is None:
-            first, still = image, model.render_frozen(hidden.camera)
+            first, still = image, model.render_frozen(hidden.camera).rgb
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
         yield Renderings(hidden, image, first, ours, still, None)
 

@@ -1,0 +1,143 @@
+"""Pictures of a run: what the cameras saw, what the twin made of it, what it foresaw, and curves over time."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from twin_node.geometry import project
+from twin_node.nodes.report.quality import Image
+from twin_node.scene import Bool, Camera, Grid, Separation, Tier, UInt8, UInt32
+
+TIER_COLOURS = ("#9aa0a6", "#5f6368", "#1a73e8", "#a142f4", "#f29900")
+FORESEEN = (66, 133, 244)
+TRUE = (52, 168, 83)
+MASK = (255, 0, 160)
+"""Colours drawn into images, RGB."""
+ENLARGED_TO = 480
+"""Images are shown at least this wide, pixels."""
+
+mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
+mpl.rcParams.update({"grid.color": "#e8eaed", "figure.facecolor": "white", "legend.frameon": False})
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A quantity over time."""
+
+    label: str
+    seconds: NDArray[np.float64]
+    values: NDArray[np.float64]
+    colour: str | None = None
+
+
+def camera_strip(image: Image, rendering: Image, moving: Bool | None) -> UInt8:
+    """Image, rendering, and the image with the moving mask outlined, side by side, RGB."""
+    outlined = enlarge(image)
+    if moving is not None:
+        outlined = outline(outlined, moving, MASK)
+    return np.hstack([enlarge(image), enlarge(rendering), outlined])
+
+
+def forecast_picture(image: Image, camera: Camera, grid: Grid, foreseen: UInt32, true: UInt32) -> UInt8:
+    """An image with the space foreseen for its time (blue) and the space seen to move then (green), RGB."""
+    shape = image.shape[:2]
+    picture = fill(enlarge(image), silhouette(camera, grid, foreseen, shape), FORESEEN)
+    return outline(picture, silhouette(camera, grid, true, shape), TRUE)
+
+
+def silhouette(camera: Camera, grid: Grid, indices: UInt32, shape: tuple[int, ...]) -> Bool:
+    """[H, W] True on the pixels that voxels project to, each as a disc of its size."""
+    mask = np.zeros(shape, np.uint8)
+    uvz = project(camera.K, camera.viewmat, grid.centers(indices))
+    radii = 0.6 * grid.voxel_size * camera.K[0, 0] / np.maximum(uvz[:, 2], 1e-3)
+    ahead = uvz[:, 2] > 0.05
+    for u, v, radius in np.column_stack([uvz[ahead, :2], radii[ahead]]):
+        if -50 < u < shape[1] + 50 and -50 < v < shape[0] + 50:
+            cv2.circle(mask, (int(u), int(v)), max(1, int(radius)), 1, -1)
+    return mask.astype(bool)
+
+
+def enlarge(image: Image) -> UInt8:
+    """[h, w, 3] the image at `ENLARGED_TO` pixels width or its own, whichever is more."""
+    pixels = (np.clip(image, 0, 1) * 255).astype(np.uint8)
+    factor = max(1, round(ENLARGED_TO / max(image.shape[1], image.shape[0])))
+    size = (image.shape[1] * factor, image.shape[0] * factor)
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def outline(picture: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
+    """The picture with the contours of a mask drawn."""
+    drawn = picture.copy()
+    large = cv2.resize(mask.astype(np.uint8), (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_NEAREST)
+    contours, _ = cv2.findContours(large, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    cv2.drawContours(drawn, contours, -1, colour, 2)
+    return drawn
+
+
+def fill(picture: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
+    """The picture with a mask tinted."""
+    large = cv2.resize(mask.astype(np.uint8), (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_NEAREST)
+    tinted = picture.astype(np.float32)
+    tinted[large > 0] = 0.55 * tinted[large > 0] + 0.45 * np.array(colour, np.float32)
+    return tinted.astype(np.uint8)
+
+
+def png(picture: UInt8) -> bytes:
+    """PNG of an RGB picture."""
+    return cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
+
+
+def curves(title: str, unit: str, series: Sequence[Curve], floor: float | None = 0.0) -> bytes:
+    """PNG of quantities over the log's time."""
+    figure = Figure(figsize=(7.2, 2.6), dpi=110, layout="constrained")
+    axes = figure.subplots()
+    for curve in series:
+        axes.plot(curve.seconds, curve.values, label=curve.label, color=curve.colour, linewidth=1.2)
+    axes.set(title=title, xlabel="s", ylabel=unit)
+    if floor is not None:
+        axes.set_ylim(bottom=floor)
+    if len(series) > 1:
+        axes.legend(ncols=len(series), loc="upper right")
+    return _png_of(figure)
+
+
+def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -> bytes:
+    """PNG of the Gaussians per tier [T, 5] over time [T]: what moves above, all tiers on a logarithmic scale."""
+    figure = Figure(figsize=(7.2, 2.6), dpi=110, layout="constrained")
+    axes = figure.subplots()
+    for tier in Tier:
+        if counts[:, tier].any():
+            axes.plot(seconds, counts[:, tier], label=tier.name, color=TIER_COLOURS[tier], linewidth=1.4)
+    axes.set(title="Gaussians per tier", xlabel="s", yscale="symlog")
+    axes.set_ylim(bottom=0)
+    axes.legend(ncols=len(Tier), loc="lower right")
+    return _png_of(figure)
+
+
+def separation_over_time(seconds: NDArray[np.float64], separations: Sequence[Separation]) -> bytes:
+    """PNG of the arm's distance, the distance the law requires, and the speed it leaves."""
+    figure = Figure(figsize=(7.2, 3.4), dpi=110, layout="constrained")
+    upper, lower = figure.subplots(2, sharex=True)
+    distances = np.array([s.distance for s in separations])
+    upper.plot(seconds, np.where(np.isfinite(distances), distances, np.nan), color="#1a73e8", label="distance")
+    upper.plot(seconds, [s.required for s in separations], color="#d93025", linewidth=1, label="required at full speed")
+    upper.axhline(0, color="#202124", linewidth=0.8)
+    upper.set(title="Smallest distance along the arm's next 200 ms", ylabel="m")
+    upper.legend(ncols=2, loc="upper right")
+    lower.fill_between(seconds, [s.speed_fraction for s in separations], color="#34a853", alpha=0.5, step="post")
+    lower.set(ylabel="speed fraction", xlabel="s", ylim=(0, 1.05))
+    return _png_of(figure)
+
+
+def _png_of(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
