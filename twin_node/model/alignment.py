@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from twin_node.model.observation import Observed
-from twin_node.model.rendering import Rendering
+from twin_node.model.rendering import Rendering, Splats
 from twin_node.scene import Float32
 
 ACCELERATION, TURN_ACCELERATION = 20.0, 100.0
@@ -61,8 +61,7 @@ def solve_twists(
     observed: Sequence[Observed],
     renderings: Sequence[Rendering],
     flows: Sequence[Float32],
-    means: Tensor,
-    opacities: Tensor,
+    moving: Splats,
     nodes: Tensor,
     origins: Tensor,
     dt_s: float,
@@ -70,15 +69,16 @@ def solve_twists(
 ) -> Twists:
     """The twist of each node that explains the flow under its Gaussians best, held to the prediction.
 
-    `means` [C, m, 3] of the moving Gaussians at each view's time, `opacities` [m], `nodes` [m] their rows, `origins`
-    [C, M, 3] the nodes' positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
+    `moving` holds m Gaussians at each view's time, `nodes` [m] the rows that carry them, `origins` [C, M, 3] the nodes'
+    positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
     """
     count = origins.shape[1]
     H = torch.zeros(count, 6, 6, dtype=torch.float64)
     g = torch.zeros(count, 6, dtype=torch.float64)
     carried = torch.nonzero(nodes >= 0)[:, 0]
+    opacities = moving.opacities.detach().cpu()
     for index, one in enumerate(observed):
-        at = means[index, carried].double()
+        at = moving.means[index, carried].cpu().double()
         J, error, weight = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
         weight = weight * opacities[carried].double() / (SHARED_BY * sigma_px**2)
         WJ = J * weight[:, None, None]

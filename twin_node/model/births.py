@@ -16,6 +16,8 @@ from twin_node.scene import Bool, Float32, Float64
 
 BLOCK = 2
 """Side in pixels of the block that one newborn stands for."""
+SOLID = 0.5
+"""Opacity of the background from which it can be learnt anew by colour alone; under it Gaussians are missing."""
 COLOUR_SIGMA = 0.12
 """Difference of colour (0 to 1) at which another view half agrees: what one surface shows to two exposures."""
 REFUTED = 2.0
@@ -36,6 +38,8 @@ class Births:
     """[n, 3] 0 to 1."""
     on_background: Bool
     """[n] whether it lies on what stands still: a shadow, a light, or ground that was uncovered."""
+    lasting: Bool
+    """[n] whether it fills a hole of the background: STATIC from birth."""
     views: NDArray[np.int64]
     """[n] which view needs it."""
 
@@ -69,13 +73,15 @@ def find_births(
         np.concatenate([part.radii for part in parts]),
         np.concatenate([part.rgb for part in parts]),
         np.concatenate([part.on_background for part in parts]),
+        np.concatenate([part.lasting for part in parts]),
         np.concatenate([part.views for part in parts]),
     )
 
 
 def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> _Pixels:
     image = one.rgb
-    error = np.abs(image - rendering.rgb.detach().cpu().numpy()).max(-1) * (one.usable & ~one.stale & (one.surprise > 0.5 * threshold))
+    counts = one.active & (one.surprise > 0.5 * threshold) & (~one.stale | (one.background.alpha < SOLID))
+    error = np.abs(image - rendering.rgb.detach().cpu().numpy()).max(-1) * counts
     height, width = error.shape[0] // BLOCK * BLOCK, error.shape[1] // BLOCK * BLOCK
     blocks = error[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean((1, 3))
     order = np.argsort(-blocks, axis=None, kind="stable")[:quota]
@@ -85,7 +91,9 @@ def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: i
     return _Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns])
 
 
-def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels: _Pixels, samples: int, threshold: float) -> Births:
+def _lift(
+    observed: Sequence[Observed], rendering: Rendering, index: int, pixels: _Pixels, samples: int, threshold: float
+) -> Births:
     one = observed[index]
     camera = one.view.camera
     rows, columns = pixels.rows, pixels.columns
@@ -97,8 +105,11 @@ def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels
         depth, on_background = _agreed(observed, rendering, index, pixels, rays, far, samples)
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
     radii = 0.5 * BLOCK * depth / camera.K[0, 0]
-    kept = ~(on_background & _contradicted(observed, index, means, threshold))
-    return Births(means[kept], radii[kept], pixels.rgb[kept], on_background[kept], np.full(int(kept.sum()), index))
+    lasting = on_background & one.stale[rows, columns]
+    kept = ~(on_background & ~lasting & _contradicted(observed, index, means, threshold))
+    return Births(
+        means[kept], radii[kept], pixels.rgb[kept], on_background[kept], lasting[kept], np.full(int(kept.sum()), index)
+    )
 
 
 def _contradicted(observed: Sequence[Observed], index: int, means: Float64, threshold: float) -> Bool:

@@ -6,50 +6,55 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin_node.model.observation import Observed, grow, project_all
+from twin_node.model.observation import OCCLUSION, Observed, grow, project_all
 from twin_node.model.rays import Seen
+from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float64
 
 SEEN_THROUGH = 0.05
 """Share of its depth by which a measured surface must lie behind a Gaussian to refute it."""
 
 
-def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], threshold: float) -> Bool:
-    """[n] moving Gaussians that some view sees through: it shows the background, unmoved, where they are.
+def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], carried: Bool) -> Bool:
+    """[n] moving Gaussians that some view sees through.
 
-    `means` [n, 3] per view, at its time; `threshold` largest |image - background| that counts as background.
+    `means` holds [n, 3] per view, at its time; `carried` [n] those that a node carries: a view that shows nothing moving where
+    they are speaks against them, while the others only fall where the view shows the background itself.
     """
-    refuted = np.zeros(len(means[0]), bool)
+    refuted = np.zeros(len(carried), bool)
     for one, seen in zip(observed, project_all(observed, means), strict=True):
         visible = seen.inside & ~one.occluded(seen) & one.usable[seen.rows, seen.columns]
-        background = one.surprise[seen.rows, seen.columns] < threshold
-        refuted |= visible & background & ~one.near_moving[seen.rows, seen.columns]
+        held = np.where(carried, one.near_moving[seen.rows, seen.columns], one.active[seen.rows, seen.columns])
+        refuted |= visible & ~held
         if one.view.depth is not None:
             surface = one.view.depth[seen.rows, seen.columns]
             refuted |= visible & (surface > (1 + SEEN_THROUGH) * seen.depth)
     return refuted
 
 
-def refuted_static(observed: Sequence[Observed], static: Sequence[Seen], threshold: float) -> Bool:
+def refuted_static(
+    observed: Sequence[Observed], renderings: Sequence[Rendering], static: Sequence[Seen], threshold: float
+) -> Bool:
     """[n] STATIC Gaussians that have left: every view that should show them shows something else.
 
-    `static` says where they fall in each view. Two views must say so (one, where the rig has but one or measures depth behind the Gaussian): a single view cannot tell
-    a thing that left from one that is covered.
+    `static` says where they fall in each view, `renderings` what the whole model looks like: what something that moves
+    stands before is covered, not gone. Where a camera measures depth, only depth behind a Gaussian speaks against it.
     """
     count = len(static[0].rows)
     shown = np.zeros(count, np.int64)
     gone = np.zeros(count, np.int64)
-    proven = np.zeros(count, bool)
-    for one, seen in zip(observed, static, strict=True):
-        visible = seen.inside & ~one.occluded(seen) & one.usable[seen.rows, seen.columns]
-        changed = (one.surprise[seen.rows, seen.columns] > threshold) & one.near_moving[seen.rows, seen.columns]
-        shown += visible
-        gone += visible & changed
+    for one, rendering, seen in zip(observed, renderings, static, strict=True):
+        front = rendering.depth.cpu().numpy()[seen.rows, seen.columns]
+        covered = one.active[seen.rows, seen.columns] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
+        visible = seen.inside & ~one.occluded(seen) & ~covered & one.usable[seen.rows, seen.columns]
+        changed = one.surprise[seen.rows, seen.columns] > threshold
         if one.view.depth is not None:
             surface = one.view.depth[seen.rows, seen.columns]
-            proven |= visible & (surface > (1 + SEEN_THROUGH) * seen.depth)
-    enough = min(2, len(observed))
-    return proven | ((gone == shown) & (gone >= enough))
+            visible &= surface > (1 - SEEN_THROUGH) * seen.depth
+            changed = surface > (1 + SEEN_THROUGH) * seen.depth
+        shown += visible
+        gone += visible & changed
+    return (gone == shown) & (gone >= 1)
 
 
 def showing_stale(observed: Sequence[Observed], static: Sequence[Seen]) -> Bool:

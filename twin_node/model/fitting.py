@@ -27,10 +27,6 @@ RATES[LOGIT] = 5e-2
 RATES[RGB] = 1.5e-2
 """Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
 
-SMALLEST_M, LARGEST_PX = 5e-4, 40.0
-"""Bounds of a Gaussian's scale: half a millimetre, and so many times its size at birth."""
-
-
 @dataclass(frozen=True)
 class Target:
     """What the rendering of one view is held to."""
@@ -92,23 +88,26 @@ def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float) 
     rates = (RATES.to(values.device) * factor).expand(len(rows), -1).clone()
     rates[:, MEAN] *= gaussians.values[rows, LOG_SCALE].exp().mean(-1, keepdim=True)
     gaussians.descend(rows, gradient, rates)
-    gaussians.values[rows, RGB] = gaussians.values[rows, RGB].clamp(0, 1)
 
 
 def fit_window(
-    gaussians: Gaussians, poses: Poses, observed: Sequence[Observed], revised: Tensor, parameters: TrackParameters
+    gaussians: Gaussians,
+    poses: Poses,
+    observed: Sequence[Observed],
+    near: Tensor,
+    revised: Tensor,
+    parameters: TrackParameters,
 ) -> None:
     """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
 
-    `poses` holds the nodes at each view's own time. All other STATIC Gaussians are looked past, not touched.
+    `poses` holds the nodes at each view's own time, `near` the STATIC rows that can show there: looked past, not touched.
     """
     device = gaussians.values.device
     rows = torch.cat([gaussians.moving_rows, revised])
     if not len(rows):
         return
-    kept = gaussians.static_rows
-    kept = kept[~torch.isin(kept, revised)]
-    masks = [(one.near_moving | (one.surprise > parameters.residual)) & one.usable for one in observed]
+    kept = near[~torch.isin(near, revised)]
+    masks = [one.active for one in observed]
     if len(revised):
         points = gaussians.values[revised, MEAN].cpu().numpy()
         masks = [mask | (_footprint(one, points) & one.usable) for mask, one in zip(masks, observed, strict=True)]

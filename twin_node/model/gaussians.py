@@ -12,6 +12,10 @@ from twin_node.scene import Tier
 MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
 """Columns of `Gaussians.values`."""
 WIDTH = 14
+SMALLEST = -7.6
+"""Log of the smallest scale: half a millimetre."""
+LARGEST = 0.7
+"""Log of how many times its size at birth a Gaussian may reach: it stands for its own patch, not for its neighbours'."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class Gaussians:
         self.ids = torch.zeros(capacity, dtype=torch.int64, device=device)
         self.nodes = torch.full((capacity,), -1, dtype=torch.int64, device=device)
         self.births = torch.zeros(capacity, dtype=torch.int64, device=device)
+        self.largest = torch.zeros(capacity, device=device)
         self.doubts = torch.zeros(capacity, dtype=torch.int64, device=device)
         self._next_id = 0
 
@@ -92,6 +97,7 @@ class Gaussians:
         self.nodes[free] = born.nodes[:n]
         self.ids[free] = torch.arange(self._next_id, self._next_id + n, device=free.device)
         self.births[free] = stamp
+        self.largest[free] = born.scales[:n].amax(-1).log() + LARGEST
         self.doubts[free] = 0
         self._next_id += n
         self.forget_moments(free)
@@ -109,7 +115,7 @@ class Gaussians:
         self.steps[rows] = 0
 
     def descend(self, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """One Adam step on `rows` [n] only, gradient [n, 14], rates [14] per column (Kingma and Ba, 2015)."""
+        """One Adam step on `rows` [n] only, gradient and rates [n, 14] (Kingma and Ba, 2015); scales and colours stay in bounds."""
         self.steps[rows] += 1
         m = self.moment1[rows].lerp_(gradient, 0.1)
         v = self.moment2[rows].lerp_(gradient.square(), 0.01)
@@ -117,4 +123,7 @@ class Gaussians:
         update = (m / (1 - 0.9**k)) / ((v / (1 - 0.99**k)).sqrt() + 1e-12)
         self.moment1[rows] = m
         self.moment2[rows] = v
-        self.values[rows] -= rates * update
+        values = self.values[rows] - rates * update
+        values[:, LOG_SCALE] = values[:, LOG_SCALE].clamp(max=self.largest[rows, None]).clamp(min=SMALLEST)
+        values[:, RGB] = values[:, RGB].clamp(0, 1)
+        self.values[rows] = values

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import torch
 
-from twin_node.model.gaussians import MEAN, Gaussians
+from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import place, render
@@ -20,6 +20,9 @@ OCCLUSION = 0.03
 """Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
 the footprint of two pixels and 60 degrees field of view."""
 
+CULL_PX = 4
+"""Gaussians with a smaller radius show only this close to their centre."""
+
 
 @dataclass(frozen=True)
 class Background:
@@ -29,6 +32,8 @@ class Background:
     """[H, W, 3] 0 to 1."""
     depth: Float64
     """[H, W] m along the optical axis, everywhere finite: the plane or the shell where no Gaussian is."""
+    alpha: Float32
+    """[H, W] 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,8 @@ class Observed:
     """[H, W] pixels that count: valid and off the robot."""
     surprise: Float32
     """[H, W] largest channel of |image - background|, 0 to 1; 0 where the pixel does not count."""
+    active: Bool
+    """[H, W] pixels to be explained by more than the background: near what moves, or other than the background."""
     stale: Bool
     """[H, W] the background has been wrong here for a while although nothing moves: it has to be learnt anew."""
 
@@ -69,15 +76,19 @@ class Backgrounds:
         self._shell = shell
         self._known: dict[str, Background] = {}
         self._seen: dict[str, Seen] = {}
+        self._radii: dict[str, Float64] = {}
+        self._changed = False
         self.rows = torch.zeros(0, dtype=torch.int64)
 
-    def forget(self) -> None:
-        """The STATIC Gaussians have changed."""
-        self._known.clear()
-        self._seen.clear()
+    def mark(self) -> None:
+        """The STATIC Gaussians have changed: the next set renders them anew."""
+        self._changed = True
 
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera."""
+        if self._changed:
+            self._known.clear()
+            self._changed = False
         missing = [camera for camera in cameras if camera.name not in self._known]
         if missing:
             rows = self.rows = gaussians.static_rows
@@ -87,13 +98,34 @@ class Backgrounds:
                 renderings = render(place(values, nodes, nowhere[..., :3], nowhere), missing)
             for camera, seen in zip(missing, renderings, strict=True):
                 depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), self.surface(camera))
-                self._known[camera.name] = Background(seen.rgb.cpu().numpy(), depth)
-                self._seen[camera.name] = look(camera, values[:, MEAN].cpu().numpy())
+                self._known[camera.name] = Background(seen.rgb.cpu().numpy(), depth, seen.alpha.cpu().numpy())
+                fallen = self._seen[camera.name] = look(camera, values[:, MEAN].cpu().numpy())
+                reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
+                self._radii[camera.name] = reach * camera.K[0, 0] / np.maximum(fallen.depth, 0.02)
         return [self._known[camera.name] for camera in cameras]
 
     def seen(self, cameras: Sequence[Camera]) -> list[Seen]:
         """Where `rows`, the STATIC Gaussians, fall in each of `cameras`, for which `of` has been called."""
         return [self._seen[camera.name] for camera in cameras]
+
+    def on_surface(self, cameras: Sequence[Camera]) -> Bool:
+        """[n] which of `rows` lie on the plane or the shell: what stands still for good, whatever it looks like."""
+        out = np.zeros(len(self.rows), bool)
+        for camera in cameras:
+            seen = self._seen[camera.name]
+            surface = self.surface(camera)[seen.rows, seen.columns]
+            out |= seen.inside & (np.abs(seen.depth - surface) < OCCLUSION * surface)
+        return out
+
+    def near(self, observed: Sequence[Observed]) -> torch.Tensor:
+        """[k] those of `rows` that can show in the active pixels of some view."""
+        shown = np.zeros(len(self.rows), bool)
+        for one in observed:
+            seen = self._seen[one.view.camera.name]
+            close = grow(one.active, CULL_PX)[seen.rows, seen.columns]
+            wide = self._radii[one.view.camera.name] > CULL_PX
+            shown |= (close & seen.inside) | (wide & (seen.depth > 0.02))
+        return self.rows[torch.from_numpy(shown).to(self.rows.device)]
 
     def surface(self, camera: Camera) -> Float64:
         """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
@@ -126,8 +158,9 @@ class Observer:
             surprise = np.abs(view.rgb.astype(np.float32) / 255 - background.rgb).max(-1) * usable
             grown = grow(mask, margin_px(view.camera, background.depth))
             stale = self._stale(view.camera.name, (surprise > self._threshold) & ~grown, dt_s)
+            active = (grown | (surprise > self._threshold)) & usable
             offset_s = (view.stamp - frames.stamp) * 1e-9
-            out.append(Observed(view, offset_s, background, mask, grown, usable, surprise, stale))
+            out.append(Observed(view, offset_s, background, mask, grown, usable, surprise, active, stale))
         return out
 
     def _stale(self, name: str, wrong: Bool, dt_s: float) -> Bool:

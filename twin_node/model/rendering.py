@@ -90,6 +90,9 @@ def render(splats: Splats, cameras: Sequence[Camera], masks: Sequence[Bool] | No
 
 def _rasterise(splats: Splats, cameras: list[Camera], times: list[int], masks: list[Bool] | None) -> list[Rendering]:
     device, count = splats.means.device, len(cameras)
+    if splats.means.shape[1] == 0:
+        nothing = splats.means.new_zeros(cameras[0].height, cameras[0].width)
+        return [Rendering(nothing[..., None].repeat(1, 1, 3), nothing, nothing) for _ in cameras]
     viewmats = torch.from_numpy(np.stack([camera.viewmat for camera in cameras])).to(device, torch.float32)
     Ks = torch.from_numpy(np.stack([camera.K for camera in cameras])).to(device, torch.float32)
     at = slice(None) if splats.means.shape[0] == 1 or count == splats.means.shape[0] else times

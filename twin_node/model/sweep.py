@@ -21,6 +21,12 @@ SHELL_SCORE = -0.35
 SMOOTH_PX = 7
 """Side of the window over which scores are averaged before the best is taken."""
 
+DISPUTED = 0.2
+"""Mean channel difference (0 to 1) from every other view at which a pixel cannot be part of the plane: more than exposure
+and gloss make of one surface."""
+RAY_SAMPLES = 32
+"""Depths tried for a pixel that stands before the plane."""
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -66,7 +72,8 @@ def sweep(views: Sequence[View], plane: Plane, shell: Shell, levels: int) -> lis
     lowest = min(float(plane.height(view.camera.T_base_cam[:3, 3])) for view in views)
     heights = np.unique(np.append(np.linspace(-0.1, 0.9, levels) * lowest, 0.0))
     surfaces = [_sweep_view(views, index, plane, heights, shell) for index in range(len(views))]
-    return _close_plane(views, surfaces, plane, shell)
+    closed = _close_plane(views, surfaces, plane, shell)
+    return [_raise_disputed(views, index, surface) for index, surface in enumerate(closed)]
 
 
 def _sweep_view(views: Sequence[View], index: int, plane: Plane, heights: Float64, shell: Shell) -> Surface:
@@ -106,6 +113,48 @@ def _close_plane(views: Sequence[View], surfaces: list[Surface], plane: Plane, s
         far[far] = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) > 0 for x, y in hits]
         closed.append(Surface(np.where(far, depth, surface.depth), surface.on_plane | far))
     return closed
+
+
+def _raise_disputed(views: Sequence[View], index: int, surface: Surface) -> Surface:
+    """Pixels on the plane whose colour no other view sees there stand before it, at the depth where colours agree best.
+
+    Where no depth agrees, a depth that no other view sees is taken before one that another view contradicts.
+    """
+    camera, image = views[index].camera, views[index].rgb
+    others = [view for i, view in enumerate(views) if i != index]
+    rows, columns = np.nonzero(surface.on_plane)
+    rgb = image[rows, columns].astype(np.float32)
+    points = back_project(camera, surface.depth)[rows, columns]
+    nearest = np.min([_colour_difference(other, points, rgb, slack=1) for other in others], axis=0)
+    strong = np.zeros(surface.on_plane.shape, np.uint8)
+    strong[rows, columns] = np.isfinite(nearest) & (nearest > DISPUTED)
+    disputed = cv2.medianBlur(strong, 5)[rows, columns] > 0
+    rows, columns, rgb = rows[disputed], columns[disputed], rgb[disputed]
+    shares = np.linspace(0.95, 0.2, RAY_SAMPLES)
+    cost = np.empty((RAY_SAMPLES, len(rows)))
+    for step, share in enumerate(shares):
+        points = back_project(camera, surface.depth * share)[rows, columns]
+        differences = np.stack([_colour_difference(other, points, rgb, slack=0) for other in others])
+        worst = np.where(np.isfinite(differences), differences, -1.0).max(0)
+        cost[step] = np.where(worst < 0, DISPUTED, worst)
+    depth, on_plane = surface.depth.copy(), surface.on_plane.copy()
+    if len(rows):
+        depth[rows, columns] *= shares[cost.argmin(0)]
+        on_plane[rows, columns] = False
+    return Surface(depth, on_plane)
+
+
+def _colour_difference(other: View, points: Float64, rgb: Float32, slack: int) -> Float64:
+    """[n] mean channel difference (0 to 1) to the best pixel within `slack`; infinite where the view sees no point."""
+    seen = look(other.camera, points)
+    best = np.full(len(points), np.inf)
+    for down in range(-slack, slack + 1):
+        for right in range(-slack, slack + 1):
+            row = np.clip(seen.rows + down, 0, other.camera.height - 1)
+            column = np.clip(seen.columns + right, 0, other.camera.width - 1)
+            difference = np.abs(other.rgb[row, column].astype(np.float32) - rgb).mean(-1) / 255
+            best = np.minimum(best, difference)
+    return np.where(seen.inside, best, np.inf)
 
 
 def _score(view: View, others: Sequence[View], level: Plane, depth: Float64) -> Float32:

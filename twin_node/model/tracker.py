@@ -1,0 +1,160 @@
+"""One set after another: node motion, the Gaussians that move, births and deaths. STATIC Gaussians cost nothing here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from twin_node.model.adoption import adopt, as_newborns
+from twin_node.model.alignment import FlowSolver, solve_twists
+from twin_node.model.births import find_births
+from twin_node.model.deaths import refuted_moving, refuted_static, showing_stale
+from twin_node.model.fitting import fit_window
+from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.nodes import Nodes, Poses
+from twin_node.model.observation import Backgrounds, Observed, Observer
+from twin_node.model.parameters import ModelParameters
+from twin_node.model.rendering import Rendering, Splats, join, on_device, place, render
+from twin_node.model.rotations import quat_from_vector, quat_product
+from twin_node.scene import Bool, FrameSet, Tier
+
+
+class Tracker:
+    """Keeps Gaussians and nodes up to date with the newest images; a set is `track`."""
+
+    def __init__(
+        self, parameters: ModelParameters, gaussians: Gaussians, nodes: Nodes, backgrounds: Backgrounds
+    ) -> None:
+        self._parameters = parameters
+        self._gaussians = gaussians
+        self._nodes = nodes
+        self._backgrounds = backgrounds
+        self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
+        self._flow = FlowSolver()
+
+    def track(self, frames: FrameSet, moving: Sequence[Bool], robots: Sequence[Bool | None], dt_s: float) -> int:
+        """Follows `frames`, taken `dt_s` after the set before; returns how many Gaussians were born."""
+        backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
+        observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
+        self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
+        renderings = self._align(observed, dt_s)
+        self._bury_static(observed, renderings)
+        self._fit(observed)
+        self._bury_moving(observed)
+        born = self._bear(observed)
+        self._nodes.remember()
+        return born
+
+    def _align(self, observed: Sequence[Observed], dt_s: float) -> list[Rendering]:
+        """Node poses from the flow between the predicted rendering and the images; returns the last rendering."""
+        renderings = self._look(observed, self._moving(observed))
+        for step in range(self._parameters.track.alignments):
+            rows = self._gaussians.moving_rows
+            nodes = self._gaussians.nodes[rows].cpu()
+            if not bool((nodes >= 0).any()):
+                break
+            splats = self._moving(observed)
+            renderings = renderings if step == 0 else self._look(observed, splats)
+            flows = [self._flow.flow(seen, one) for seen, one in zip(renderings, observed, strict=True)]
+            origins = self._poses(observed).positions
+            sigma_px = self._parameters.track.flow_sigma_px
+            twists = solve_twists(observed, renderings, flows, splats, nodes, origins, dt_s, sigma_px)
+            steered = self._nodes.rows[self._nodes.tiers[self._nodes.rows] != int(Tier.ROBOT)]
+            at = self._nodes.extrapolated([0.0])
+            positions = at.positions[0, steered] + twists.linear[steered]
+            quats = quat_product(quat_from_vector(twists.angular[steered]), at.quats[0, steered])
+            self._nodes.correct(steered, positions, quats, at, dt_s)
+            self._nodes.sigmas[steered] = twists.sigmas[steered]
+        return renderings
+
+    def _bury_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
+        """STATIC Gaussians that are no longer where they were die; what left is born again where it went.
+
+        Those on the plane or the shell stay: what is there stays there, only its looks are learnt anew.
+        """
+        cameras = [one.view.camera for one in observed]
+        static = self._backgrounds.seen(cameras)
+        gone = refuted_static(observed, renderings, static, self._parameters.track.residual)
+        gone &= ~self._backgrounds.on_surface(cameras)
+        if self._count_doubts(self._backgrounds.rows, torch.from_numpy(gone)):
+            self._backgrounds.mark()
+
+    def _fit(self, observed: Sequence[Observed]) -> None:
+        """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
+        static = self._backgrounds.seen([one.view.camera for one in observed])
+        chosen = torch.from_numpy(showing_stale(observed, static)).to(self._gaussians.alive.device)
+        revised = self._living(self._backgrounds.rows[chosen])
+        near = self._living(self._backgrounds.near(observed))
+        poses = on_device(self._poses(observed), self._gaussians.values.device)
+        fit_window(self._gaussians, poses, observed, near, revised, self._parameters.track)
+        if len(revised):
+            self._backgrounds.mark()
+
+    def _bury_moving(self, observed: Sequence[Observed]) -> None:
+        """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
+        g = self._gaussians
+        rows = g.moving_rows
+        means = self._moving(observed).means.cpu().numpy()
+        carried = (g.nodes[rows] >= 0).cpu().numpy()
+        self._count_doubts(rows, torch.from_numpy(refuted_moving(observed, list(means), carried)))
+        born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
+        g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
+        members = torch.bincount(g.nodes[g.moving_rows].cpu() + 1, minlength=self._nodes.capacity + 1)[1:]
+        empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
+        self._nodes.retire(torch.nonzero(empty)[:, 0])
+
+    def _bear(self, observed: Sequence[Observed]) -> int:
+        """Gaussians and nodes for what is still unexplained; returns how many Gaussians."""
+        renderings = self._look(observed, self._moving(observed))
+        births = find_births(observed, renderings, self._parameters.track.residual, self._parameters.birth)
+        if not len(births):
+            return 0
+        self._make_room(len(births))
+        carriers = adopt(births, self._nodes, self._parameters.birth)
+        if births.lasting.any():
+            self._backgrounds.mark()
+        newborns = as_newborns(births, carriers, self._poses(observed), self._gaussians.values.device)
+        return sum(len(self._gaussians.spawn(part, self._nodes.stamp)) for part in newborns)
+
+    def _make_room(self, wanted: int) -> None:
+        """Retires the faintest moving Gaussians where `wanted` more would pass the cap."""
+        rows = self._gaussians.moving_rows
+        room = self._gaussians.capacity - len(self._gaussians.static_rows)
+        limit = min(int(self._parameters.birth.moving_share * self._gaussians.capacity), room)
+        excess = len(rows) + wanted - limit
+        if excess > 0:
+            faintest = self._gaussians.values[rows, LOGIT.start].argsort(stable=True)[:excess]
+            self._gaussians.retire(rows[faintest])
+
+    def _count_doubts(self, rows: Tensor, refuted: Tensor) -> bool:
+        """Counts sets in a row that refute `rows`; retires those with enough. Whether any was retired."""
+        doubts = (self._gaussians.doubts[rows] + 1) * refuted.to(rows.device)
+        self._gaussians.doubts[rows] = doubts
+        dead = rows[(doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]]
+        self._gaussians.retire(dead)
+        return len(dead) > 0
+
+    def _living(self, rows: Tensor) -> Tensor:
+        return rows[self._gaussians.alive[rows]]
+
+    def _poses(self, observed: Sequence[Observed]) -> Poses:
+        """The nodes at each view's own time."""
+        return self._nodes.extrapolated([one.offset_s for one in observed])
+
+    def _moving(self, observed: Sequence[Observed]) -> Splats:
+        """What moves, at each view's own time."""
+        return self._place(self._gaussians.moving_rows, self._poses(observed))
+
+    def _place(self, rows: Tensor, poses: Poses) -> Splats:
+        at = on_device(poses, self._gaussians.values.device)
+        return place(self._gaussians.values[rows], self._gaussians.nodes[rows], at.positions, at.quats)
+
+    def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
+        """What the views would see, in their active pixels, of the model with `moving` in it."""
+        rows = self._living(self._backgrounds.near(observed))
+        static = self._place(rows, self._nodes.extrapolated([0.0] * len(observed)))
+        with torch.no_grad():
+            cameras, masks = [one.view.camera for one in observed], [one.active for one in observed]
+            return render(join(static, moving), cameras, masks)
