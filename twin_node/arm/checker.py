@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,15 +11,15 @@ from numpy.typing import NDArray
 
 from twin_node.arm.attachment import AllowedRegion, Attachment
 from twin_node.arm.errors import ArmError
-from twin_node.arm.narrow import axis_distances, box_gaps, sphere_gaps
+from twin_node.arm.narrow import axis_distances, box_distances, point_in_box, sphere_distances
 from twin_node.arm.obstacle_set import ObstacleSet
-from twin_node.arm.scene import CollisionScene, Contacts
+from twin_node.arm.scene import CollisionScene
 from twin_node.arm.self_collision import SelfClearance, SelfCollision
 from twin_node.robot import ArmModel, Capsules, PlacedCapsules, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Bool, Float64, Obstacles
 
-_PAIRS_AT_ONCE = 200_000
-"""Capsule-obstacle pairs looked at in one go: arrays of 1.6 MB stay in the cache."""
+_PAIRS_AT_ONCE = 100_000
+"""Capsule-obstacle pairs looked at in one go: arrays of 0.8 MB stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,9 @@ _NO_CLEARANCE = Clearance(float("inf"), "", -1, np.full(3, np.nan), np.full(3, n
 class ArmCollisionChecker:
     """Distances between an arm and the obstacles it was last given.
 
-    Bounds from closed-form segment distances leave a few candidate pairs; MuJoCo measures those. The first link does
-    not move and is not looked at. Not thread-safe: one checker per thread.
+    Distances are in closed form, of the few pairs that bounds leave over; MuJoCo measures the closest pair again, for
+    its witness points and depth, and the smaller distance counts. The first link does not move and is not looked at.
+    Not thread-safe: one checker per thread.
     """
 
     def __init__(
@@ -152,8 +154,8 @@ class ArmCollisionChecker:
         capsules, rows = np.nonzero(near)
         count, steps = len(rows), len(positions)
         ends = placed.ends[:, capsules].reshape(-1, 2, 3)
-        gaps = self._gaps(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
-        return Approaches(capsules, rows, gaps.reshape(steps, count))
+        distances = self._exact(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
+        return Approaches(capsules, rows, distances.reshape(steps, count))
 
     def self_distance(self, q: NDArray[np.floating]) -> SelfClearance:
         """Closest pair of the arm's own links and attachments at joint angles [J] (rad).
@@ -161,11 +163,6 @@ class ArmCollisionChecker:
         Raises `RobotError` for a wrong number of angles or one that is not finite.
         """
         return self._self_collision.closest(self._model.check_positions(q))
-
-    def contacts(self, q: NDArray[np.floating]) -> Contacts:
-        """Every overlap with an obstacle at joint angles [J] (rad), by MuJoCo alone, exempt ones and the base too."""
-        self._scene.pose(self._model.check_positions(q))
-        return self._scene.contacts()
 
     def _closest(self, positions: Float64, valid: Bool) -> tuple[Clearance, ...]:
         """Closest pair at each of the positions [T, J] among obstacles valid [T, n] there."""
@@ -180,43 +177,53 @@ class ArmCollisionChecker:
             lower -= self._obstacles.outer_radii
             lower[np.broadcast_to(self._exempt, lower.shape)] = np.inf
             lower[np.broadcast_to(~valid[part, None], lower.shape)] = np.inf
-            found += [self._measure(q, bound) for q, bound in zip(positions[part], lower, strict=True)]
+            found += self._among_candidates(positions[part], placed, lower)
         return tuple(found)
 
-    def _measure(self, q: Float64, lower: Float64) -> Clearance:
-        """Closest pair at joint angles [J], given lower bounds of all pairs' distances [C, n] (infinite: leave out)."""
-        upper = (lower + self._obstacles.slack).min()
-        if not np.isfinite(upper):
-            return _NO_CLEARANCE
-        capsules, rows = np.nonzero(lower <= upper)
-        order = np.argsort(lower[capsules, rows], kind="stable")
-        self._scene.pose(q)
-        best = _NO_CLEARANCE
-        for capsule, row in zip(capsules[order], rows[order], strict=True):
-            if lower[capsule, row] > best.distance:
-                break
-            pair = self._scene.measure(capsule, row)
-            if pair.distance < best.distance:
-                obstacle_id = int(self._obstacles.ids[row])
-                best = Clearance(pair.distance, self._names[capsule], obstacle_id, pair.on_arm, pair.on_obstacle)
-        return best
+    def _among_candidates(self, positions: Float64, placed: PlacedCapsules, lower: Float64) -> list[Clearance]:
+        """Closest pair at each of the positions [T, J], given lower bounds [T, C, n] (infinite: leave out)."""
+        upper = (lower + self._obstacles.slack).min(axis=(1, 2))
+        steps, capsules, rows = np.nonzero((lower <= upper[:, None, None]) & np.isfinite(lower))
+        distances = self._exact(placed.ends[steps, capsules], placed.radii[capsules], rows)
+        starts = np.searchsorted(steps, np.arange(len(positions) + 1))
+        found = []
+        for step, (begin, end) in enumerate(itertools.pairwise(starts)):
+            if begin == end:
+                found.append(_NO_CLEARANCE)
+                continue
+            best = begin + int(distances[begin:end].argmin())
+            self._scene.pose(positions[step])
+            ends = placed.ends[step, capsules[best]]
+            found.append(self._witnessed(int(capsules[best]), int(rows[best]), ends, float(distances[best])))
+        return found
+
+    def _witnessed(self, capsule: int, row: int, ends: Float64, distance: float) -> Clearance:
+        """A pair's clearance with the points that MuJoCo finds; where it misses a contact, a point inside both."""
+        pair = self._scene.measure(capsule, row)
+        shapes = self._obstacles
+        on_arm, on_obstacle = pair.on_arm, pair.on_obstacle
+        if distance <= 0 < pair.distance:
+            on_arm = on_obstacle = point_in_box(ends, shapes.centers[row], shapes.rotations[row], shapes.half[row])
+        smaller = min(distance, pair.distance)
+        return Clearance(smaller, self._names[capsule], int(shapes.ids[row]), on_arm, on_obstacle)
 
     def _axis_distances(self, placed: PlacedCapsules) -> Float64:
         """Distances [T, C, n] of the capsules' axes to the obstacles' centres, m."""
         flat = axis_distances(placed.ends.reshape(-1, 2, 3), self._obstacles.centers)
         return flat.reshape(*placed.ends.shape[:2], -1)
 
-    def _gaps(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
+    def _exact(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
         """Exact distances [n] of capsules (ends [n, 2, 3], radii [n]) to obstacles (rows [n]), m."""
         shapes = self._obstacles
         round_ = shapes.is_sphere[rows]
         out = np.empty(len(rows))
         chosen = rows[round_]
-        out[round_] = sphere_gaps(ends[round_], radii[round_], shapes.centers[chosen], shapes.half[chosen, 0]).distances
-        chosen = rows[~round_]
-        out[~round_] = box_gaps(
-            ends[~round_], radii[~round_], shapes.centers[chosen], shapes.rotations[chosen], shapes.half[chosen]
-        ).distances
+        out[round_] = sphere_distances(ends[round_], radii[round_], shapes.centers[chosen], shapes.half[chosen, 0])
+        boxes = ~round_
+        chosen = rows[boxes]
+        out[boxes] = box_distances(
+            ends[boxes], radii[boxes], shapes.centers[chosen], shapes.rotations[chosen], shapes.half[chosen]
+        )
         return out
 
     def _rebuild(self) -> None:

@@ -121,8 +121,8 @@ def _reach(
 ) -> Float64:
     """Distance [n] (m) within which an obstacle can matter: the law at full speed for the arm's fastest point."""
     ends = place_capsules(checker.model, forward_kinematics(checker.model, positions)).ends
-    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1).reshape(len(ends) - 1, -1)
-    fastest = float((steps / np.diff(seconds)[:, None]).max(initial=0.0))
+    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=(1, 2))
+    fastest = float((steps / np.diff(seconds)).max(initial=0.0))
     rows = np.arange(len(found.counts))
     nothing = np.zeros(len(rows))
     bound = Encounter(found, rows, nothing, np.full(len(rows), fastest), motion, law)

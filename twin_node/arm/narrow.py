@@ -5,8 +5,6 @@ All distances are between surfaces, in metres, negative where the shapes overlap
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,18 +12,6 @@ from twin_node.scene import Float64
 
 _TINY = 1e-18
 """m^2, m: keeps divisions finite for capsules of no length and points that coincide."""
-
-
-@dataclass(frozen=True)
-class Gaps:
-    """The shortest way between the shapes of each pair."""
-
-    distances: Float64
-    """[n] m."""
-    axis_points: Float64
-    """[n, 3] the point of the capsule's axis that comes closest, m."""
-    near_points: Float64
-    """[n, 3] the obstacle's point next to it, m; the axis point itself where that lies inside a box."""
 
 
 def axis_distances(ends: Float64, centers: Float64) -> Float64:
@@ -63,19 +49,17 @@ def segment_distances(first: Float64, second: Float64) -> Float64:
     return distances
 
 
-def sphere_gaps(ends: Float64, radii: Float64, centers: Float64, sphere_radii: Float64) -> Gaps:
-    """Gaps of n pairs: capsules with ends [n, 2, 3] and radii [n], spheres with centres [n, 3] and radii [n]."""
+def sphere_distances(ends: Float64, radii: Float64, centers: Float64, sphere_radii: Float64) -> Float64:
+    """Distances [n] of pairs: capsules with ends [n, 2, 3] and radii [n], spheres with centres [n, 3] and radii [n]."""
     start, axis = ends[:, 0], ends[:, 1] - ends[:, 0]
     along = np.einsum("ni,ni->n", centers - start, axis) / np.maximum(np.einsum("ni,ni->n", axis, axis), _TINY)
     points = start + np.clip(along, 0.0, 1.0)[:, None] * axis
-    way = points - centers
-    distance = np.linalg.norm(way, axis=1)
-    near = centers + way * (sphere_radii / np.maximum(distance, _TINY))[:, None]
-    return Gaps(distance - radii - sphere_radii, points, near)
+    distances: Float64 = np.linalg.norm(points - centers, axis=1) - radii - sphere_radii
+    return distances
 
 
-def box_gaps(ends: Float64, radii: Float64, centers: Float64, rotations: Float64, half: Float64) -> Gaps:
-    """Gaps of n pairs: capsules with ends [n, 2, 3] and radii [n], boxes [n] with centres, rotations and half extents.
+def box_distances(ends: Float64, radii: Float64, centers: Float64, rotations: Float64, half: Float64) -> Float64:
+    """Distances [n] of pairs: capsules with ends [n, 2, 3] and radii [n], boxes with centres, rotations, half extents.
 
     Along a segment the squared distance to a box is convex and piecewise quadratic; its derivative is linear between
     the points where the segment crosses the planes of the faces, so the minimum is found exactly. Where the axis enters
@@ -83,14 +67,19 @@ def box_gaps(ends: Float64, radii: Float64, centers: Float64, rotations: Float64
     """
     local = (ends - centers[:, None]) @ rotations
     start, axis = local[:, 0], local[:, 1] - local[:, 0]
-    t = _nearest_parameter(start, axis, half)
-    points = start + t[:, None] * axis
-    near = np.clip(points, -half, half)
-    outside = np.linalg.norm(points - near, axis=1)
-    inside = (np.abs(points) - half).max(1)
-    distance = np.where(outside > 0, outside, np.minimum(inside, 0.0))
-    world = ends[:, 0] + t[:, None] * (ends[:, 1] - ends[:, 0])
-    return Gaps(distance - radii, world, (rotations @ near[..., None])[..., 0] + centers)
+    points = start + _nearest_parameter(start, axis, half)[:, None] * axis
+    excess = np.abs(points) - half
+    outside = np.linalg.norm(np.maximum(excess, 0.0), axis=1)
+    distances: Float64 = np.where(outside > 0, outside, excess.max(1)) - radii
+    return distances
+
+
+def point_in_box(ends: Float64, center: Float64, rotation: Float64, half: Float64) -> Float64:
+    """Point [3] of a segment [2, 3] that lies nearest to a box, or deep inside it, m."""
+    local = (ends - center) @ rotation
+    share = _nearest_parameter(local[:1], local[1:] - local[:1], half[None])[0]
+    point: Float64 = ends[0] + share * (ends[1] - ends[0])
+    return point
 
 
 def _nearest_parameter(start: Float64, axis: Float64, half: Float64) -> Float64:

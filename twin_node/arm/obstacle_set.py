@@ -107,6 +107,9 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
             )
     if (obstacles.sizes < 0).any():
         raise ArmError("obstacles: expected sizes in metres of zero or more, found a negative one; check the forecast")
+    turns = np.linalg.norm(np.asarray(obstacles.quats).reshape(-1, 4), axis=1)
+    if ((turns < 1e-6) & (obstacles.shapes == ObstacleShape.BOX)).any():
+        raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
     if (
         not np.isin(obstacles.shapes, list(ObstacleShape)).all()
         or not np.isin(obstacles.kinds, list(ObstacleKind)).all()

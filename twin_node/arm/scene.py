@@ -31,22 +31,11 @@ class Measured:
     """[3] m, in `base_link`."""
 
 
-@dataclass(frozen=True)
-class Contacts:
-    """Pairs that overlap."""
-
-    capsules: NDArray[np.int64]
-    """[n] row in the model's capsules."""
-    obstacles: NDArray[np.int64]
-    """[n] row in the obstacles."""
-    depths: Float64
-    """[n] m, positive."""
-
-
 class CollisionScene:
     """A MuJoCo model of the arm and of up to `capacity` spheres and as many boxes, moved as mocap bodies.
 
     Contact masks let the arm meet obstacles; obstacles never meet each other. The arm's own links are not paired here.
+    `model` and `data` are MuJoCo's own, for viewers and for whoever steps the scene.
     """
 
     def __init__(self, model: ArmModel, capacity: int) -> None:
@@ -63,9 +52,6 @@ class CollisionScene:
         self._arm_geoms = np.array([self.model.geom(name).id for name in geom_names(model)])
         self._pool = np.flatnonzero(self.model.body_mocapid[self.model.geom_bodyid] >= 0)
         self._obstacle_geoms: NDArray[np.int64] = np.empty(0, np.int64)
-        self._row_of_geom = np.full(self.model.ngeom, -1)
-        self._capsule_of_geom = np.full(self.model.ngeom, -1)
-        self._capsule_of_geom[self._arm_geoms] = np.arange(len(self._arm_geoms))
         self._segment = np.zeros(6)
 
     def place(self, obstacles: Obstacles) -> None:
@@ -91,8 +77,6 @@ class CollisionScene:
         self.model.geom_aabb[self._obstacle_geoms] = np.concatenate([np.zeros_like(half), half], axis=1)
         self.model.geom_conaffinity[self._pool] = 0
         self.model.geom_conaffinity[self._obstacle_geoms] = 1
-        self._row_of_geom[self._pool] = -1
-        self._row_of_geom[self._obstacle_geoms] = np.arange(len(slots))
 
     def pose(self, q: NDArray[np.floating]) -> None:
         """Moves the arm to joint angles [J] (rad), and everything else to where it was placed."""
@@ -100,7 +84,11 @@ class CollisionScene:
         mujoco.mj_kinematics(self.model, self.data)
 
     def measure(self, capsule: int, obstacle: int) -> Measured:
-        """Distance between a capsule and an obstacle (rows) as they stand since `pose`."""
+        """Distance between a capsule and an obstacle (rows) as they stand since `pose`.
+
+        MuJoCo 4.0 now and then takes a capsule whose axis runs through a box for one beside it (15 in 100,000 random
+        pairs): hold the answer against `narrow`.
+        """
         distance = mujoco.mj_geomDistance(
             self.model,
             self.data,
@@ -110,14 +98,3 @@ class CollisionScene:
             self._segment,
         )
         return Measured(float(distance), self._segment[:3].copy(), self._segment[3:].copy())
-
-    def contacts(self) -> Contacts:
-        """Every overlap of arm and obstacles as they stand since `pose`, found by MuJoCo's own broad phase."""
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_collision(self.model, self.data)
-        geoms = np.asarray(self.data.contact.geom).reshape(-1, 2)
-        depths = -np.asarray(self.data.contact.dist).reshape(-1)
-        capsules = np.maximum(self._capsule_of_geom[geoms[:, 0]], self._capsule_of_geom[geoms[:, 1]])
-        rows = np.maximum(self._row_of_geom[geoms[:, 0]], self._row_of_geom[geoms[:, 1]])
-        touching = (capsules >= 0) & (rows >= 0) & (depths >= 0)
-        return Contacts(capsules[touching], rows[touching], depths[touching])

@@ -1,0 +1,180 @@
+"""The checker against MuJoCo asked for every pair, and what it promises its users."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from obstacle_sets import MS, NOW, Thing, obstacles, random_obstacles
+
+from twin_node.arm import AllowedRegion, ArmCollisionChecker, ArmError, Attachment, parallel_gripper
+from twin_node.arm.scene import CollisionScene
+from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
+from twin_node.scene import ObstacleKind, ObstacleShape
+
+READY = np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distance_is_the_smallest_among_all_pairs(ur5e_checker: ArmCollisionChecker, seed: int) -> None:
+    placed = random_obstacles(120, seed)
+    ur5e_checker.update(placed)
+    scene = CollisionScene(ur5e_checker.model, 120)
+    scene.place(placed)
+    movable = np.flatnonzero(ur5e_checker.model.capsules.links > 0)
+    for q in np.random.default_rng(seed).uniform(-3, 3, (10, 6)):
+        scene.pose(q)
+        closest = min(scene.measure(c, o).distance for c in movable for o in range(120))
+        everything = ur5e_checker.approaches(q[None], np.full(120, 10.0))
+        found = ur5e_checker.distance(q)
+        pair = int(everything.distances[0].argmin())
+        if everything.distances[0, pair] > 0:
+            assert found.distance == pytest.approx(closest, abs=1e-6)
+            assert found.distance == pytest.approx(everything.distances[0, pair], abs=1e-9)
+            assert np.linalg.norm(found.on_arm - found.on_obstacle) == pytest.approx(found.distance, abs=1e-6)
+        else:
+            assert found.distance <= everything.distances[0, pair]
+        assert found.link == ur5e_checker.capsule_names[everything.capsules[pair]]
+        assert found.obstacle_id == 100 + everything.obstacles[pair]
+
+
+def test_a_contact_that_mujoco_misses_is_found() -> None:
+    # The forearm's axis runs through the box; MuJoCo 4.0 calls some such pairs 0.1 m apart.
+    checker = ArmCollisionChecker("ur10e", max_obstacles=1)
+    misses = 0
+    generator = np.random.default_rng(4)
+    for q in generator.uniform(-3, 3, (400, 6)):
+        placed = place_capsules(checker.model, forward_kinematics(checker.model, q))
+        middle = placed.ends[6].mean(0)
+        box = Thing(
+            tuple(middle + generator.uniform(-0.05, 0.05, 3)),
+            size=tuple(generator.uniform(0.11, 0.4, 3)),
+            quat=tuple(generator.normal(size=4)),
+            shape=ObstacleShape.BOX,
+        )
+        checker.update(obstacles(box))
+        found = checker.distance(q)
+        assert found.distance < 0
+        misses += bool(np.array_equal(found.on_arm, found.on_obstacle))
+        assert np.linalg.norm(found.on_arm - middle) < 1.0
+    assert misses < 20
+
+
+def test_obstacles_never_meet_each_other_and_the_arm_meets_them() -> None:
+    scene = CollisionScene(ur_model("ur5e"), 3)
+    tool = tuple(forward_kinematics(ur_model("ur5e"), READY)[-1, :3, 3])
+    heap = [Thing(tool), Thing(tool, shape=ObstacleShape.BOX), Thing((2.0, 0.0, 0.0)), Thing((2.0, 0.05, 0.0))]
+    scene.place(obstacles(*heap))
+    scene.pose(READY)
+    mujoco.mj_comPos(scene.model, scene.data)
+    mujoco.mj_collision(scene.model, scene.data)
+    bodies = scene.model.geom_bodyid[scene.data.contact.geom]
+    assert len(bodies) > 0
+    assert ((scene.model.body_mocapid[bodies] >= 0).sum(axis=1) == 1).all()
+
+
+def test_time_is_checked_against_time(ur5e_checker: ArmCollisionChecker) -> None:
+    tool = forward_kinematics(ur5e_checker.model, READY)[-1, :3, 3]
+    at_tool = Thing(tuple(tool), valid_ms=(50, 100))
+    ur5e_checker.update(obstacles(at_tool, Thing((5.0, 0.0, 0.0), valid_ms=(0, 150))))
+    stamps = NOW + MS * np.array([0, 49, 50, 80, 100, 101, 150, 151])
+    steps = ur5e_checker.check(np.tile(READY, (8, 1)), stamps)
+    assert [step.distance <= 0 for step in steps] == [False, False, True, True, True, False, False, False]
+    assert [step.obstacle_id for step in steps] == [101, 101, 100, 100, 100, 101, 101, -1]
+    assert steps[-1].distance == np.inf
+    assert steps[-1].link == ""
+    assert ur5e_checker.distance(READY, NOW + 20 * MS).obstacle_id == 101
+    assert ur5e_checker.distance(READY).obstacle_id == 100
+
+
+def test_a_trajectory_step_is_what_the_pose_alone_is(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(random_obstacles(200, 3, spread=0.9))
+    poses = np.random.default_rng(1).uniform(-2, 2, (60, 6))
+    steps = ur5e_checker.check(poses, np.full(60, NOW))
+    assert [step.distance for step in steps] == [ur5e_checker.distance(q).distance for q in poses]
+
+
+def test_no_obstacles_means_infinite_distance(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles())
+    assert ur5e_checker.distance(READY).distance == np.inf
+    assert ur5e_checker.distance(READY).obstacle_id == -1
+
+
+def test_the_standing_base_is_not_looked_at(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), size=(0.02,) * 3)))
+    assert ur5e_checker.distance(READY).link != "base_link"
+    assert ur5e_checker.distance(READY).distance > 0
+
+
+def test_an_old_pool_leaves_nothing_behind(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(random_obstacles(300, 5, spread=0.5))
+    assert ur5e_checker.distance(READY).distance <= 0
+    ur5e_checker.update(obstacles(Thing((3.0, 0.0, 0.0))))
+    assert ur5e_checker.distance(READY).distance > 1.5
+
+
+def test_a_held_part_counts_until_it_is_detached() -> None:
+    checker = ArmCollisionChecker("ur5e", tool=parallel_gripper(), max_obstacles=4)
+    tool = forward_kinematics(checker.model, READY)[-1]
+    below = tool[:3, 3] + tool[:3, 2] * 0.5
+    checker.update(obstacles(Thing(tuple(below), size=(0.02,) * 3)))
+    bare = checker.distance(READY)
+    assert bare.link == "gripper"
+    bar = Attachment("bar", np.array([[[0.0, 0.0, 0.2], [0.0, 0.0, 0.45]]]), np.array([0.02]))
+    checker.attach(bar)
+    held = checker.distance(READY)
+    assert held.link == "bar"
+    assert held.distance == pytest.approx(0.5 - 0.45 - 0.02 - 0.01, abs=1e-9)
+    checker.detach("bar")
+    assert checker.distance(READY).distance == pytest.approx(bare.distance)
+    with pytest.raises(ArmError, match="attachment bar: expected one that is attached, found gripper"):
+        checker.detach("bar")
+
+
+def test_allowed_contacts_hold_for_what_stands_inside_the_region_only() -> None:
+    tool = forward_kinematics(ur_model("ur5e"), READY)[-1, :3, 3]
+    region = AllowedRegion(tool - 0.2, tool + 0.2, links=("wrist_3_link",))
+    checker = ArmCollisionChecker("ur5e", max_obstacles=4, allowed=(region,))
+    inside = Thing(tuple(tool), size=(0.1, 0.1, 0.02), kind=ObstacleKind.STATIC, shape=ObstacleShape.BOX)
+    checker.update(obstacles(inside))
+    assert checker.distance(READY).link != "wrist_3_link"
+    wide = Thing(tuple(tool), size=(0.5, 0.1, 0.02), kind=ObstacleKind.STATIC, shape=ObstacleShape.BOX)
+    moving = Thing(tuple(tool), size=(0.1, 0.1, 0.02), shape=ObstacleShape.BOX)
+    for other in (wide, moving):
+        checker.update(obstacles(other))
+        assert checker.distance(READY).link == "wrist_3_link"
+        assert checker.distance(READY).distance <= 0
+
+
+def test_a_folded_arm_meets_itself(ur5e_checker: ArmCollisionChecker) -> None:
+    assert ur5e_checker.self_distance(READY).distance > 0.02
+    folded = ur5e_checker.self_distance(np.array([0.0, -1.5, 3.0, 0.0, 0.0, 0.0]))
+    assert folded.distance <= 0
+    assert {folded.first, folded.second} <= set(ur5e_checker.model.link_names)
+
+
+def test_wrong_obstacles_are_refused_and_the_old_ones_stay(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(Thing((1.0, 0.0, 0.5))))
+    before = ur5e_checker.distance(READY).distance
+    with pytest.raises(ArmError, match="1 rows of finite positions"):
+        ur5e_checker.update(obstacles(Thing((np.nan, 0.0, 0.0))))
+    with pytest.raises(ArmError, match="expected sizes in metres of zero or more"):
+        ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), size=(-1.0, 1.0, 1.0))))
+    with pytest.raises(ArmError, match="unit quaternions for boxes"):
+        ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), shape=ObstacleShape.BOX, quat=(0.0,) * 4)))
+    with pytest.raises(ArmError, match="at most 300 of a shape, found 301; raise max_obstacles"):
+        ur5e_checker.update(obstacles(*[Thing((0.0, 0.0, 0.0))] * 301))
+    assert ur5e_checker.distance(READY).distance == before
+
+
+def test_wrong_trajectories_are_refused(ur5e_checker: ArmCollisionChecker) -> None:
+    with pytest.raises(RobotError, match="expected 6 angles"):
+        ur5e_checker.distance(np.zeros(5))
+    with pytest.raises(RobotError, match="finite"):
+        ur5e_checker.check(np.full((2, 6), np.nan), np.array([0, 1]))
+    with pytest.raises(ArmError, match="give one stamp per row"):
+        ur5e_checker.check(np.zeros((3, 6)), np.array([0, 1]))
+    with pytest.raises(ArmError, match="attachment bad: expected ends"):
+        Attachment("bad", np.zeros((2, 3)), np.ones(1))
+    with pytest.raises(ArmError, match="attachment bad: expected finite ends and positive radii"):
+        Attachment("bad", np.zeros((1, 2, 3)), np.zeros(1))

@@ -1,0 +1,184 @@
+"""The separation law: each term against arithmetic, and what it must and must not slow for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from obstacle_sets import MS, NOW, Thing, obstacles
+
+from twin_node.arm import (
+    ArmCollisionChecker,
+    ArmError,
+    SeparationParameters,
+    UnknownPolicy,
+    decide,
+    stopping_table,
+)
+from twin_node.robot import forward_kinematics
+from twin_node.robot.ur import JOINT_NAMES
+from twin_node.scene import JointPath, ObstacleKind, ObstacleShape, Separation
+
+READY = np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0])
+REACTION_S = 0.06
+TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+"""Joint velocities, rad/s: the arm sweeps to its left."""
+
+
+def ahead(velocity: np.ndarray, begin: int = NOW) -> JointPath:
+    offsets = np.arange(0, 201 * MS, 10 * MS)
+    return JointPath(JOINT_NAMES, begin + offsets, READY + velocity * offsets[:, None] * 1e-9)
+
+
+def beside_the_tool(checker: ArmCollisionChecker, left_m: float, **changes: object) -> Thing:
+    """A ball of 10 cm whose surface is `left_m` to the left of the last link's origin."""
+    tool = forward_kinematics(checker.model, READY)[-1, :3, 3]
+    thing = Thing(tuple(tool + np.array([0.0, left_m + 0.05, 0.0])), size=(0.1,) * 3)
+    return replace(thing, **changes)
+
+
+def decided(checker: ArmCollisionChecker, *things: Thing, velocity: np.ndarray = TURNING, **law: object) -> Separation:
+    checker.update(obstacles(*things))
+    return decide(checker, ahead(velocity), NOW, REACTION_S, replace(SeparationParameters(), **law))
+
+
+def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
+    found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.35))
+    stop = stopping_table("ur5e").stop(TURNING)
+    approach = found.term_reaction / REACTION_S
+    tool_speed = np.hypot(*forward_kinematics(ur5e_checker.model, READY)[-1, :2, 3])  # at 1 rad/s about the base
+    assert approach == pytest.approx(tool_speed, rel=0.25)
+    assert found.term_stopping == pytest.approx(approach * stop.travel_s)
+    assert found.term_human == 0  # 60 ms and the stop end before the forecast does
+    assert found.term_intrusion == 0.2
+    assert found.term_uncertainty == 0.005
+    parts = found.term_human + found.term_reaction + found.term_stopping + found.term_intrusion + found.term_uncertainty
+    assert found.required == pytest.approx(parts)
+    assert (found.stamp, found.evidence_stamp, found.obstacle_id) == (NOW, NOW, 100)
+
+
+def test_beyond_the_forecast_people_walk(ur5e_checker: ArmCollisionChecker) -> None:
+    short = beside_the_tool(ur5e_checker, 0.5, valid_ms=(0, 20))
+    stop = stopping_table("ur5e").stop(TURNING)
+    beyond_s = REACTION_S + stop.duration_s - 0.020
+    assert decided(ur5e_checker, short).term_human == pytest.approx(1.6 * beyond_s, abs=1e-6)
+    running = replace(short, velocity=(0.0, -3.0, 0.0))
+    assert decided(ur5e_checker, running).term_human == pytest.approx(3.0 * beyond_s, abs=1e-6)
+    standing = replace(short, kind=ObstacleKind.STATIC, position=beside_the_tool(ur5e_checker, 0.12).position)
+    assert decided(ur5e_checker, standing).term_human == 0
+
+
+def test_a_forecast_that_goes_stale_grows(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.5)))
+    stamps = [NOW + age * MS for age in (0, 150, 300, 500)]
+    later = [decide(ur5e_checker, ahead(TURNING, stamp), stamp, REACTION_S) for stamp in stamps]
+    assert [decision.term_human for decision in later] == sorted(decision.term_human for decision in later)
+    assert later[0].speed_fraction == 1.0
+    assert later[-1].term_human > 0.5
+    assert later[-1].speed_fraction == 0.0
+
+
+@given(gap=st.floats(0.0, 0.8), closer=st.floats(0.0, 0.3))
+@settings(max_examples=30, deadline=None)
+def test_closer_is_never_faster(ur5e_checker: ArmCollisionChecker, gap: float, closer: float) -> None:
+    near = decided(ur5e_checker, beside_the_tool(ur5e_checker, gap))
+    far = decided(ur5e_checker, beside_the_tool(ur5e_checker, gap + closer))
+    assert near.speed_fraction <= far.speed_fraction
+    assert near.distance <= far.distance + 1e-9
+
+
+def test_speed_is_the_largest_that_keeps_the_distance(ur5e_checker: ArmCollisionChecker) -> None:
+    found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.29))
+    assert 0.1 < found.speed_fraction < 0.9
+    # The same pair at the speed that was granted is just far enough: any faster path is slowed to that speed again.
+    slowed = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.29), velocity=TURNING * found.speed_fraction)
+    assert slowed.speed_fraction > 0.97
+    faster = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.29), velocity=TURNING * 2)
+    assert faster.speed_fraction * 2 == pytest.approx(found.speed_fraction, rel=0.1)
+
+
+def test_retreat_is_not_slowed(ur5e_checker: ArmCollisionChecker) -> None:
+    close = beside_the_tool(ur5e_checker, 0.12)
+    assert decided(ur5e_checker, close).speed_fraction == 0.0
+    assert decided(ur5e_checker, close).reason == "stopped for MOVING"
+    retreat = decided(ur5e_checker, close, velocity=-TURNING)
+    assert retreat.speed_fraction == 1.0
+    assert retreat.reason == "not closing in"
+    assert retreat.obstacle_id == 100
+    assert decided(ur5e_checker, close, velocity=np.zeros(6)).speed_fraction == 1.0
+
+
+def test_furniture_gets_plain_clearance(ur5e_checker: ArmCollisionChecker) -> None:
+    table = beside_the_tool(ur5e_checker, 0.2, kind=ObstacleKind.STATIC)
+    person = replace(table, kind=ObstacleKind.MOVING)
+    assert decided(ur5e_checker, table).speed_fraction > decided(ur5e_checker, person).speed_fraction
+    touching = beside_the_tool(ur5e_checker, 0.06, kind=ObstacleKind.STATIC)
+    assert decided(ur5e_checker, touching).speed_fraction == 0.0
+
+
+def test_unknown_space_follows_the_policy(ur5e_checker: ArmCollisionChecker) -> None:
+    dark = beside_the_tool(ur5e_checker, 0.2, kind=ObstacleKind.UNKNOWN)
+    by_law = decided(ur5e_checker, dark)
+    as_furniture = decided(ur5e_checker, dark, unknown=UnknownPolicy.CLEARANCE)
+    assert by_law.speed_fraction < as_furniture.speed_fraction
+    assert by_law.term_intrusion == 0.2
+    assert as_furniture.term_intrusion == 0.03
+    ignored = decided(ur5e_checker, replace(dark, size=(0.5,) * 3), unknown=UnknownPolicy.IGNORE)
+    assert ignored.speed_fraction == 1.0
+
+
+def test_what_comes_after_the_arm_has_stopped_does_not_count(ur5e_checker: ArmCollisionChecker) -> None:
+    close = beside_the_tool(ur5e_checker, 0.12)
+    stop_ms = 1e3 * (REACTION_S + stopping_table("ur5e").stop(TURNING).duration_s)
+    late = replace(close, valid_ms=(int(stop_ms) + 5, 200))
+    assert decided(ur5e_checker, late).speed_fraction == 1.0
+    in_time = replace(close, valid_ms=(20, 200))
+    assert decided(ur5e_checker, in_time).speed_fraction == 0.0
+
+
+def test_an_earlier_layer_ends_and_the_last_goes_on(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(
+        obstacles(
+            beside_the_tool(ur5e_checker, 0.12, valid_ms=(0, 50)),  # a hand that is being drawn back
+            beside_the_tool(ur5e_checker, 0.9, valid_ms=(150, 200)),
+            Thing((0.0, -3.0, 0.0), kind=ObstacleKind.STATIC, valid_ms=(0, 10_000)),
+        )
+    )
+    assert decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S).speed_fraction == 0.0
+    after = decide(ur5e_checker, ahead(TURNING, NOW + 60 * MS), NOW + 60 * MS, REACTION_S)
+    assert after.speed_fraction == 1.0
+    assert after.obstacle_id != 100
+
+
+def test_the_distance_is_taken_along_the_path(ur5e_checker: ArmCollisionChecker) -> None:
+    found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.3))
+    assert found.distance < ur5e_checker.distance(READY).distance
+    assert found.distance == pytest.approx(ur5e_checker.distance(READY + TURNING * 0.2).distance, abs=1e-6)
+
+
+def test_nothing_around_is_clear(ur5e_checker: ArmCollisionChecker) -> None:
+    found = decided(ur5e_checker)
+    assert (found.speed_fraction, found.reason, found.obstacle_id, found.link) == (1.0, "clear", -1, "")
+    assert found.distance == np.inf
+    far = decided(ur5e_checker, Thing((4.0, 0.0, 0.0), size=(1.0, 0.5, 0.2), shape=ObstacleShape.BOX))
+    assert (far.speed_fraction, far.reason, far.obstacle_id) == (1.0, "clear", 100)
+
+
+def test_joints_in_another_order_are_the_same_arm(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.3)))
+    path = ahead(TURNING)
+    turned = JointPath(path.names[::-1], path.stamps, path.positions[:, ::-1])
+    assert decide(ur5e_checker, turned, NOW, REACTION_S) == decide(ur5e_checker, path, NOW, REACTION_S)
+    with pytest.raises(ArmError, match="present pose"):
+        decide(ur5e_checker, JointPath(path.names, path.stamps[:0], path.positions[:0]), NOW, REACTION_S)
+
+
+def test_a_single_pose_is_an_arm_that_stands(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.1)))
+    path = ahead(TURNING)
+    standing = decide(ur5e_checker, JointPath(path.names, path.stamps[:1], path.positions[:1]), NOW, REACTION_S)
+    assert standing.speed_fraction == 1.0
+    assert standing.distance < 0.15

@@ -1,0 +1,86 @@
+"""The limiter: down at once, up slowly, slow within one deadline of silence and standing within two."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from obstacle_sets import MS, NOW
+
+from twin_node.arm import LimiterParameters, SpeedLimiter
+from twin_node.scene import Separation
+
+FREE = Separation(NOW, NOW, 1.0, 0.3, 0.0, 0.05, 0.05, 0.2, 0.0, "wrist_1_link", 3, 1.0, "clear of MOVING")
+
+
+def decision(fraction: float, at_ms: int) -> Separation:
+    return replace(FREE, stamp=NOW + at_ms * MS, evidence_stamp=NOW + at_ms * MS, speed_fraction=fraction)
+
+
+def at_full_speed() -> SpeedLimiter:
+    """A limiter that was told to go for three seconds, the last time at `NOW`."""
+    limiter = SpeedLimiter()
+    for at_ms in range(-3000, 1, 50):
+        limiter.decide(decision(1.0, at_ms), NOW + at_ms * MS)
+    return limiter
+
+
+def test_the_arm_stands_until_the_first_forecast() -> None:
+    limiter = SpeedLimiter()
+    assert limiter.tick(NOW).speed_fraction == 0.0
+    assert limiter.tick(NOW + 5_000 * MS).reason == "stopped: no forecast yet"
+    assert limiter.decide(decision(1.0, 5_000), NOW + 5_000 * MS).speed_fraction == 0.0
+
+
+def test_down_at_once_and_up_slowly() -> None:
+    limiter = at_full_speed()
+    assert limiter.tick(NOW).speed_fraction == 1.0
+    down = limiter.decide(decision(0.1, 30), NOW + 30 * MS)
+    assert (down.speed_fraction, down.obstacle_id, down.reason) == (0.1, 3, "clear of MOVING")
+    up = limiter.decide(decision(1.0, 60), NOW + 60 * MS)
+    assert up.speed_fraction == pytest.approx(0.1 + 0.5 * 0.03)
+
+
+def test_silence_slows_within_one_deadline_and_stops_within_two() -> None:
+    limiter = at_full_speed()
+    assert limiter.tick(NOW + 99 * MS).speed_fraction == 1.0
+    slow = limiter.tick(NOW + 100 * MS)
+    assert slow.speed_fraction == LimiterParameters().slow_fraction
+    assert slow.reason == "slow: no forecast for 100 ms"
+    stopped = limiter.tick(NOW + 200 * MS)
+    assert stopped.speed_fraction == 0.0
+    assert stopped.reason == "stopped: no forecast for 200 ms"
+    assert limiter.tick(NOW + 9_000 * MS).speed_fraction == 0.0
+    assert 0 < limiter.decide(decision(1.0, 9_010), NOW + 9_010 * MS).speed_fraction < 0.01
+
+
+def test_old_evidence_is_silence_however_often_it_is_sent() -> None:
+    limiter = at_full_speed()
+    for at_ms in range(33, 600, 33):
+        told = limiter.decide(replace(decision(1.0, at_ms), evidence_stamp=NOW), NOW + at_ms * MS)
+        if at_ms >= 400:
+            assert told.speed_fraction == 0.0
+        elif at_ms >= 300:
+            assert told.speed_fraction <= 0.2
+        else:
+            assert told.speed_fraction == 1.0
+
+
+def test_a_stop_stays_a_stop_when_the_forecast_is_late() -> None:
+    limiter = at_full_speed()
+    limiter.decide(replace(decision(0.0, 10), reason="stopped for MOVING"), NOW + 10 * MS)
+    late = limiter.tick(NOW + 150 * MS)
+    assert (late.speed_fraction, late.reason) == (0.0, "stopped for MOVING")
+
+
+@given(steps=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 300)), min_size=1, max_size=30))
+def test_never_above_the_decision_and_never_rising_too_fast(steps: list[tuple[float, int]]) -> None:
+    limiter, now_ms, before = SpeedLimiter(), 0, 0.0
+    for fraction, wait_ms in steps:
+        now_ms += wait_ms
+        told = limiter.decide(decision(fraction, now_ms), NOW + now_ms * MS).speed_fraction
+        assert 0 <= told <= fraction
+        assert told <= before + 0.5e-3 * wait_ms + 1e-9
+        before = told

@@ -1,0 +1,125 @@
+"""Paths ahead: sampling, extrapolation, and a cycle that an arm can really drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin_node.arm import (
+    ArmCollisionChecker,
+    ArmError,
+    CycleParameters,
+    default_path,
+    extrapolate,
+    path_ahead,
+    sample_path,
+)
+from twin_node.arm.inverse import reach_down
+from twin_node.robot import UR_NAMES, RobotError, forward_kinematics, ur_model
+from twin_node.scene import JointPath
+
+WORKSPACES = {
+    "none": None,
+    "front": np.array([[0.2, -0.4, -0.05], [0.9, 0.4, 0.6]]),
+    "around": np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]),
+    "far": np.array([[1.5, 1.0, 0.0], [2.5, 2.0, 2.0]]),
+}
+
+
+@pytest.mark.parametrize("workspace", WORKSPACES.values(), ids=WORKSPACES.keys())
+@pytest.mark.parametrize("name", UR_NAMES)
+def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None) -> None:
+    model, limits = ur_model(name), CycleParameters()
+    cycle = default_path(model, workspace, limits)
+    q, step = cycle.template.positions, np.diff(cycle.template.stamps)[0] * 1e-9
+    velocity = np.diff(q, axis=0) / step
+    assert np.abs(velocity).max() <= limits.speed * 1.01
+    assert np.abs(np.diff(velocity, axis=0) / step).max() <= limits.acceleration * 1.01
+    np.testing.assert_allclose(q[0], q[-1], atol=1e-12)
+    assert (q >= model.lower).all()
+    assert (q <= model.upper).all()
+    assert forward_kinematics(model, q)[:, -1, 2, 3].min() > 0.04
+    checker = ArmCollisionChecker(model, max_obstacles=1)
+    assert min(checker.self_distance(pose).distance for pose in q[::25]) > 0
+
+
+def test_the_cycle_picks_and_places_inside_the_workspace_with_the_tool_down() -> None:
+    model, workspace = ur_model("ur5e"), WORKSPACES["front"]
+    assert workspace is not None
+    cycle = default_path(model, workspace)
+    tool = forward_kinematics(model, cycle.template.positions)[:, -1]
+    low = tool[tool[:, 2, 3] < tool[:, 2, 3].min() + 1e-3]
+    assert (low[:, :3, 3] > workspace[0]).all()
+    assert (low[:, :3, 3] < workspace[1]).all()
+    np.testing.assert_allclose(low[:, :3, 2], np.tile([0, 0, -1], (len(low), 1)), atol=0.01)
+    assert np.ptp(low[:, 1, 3]) > 0.3  # both ends of the cycle, left and right
+
+
+@given(stamp=st.integers(0, 2**62))
+@settings(max_examples=50, deadline=None)
+def test_the_cycle_repeats(stamp: int) -> None:
+    cycle = CYCLE
+    np.testing.assert_allclose(cycle.at(stamp), cycle.at(stamp + 3 * cycle.period_ns), atol=1e-9)
+    ahead = cycle.ahead(stamp)
+    assert ahead.stamps[0] == stamp
+    assert ahead.stamps[-1] == stamp + 200_000_000
+    np.testing.assert_array_equal(ahead.positions[7], cycle.at(stamp + 70_000_000))
+    np.testing.assert_array_equal(cycle.ahead(stamp, 0.5).positions[8], cycle.at(stamp + 40_000_000))
+    np.testing.assert_array_equal(cycle.ahead(stamp, 0.0).positions, np.tile(cycle.at(stamp), (21, 1)))
+
+
+CYCLE = default_path(ur_model("ur5e"))
+
+
+def test_a_path_ahead_is_in_the_models_order_and_stands_at_its_end() -> None:
+    model = ur_model("ur5e")
+    names = tuple(reversed(model.joint_names))
+    path = JointPath(names, np.array([0, 100_000_000]), np.array([np.zeros(6), np.arange(6.0)]))
+    ahead = path_ahead(model, path, 50_000_000)
+    assert ahead.names == model.joint_names
+    np.testing.assert_allclose(ahead.positions[0], np.arange(6.0)[::-1] / 2)
+    np.testing.assert_allclose(ahead.positions[5:], np.tile(np.arange(6.0)[::-1], (16, 1)))
+
+
+def test_extrapolation_keeps_speed_and_limits() -> None:
+    model = ur_model("ur10e")
+    q = np.array([0.0, 6.2, 0.0, 0.0, 0.0, 7.0])
+    qd = np.array([0.5, 1.0, 99.0, 0.0, -0.2, 0.1])
+    ahead = extrapolate(model, q, qd, 1_000)
+    assert ahead.stamps[0] == 1_000
+    np.testing.assert_allclose(ahead.positions[0], q)
+    np.testing.assert_allclose(ahead.positions[-1, [0, 3, 4]], [0.1, 0.0, -0.04])
+    assert ahead.positions[-1, 1] == model.upper[1]
+    assert ahead.positions[-1, 2] == pytest.approx(0.2 * model.max_velocity[2])
+    assert (ahead.positions[:, 5] == 7.0).all()  # already beyond its range: it can only stay or come back
+
+
+@given(x=st.floats(0.3, 0.6), y=st.floats(-0.4, 0.4), z=st.floats(0.1, 0.4))
+@settings(max_examples=30, deadline=None)
+def test_inverse_kinematics_reaches(x: float, y: float, z: float) -> None:
+    model = ur_model("ur5e")
+    q = reach_down(model, np.array([x, y, z]), np.array([0.0, -1.8, 1.9, -1.7, -1.57, 0.0]))
+    tool = forward_kinematics(model, q)[-1]
+    np.testing.assert_allclose(tool[:3, 3], [x, y, z], atol=1e-3)
+    np.testing.assert_allclose(tool[:3, 2], [0, 0, -1], atol=5e-3)
+
+
+def test_what_cannot_be_reached_or_followed_is_refused() -> None:
+    model = ur_model("ur3e")
+    with pytest.raises(ArmError, match="ur3e cannot put its tool there pointing down"):
+        reach_down(model, np.array([2.0, 0.0, 0.2]), np.zeros(6))
+    with pytest.raises(ArmError, match="expected a lower and an upper corner"):
+        default_path(model, np.zeros((2, 3)))
+    stamps, positions = np.array([0, 10]), np.zeros((2, 6))
+    with pytest.raises(ArmError, match="strictly increasing stamps"):
+        sample_path(JointPath(model.joint_names, stamps[::-1], positions), stamps)
+    with pytest.raises(ArmError, match="finite angles"):
+        sample_path(JointPath(model.joint_names, stamps, positions * np.nan), stamps)
+    with pytest.raises(ArmError, match=r"shape \(2, 6\) with at least one row"):
+        sample_path(JointPath(model.joint_names, stamps, positions[:, :5]), stamps)
+    with pytest.raises(ArmError, match="at least one row"):
+        sample_path(JointPath(model.joint_names, stamps[:0], positions[:0]), stamps)
+    with pytest.raises(RobotError, match="finite"):
+        extrapolate(model, np.zeros(6), np.full(6, np.inf), 0)
