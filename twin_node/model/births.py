@@ -20,6 +20,8 @@ SOLID = 0.5
 """Opacity of the background from which it can be learnt anew by colour alone; under it Gaussians are missing."""
 COLOUR_SIGMA = 0.12
 """Difference of colour (0 to 1) at which another view half agrees: what one surface shows to two exposures."""
+HUGE_PX = 2.5
+"""1 sigma in another view's pixels at which a newborn stands too close to that camera to be real."""
 REFUTED = 2.0
 """What it costs a depth that a view sees through it."""
 LOCALITY = 0.15
@@ -147,7 +149,8 @@ def _agreed(
     score = np.zeros(len(points))
     for other_index, other in enumerate(observed):
         if other_index != index:
-            score += _support(other, points, np.repeat(pixels.rgb, samples, axis=0))
+            radii = (0.5 * BLOCK / one.view.camera.K[0, 0] * depths).ravel()
+            score += _support(other, points, radii, np.repeat(pixels.rgb, samples, axis=0))
     score = score.reshape(depths.shape) - LOCALITY * np.abs(
         np.log(depths / _known_depth(one, rendering, pixels, far)[:, None])
     )
@@ -159,14 +162,15 @@ def _agreed(
     return np.where(on_background, 0.995 * far, depths[at, best]), on_background
 
 
-def _support(other: Observed, points: Float64, rgb: Float32) -> Float64:
-    """[n] how much one view speaks for each point: 0 where it cannot see it."""
+def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32) -> Float64:
+    """[n] how much one view speaks for each point: 0 where it cannot see it, against what would fill much of it."""
     seen = look(other.view.camera, points)
     visible = seen.inside & ~other.occluded(seen) & other.usable[seen.rows, seen.columns]
     moving = other.near_moving[seen.rows, seen.columns]
     difference = np.abs(other.rgb[seen.rows, seen.columns] - rgb).mean(-1)
     agreement = 0.5 + np.exp(-((difference / COLOUR_SIGMA) ** 2))
-    return np.where(visible, np.where(moving, agreement, -REFUTED), 0.0)
+    huge = (seen.depth > -radii) & (radii * other.view.camera.K[0, 0] > HUGE_PX * np.maximum(seen.depth, 0.02))
+    return np.where(huge | (visible & ~moving), -REFUTED, np.where(visible, agreement, 0.0))
 
 
 def _known_depth(one: Observed, rendering: Rendering, pixels: _Pixels, far: Float64) -> Float64:

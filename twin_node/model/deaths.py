@@ -6,29 +6,36 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin_node.model.observation import OCCLUSION, Observed, grow, project_all
-from twin_node.model.rays import Seen
+from twin_node.model.observation import OCCLUSION, Observed, grow
+from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float64
 
 SEEN_THROUGH = 0.05
 """Share of its depth by which a measured surface must lie behind a Gaussian to refute it."""
 
+RIM = np.array([[0.0, 0.0], [2.2, 0.0], [-2.2, 0.0], [0.0, 2.2], [0.0, -2.2]])
+"""Where a Gaussian is looked for, in sigmas along the image's axes: its centre, and the rim at which a tenth is left."""
 
-def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], carried: Bool) -> Bool:
+
+def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii: Float64, carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
-    `means` holds [n, 3] per view, at its time; `carried` [n] those that a node carries: a view that shows nothing moving where
-    they are speaks against them, while the others only fall where the view shows the background itself.
+    `means` holds [n, 3] per view, at its time; `radii` [n] 1 sigma in m. `carried` [n] says which a node carries: a view that
+    shows nothing moving where they reach speaks against them, the others only reach where it shows the background itself.
     """
     refuted = np.zeros(len(carried), bool)
-    for one, seen in zip(observed, project_all(observed, means), strict=True):
-        visible = seen.inside & ~one.occluded(seen) & one.usable[seen.rows, seen.columns]
-        held = np.where(carried, one.near_moving[seen.rows, seen.columns], one.active[seen.rows, seen.columns])
-        refuted |= visible & ~held
+    for one, at in zip(observed, means, strict=True):
+        axes = one.view.camera.T_base_cam[:3, :2].T
+        for share in RIM:
+            seen = look(one.view.camera, at + radii[:, None] * (share @ axes))
+            visible = seen.inside & ~one.occluded(seen) & one.usable[seen.rows, seen.columns]
+            held = np.where(carried, one.near_moving[seen.rows, seen.columns], one.active[seen.rows, seen.columns])
+            refuted |= visible & ~held
         if one.view.depth is not None:
+            seen = look(one.view.camera, at)
             surface = one.view.depth[seen.rows, seen.columns]
-            refuted |= visible & (surface > (1 + SEEN_THROUGH) * seen.depth)
+            refuted |= seen.inside & one.usable[seen.rows, seen.columns] & (surface > (1 + SEEN_THROUGH) * seen.depth)
     return refuted
 
 

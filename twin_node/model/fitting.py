@@ -27,6 +27,7 @@ RATES[LOGIT] = 5e-2
 RATES[RGB] = 1.5e-2
 """Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
 
+
 @dataclass(frozen=True)
 class Target:
     """What the rendering of one view is held to."""

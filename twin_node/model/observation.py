@@ -20,6 +20,8 @@ OCCLUSION = 0.03
 """Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
 the footprint of two pixels and 60 degrees field of view."""
 
+MISFIT_GROWTH = 0.02
+"""Noise (0 to 1) that the smallest misfit seen at a pixel is granted: five grey levels."""
 CULL_PX = 4
 """Gaussians with a smaller radius show only this close to their centre."""
 
@@ -51,7 +53,8 @@ class Observed:
     usable: Bool
     """[H, W] pixels that count: valid and off the robot."""
     surprise: Float32
-    """[H, W] largest channel of |image - background|, 0 to 1; 0 where the pixel does not count."""
+    """[H, W] largest channel of |image - background|, 0 to 1, less what the background's fit to the image at rest left
+    over; 0 where the pixel does not count."""
     active: Bool
     """[H, W] pixels to be explained by more than the background: near what moves, or other than the background."""
     stale: Bool
@@ -141,6 +144,7 @@ class Observer:
         self._threshold = threshold
         self._stale_s = stale_s
         self._wrong_s: dict[str, Float32] = {}
+        self._misfit: dict[str, Float32] = {}
 
     def observe(
         self,
@@ -155,13 +159,23 @@ class Observer:
         for view, mask, robot, background in zip(frames.views, moving, robots, backgrounds, strict=True):
             usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
             usable = usable if robot is None else usable & ~robot
-            surprise = np.abs(view.rgb.astype(np.float32) / 255 - background.rgb).max(-1) * usable
+            surprise = self._surprise(view, background) * usable
             grown = grow(mask, margin_px(view.camera, background.depth))
             stale = self._stale(view.camera.name, (surprise > self._threshold) & ~grown, dt_s)
             active = (grown | (surprise > self._threshold)) & usable
             offset_s = (view.stamp - frames.stamp) * 1e-9
             out.append(Observed(view, offset_s, background, mask, grown, usable, surprise, active, stale))
         return out
+
+    def _surprise(self, view: View, background: Background) -> Float32:
+        """[H, W] what the image differs by beyond what the background's own fit leaves over."""
+        difference = np.abs(view.rgb.astype(np.float32) / 255 - background.rgb).max(-1)
+        known = self._misfit.get(view.camera.name)
+        if known is None or known.shape != difference.shape:
+            known = difference
+        misfit = self._misfit[view.camera.name] = np.minimum(known, difference + MISFIT_GROWTH)
+        surprise: Float32 = np.maximum(difference - misfit, 0)
+        return surprise
 
     def _stale(self, name: str, wrong: Bool, dt_s: float) -> Bool:
         before = self._wrong_s.get(name)
@@ -180,8 +194,3 @@ def grow(mask: Bool, radius: int) -> Bool:
     """The mask dilated by a square of `radius` pixels."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return cv2.dilate(mask.astype(np.uint8), kernel).astype(bool)
-
-
-def project_all(observed: Sequence[Observed], points: Sequence[Float64]) -> list[Seen]:
-    """Where points fall in each view; `points` holds [n, 3] per view, each at the view's own time."""
-    return [look(one.view.camera, at) for one, at in zip(observed, points, strict=True)]

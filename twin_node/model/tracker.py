@@ -96,9 +96,11 @@ class Tracker:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
         g = self._gaussians
         rows = g.moving_rows
-        means = self._moving(observed).means.cpu().numpy()
+        splats = self._moving(observed)
+        radii = splats.scales.mean(-1).cpu().numpy()
         carried = (g.nodes[rows] >= 0).cpu().numpy()
-        self._count_doubts(rows, torch.from_numpy(refuted_moving(observed, list(means), carried)))
+        gone = refuted_moving(observed, list(splats.means.cpu().numpy()), radii, carried)
+        self._count_doubts(rows, torch.from_numpy(gone))
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
         members = torch.bincount(g.nodes[g.moving_rows].cpu() + 1, minlength=self._nodes.capacity + 1)[1:]
