@@ -22,8 +22,8 @@ COLOUR_SIGMA = 0.12
 """Difference of colour (0 to 1) at which another view half agrees: what one surface shows to two exposures."""
 HUGE_PX = 2.5
 """1 sigma in another view's pixels at which a newborn stands too close to that camera to be real."""
-REFUTED = 2.0
-"""What it costs a depth that a view sees through it."""
+REFUTED = 10.0
+"""What it costs a depth that a view sees through it: more than all other views can make good."""
 LOCALITY = 0.15
 """What it costs to be e times as deep as the moving things already known around the pixel."""
 

@@ -22,6 +22,8 @@ the footprint of two pixels and 60 degrees field of view."""
 
 MISFIT_GROWTH = 0.02
 """Noise (0 to 1) that the smallest misfit seen at a pixel is granted: five grey levels."""
+BENEATH = 0.005
+"""How far under the plane, in radii of the shell, a point may lie: what the plane's fit and the calibration leave."""
 CULL_PX = 4
 """Gaussians with a smaller radius show only this close to their centre."""
 
@@ -82,6 +84,12 @@ class Backgrounds:
         self._radii: dict[str, Float64] = {}
         self._changed = False
         self.rows = torch.zeros(0, dtype=torch.int64)
+
+    def beneath(self, points: Float64, radii: Float64) -> Bool:
+        """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""
+        if self._plane is None:
+            return np.zeros(len(points), bool)
+        return self._plane.height(points) < -radii - BENEATH * self._shell.radius
 
     def mark(self) -> None:
         """The STATIC Gaussians have changed: the next set renders them anew."""

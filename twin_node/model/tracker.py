@@ -100,6 +100,7 @@ class Tracker:
         radii = splats.scales.mean(-1).cpu().numpy()
         carried = (g.nodes[rows] >= 0).cpu().numpy()
         gone = refuted_moving(observed, list(splats.means.cpu().numpy()), radii, carried)
+        gone |= self._backgrounds.beneath(splats.means[0].cpu().double().numpy(), radii)
         self._count_doubts(rows, torch.from_numpy(gone))
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
