@@ -72,25 +72,28 @@ LAG_S = 0.033
 class Autoregression:
     """Displacement over a horizon as a linear function of the last `LAGS` steps, fitted online to what came true.
 
-    Recursive least squares with forgetting, its weights shared by all nodes and axes and refitted for every horizon.
+    Recursive least squares with forgetting, its weights shared by all nodes and axes. Fitted for one horizon;
+    displacements at others are taken in proportion to their length.
     """
 
-    def __init__(self, horizons: Float64, forgetting: float = 0.98) -> None:
-        self.horizons = horizons
+    def __init__(self, horizon_s: float, forgetting: float = 0.98) -> None:
+        self.horizon_s = horizon_s
         self._forgetting = forgetting
         self._gram = np.eye(LAGS) * 1e-4
-        self._moment = np.zeros((len(horizons), LAGS))
+        self._moment = np.zeros(LAGS)
 
-    def forecast(self, history: History) -> Float64:
-        """Displacements [H, M, 3] for the horizons given at the start."""
-        weights = np.linalg.solve(self._gram, self._moment.T)
-        return np.einsum("mcl,lh->hmc", steps(history), weights)
+    def forecast(self, history: History, horizons: Float64) -> Float64:
+        """Displacements [H, M, 3]."""
+        displacement = steps(history) @ np.linalg.solve(self._gram, self._moment)
+        forecast: Float64 = displacement[None] * (np.asarray(horizons) / self.horizon_s)[:, None, None]
+        return forecast
 
-    def learn(self, past_steps: Float64, came_true: Float64) -> None:
-        """Takes in forecasts that have become due: `steps` then [M, 3, LAGS], displacements since [H, M, 3]."""
+    def learn(self, past_steps: Float64, came_true: Float64, elapsed_s: float) -> None:
+        """Takes in what became of nodes: `steps` then [M, 3, LAGS], displacement since [M, 3] in `elapsed_s`."""
         features = past_steps.reshape(-1, LAGS)
+        target = came_true.reshape(-1) * (self.horizon_s / elapsed_s)
         self._gram = self._forgetting * self._gram + features.T @ features + np.eye(LAGS) * 1e-7
-        self._moment = self._forgetting * self._moment + came_true.reshape(len(came_true), -1) @ features
+        self._moment = self._forgetting * self._moment + features.T @ target
 
 
 def steps(history: History) -> Float64:

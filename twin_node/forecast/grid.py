@@ -73,7 +73,7 @@ def grow(words: Words, diagonal: bool) -> Words:
     along_z[:, :, 1:] |= words[:, :, :-1] >> np.uint64(63)
     along_z[:, :, :-1] |= words[:, :, 1:] << np.uint64(63)
     spread = along_z if diagonal else words
-    grown = along_z.copy()
+    grown: Words = along_z.copy()
     grown[1:] |= spread[:-1]
     grown[:-1] |= spread[1:]
     grown[:, 1:] |= spread[:, :-1]

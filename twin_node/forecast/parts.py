@@ -76,9 +76,9 @@ class PartVelocities:
             seen = _seen_by(view, image_velocity, mask, self._tables.of(view.camera), sample)
             jacobian = _jacobian(view.camera, parts.centers)
             scaled = jacobian * seen.weights[:, None, None]
-            precision += np.einsum("mki,mkj->mij", scaled, jacobian)
-            evidence += np.einsum("mki,mk->mi", scaled, seen.velocities)
-        velocities: Float64 = np.linalg.solve(precision, evidence[..., None])[..., 0]
+            precision = precision + np.einsum("mki,mkj->mij", scaled, jacobian)
+            evidence = evidence + np.einsum("mki,mk->mi", scaled, seen.velocities)
+        velocities: Float64 = np.linalg.solve(precision, evidence[..., None]).astype(np.float64)[..., 0]
         return velocities
 
     def _image_velocity(self, view: View) -> Float32 | None:

@@ -1,0 +1,72 @@
+"""What the forecast is compared with: simple forecasts of the same evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.forecast.carving import CarvingParameters
+from twin_node.forecast.evidence import Evidence, Observer
+from twin_node.forecast.grid import spread
+from twin_node.forecast.static import StaticParameters
+from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
+
+PERSON_SPEED = 1.6
+"""Speed of approach of a person, m/s (ISO 13855)."""
+AHEAD_S = 0.2
+"""Horizon that the worst case is grown for, s."""
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """The same evidence, forecast without a model of motion."""
+
+    persistence: Occupancy
+    """What moves stays where it was seen."""
+    constant_velocity: Occupancy
+    """What moves goes straight on at its velocity as seen."""
+    worst_case: Occupancy
+    """What moves may be anywhere within 1.6 m/s x 0.2 s of where it was seen, at every horizon."""
+
+
+class BaselineForecaster:
+    """Makes the baselines of a grid, state by state."""
+
+    def __init__(
+        self, grid: Grid, carving: CarvingParameters | None = None, static: StaticParameters | None = None
+    ) -> None:
+        self.grid = grid
+        self._observer = Observer(grid, carving or CarvingParameters(), static or StaticParameters())
+
+    def update(self, state: TwinState, publish_stamp: int) -> Baselines:
+        """The baselines at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (ns)."""
+        evidence = self._observer.observe(state)
+        ahead = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
+        still = np.zeros(len(ahead))
+        return Baselines(
+            persistence=self._occupancy(evidence, publish_stamp, still, 0.0),
+            constant_velocity=self._occupancy(evidence, publish_stamp, ahead, 0.0),
+            worst_case=self._occupancy(evidence, publish_stamp, still, PERSON_SPEED * AHEAD_S),
+        )
+
+    def _occupancy(self, evidence: Evidence, publish_stamp: int, travelled_s: Float64, radius: float) -> Occupancy:
+        """What moves, `travelled_s` [H] further on at its velocity and grown by `radius` (m)."""
+        parts = evidence.parts
+        velocities = evidence.velocities[parts.labels]
+        layers: list[OccupancyLayer] = []
+        for horizon, seconds in zip(HORIZONS_NS, travelled_s, strict=True):
+            if layers and seconds == travelled_s[0]:
+                layers.append(OccupancyLayer(horizon, layers[0].indices, layers[0].probability))
+                continue
+            reached = spread(self.grid, parts.points + velocities * seconds, np.full(len(parts.points), radius))
+            probability = np.where(reached.core, 255, 128).astype(np.uint8)
+            layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
+        return Occupancy(
+            stamp=evidence.stamp,
+            publish_stamp=publish_stamp,
+            grid=self.grid,
+            layers=tuple(layers),
+            static=evidence.static,
+            unknown_runs=evidence.unknown_runs,
+        )

@@ -1,0 +1,74 @@
+"""What one state shows, before any forecast: what moves and how fast, what stands, what nobody sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from twin_node.forecast.carving import Carver, CarvingParameters
+from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.parts import Parts, PartVelocities, split
+from twin_node.forecast.static import StaticParameters, StaticSpace
+from twin_node.forecast.tables import RigTables
+from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one state shows."""
+
+    stamp: int
+    """ns."""
+    parts: Parts
+    """The moving space."""
+    velocities: Float64
+    """[M, 3] of the parts, m/s."""
+    static: OccupancyLayer
+    """What stands."""
+    unknown_runs: UInt32
+    """[r, 2] runs of flat indices that nothing frees and nothing explains."""
+
+
+class Observer:
+    """Turns states into evidence on one grid."""
+
+    def __init__(self, grid: Grid, carving: CarvingParameters, static: StaticParameters) -> None:
+        self.grid = grid
+        self.tables = RigTables(grid)
+        self._carver = Carver(self.tables, carving)
+        self._velocities = PartVelocities(self.tables)
+        self._static = StaticSpace(grid, static)
+        self._last_centers = np.zeros((0, 3))
+        self._last_velocities = np.zeros((0, 3))
+
+    def observe(self, state: TwinState) -> Evidence:
+        """The evidence of a state; states come in rising order of stamps."""
+        carved = self._carver.carve(state, self._speed())
+        parts = split(self.grid, carved.moving)
+        velocities = self._velocities.update(state, parts, self._expected(parts.centers))
+        self._last_centers, self._last_velocities = parts.centers, velocities
+        static = self._static.update(state, self._carver)
+        unknown = np.zeros(self.grid.size, np.bool_)
+        unknown[carved.unknown] = True
+        unknown[static.indices] = False
+        return Evidence(state.stamp, parts, velocities, static, encode_runs(unknown))
+
+    def _speed(self) -> float:
+        """How fast things moved last, m/s: the 95th percentile over the parts."""
+        if len(self._last_velocities) == 0:
+            return 0.0
+        return float(np.percentile(np.linalg.norm(self._last_velocities, axis=1), 95))
+
+    def _expected(self, centers: Float64) -> Float64:
+        """Velocities [M, 3] of the parts that were nearest before; zero where none was near."""
+        known = np.append(self._last_velocities, np.zeros((1, 3)), axis=0)
+        if len(self._last_centers) == 0 or len(centers) == 0:
+            return np.zeros(centers.shape)
+        nearest = cKDTree(self._last_centers).query(centers, distance_upper_bound=NEAR)[1]
+        return np.asarray(known[nearest], dtype=np.float64)
+
+
+NEAR = 0.12
+"""Distance within which a part is taken for the one that was there before, m (one and a half parts)."""

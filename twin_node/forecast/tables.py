@@ -1,0 +1,143 @@
+"""Where each camera sees each voxel: computed once per calibration, read for every image set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.geometry import project
+from twin_node.scene import Bool, Camera, Float32, Float64, Grid
+
+BLOCK = 4
+"""Voxels along a side of a block: whole blocks are decided first, their voxels where that fails."""
+VOXELS = BLOCK**3
+"""Voxels per block."""
+REACHES = (2, 4, 8, 16, 32, 64)
+"""Half widths in pixels of the neighbourhoods that stand for a block's image."""
+
+
+class Blocks:
+    """The grid's voxels in blocks of `BLOCK`^3, padded at the upper ends."""
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self.dims = np.array([-(-n // BLOCK) for n in grid.dims])
+        self.count = int(self.dims.prod())
+        self._offsets: NDArray[np.int64] = np.stack(np.unravel_index(np.arange(VOXELS), (BLOCK,) * 3), axis=1)
+
+    def corners(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """First voxel (i, j, k) [n, 3] of blocks [n]."""
+        return np.stack(np.unravel_index(blocks, tuple(self.dims)), axis=1) * BLOCK
+
+    def indices(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Flat voxel indices [n, VOXELS]; meaningless where `outside_grid`."""
+        _, ny, nz = self.grid.dims
+        strides = np.array([ny * nz, nz, 1])
+        indices: NDArray[np.int64] = (self.corners(blocks) @ strides)[:, None] + self._offsets @ strides
+        return indices
+
+    def locate(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Places [n] of flat voxel indices [n] in tables of `count * VOXELS` entries."""
+        ijk = np.unravel_index(indices, self.grid.dims)
+        block = np.ravel_multi_index(tuple(axis // BLOCK for axis in ijk), tuple(self.dims))
+        return np.asarray(block * VOXELS + np.ravel_multi_index(tuple(axis % BLOCK for axis in ijk), (BLOCK,) * 3))
+
+    def outside_grid(self, blocks: NDArray[np.int64]) -> Bool:
+        """[n, VOXELS] True for the padding beyond the grid's upper ends."""
+        corners = self.corners(blocks)
+        outside = np.zeros((len(blocks), VOXELS), np.bool_)
+        for axis, size in enumerate(self.grid.dims):
+            outside |= corners[:, axis : axis + 1] + self._offsets[:, axis] >= size
+        return outside
+
+    @cached_property
+    def voxel_centers(self) -> Float64:
+        """[count * VOXELS, 3] m."""
+        ijk = self.corners(np.arange(self.count))[:, None] + self._offsets
+        return self.grid.origin + (ijk.reshape(-1, 3) + 0.5) * self.grid.voxel_size
+
+    @property
+    def centers(self) -> Float64:
+        """[count, 3] m."""
+        return self.grid.origin + (self.corners(np.arange(self.count)) + BLOCK / 2) * self.grid.voxel_size
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Where a camera sees points."""
+
+    pixels: NDArray[np.int32]
+    """Flat pixels; `width * height` where outside the image."""
+    depth: Float32
+    """m along the optical axis."""
+
+
+class CameraTable:
+    """Where a camera sees every voxel and block; pixel `width * height` stands for outside the image."""
+
+    def __init__(self, camera: Camera, blocks: Blocks) -> None:
+        self.camera = camera
+        self.outside = camera.width * camera.height
+        self._blocks = blocks
+        self.voxels = self._sight(blocks.voxel_centers)
+        """Of all voxels, block by block."""
+        self.blocks = self._sight(blocks.centers)
+        """Of the blocks' centres."""
+        radius = np.sqrt(3) / 2 * BLOCK * blocks.grid.voxel_size
+        self.block_far: Float32 = self.blocks.depth + np.float32(radius)
+        near = np.maximum(self.blocks.depth - radius, 1e-3)
+        reach = np.ceil(camera.K[:2, :2].max() * radius / near * 1.5) + 1
+        self.block_reach = np.searchsorted(np.array(REACHES), reach)
+        distance = float(np.linalg.norm(blocks.centers.mean(axis=0) - camera.T_base_cam[:3, 3]))
+        self.pixels_per_metre = camera.K[0, 0] / max(distance, blocks.grid.voxel_size)
+
+    def belongs_to(self, camera: Camera) -> bool:
+        """Whether the calibration is still the one that the table was made for."""
+        mine = self.camera
+        same_image = (mine.width, mine.height) == (camera.width, camera.height)
+        same_pose = np.array_equal(mine.K, camera.K) and np.array_equal(mine.T_base_cam, camera.T_base_cam)
+        return mine is camera or (same_image and same_pose)
+
+    def of_blocks(self, blocks: NDArray[np.int64]) -> Sighting:
+        """The voxels [n, VOXELS] of blocks [n]."""
+        shape = (self._blocks.count, VOXELS)
+        return Sighting(self.voxels.pixels.reshape(shape)[blocks], self.voxels.depth.reshape(shape)[blocks])
+
+    def at(self, places: NDArray[np.int64]) -> Sighting:
+        """The voxels at `places` [n] (`Blocks.locate`)."""
+        return Sighting(self.voxels.pixels[places], self.voxels.depth[places])
+
+    def image_of(self, places: NDArray[np.int64]) -> Bool:
+        """[H, W] True where the voxels at `places` project, each as large as a voxel in the middle of the grid."""
+        hit = np.zeros(self.outside + 1, np.uint8)
+        hit[self.voxels.pixels[places]] = 1
+        size = 2 * round(self.pixels_per_metre * self._blocks.grid.voxel_size / 2) + 1
+        image = hit[:-1].reshape(self.camera.height, self.camera.width)
+        return cv2.dilate(image, np.ones((size, size), np.uint8)) > 0
+
+    def _sight(self, points: Float64) -> Sighting:
+        u, v, z = project(self.camera.K, self.camera.viewmat, points).T
+        width, height = self.camera.width, self.camera.height
+        inside = (z > 1e-3) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        column, row = np.where(inside, u, 0).astype(np.int32), np.where(inside, v, 0).astype(np.int32)
+        pixels = np.where(inside, row * width + column, self.outside).astype(np.int32)
+        return Sighting(pixels, z.astype(np.float32))
+
+
+class RigTables:
+    """The tables of all cameras of a rig over one grid."""
+
+    def __init__(self, grid: Grid) -> None:
+        self.blocks = Blocks(grid)
+        self._tables: dict[str, CameraTable] = {}
+
+    def of(self, camera: Camera) -> CameraTable:
+        """The camera's table, made on its first sight and when its calibration changes."""
+        table = self._tables.get(camera.name)
+        if table is None or not table.belongs_to(camera):
+            table = self._tables[camera.name] = CameraTable(camera, self.blocks)
+        return table
