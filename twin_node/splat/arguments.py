@@ -16,6 +16,9 @@ MAX_SH_DEGREE = 3
 MAX_ELEMENTS = 2**31 - 1
 """Per argument and per output: the kernels count in 32 bits."""
 
+SMALLEST_DETERMINANT = 1e-12
+"""Of the left upper 3x3 of a viewmat; a rotation has 1."""
+
 
 @dataclass(frozen=True)
 class RasterMeta:
@@ -172,7 +175,7 @@ def check_shapes(gaussians: Gaussians, views: Views, options: Options) -> Scene:
 
 
 def check_finite(scene: Scene) -> None:
-    """Raises `ValueError` naming the first argument with a value that is not finite, or a focal length not positive."""
+    """Raises `ValueError` naming the first argument that is not finite, or a camera that no image can come from."""
     for name, tensor in {**vars(scene.gaussians), "viewmats": scene.views.viewmats, "Ks": scene.views.Ks}.items():
         _require_finite(name, tensor)
     if scene.views.backgrounds is not None:
@@ -180,6 +183,8 @@ def check_finite(scene: Scene) -> None:
     focal = scene.views.Ks[..., [0, 1], [0, 1]]
     if not bool((focal > 0).all()):
         raise ValueError(f"Ks: expected positive focal lengths, found {float(focal.min())}")
+    if not bool((torch.linalg.det(scene.views.viewmats[..., :3, :3]).abs() > SMALLEST_DETERMINANT).all()):
+        raise ValueError("viewmats: expected invertible matrices, found one that is not")
 
 
 def _require_finite(name: str, tensor: Tensor) -> None:

@@ -29,8 +29,6 @@ class _Inputs:
     Ks: Tensor
     backgrounds: Tensor | None
     """[..., C, channels]."""
-    camera_positions: Tensor | None
-    """[..., C, 3]; only with sh_degree > 0."""
 
 
 def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semantics | None = None) -> Rendered:
@@ -40,13 +38,9 @@ def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semant
             f"means: expected float32 on the CPU (or rasterize_plain), found {scene.gaussians.means.dtype}"
         )
     g, views = scene.gaussians, scene.views
-    positions = None
-    if scene.options.with_color and scene.options.sh_degree:
-        # torch differentiates this part, as in gsplat; the library sends back the gradient of the positions
-        positions = torch.linalg.inv_ex(views.viewmats).inverse[..., :3, 3]
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
-    renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene), positions)  # type: ignore[no-untyped-call]
+    renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene))  # type: ignore[no-untyped-call]
     return Rendered(renders, alphas, RasterMeta(radii, means2d, depths))
 
 
@@ -92,8 +86,7 @@ class _Call:
         return rendered
 
     def differentiate(self, inputs: _Inputs, v_renders: Tensor, v_alphas: Tensor, with_cameras: bool) -> _Inputs:
-        """Gradients of the inputs; zero for Ks, and for viewmats without the part through camera_positions."""
-        positions = inputs.camera_positions
+        """Gradients of the inputs; none for Ks and backgrounds, zero for viewmats unless asked for."""
         v = _Inputs(
             means=torch.zeros_like(inputs.means),
             quats=torch.zeros_like(inputs.quats),
@@ -103,12 +96,10 @@ class _Call:
             viewmats=torch.zeros_like(inputs.viewmats),
             Ks=torch.empty(0),
             backgrounds=None,
-            camera_positions=torch.zeros_like(positions) if with_cameras and positions is not None else None,
         )
         gradients = native.Gradients(
             *(_pointer(t) for t in (v_renders, v_alphas, v.means, v.quats, v.scales, v.opacities, v.colors)),
             _pointer(v.viewmats) if with_cameras else None,
-            _pointer(v.camera_positions),
         )
         self.library.backward(self.workspace, self.request, gradients)
         return v
@@ -139,10 +130,7 @@ class _Call:
             self.semantics.min_compensation,
             *self._strides(inputs),
             *(_pointer(t) for t in (inputs.means, inputs.quats, inputs.scales, inputs.opacities, inputs.colors)),
-            *(
-                _pointer(t)
-                for t in (inputs.viewmats, inputs.Ks, inputs.camera_positions, inputs.backgrounds, self.mask)
-            ),
+            *(_pointer(t) for t in (inputs.viewmats, inputs.Ks, inputs.backgrounds, self.mask)),
             *(_pointer(t) for t in (rendered.renders, rendered.alphas, meta.radii, meta.means2d, meta.depths)),
         )
 
@@ -178,7 +166,7 @@ class _Rasterize(torch.autograd.Function):
         v = call.differentiate(inputs, v_renders, v_alphas, with_cameras=ctx.needs_input_grad[6])
         v_backgrounds = _backgrounds_gradient(call, v_renders, alphas) if ctx.needs_input_grad[8] else None
         fields = (v.means, v.quats, v.scales, v.opacities, v.colors, v.viewmats)
-        return (None, *fields, None, v_backgrounds, v.camera_positions)
+        return (None, *fields, None, v_backgrounds)
 
 
 def _backgrounds_gradient(call: _Call, v_renders: Tensor, alphas: Tensor) -> Tensor:

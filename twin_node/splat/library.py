@@ -14,8 +14,8 @@ import torch  # loads the OpenMP runtime that the library then shares
 from twin_node.splat import native_build
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 1
-STATUS_OK, STATUS_OUT_OF_MEMORY, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH = range(4)
+INTERFACE_VERSION = 2
+STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
 
@@ -30,7 +30,7 @@ class Request(ctypes.Structure):
         *((name, c_float) for name in ("max_alpha", "min_compensation")),
         *((f"{name}_stride", c_int64) for name in ("means", "quats", "scales", "opacities", "colors")),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")),
-        *((name, c_void_p) for name in ("camera_positions", "backgrounds", "pixel_mask")),
+        *((name, c_void_p) for name in ("backgrounds", "pixel_mask")),
         *((name, c_void_p) for name in ("renders", "alphas", "radii", "means2d", "depths")),
     )
 
@@ -40,7 +40,7 @@ class Gradients(ctypes.Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("v_renders", "v_alphas", "v_means", "v_quats", "v_scales", "v_opacities")),
-        *((name, c_void_p) for name in ("v_colors", "v_viewmats", "v_camera_positions")),
+        *((name, c_void_p) for name in ("v_colors", "v_viewmats")),
     )
 
 
@@ -80,17 +80,15 @@ class NativeLibrary:
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
         self._dll = ctypes.CDLL(str(path))
-        for name in ("splat_forward", "splat_backward", "splat_image_loss", "splat_interface_version"):
-            getattr(self._dll, name).restype = c_int32
+        version = self._dll.splat_interface_version()
+        if version != INTERFACE_VERSION:
+            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
         self._dll.splat_acquire.restype = c_void_p
         self._dll.splat_release.argtypes = [c_void_p]
         self._dll.splat_release.restype = None
         self._dll.splat_forward.argtypes = [c_void_p, ctypes.POINTER(Request)]
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
-        version = self._dll.splat_interface_version()
-        if version != INTERFACE_VERSION:
-            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
         self._dll.splat_initialize()
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
@@ -141,6 +139,8 @@ def _check(status: int) -> None:
         raise NonFiniteError(status - STATUS_NON_FINITE)
     if status == STATUS_BAD_FOCAL_LENGTH:
         raise ValueError("Ks: expected positive focal lengths, found one that is not")
+    if status == STATUS_SINGULAR_VIEW:
+        raise ValueError("viewmats: expected invertible matrices, found one that is not")
     if status == STATUS_TOO_MANY_INTERSECTIONS:
         raise ValueError(
             "scales: the Gaussians cover more than 2^31 image tiles; expected smaller ones or a smaller image"

@@ -16,8 +16,12 @@ from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parent / "native"
 
-FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-fPIC", "-shared")
-"""No -ffast-math: infinities and NaN of culled Gaussians must stay what they are."""
+FLAGS = (
+    *("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"),
+    *("-fPIC", "-shared", "-fvisibility=hidden"),
+)
+"""No -ffast-math: infinities and NaN of culled Gaussians must stay what they are. Hidden symbols: variants that
+are loaded side by side would share their tables otherwise."""
 
 VARIANTS_X86 = ("x86-64-v4", "x86-64-v3", "x86-64-v2")
 """Instruction sets on x86-64, best first: AVX-512, AVX2 with FMA, SSE4.2."""

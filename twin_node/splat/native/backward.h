@@ -109,54 +109,63 @@ inline ProjectionGradient projection_gradient(const Request &r, const Projection
   return v;
 }
 
-inline ShapeGradient zero_gradient() {
-  ShapeGradient out;
-  std::memset(&out, 0, sizeof(out));
-  return out;
+// Gradients of one vector of Gaussians, summed over cameras.
+struct RowGradient {
+  ShapeGradient shape;
+  Vec opacity;
+  RowGradient() { std::memset(this, 0, sizeof(*this)); }
+
+  // Adds those of one camera; lanes that it does not see may hold infinities there and are left out.
+  void add(const RowGradient &other, Mask seen, const Vec *v_direction) {
+    for (int i = 0; i < 3; i++) shape.mean[i] += select(seen, other.shape.mean[i], Vec{}) + v_direction[i];
+    for (int i = 0; i < 4; i++) shape.quat[i] += select(seen, other.shape.quat[i], Vec{});
+    for (int i = 0; i < 3; i++) shape.scale[i] += select(seen, other.shape.scale[i], Vec{});
+    opacity += select(seen, other.opacity, Vec{});
+  }
+};
+
+inline Mask seen_by(const Image &image, const Rows &rows) {
+  Vec row = broadcast(-1.f);
+  for (int lane = 0; lane < rows.count; lane++) row[lane] = static_cast<float>(image.row_of[rows.id[lane]]);
+  return ge(row, Vec{});
 }
 
-// Backward pass of one vector of Gaussians through all cameras of a batch; camera sums go to [camera][kCameraSums].
+// One camera's part of the gradients of one vector of Gaussians; with the camera's own added to sums[kCameraSums].
+inline void camera_vjp(const Request &r, const Gradients &g, int index, const Image &image, const Rows &rows,
+                       const Shape &shape, Vec opacity, const SlotTotals &totals, RowGradient &v, float *sums) {
+  Projection p;
+  transform_point(image.camera, shape, p);
+  project_covariance(image.camera, shape, r.eps2d, p);
+  RowGradient here;
+  Vec v_direction[3] = {};
+  const ProjectionGradient v_projection = projection_gradient(r, p, opacity, totals, here.opacity);
+  project_vjp(image.camera, shape, p, v_projection, r.antialiased, r.min_compensation, g.v_viewmats != nullptr,
+              here.shape);
+  colors_vjp(r, g, index, image, rows, shape, totals, v_direction);
+  const Mask seen = seen_by(image, rows);
+  v.add(here, seen, v_direction);
+  if (g.v_viewmats == nullptr) return;
+  for (int i = 0; i < 9; i++) sums[i] += sum(select(seen, here.shape.R[i], Vec{}));
+  for (int i = 0; i < 3; i++) sums[9 + i] += sum(select(seen, here.shape.t[i], Vec{}));
+  for (int i = 0; i < 3; i++) sums[12 + i] -= sum(v_direction[i]);
+}
+
+// Backward pass of one vector of Gaussians through all cameras of a batch; the cameras' sums are [camera][kCameraSums].
 inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int batch, const Rows &rows, SlotTotals &totals,
                       float *camera_sums) {
-  ShapeGradient v = zero_gradient();
-  Vec v_opacity{};
-  Shape shape;
-  bool touched = false;
+  RowGradient v;
+  const Shape shape = load_shape(r, batch, rows);
   const Vec opacity = rows.column(r.opacities + batch * r.opacities_stride, 1, 0);
   for (int camera = 0; camera < r.cameras; camera++) {
     const int index = batch * r.cameras + camera;
     const Image &image = *w.images[index];
     if (!totals.collect(image, rows)) continue;
-    if (!touched) shape = load_shape(r, batch, rows);
-    touched = true;
-    Projection p;
-    transform_point(image.camera, shape, p);
-    project_covariance(image.camera, shape, r.eps2d, p);
-    Vec v_opacity_here, v_direction[3] = {};
-    const ProjectionGradient v_projection = projection_gradient(r, p, opacity, totals, v_opacity_here);
-    colors_vjp(r, g, index, image, rows, shape, totals, v_direction);
-    // Lanes that this camera does not see may hold infinities: they are dropped, not multiplied by zero.
-    Mask seen = Mask{};
-    IntVec row = broadcast(int32_t{-1});
-    for (int lane = 0; lane < rows.count; lane++) row[lane] = image.row_of[rows.id[lane]];
-    seen = ge(__builtin_convertvector(row, Vec), Vec{});
-    ShapeGradient here = zero_gradient();
-    project_vjp(image.camera, shape, p, v_projection, r.antialiased, r.min_compensation, g.v_viewmats != nullptr, here);
-    v_opacity += select(seen, v_opacity_here, Vec{});
-    for (int i = 0; i < 3; i++) v.mean[i] += select(seen, here.mean[i], Vec{}) + v_direction[i];
-    for (int i = 0; i < 4; i++) v.quat[i] += select(seen, here.quat[i], Vec{});
-    for (int i = 0; i < 3; i++) v.scale[i] += select(seen, here.scale[i], Vec{});
-    if (g.v_viewmats == nullptr) continue;
-    float *sums = camera_sums + static_cast<int64_t>(camera) * kCameraSums;
-    for (int i = 0; i < 9; i++) sums[i] += sum(select(seen, here.R[i], Vec{}));
-    for (int i = 0; i < 3; i++) sums[9 + i] += sum(select(seen, here.t[i], Vec{}));
-    for (int i = 0; i < 3; i++) sums[12 + i] -= sum(v_direction[i]);
+    camera_vjp(r, g, index, image, rows, shape, opacity, totals, v, camera_sums + camera * kCameraSums);
   }
-  if (!touched) return;
-  for (int i = 0; i < 3; i++) add_column(g.v_means + batch * r.means_stride, 3, i, rows, v.mean[i]);
-  for (int i = 0; i < 4; i++) add_column(g.v_quats + batch * r.quats_stride, 4, i, rows, v.quat[i]);
-  for (int i = 0; i < 3; i++) add_column(g.v_scales + batch * r.scales_stride, 3, i, rows, v.scale[i]);
-  add_column(g.v_opacities + batch * r.opacities_stride, 1, 0, rows, v_opacity);
+  for (int i = 0; i < 3; i++) add_column(g.v_means + batch * r.means_stride, 3, i, rows, v.shape.mean[i]);
+  for (int i = 0; i < 4; i++) add_column(g.v_quats + batch * r.quats_stride, 4, i, rows, v.shape.quat[i]);
+  for (int i = 0; i < 3; i++) add_column(g.v_scales + batch * r.scales_stride, 3, i, rows, v.shape.scale[i]);
+  add_column(g.v_opacities + batch * r.opacities_stride, 1, 0, rows, v.opacity);
 }
 
 // Lists a task's Gaussians that any camera of the batch has a gradient for; the number of them.
@@ -174,6 +183,19 @@ inline int find_touched(const Request &r, const Workspace &w, int batch, int tas
   return count;
 }
 
+// Adds what comes back through the position p, which solves viewmat (p, 1) = (0, 0, 0, 1), to the gradient of viewmat.
+inline void position_vjp(const Camera &camera, const float *v_position, float *v_viewmat) {
+  const double p[4] = {camera.position[0], camera.position[1], camera.position[2], 1.};
+  double v_row[4] = {};  // times -p it is the gradient of each row
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) v_row[i] += camera.inverse_R[3 * j + i] * v_position[j];
+    v_row[3] += v_position[i] * p[i];
+  }
+  for (int i = 0; i < 4; i++) {
+    for (int j = 0; j < 4; j++) v_viewmat[4 * i + j] -= static_cast<float>(v_row[i] * p[j]);
+  }
+}
+
 // Adds the tasks' camera sums up, in the tasks' order.
 inline void write_camera_gradients(const Request &r, const Gradients &g, const Workspace &w, int tasks) {
   const int images = images_of(r);
@@ -183,11 +205,12 @@ inline void write_camera_gradients(const Request &r, const Gradients &g, const W
       const float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + image) * kCameraSums];
       for (int i = 0; i < kCameraSums; i++) total[i] += sums[i];
     }
+    float *v_viewmat = g.v_viewmats + 16 * image;
     for (int i = 0; i < 3; i++) {
-      for (int j = 0; j < 3; j++) g.v_viewmats[16 * image + 4 * i + j] = total[3 * i + j];
-      g.v_viewmats[16 * image + 4 * i + 3] = total[9 + i];
-      if (g.v_camera_positions != nullptr) g.v_camera_positions[3 * image + i] = total[12 + i];
+      for (int j = 0; j < 3; j++) v_viewmat[4 * i + j] = total[3 * i + j];
+      v_viewmat[4 * i + 3] = total[9 + i];
     }
+    position_vjp(w.images[image]->camera, total + 12, v_viewmat);
   }
 }
 

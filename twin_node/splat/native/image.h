@@ -105,7 +105,6 @@ inline void prepare_image(Image &image, const Request &request, int index) {
   image.tile_columns = (request.width + kTile - 1) / kTile;
   image.tile_rows = (request.height + kTile - 1) / kTile;
   image.camera = make_camera(request.viewmats + 16 * index, request.Ks + 9 * index, request.width, request.height);
-  if (request.camera_positions != nullptr) std::copy_n(request.camera_positions + 3 * index, 3, image.camera.position);
   const int64_t pixels = static_cast<int64_t>(request.width) * request.height;
   const uint8_t *mask = request.pixel_mask == nullptr ? nullptr : request.pixel_mask + pixels * index;
   const int stride = image.tile_columns + 1;

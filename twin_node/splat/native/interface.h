@@ -5,13 +5,14 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 1;
+constexpr int32_t kInterfaceVersion = 2;
 
 enum Status : int32_t {
   kOk = 0,
   kOutOfMemory = 1,
   kTooManyIntersections = 2,
   kBadFocalLength = 3,
+  kSingularView = 4,
   kNonFinite = 100,  // + the index of the argument, as non_finite_argument counts them
 };
 
@@ -29,34 +30,32 @@ struct Request {
   int32_t threads;
   float near_plane, far_plane, radius_clip, eps2d, max_alpha, min_compensation;
   int64_t means_stride, quats_stride, scales_stride, opacities_stride, colors_stride;  // floats from batch to batch
-  const float *means;             // [B, N, 3]
-  const float *quats;             // [B, N, 4] w, x, y, z
-  const float *scales;            // [B, N, 3]
-  const float *opacities;         // [B, N]
-  const float *colors;            // [B, (C,) N, D] or [B, (C,) N, K, 3]
-  const float *viewmats;          // [B, C, 4, 4]
-  const float *Ks;                // [B, C, 3, 3]
-  const float *camera_positions;  // [B, C, 3]; only read with sh_degree > 0
-  const float *backgrounds;       // [B, C, channels] or null
-  const uint8_t *pixel_mask;      // [B, C, H, W] or null
-  float *renders;                 // [B, C, H, W, channels]
-  float *alphas;                  // [B, C, H, W, 1]
-  int32_t *radii;                 // [B, C, N, 2]
-  float *means2d;                 // [B, C, N, 2]
-  float *depths;                  // [B, C, N]
+  const float *means;         // [B, N, 3]
+  const float *quats;         // [B, N, 4] w, x, y, z
+  const float *scales;        // [B, N, 3]
+  const float *opacities;     // [B, N]
+  const float *colors;        // [B, (C,) N, D] or [B, (C,) N, K, 3]
+  const float *viewmats;      // [B, C, 4, 4]
+  const float *Ks;            // [B, C, 3, 3]
+  const float *backgrounds;   // [B, C, channels] or null
+  const uint8_t *pixel_mask;  // [B, C, H, W] or null
+  float *renders;             // [B, C, H, W, channels]
+  float *alphas;              // [B, C, H, W, 1]
+  int32_t *radii;             // [B, C, N, 2]
+  float *means2d;             // [B, C, N, 2]
+  float *depths;              // [B, C, N]
 };
 
 // Gradients of the loss. The outputs have the shapes (and batch strides) of the inputs and must come zeroed.
 struct Gradients {
-  const float *v_renders;     // [B, C, H, W, channels]
-  const float *v_alphas;      // [B, C, H, W, 1] or null
+  const float *v_renders;  // [B, C, H, W, channels]
+  const float *v_alphas;   // [B, C, H, W, 1] or null
   float *v_means;
   float *v_quats;
   float *v_scales;
   float *v_opacities;
-  float *v_colors;            // null where only depth is rendered
-  float *v_viewmats;          // [B, C, 4, 4] or null, without the part that goes through camera_positions
-  float *v_camera_positions;  // [B, C, 3] or null
+  float *v_colors;    // null where only depth is rendered
+  float *v_viewmats;  // [B, C, 4, 4] or null
 };
 
 struct LossRequest {

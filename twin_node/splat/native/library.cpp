@@ -20,15 +20,17 @@ int32_t guarded(const Work &work) {
   }
 }
 
-bool focal_lengths_positive(const splat::Request &r) {
+splat::Status check_cameras(const splat::Request &r) {
   for (int i = 0; i < splat::images_of(r); i++) {
-    if (!(r.Ks[9 * i] > 0.f && r.Ks[9 * i + 4] > 0.f)) return false;
+    if (!(r.Ks[9 * i] > 0.f && r.Ks[9 * i + 4] > 0.f)) return splat::kBadFocalLength;
+    if (!splat::invertible(r.viewmats + 16 * i)) return splat::kSingularView;
   }
-  return true;
+  return splat::kOk;
 }
 
 }  // namespace
 
+#pragma GCC visibility push(default)
 extern "C" {
 
 int32_t splat_interface_version() { return splat::kInterfaceVersion; }
@@ -49,7 +51,8 @@ void splat_release(void *workspace) { workspaces().release(static_cast<splat::Wo
 int32_t splat_forward(void *workspace, const splat::Request *request) {
   const int bad = splat::non_finite_argument(*request);
   if (bad >= 0) return splat::kNonFinite + bad;
-  if (!focal_lengths_positive(*request)) return splat::kBadFocalLength;
+  const splat::Status cameras = check_cameras(*request);
+  if (cameras != splat::kOk) return cameras;
   return guarded([&] { return splat::forward(*static_cast<splat::Workspace *>(workspace), *request); });
 }
 
@@ -64,3 +67,4 @@ int32_t splat_image_loss(const splat::LossRequest *request) {
   return guarded([&] { return splat::image_loss(*request); });
 }
 }
+#pragma GCC visibility pop

@@ -11,14 +11,43 @@ struct Camera {
   float R[9], t[3];        // world to camera
   float fx, fy, cx, cy;    // pixels
   float x_min, x_max, y_min, y_max;  // x/z and y/z are clamped to these where the Jacobian is taken
-  float position[3];       // of the camera in the world; only set where harmonics need it
+  double inverse_R[9];     // of R, which need not be a rotation to the last bit
+  float position[3];       // of the camera in the world
 };
+
+// Inverse of a 3x3 matrix by cofactors; false where it has none.
+inline bool invert(const float *m, double *inverse) {
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      const int row0 = (j + 1) % 3, row1 = (j + 2) % 3, column0 = (i + 1) % 3, column1 = (i + 2) % 3;
+      inverse[i * 3 + j] = static_cast<double>(m[row0 * 3 + column0]) * m[row1 * 3 + column1] -
+                           static_cast<double>(m[row0 * 3 + column1]) * m[row1 * 3 + column0];
+    }
+  }
+  const double det = m[0] * inverse[0] + m[1] * inverse[3] + m[2] * inverse[6];
+  constexpr double kSmallest = 1e-12;  // of a rotation it is 1
+  if (!(std::fabs(det) > kSmallest)) return false;
+  for (int i = 0; i < 9; i++) inverse[i] /= det;
+  return true;
+}
+
+inline bool invertible(const float *viewmat) {
+  const float R[9] = {viewmat[0], viewmat[1], viewmat[2], viewmat[4], viewmat[5], viewmat[6], viewmat[8], viewmat[9],
+                      viewmat[10]};
+  double inverse[9];
+  return invert(R, inverse);
+}
 
 inline Camera make_camera(const float *viewmat, const float *K, int width, int height) {
   Camera camera{};
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) camera.R[i * 3 + j] = viewmat[i * 4 + j];
     camera.t[i] = viewmat[i * 4 + 3];
+  }
+  invert(camera.R, camera.inverse_R);
+  for (int i = 0; i < 3; i++) {
+    const double *row = camera.inverse_R + 3 * i;
+    camera.position[i] = static_cast<float>(-(row[0] * camera.t[0] + row[1] * camera.t[1] + row[2] * camera.t[2]));
   }
   camera.fx = K[0];
   camera.fy = K[4];

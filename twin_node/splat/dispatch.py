@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from twin_node.splat import library as native
 from twin_node.splat.arguments import (
     Gaussians,
     Options,
@@ -18,7 +19,6 @@ from twin_node.splat.arguments import (
 )
 from twin_node.splat.cpu import render_native
 from twin_node.splat.cuda import render_gsplat
-from twin_node.splat.library import native_library
 from twin_node.splat.plain import render_plain
 
 
@@ -107,7 +107,7 @@ def _render(scene: Scene) -> Rendered:
     if scene.gaussians.means.is_cuda:
         check_finite(scene)
         return render_gsplat(scene)
-    library = native_library()
+    library = native.native_library()
     if library is None or scene.gaussians.means.device.type != "cpu":
         check_finite(scene)
         return render_plain(scene)

@@ -1,0 +1,13 @@
+import pytest
+
+from twin_node.splat import native_build
+from twin_node.splat.library import NativeLibrary, load_variant
+
+
+@pytest.fixture(scope="session")
+def library() -> NativeLibrary:
+    """The best compiled library of this machine."""
+    try:
+        return load_variant(native_build.supported_variants()[0])
+    except native_build.CompileError as error:
+        pytest.skip(f"no compiled rasteriser here: {error}")

@@ -1,0 +1,146 @@
+"""Building, caching and loading the compiled rasteriser, and what happens where that cannot be."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import stat
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+import torch
+from splat_scenes import assert_close, differentiate, make_case
+
+from twin_node.splat import SplatError, image_loss, native_build, rasterize, rasterize_plain
+from twin_node.splat import library as native
+from twin_node.splat.library import NativeLibrary
+
+TINY = 'extern "C" int splat_interface_version() { return 7; }\n'
+
+
+@pytest.fixture
+def tiny_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Sources that compile in no time, and a cache of their own."""
+    native_build.find_compiler()
+    folder = tmp_path / "native"
+    folder.mkdir()
+    (folder / "library.cpp").write_text(TINY)
+    monkeypatch.setattr(native_build, "SOURCES", folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return folder
+
+
+def test_second_use_finds_the_first_ones_library(tiny_sources: Path, monkeypatch: pytest.MonkeyPatch):
+    library = native_build.cached_library("baseline")
+    assert library.parent.stat().st_mode & stat.S_IRWXO == 0
+    monkeypatch.setattr(native_build, "compile_library", lambda *_: pytest.fail("compiled again"))
+    assert native_build.cached_library("baseline") == library
+
+
+def test_changed_sources_get_a_library_of_their_own(tiny_sources: Path):
+    first = native_build.cached_library("baseline")
+    (tiny_sources / "library.cpp").write_text(TINY.replace("7", "8"))
+    assert native_build.cached_library("baseline") != first
+
+
+def test_processes_that_compile_at_once_all_get_a_whole_library(tiny_sources: Path):
+    program = (
+        "import sys; from pathlib import Path; from twin_node.splat import native_build as b; "
+        f"b.SOURCES = Path({str(tiny_sources)!r}); print(b.cached_library('baseline'))"
+    )
+    running = [subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    paths = {process.communicate()[0].strip() for process in running}
+    assert len(paths) == 1
+    folder = Path(paths.pop()).parent
+    assert [path.suffix for path in folder.iterdir()] == [".so"]
+
+
+def test_compiler_errors_are_told_and_leave_nothing(tiny_sources: Path):
+    (tiny_sources / "library.cpp").write_text("this is no C++\n")
+    with pytest.raises(native_build.CompileError, match=r"ended with status 1: .*error"):
+        native_build.cached_library("baseline")
+    assert list((tiny_sources.parent / "cache" / "twin_node").iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_written_is_replaced(tiny_sources: Path, monkeypatch: pytest.MonkeyPatch):
+    blocked = tiny_sources.parent / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    library = native_build.cached_library("baseline")
+    assert library.exists()
+    assert library.parent.stat().st_uid == os.getuid()
+
+
+def test_a_library_of_another_interface_is_refused(tiny_sources: Path):
+    (tiny_sources / "library.cpp").write_text(
+        TINY
+        + "".join(
+            f'extern "C" void {name}() {{}}\n'
+            for name in ("splat_forward", "splat_backward", "splat_image_loss", "splat_acquire", "splat_release")
+        )
+    )
+    with pytest.raises(OSError, match="expected interface version 2, found 7"):
+        native.load_variant("baseline")
+
+
+def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setattr(native_build, "shipped_library", lambda variant: tmp_path / variant)
+    native.native_library.cache_clear()
+    try:
+        case = make_case(count=40, width=16, height=12)
+        with pytest.warns(UserWarning, match="no C\\+\\+ compiler found"):
+            found = differentiate(rasterize, case)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            image_loss(found.renders, torch.zeros_like(found.renders))
+        assert_close(found, differentiate(rasterize_plain, case.to(torch.float64)))
+    finally:
+        native.native_library.cache_clear()
+
+
+def render_in_child(queue: multiprocessing.Queue[str]) -> None:
+    try:
+        make_case(count=5, width=8, height=8).render(rasterize)
+        queue.put("rendered")
+    except SplatError as error:
+        queue.put(str(error))
+
+
+def test_a_forked_child_gets_an_error_and_no_hang(library: NativeLibrary):
+    make_case(count=2000).render(rasterize)
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=render_in_child, args=(queue,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child.start()
+    answer = queue.get(timeout=60)
+    child.join(timeout=60)
+    assert child.exitcode == 0
+    assert "forked" in answer
+    assert "spawn" in answer
+
+
+def test_memory_stays_flat_over_calls_of_many_sizes(library: NativeLibrary):
+    """Workspaces grow to the largest call and no further."""
+
+    def calls(count: int) -> None:
+        for index in range(count):
+            case = make_case(count=50 + 97 * (index % 11), width=8 + 13 * (index % 7), height=70 - 9 * (index % 7))
+            differentiate(rasterize, case)
+
+    def resident_kb() -> int:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") // 1024
+
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("resident memory is read from /proc")
+    calls(80)
+    before = resident_kb()
+    calls(160)
+    assert resident_kb() - before < 4096
