@@ -44,7 +44,8 @@ def contains(grid: Grid, indices: NDArray[np.integer], places: NDArray[np.intege
     """Whether each flat index in `places` [n] is among `indices` [m]."""
     marked = np.zeros(grid.size, np.bool_)
     marked[indices] = True
-    return marked[places]
+    held: Bool = marked[places]
+    return held
 
 
 def blocked_volume(occupancy: Occupancy, layer: OccupancyLayer) -> float:
@@ -65,7 +66,7 @@ def litres_per_voxel(grid: Grid) -> float:
 
 
 def projected(camera: Camera, grid: Grid, indices: NDArray[np.integer]) -> Bool:
-    """[H, W] True where voxels `indices` [n] show in an image: each the square that its sphere of equal width covers."""
+    """[H, W] True where voxels `indices` [n] show in an image: each a square of its width."""
     u, v, z = project(camera.K, camera.viewmat, grid.centers(indices)).T
     half = camera.K[0, 0] * grid.voxel_size / np.maximum(2 * z, 1e-6)
     inside = (z > grid.voxel_size) & (u > -half) & (v > -half) & (u < camera.width + half) & (v < camera.height + half)

@@ -1,0 +1,157 @@
+"""Scores several forecasts of the same evidence side by side, as the truth about them arrives."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from twin_node.forecast.score import (
+    blocked_volume,
+    iou,
+    litres_per_voxel,
+    nearest_error,
+    projected,
+    score_points,
+)
+from twin_node.scene import Bool, Float64, Occupancy, TwinState, View
+
+
+class Truth(Protocol):
+    """What a recording knows about its scene besides what the twin was given."""
+
+    def points(self, stamp: int) -> Float64 | None:
+        """Points [n, 3] in metres that are occupied at a stamp (ns); None where nothing is known."""
+
+    def volume_l(self, stamp: int) -> float | None:
+        """Volume in litres of all that is occupied by moving things at a stamp; None where unknown."""
+
+    def pixels(self, view: View) -> Bool | None:
+        """[H, W] pixels of the moving things in a view; None where unknown."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good one kind of forecast was; None where the truth cannot tell."""
+
+    recall: float | None
+    """Share of the true points that lay inside the forecast made 200 ms before."""
+    recall_now: float | None
+    """Share that lay inside the layer for the time of publication."""
+    recall_new: float | None
+    """As `recall`, of points whose voxel was not seen to be occupied when the forecast was made."""
+    volume_l: float | None
+    """Mean volume that the forecast blocks at 200 ms: moving and unknown voxels, litres."""
+    moving_volume_l: float | None
+    """Mean volume of the moving voxels alone, litres."""
+    inflation: float | None
+    """`moving_volume_l` over the true volume."""
+    iou: float | None
+    """Mean overlap (intersection over union) of the projected forecast with the true pixels at its time."""
+    error_mm: float | None
+    """Mean distance from the true points to the forecast, 0 inside it, mm."""
+
+
+class Comparison:
+    """Forecasts by name, scored at their last horizon when their time has come."""
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        self._pending: deque[_Pending] = deque()
+        self._tallies: dict[str, _Tally] = {}
+
+    def add(self, state: TwinState, forecasts: Mapping[str, Occupancy]) -> None:
+        """Takes in the forecasts of a state, all for the same times; states come in rising order of stamps."""
+        while self._pending and self._pending[0].valid_at <= state.stamp:
+            self._settle(self._pending.popleft(), state)
+        one = next(iter(forecasts.values()))
+        self._pending.append(_Pending(one.publish_stamp + one.layers[-1].horizon_ns, dict(forecasts)))
+
+    def scores(self) -> dict[str, Score]:
+        """Scores of all forecasts whose time has come, by name."""
+        return {name: tally.score() for name, tally in self._tallies.items()}
+
+    def _settle(self, pending: _Pending, state: TwinState) -> None:
+        """Scores forecasts for about the time of `state`, the first one not before it."""
+        for name, forecast in pending.forecasts.items():
+            tally = self._tallies.setdefault(name, _Tally())
+            tally.add_volume(forecast, self._truth.volume_l(pending.valid_at))
+            tally.add_points(forecast, self._truth.points(forecast.publish_stamp), self._truth.points(pending.valid_at))
+            for view in state.frames.views:
+                pixels = self._truth.pixels(view)
+                if pixels is not None and abs(view.stamp - pending.valid_at) <= NEAR_NS:
+                    tally.add_pixels(forecast, view, pixels)
+
+
+NEAR_NS = 20_000_000
+"""An image this far from a forecast's time still shows its truth: half a period at 25 Hz."""
+
+
+@dataclass(frozen=True)
+class _Pending:
+    valid_at: int
+    forecasts: dict[str, Occupancy]
+
+
+@dataclass
+class _Tally:
+    """Sums over the forecasts of one kind."""
+
+    now_found: int = 0
+    now_of: int = 0
+    found: int = 0
+    of: int = 0
+    new_found: int = 0
+    new_of: int = 0
+    blocked: list[float] = field(default_factory=list)
+    moving: list[float] = field(default_factory=list)
+    true_volumes: list[float] = field(default_factory=list)
+    overlaps: list[float] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+
+    def add_volume(self, forecast: Occupancy, true_volume: float | None) -> None:
+        layer = forecast.layers[-1]
+        self.blocked.append(blocked_volume(forecast, layer))
+        self.moving.append(len(layer.indices) * litres_per_voxel(forecast.grid))
+        if true_volume is not None:
+            self.true_volumes.append(true_volume)
+
+    def add_points(self, forecast: Occupancy, now: Float64 | None, later: Float64 | None) -> None:
+        grid, first, last = forecast.grid, forecast.layers[0], forecast.layers[-1]
+        if now is not None:
+            score = score_points(grid, first, now, first.indices)
+            self.now_found, self.now_of = self.now_found + score.found, self.now_of + score.of
+        if later is not None:
+            score = score_points(grid, last, later, first.indices)
+            self.found, self.of = self.found + score.found, self.of + score.of
+            self.new_found, self.new_of = self.new_found + score.new_found, self.new_of + score.new_of
+            errors = nearest_error(grid, last, later)
+            self.errors.extend(errors[np.isfinite(errors)].tolist())
+
+    def add_pixels(self, forecast: Occupancy, view: View, truth: Bool) -> None:
+        overlap = iou(projected(view.camera, forecast.grid, forecast.layers[-1].indices), truth)
+        if np.isfinite(overlap):
+            self.overlaps.append(overlap)
+
+    def score(self) -> Score:
+        return Score(
+            recall=_share(self.found, self.of),
+            recall_now=_share(self.now_found, self.now_of),
+            recall_new=_share(self.new_found, self.new_of),
+            volume_l=_mean(self.blocked),
+            moving_volume_l=_mean(self.moving),
+            inflation=_share(sum(self.moving), sum(self.true_volumes)),
+            iou=_mean(self.overlaps),
+            error_mm=None if not self.errors else 1e3 * float(np.mean(self.errors)),
+        )
+
+
+def _share(part: float, whole: float) -> float | None:
+    return part / whole if whole else None
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
