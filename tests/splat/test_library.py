@@ -18,7 +18,7 @@ from twin_node.splat import SplatError, image_loss, native_build, rasterize, ras
 from twin_node.splat import library as native
 from twin_node.splat.library import NativeLibrary
 
-TINY = 'extern "C" int splat_interface_version() { return 7; }\n'
+TINY = 'extern "C" __attribute__((visibility("default"))) int splat_interface_version() { return 7; }\n'
 
 
 @pytest.fixture
@@ -75,13 +75,6 @@ def test_a_cache_that_cannot_be_written_is_replaced(tiny_sources: Path, monkeypa
 
 
 def test_a_library_of_another_interface_is_refused(tiny_sources: Path):
-    (tiny_sources / "library.cpp").write_text(
-        TINY
-        + "".join(
-            f'extern "C" void {name}() {{}}\n'
-            for name in ("splat_forward", "splat_backward", "splat_image_loss", "splat_acquire", "splat_release")
-        )
-    )
     with pytest.raises(OSError, match="expected interface version 2, found 7"):
         native.load_variant("baseline")
 

@@ -20,9 +20,9 @@ inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, c
 // True where a splat has a gradient at all.
 inline bool has_gradient(const Image &image, int row, int stride) {
   if (row < 0) return false;
-  const float *from = &image.slot_gradient[static_cast<size_t>(image.slot_begin[row]) * stride];
-  const float *end = &image.slot_gradient[static_cast<size_t>(image.slot_begin[row + 1]) * stride];
-  return std::any_of(from, end, [](float v) { return v != 0.f; });
+  const float *slots = image.slot_gradient.data();
+  return std::any_of(slots + static_cast<size_t>(image.slot_begin[row]) * stride,
+                     slots + static_cast<size_t>(image.slot_begin[row + 1]) * stride, [](float v) { return v != 0.f; });
 }
 
 // Sums of a vector of Gaussians' slots over the tiles of one image, [value][lane].

@@ -211,8 +211,8 @@ inline void load_channels(const Request &r, Image &image, int index, const Pass 
 
 inline Pass make_pass(const Request &r, int first) {
   const int total = channels_of(r), count = std::min(kChannels, total - first);
-  const int slot = (kGeometrySums + total + 3) / 4 * 4;
-  return {first, count, total, r.depth_mode != kNoDepth && first + count == total, r.depth_mode == kExpectedDepth, slot};
+  const bool has_depth = r.depth_mode != kNoDepth && first + count == total;
+  return {first, count, total, has_depth, r.depth_mode == kExpectedDepth, kGeometrySums + total};
 }
 
 // Calls `work` with the number of channels to compile for: the smallest of 1, 3, 4 and 8 that holds `count`.
