@@ -61,6 +61,12 @@ class Forecaster:
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._radii = np.zeros((len(HORIZONS_NS), 0))
+        self._evidence: Evidence | None = None
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """What the last update's state showed; None before the first."""
+        return self._evidence
 
     @property
     def quality(self) -> ForecastQuality:
@@ -83,7 +89,7 @@ class Forecaster:
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
-        evidence = self._observer.observe(state)
+        evidence = self._evidence = self._observer.observe(state)
         self._tracks.advance(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities, float(horizons[-1]))
         self._judge(state, evidence)
         layers = self._layers(evidence, horizons)
