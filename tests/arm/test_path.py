@@ -14,11 +14,12 @@ from twin_node.arm import (
     default_path,
     extrapolate,
     path_ahead,
+    path_from_sample,
     sample_path,
 )
 from twin_node.arm.inverse import reach_down
 from twin_node.robot import UR_NAMES, RobotError, forward_kinematics, ur_model
-from twin_node.scene import JointPath
+from twin_node.scene import JointPath, JointSample
 
 WORKSPACES = {
     "none": None,
@@ -96,6 +97,15 @@ def test_extrapolation_keeps_speed_and_limits() -> None:
     assert (ahead.positions[:, 5] == 7.0).all()  # already beyond its range: it can only stay or come back
 
 
+def test_extrapolation_starts_from_the_samples_own_time_and_order() -> None:
+    model = ur_model("ur5e")
+    sample = JointSample(1_000, model.joint_names[::-1], np.zeros(6), np.arange(6.0) / 10)
+    ahead = path_from_sample(model, sample, 1_000 + 50_000_000)
+    np.testing.assert_allclose(ahead.positions[0], np.arange(6.0)[::-1] / 10 * 0.05)
+    with pytest.raises(RobotError, match="finite"):
+        path_from_sample(model, JointSample(0, model.joint_names, np.zeros(6), np.full(6, np.inf)), 0)
+
+
 @given(x=st.floats(0.3, 0.6), y=st.floats(-0.4, 0.4), z=st.floats(0.1, 0.4))
 @settings(max_examples=30, deadline=None)
 def test_inverse_kinematics_reaches(x: float, y: float, z: float) -> None:
@@ -121,5 +131,3 @@ def test_what_cannot_be_reached_or_followed_is_refused() -> None:
         sample_path(JointPath(model.joint_names, stamps, positions[:, :5]), stamps)
     with pytest.raises(ArmError, match="at least one row"):
         sample_path(JointPath(model.joint_names, stamps[:0], positions[:0]), stamps)
-    with pytest.raises(RobotError, match="finite"):
-        extrapolate(model, np.zeros(6), np.full(6, np.inf), 0)

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from twin_node.resources import find
-from twin_node.robot import UR_NAMES, RobotError, forward_kinematics, place_capsules, ur_model
+from twin_node.resources import ResourceError, find
+from twin_node.robot import UR_NAMES, RobotError, arm_model, forward_kinematics, place_capsules, ur_model
 from twin_node.robot.capsule_fit import distance_to_segment
 from twin_node.robot.mjcf import geom_names, load_arm, write_mjcf
 
@@ -137,3 +137,12 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
     empty.write_text("<mujoco/>")
     with pytest.raises(RobotError, match="found no joints"):
         load_arm(empty)
+
+
+def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
+    assert arm_model("ur5e").name == "ur5e"
+    assert arm_model("sim/ur3e.xml").joint_names == ur_model("ur3e").joint_names
+    with pytest.raises(RobotError, match="expected one of ur3e"):
+        arm_model("kuka")
+    with pytest.raises(ResourceError, match=r"missing\.xml: no such file"):
+        arm_model(tmp_path / "missing.xml")

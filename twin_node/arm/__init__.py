@@ -5,7 +5,15 @@ from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import LimiterParameters, SpeedLimiter
-from twin_node.arm.path import CycleParameters, CyclicPath, default_path, extrapolate, path_ahead, sample_path
+from twin_node.arm.path import (
+    CycleParameters,
+    CyclicPath,
+    default_path,
+    extrapolate,
+    path_ahead,
+    path_from_sample,
+    sample_path,
+)
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
@@ -30,6 +38,7 @@ __all__ = [
     "extrapolate",
     "parallel_gripper",
     "path_ahead",
+    "path_from_sample",
     "sample_path",
     "stopping_table",
 ]

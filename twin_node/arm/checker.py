@@ -15,7 +15,7 @@ from twin_node.arm.narrow import axis_distances, box_distances, point_in_box, sp
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.scene import CollisionScene
 from twin_node.arm.self_collision import SelfClearance, SelfCollision
-from twin_node.robot import ArmModel, Capsules, PlacedCapsules, forward_kinematics, place_capsules, ur_model
+from twin_node.robot import ArmModel, Capsules, PlacedCapsules, arm_model, forward_kinematics, place_capsules
 from twin_node.scene import Bool, Float64, Obstacles
 
 _PAIRS_AT_ONCE = 100_000
@@ -68,11 +68,11 @@ class ArmCollisionChecker:
         max_obstacles: int = 1024,
         allowed: Sequence[AllowedRegion] = (),
     ) -> None:
-        """`model` is an arm or the name of a UR arm; `max_obstacles` is the pool's size for spheres and for boxes.
+        """`model` is an arm, or what `arm_model` takes; `max_obstacles` is the pool's size for spheres and for boxes.
 
         Raises `RobotError` for an unknown arm.
         """
-        self.bare_model = ur_model(model) if isinstance(model, str) else model
+        self.bare_model = arm_model(model) if isinstance(model, str) else model
         self._allowed = tuple(allowed)
         self._max_obstacles = max_obstacles
         self._attachments: dict[str, Attachment] = {} if tool is None else {tool.name: tool}

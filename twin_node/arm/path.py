@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.inverse import reach_down
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, Float64, JointPath
+from twin_node.scene import HORIZONS_NS, Float64, JointPath, JointSample
 
 AHEAD_NS = HORIZONS_NS[-1]
 """How far ahead the arm is looked at, ns: as far as obstacles are forecast."""
@@ -98,9 +98,10 @@ def path_ahead(model: ArmModel, path: JointPath, stamp: int) -> JointPath:
 
 
 def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floating], stamp: int) -> JointPath:
-    """The next 200 ms of an arm that keeps its target velocities [J] (rad/s) from its target angles [J] (rad).
+    """The next 200 ms from a time on (ns) of an arm at angles [J] (rad) that keeps its velocities [J] (rad/s).
 
-    Velocities are cut at the model's limits, and joints stop at the ends of their range.
+    Both are in the model's order, measured or the controller's targets. Velocities are cut at the model's limits, and
+    joints stop at the ends of their range. Raises `RobotError` for a wrong count or values that are not finite.
     """
     start = model.check_positions(q)
     velocity = np.clip(model.check_positions(qd), -model.max_velocity, model.max_velocity)
@@ -108,6 +109,15 @@ def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floatin
     positions = start + velocity * (offsets[:, None] * 1e-9)
     inside = np.clip(positions, np.minimum(model.lower, start), np.maximum(model.upper, start))
     return JointPath(model.joint_names, stamp + offsets, inside)
+
+
+def path_from_sample(model: ArmModel, sample: JointSample, stamp: int) -> JointPath:
+    """The next 200 ms from a time on (ns) of an arm that has kept, and keeps, the velocities of a sample.
+
+    The sample's joints may be in any order. Raises `RobotError` where one is missing or a value is not finite.
+    """
+    q, qd = model.order(sample.names, sample.positions), model.order(sample.names, sample.velocities)
+    return extrapolate(model, q + qd * max(stamp - sample.stamp, 0) * 1e-9, qd, stamp)
 
 
 def default_path(

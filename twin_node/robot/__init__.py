@@ -1,5 +1,6 @@
 """The arm's kinematics and shapes, and what it hides from the cameras."""
 
+from twin_node.robot.arms import arm_model
 from twin_node.robot.kinematics import PlacedCapsules, forward_kinematics, place_capsules
 from twin_node.robot.model import ArmModel, Capsules, RobotError
 from twin_node.robot.self_filter import robot_mask
@@ -11,6 +12,7 @@ __all__ = [
     "Capsules",
     "PlacedCapsules",
     "RobotError",
+    "arm_model",
     "forward_kinematics",
     "place_capsules",
     "robot_mask",
