@@ -42,7 +42,8 @@ def _join(
     nearest = apart.argmin(1)
     close = apart[np.arange(len(homeless)), nearest] < radius_m
     carriers[homeless[close]] = alive.numpy()[nearest[close]]
-    return homeless[~close]
+    left: NDArray[np.int64] = homeless[~close]
+    return left
 
 
 def _found(centre: Tensor, nodes: Nodes, radius_m: float) -> int:
@@ -55,7 +56,7 @@ def _found(centre: Tensor, nodes: Nodes, radius_m: float) -> int:
 
 
 def as_newborns(births: Births, carriers: NDArray[np.int64], poses: Poses, device: torch.device) -> list[Newborns]:
-    """Births in the frames of their nodes, whose `poses` are those at each view's time: RIGID, TRANSIENT and STATIC ones."""
+    """Births in the frames of their nodes, whose `poses` are those at each view's time, one batch per tier."""
     node = torch.from_numpy(carriers)
     view = torch.from_numpy(births.views)
     row = node.clamp_min(0)

@@ -41,11 +41,21 @@ class Twists:
     """[M] 1 sigma of the position after the correction, m."""
 
 
+@dataclass(frozen=True)
+class _Linear:
+    jacobian: Tensor
+    """[n, 2, 6] pixels per m and per rad."""
+    error: Tensor
+    """[n, 2] pixels."""
+    weight: Tensor
+    """[n] 0 where a Gaussian does not show."""
+
+
 class FlowSolver:
     """Optical flow of one rig; holds the engine, no state between calls."""
 
     def __init__(self) -> None:
-        self._engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._engine.setFinestScale(1)
 
     def flow(self, rendering: Rendering, observed: Observed) -> Float32:
@@ -53,8 +63,8 @@ class FlowSolver:
         shown = (rendering.rgb.detach().cpu().clamp(0, 1).numpy() * 255).astype(np.uint8)
         a = cv2.cvtColor(shown, cv2.COLOR_RGB2GRAY)
         b = cv2.cvtColor(observed.view.rgb, cv2.COLOR_RGB2GRAY)
-        found: Float32 = self._engine.calc(a, b, None)
-        return found
+        found = self._engine.calc(a, b, np.zeros((*a.shape, 2), np.float32))
+        return found.astype(np.float32)
 
 
 def solve_twists(
@@ -79,11 +89,11 @@ def solve_twists(
     opacities = moving.opacities.detach().cpu()
     for index, one in enumerate(observed):
         at = moving.means[index, carried].cpu().double()
-        J, error, weight = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
-        weight = weight * opacities[carried].double() / (SHARED_BY * sigma_px**2)
-        WJ = J * weight[:, None, None]
-        H.index_add_(0, nodes[carried], WJ.transpose(1, 2) @ J)
-        g.index_add_(0, nodes[carried], (WJ.transpose(1, 2) @ error[..., None])[..., 0])
+        linear = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
+        weight = linear.weight * opacities[carried].double() / (SHARED_BY * sigma_px**2)
+        WJ = linear.jacobian * weight[:, None, None]
+        H.index_add_(0, nodes[carried], WJ.transpose(1, 2) @ linear.jacobian)
+        g.index_add_(0, nodes[carried], (WJ.transpose(1, 2) @ linear.error[..., None])[..., 0])
     step = max(dt_s, 1e-3) ** 2 / 2
     prior = torch.tensor([1 / (ACCELERATION * step + 2e-3)] * 3 + [1 / (TURN_ACCELERATION * step + 2e-2)] * 3)
     H += torch.diag(prior.double() ** 2)
@@ -93,8 +103,8 @@ def solve_twists(
     return Twists(xi[:, :3], xi[:, 3:], sigmas)
 
 
-def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, origins: Tensor) -> tuple[Tensor, ...]:
-    """Jacobian [n, 2, 6], flow error [n, 2] and weight [n] of Gaussians at `at` [n, 3]; weight 0 where they do not show."""
+def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, origins: Tensor) -> _Linear:
+    """How the pixels of Gaussians at `at` [n, 3], turning about `origins` [n, 3], move with their nodes."""
     camera = one.view.camera
     R = torch.from_numpy(camera.viewmat[:3, :3])
     x = at @ R.T + torch.from_numpy(camera.viewmat[:3, 3])
@@ -117,7 +127,7 @@ def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, o
     to_pixels = projection @ R
     arm = at - origins.double()
     turning = torch.linalg.cross(arm[:, None].expand(-1, 2, -1), to_pixels)
-    return torch.cat([to_pixels, turning], -1), error, weight
+    return _Linear(torch.cat([to_pixels, turning], -1), error, weight)
 
 
 def _confidence(one: Observed, rendering: Rendering, flow: Float32) -> Tensor:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
-from twin_node.model.rays import look, pixel_rays
+from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float32, Float64
 
@@ -83,14 +84,14 @@ def find_births(
 def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> _Pixels:
     image = one.rgb
     counts = one.active & (one.surprise > 0.5 * threshold) & (~one.stale | (one.background.alpha < SOLID))
-    error = np.abs(image - rendering.rgb.detach().cpu().numpy()).max(-1) * counts
-    height, width = error.shape[0] // BLOCK * BLOCK, error.shape[1] // BLOCK * BLOCK
-    blocks = error[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean((1, 3))
+    difference = np.abs(image - rendering.rgb.detach().cpu().numpy())
+    error = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2]) * counts
+    blocks = cv2.resize(error, (error.shape[1] // BLOCK, error.shape[0] // BLOCK), interpolation=cv2.INTER_AREA)
+    colours = cv2.resize(image, (blocks.shape[1], blocks.shape[0]), interpolation=cv2.INTER_AREA)
     order = np.argsort(-blocks, axis=None, kind="stable")[:quota]
     order = order[blocks.ravel()[order] > threshold]
     rows, columns = np.unravel_index(order, blocks.shape)
-    colours = image[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean((1, 3))
-    return _Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns])
+    return _Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns].astype(np.float32))
 
 
 def _lift(
@@ -100,7 +101,7 @@ def _lift(
     camera = one.view.camera
     rows, columns = pixels.rows, pixels.columns
     far = one.background.depth[rows, columns]
-    rays = (pixel_rays(camera)[rows, columns] + pixel_rays(camera)[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
+    rays = (one.background.rays[rows, columns] + one.background.rays[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
     if one.view.depth is not None:
         depth, on_background = _measured(one, rows, columns, far)
     else:
@@ -120,7 +121,7 @@ def _contradicted(observed: Sequence[Observed], index: int, means: Float64, thre
     for other_index, other in enumerate(observed):
         if other_index != index:
             seen = look(other.view.camera, means)
-            visible = seen.inside & ~other.occluded(seen) & other.usable[seen.rows, seen.columns]
+            visible = seen.inside & ~other.background.occluded(seen) & other.usable[seen.rows, seen.columns]
             out |= visible & (other.surprise[seen.rows, seen.columns] < 0.5 * threshold)
     return out
 
@@ -165,7 +166,7 @@ def _agreed(
 def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32) -> Float64:
     """[n] how much one view speaks for each point: 0 where it cannot see it, against what would fill much of it."""
     seen = look(other.view.camera, points)
-    visible = seen.inside & ~other.occluded(seen) & other.usable[seen.rows, seen.columns]
+    visible = seen.inside & ~other.background.occluded(seen) & other.usable[seen.rows, seen.columns]
     moving = other.near_moving[seen.rows, seen.columns]
     difference = np.abs(other.rgb[seen.rows, seen.columns] - rgb).mean(-1)
     agreement = 0.5 + np.exp(-((difference / COLOUR_SIGMA) ** 2))
@@ -174,7 +175,7 @@ def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32) -> 
 
 
 def _known_depth(one: Observed, rendering: Rendering, pixels: _Pixels, far: Float64) -> Float64:
-    """[n] depth of the moving things that the rendering shows around each pixel; between them and nothing, the ground's."""
+    """[n] depth of the moving things that the rendering shows around each pixel, the ground's where it shows none."""
     shown = rendering.depth.detach().cpu().numpy()
     closer = (shown > 0) & (shown < 0.95 * one.background.depth)
     if not closer.any():
@@ -189,4 +190,5 @@ def _known_depth(one: Observed, rendering: Rendering, pixels: _Pixels, far: Floa
     total = np.bincount(labels[closer], weights=shown[closer], minlength=cells * cells)
     count = np.bincount(labels[closer], minlength=cells * cells)
     mean = np.where(count > 0, total / np.maximum(count, 1), float(np.median(shown[closer])))
-    return np.minimum(mean[row_cell * cells + column_cell], far)
+    known: Float64 = np.minimum(mean[row_cell * cells + column_cell], far)
+    return known

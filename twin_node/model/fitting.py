@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node import splat
+from twin_node.model.backgrounds import grow
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians
 from twin_node.model.nodes import Poses
-from twin_node.model.observation import Observed, grow
+from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, join, place, render
@@ -77,7 +78,7 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
     for step in range(steps):
         values = gaussians.values[rows].requires_grad_()
         splats = place(values, nobody, values.new_zeros(1, 1, 3), values.new_zeros(1, 1, 4))
-        photometric(render(splats, cameras), targets).backward()
+        torch.autograd.backward(photometric(render(splats, cameras), targets))
         decay = 0.1 ** (step / steps)
         _descend(gaussians, rows, values, decay)
 
@@ -101,7 +102,7 @@ def fit_window(
 ) -> None:
     """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
 
-    `poses` holds the nodes at each view's own time, `near` the STATIC rows that can show there: looked past, not touched.
+    `poses` holds the nodes at each view's own time, `near` the STATIC rows that can show there, which are not touched.
     """
     device = gaussians.values.device
     rows = torch.cat([gaussians.moving_rows, revised])
@@ -118,7 +119,7 @@ def fit_window(
     for _ in range(parameters.steps):
         values = gaussians.values[rows].requires_grad_()
         splats = join(static, place(values, gaussians.nodes[rows], poses.positions, poses.quats))
-        photometric(render(splats, cameras, masks), targets).backward()
+        torch.autograd.backward(photometric(render(splats, cameras, masks), targets))
         _descend(gaussians, rows, values, parameters.learning_rate)
 
 

@@ -15,7 +15,7 @@ WIDTH = 14
 SMALLEST = -7.6
 """Log of the smallest scale: half a millimetre."""
 LARGEST = 0.7
-"""Log of how many times its size at birth a Gaussian may reach: it stands for its own patch, not for its neighbours'."""
+"""Log of how many times its size at birth a Gaussian may reach: it stands for its own patch, not its neighbours'."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +109,13 @@ class Gaussians:
         self.nodes[rows] = -1
 
     def forget_moments(self, rows: Tensor) -> None:
-        """Zeroes the optimiser state of `rows` [n]: stale momenta would move what is no longer selected (DecoGS, 4.3)."""
+        """Zeroes the optimiser state of `rows` [n]: stale momenta move what is no longer selected (DecoGS, 4.3)."""
         self.moment1[rows] = 0
         self.moment2[rows] = 0
         self.steps[rows] = 0
 
     def descend(self, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """One Adam step on `rows` [n] only, gradient and rates [n, 14] (Kingma and Ba, 2015); scales and colours stay in bounds."""
+        """One Adam step (Kingma and Ba, 2015) on `rows` [n] only, gradient and rates [n, 14], kept in bounds."""
         self.steps[rows] += 1
         m = self.moment1[rows].lerp_(gradient, 0.1)
         v = self.moment2[rows].lerp_(gradient.square(), 0.01)

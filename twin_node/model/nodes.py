@@ -1,4 +1,4 @@
-"""Motion nodes: SE(3) frames that moving Gaussians live in, their filtered motion, and where they were in the window."""
+"""Motion nodes: SE(3) frames that moving Gaussians live in, their filtered motion, and where they have been."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin_node.model.rotations import conjugate, quat_from_vector, quat_product,
 from twin_node.scene import Tier
 
 POSITION_GAIN, VELOCITY_GAIN = 0.9, 0.35
-"""Alpha-beta filter of a node's pose: alpha near one because the measurement is the image itself, beta at a quarter of the
+"""Alpha-beta filter of a node's pose: alpha near one because the measurement is the image itself, beta a quarter of the
 critically damped value for that alpha, because published velocities are extrapolated 200 ms (Kalata, 1984)."""
 
 MAX_SPEED, MAX_TURN = 5.0, 15.0
@@ -122,7 +122,7 @@ class Nodes:
         self._history_quats[self._slot] = self.quats
 
     def poses_at(self, stamps: list[int]) -> Poses:
-        """Poses at `stamps` (ns): interpolated inside the window, carried on at constant velocity near its newest end."""
+        """Poses at `stamps` (ns): interpolated inside the window, at constant velocity after its newest end."""
         at = [self._pose_at(stamp) for stamp in stamps]
         return Poses(torch.stack([p.positions[0] for p in at]), torch.stack([p.quats[0] for p in at]))
 
@@ -157,4 +157,5 @@ def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:
 
 
 def _limit(vectors: Tensor, longest: float) -> Tensor:
-    return vectors * (longest / vectors.norm(dim=-1, keepdim=True).clamp_min(1e-9)).clamp_max(1.0)
+    length: Tensor = vectors.norm(dim=-1, keepdim=True)
+    return vectors * (longest / length.clamp_min(1e-9)).clamp_max(1.0)

@@ -1,43 +1,17 @@
-"""One set of images beside what the STATIC Gaussians alone would show: the evidence that every step of a set works from."""
+"""One set of images beside what the STATIC Gaussians alone would show: the evidence that every step works from."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-import torch
 
-from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
-from twin_node.model.plane import Plane
-from twin_node.model.rays import Seen, look
-from twin_node.model.rendering import place, render
-from twin_node.model.sweep import Shell
+from twin_node.model.backgrounds import Background, grow
 from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, View
-
-OCCLUSION = 0.03
-"""Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
-the footprint of two pixels and 60 degrees field of view."""
 
 MISFIT_GROWTH = 0.02
 """Noise (0 to 1) that the smallest misfit seen at a pixel is granted: five grey levels."""
-BENEATH = 0.005
-"""How far under the plane, in radii of the shell, a point may lie: what the plane's fit and the calibration leave."""
-CULL_PX = 4
-"""Gaussians with a smaller radius show only this close to their centre."""
-
-
-@dataclass(frozen=True)
-class Background:
-    """What one camera sees of the STATIC Gaussians."""
-
-    rgb: Float32
-    """[H, W, 3] 0 to 1."""
-    depth: Float64
-    """[H, W] m along the optical axis, everywhere finite: the plane or the shell where no Gaussian is."""
-    alpha: Float32
-    """[H, W] 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +19,13 @@ class Observed:
     """One view and what is known about its pixels."""
 
     view: View
+    rgb: Float32
+    """[H, W, 3] the image, 0 to 1."""
     offset_s: float
     """The view's stamp less the set's, s; never positive."""
     background: Background
-    moving: Bool
-    """[H, W] something moves or has moved."""
     near_moving: Bool
-    """[H, W] `moving`, grown by what calibration and image noise can be wrong by."""
+    """[H, W] something moves or has moved, grown by what calibration and image noise can be wrong by."""
     usable: Bool
     """[H, W] pixels that count: valid and off the robot."""
     surprise: Float32
@@ -61,88 +35,6 @@ class Observed:
     """[H, W] pixels to be explained by more than the background: near what moves, or other than the background."""
     stale: Bool
     """[H, W] the background has been wrong here for a while although nothing moves: it has to be learnt anew."""
-
-    @property
-    def rgb(self) -> Float32:
-        """[H, W, 3] the image, 0 to 1."""
-        return self.view.rgb.astype(np.float32) / 255
-
-    def occluded(self, seen: Seen) -> Bool:
-        """[n] points that something STATIC stands before."""
-        surface = self.background.depth[seen.rows, seen.columns]
-        return seen.depth > surface * (1 + OCCLUSION)
-
-
-class Backgrounds:
-    """Renderings of the STATIC Gaussians per camera, made anew only when those have changed."""
-
-    def __init__(self, plane: Plane | None, shell: Shell) -> None:
-        self._plane = plane
-        self._shell = shell
-        self._known: dict[str, Background] = {}
-        self._seen: dict[str, Seen] = {}
-        self._radii: dict[str, Float64] = {}
-        self._changed = False
-        self.rows = torch.zeros(0, dtype=torch.int64)
-
-    def beneath(self, points: Float64, radii: Float64) -> Bool:
-        """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""
-        if self._plane is None:
-            return np.zeros(len(points), bool)
-        return self._plane.height(points) < -radii - BENEATH * self._shell.radius
-
-    def mark(self) -> None:
-        """The STATIC Gaussians have changed: the next set renders them anew."""
-        self._changed = True
-
-    def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
-        """The background of each camera."""
-        if self._changed:
-            self._known.clear()
-            self._changed = False
-        missing = [camera for camera in cameras if camera.name not in self._known]
-        if missing:
-            rows = self.rows = gaussians.static_rows
-            values, nodes = gaussians.values[rows], gaussians.nodes[rows]
-            nowhere = values.new_zeros(1, 1, 4)
-            with torch.no_grad():
-                renderings = render(place(values, nodes, nowhere[..., :3], nowhere), missing)
-            for camera, seen in zip(missing, renderings, strict=True):
-                depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), self.surface(camera))
-                self._known[camera.name] = Background(seen.rgb.cpu().numpy(), depth, seen.alpha.cpu().numpy())
-                fallen = self._seen[camera.name] = look(camera, values[:, MEAN].cpu().numpy())
-                reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
-                self._radii[camera.name] = reach * camera.K[0, 0] / np.maximum(fallen.depth, 0.02)
-        return [self._known[camera.name] for camera in cameras]
-
-    def seen(self, cameras: Sequence[Camera]) -> list[Seen]:
-        """Where `rows`, the STATIC Gaussians, fall in each of `cameras`, for which `of` has been called."""
-        return [self._seen[camera.name] for camera in cameras]
-
-    def on_surface(self, cameras: Sequence[Camera]) -> Bool:
-        """[n] which of `rows` lie on the plane or the shell: what stands still for good, whatever it looks like."""
-        out = np.zeros(len(self.rows), bool)
-        for camera in cameras:
-            seen = self._seen[camera.name]
-            surface = self.surface(camera)[seen.rows, seen.columns]
-            out |= seen.inside & (np.abs(seen.depth - surface) < OCCLUSION * surface)
-        return out
-
-    def near(self, observed: Sequence[Observed]) -> torch.Tensor:
-        """[k] those of `rows` that can show in the active pixels of some view."""
-        shown = np.zeros(len(self.rows), bool)
-        for one in observed:
-            seen = self._seen[one.view.camera.name]
-            close = grow(one.active, CULL_PX)[seen.rows, seen.columns]
-            wide = self._radii[one.view.camera.name] > CULL_PX
-            shown |= (close & seen.inside) | (wide & (seen.depth > 0.02))
-        return self.rows[torch.from_numpy(shown).to(self.rows.device)]
-
-    def surface(self, camera: Camera) -> Float64:
-        """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
-        shell = self._shell.depth(camera)
-        plane = shell if self._plane is None else self._plane.depth(camera)
-        return np.where((plane > 0.05) & (plane < shell), plane, shell)
 
 
 class Observer:
@@ -167,22 +59,24 @@ class Observer:
         for view, mask, robot, background in zip(frames.views, moving, robots, backgrounds, strict=True):
             usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
             usable = usable if robot is None else usable & ~robot
-            surprise = self._surprise(view, background) * usable
+            rgb = (view.rgb / 255).astype(np.float32)
+            surprise = self._surprise(view.camera.name, rgb, background) * usable
             grown = grow(mask, margin_px(view.camera, background.depth))
-            stale = self._stale(view.camera.name, (surprise > self._threshold) & ~grown, dt_s)
-            active = (grown | (surprise > self._threshold)) & usable
+            wrong = surprise > self._threshold
+            stale = self._stale(view.camera.name, wrong & ~grown, dt_s)
             offset_s = (view.stamp - frames.stamp) * 1e-9
-            out.append(Observed(view, offset_s, background, mask, grown, usable, surprise, active, stale))
+            active = (grown | wrong) & usable
+            out.append(Observed(view, rgb, offset_s, background, grown, usable, surprise, active, stale))
         return out
 
-    def _surprise(self, view: View, background: Background) -> Float32:
+    def _surprise(self, name: str, rgb: Float32, background: Background) -> Float32:
         """[H, W] what the image differs by beyond what the background's own fit leaves over."""
-        difference = np.abs(view.rgb.astype(np.float32) / 255 - background.rgb).max(-1)
-        known = self._misfit.get(view.camera.name)
+        difference = _largest_channel(rgb, background.rgb)
+        known = self._misfit.get(name)
         if known is None or known.shape != difference.shape:
             known = difference
-        misfit = self._misfit[view.camera.name] = np.minimum(known, difference + MISFIT_GROWTH)
-        surprise: Float32 = np.maximum(difference - misfit, 0)
+        misfit = self._misfit[name] = np.minimum(known, difference + np.float32(MISFIT_GROWTH))
+        surprise: Float32 = np.maximum(difference - misfit, np.float32(0))
         return surprise
 
     def _stale(self, name: str, wrong: Bool, dt_s: float) -> Bool:
@@ -198,7 +92,7 @@ def margin_px(camera: Camera, depth: Float64) -> int:
     return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth)))
 
 
-def grow(mask: Bool, radius: int) -> Bool:
-    """The mask dilated by a square of `radius` pixels."""
-    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    return cv2.dilate(mask.astype(np.uint8), kernel).astype(bool)
+def _largest_channel(a: Float32, b: Float32) -> Float32:
+    difference = np.abs(a - b)
+    largest: Float32 = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
+    return largest

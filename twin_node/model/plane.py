@@ -17,7 +17,7 @@ from twin_node.scene import Camera, Float32, Float64, View
 PATCH_PX = 7
 """Side of the window over which images are compared: about twice the footprint of a hole or marking at 160 px width."""
 TEXTURE = 2.0 / 255
-"""Standard deviation (0 to 1) inside a window below which its correlation says nothing: about the noise of 8-bit video."""
+"""Standard deviation (0 to 1) inside a window below which its correlation says nothing: the noise of 8-bit video."""
 MIN_AGREEMENT, DISTINCT = 0.01, 2.0
 """A plane is believed if it scores this much, and this many times the 90th percentile of all candidates."""
 
@@ -50,7 +50,7 @@ class Plane:
 
 
 def correlation(a: View, b: View, plane: Plane) -> Float32:
-    """[H, W] local zero-mean normalised correlation of a's image with b's seen through `plane`; NaN where not shared."""
+    """[H, W] local normalised correlation of a's image with b's seen through `plane`; NaN where not shared."""
     T = inverse_pose(b.camera.T_base_cam) @ a.camera.T_base_cam
     normal = a.camera.T_base_cam[:3, :3].T @ plane.normal
     offset = plane.normal @ a.camera.T_base_cam[:3, 3] + plane.offset
@@ -60,7 +60,7 @@ def correlation(a: View, b: View, plane: Plane) -> Float32:
     size = (a.camera.width, a.camera.height)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     warped = cv2.warpPerspective(_gray(b), H, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
-    out = _local_correlation(_gray(a), warped)
+    out = _local_correlation(_gray(a), warped.astype(np.float32))
     rays = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), -1)
     in_front = H[2, 0] * rays[..., 0] + H[2, 1] * rays[..., 1] + H[2, 2] > 0
     out[(warped < 0) | ~in_front | ~(plane.depth(a.camera) > 0)] = np.nan
@@ -70,8 +70,8 @@ def correlation(a: View, b: View, plane: Plane) -> Float32:
 def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
     """The plane that explains most of the views, or None where nothing agrees.
 
-    Candidates are planes through triangulated `points` [n, 3] (RANSAC) and horizontal planes below the cameras; the one under
-    which the images agree best is refined in tilt and offset.
+    Candidates are planes through triangulated `points` [n, 3] (RANSAC) and horizontal planes below the cameras; the one
+    under which the images agree best is refined in tilt and offset.
     """
     centres = np.stack([view.camera.T_base_cam[:3, 3] for view in views])
     lowest = centres[:, 2].min()
@@ -156,7 +156,8 @@ def _corner_K(camera: Camera) -> Float64:
 
 
 def _gray(view: View) -> Float32:
-    return cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
+    gray: Float32 = (cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY) / 255).astype(np.float32)
+    return gray
 
 
 def _local_correlation(a: Float32, b: Float32) -> Float32:

@@ -21,6 +21,13 @@ def quat_product(a: Tensor, b: Tensor) -> Tensor:
     )
 
 
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross product [..., 3] with all of broadcasting, which `torch.linalg.cross` lacks."""
+    ax, ay, az = a.unbind(-1)
+    bx, by, bz = b.unbind(-1)
+    return torch.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
 def conjugate(q: Tensor) -> Tensor:
     """Inverse [..., 4] of unit quaternions."""
     return q * q.new_tensor([1.0, -1.0, -1.0, -1.0])
@@ -29,8 +36,8 @@ def conjugate(q: Tensor) -> Tensor:
 def rotate(q: Tensor, v: Tensor) -> Tensor:
     """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
     w, u = q[..., :1], q[..., 1:]
-    t = 2 * torch.linalg.cross(*torch.broadcast_tensors(u, v))
-    return v + w * t + torch.linalg.cross(*torch.broadcast_tensors(u, t))
+    t = 2 * cross(u, v)
+    return v + w * t + cross(u, t)
 
 
 def quat_from_vector(omega: Tensor) -> Tensor:
@@ -53,8 +60,9 @@ def vector_from_quat(q: Tensor) -> Tensor:
 def quat_between(a: Tensor, b: Tensor) -> Tensor:
     """Shortest rotation [..., 4] that takes unit vectors a to b [..., 3]."""
     w = 1 + (a * b).sum(-1, keepdim=True)
-    axis = torch.linalg.cross(*torch.broadcast_tensors(a, b))
+    axis = cross(a, b)
     flip = torch.stack([-a[..., 1], a[..., 0], torch.zeros_like(a[..., 0])], -1)
     q = torch.where(w < 1e-6, torch.cat([torch.zeros_like(w), flip], -1), torch.cat([w, axis], -1))
     q = torch.where(q.norm(dim=-1, keepdim=True) < 1e-9, q.new_tensor([0.0, 1.0, 0.0, 0.0]), q)
-    return q / q.norm(dim=-1, keepdim=True)
+    length: Tensor = q.norm(dim=-1, keepdim=True)
+    return q / length

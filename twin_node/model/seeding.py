@@ -1,4 +1,4 @@
-"""The first set of images as Gaussians: measured or swept depth, back-projected, one Gaussian per small block of pixels."""
+"""The first set of images as Gaussians: measured or swept depth, back-projected, one Gaussian per block of pixels."""
 
 from __future__ import annotations
 

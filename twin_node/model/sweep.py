@@ -13,7 +13,7 @@ from twin_node.model.rays import back_project, look, pixel_rays
 from twin_node.scene import Bool, Camera, Float32, Float64, View
 
 CORRELATION_WEIGHT, COLOUR_WEIGHT = 0.5, 4.0
-"""A perfect correlation outweighs a colour difference of 1/8 of the range: what specular tables show between views."""
+"""A perfect correlation outweighs a colour difference of 1/8 of the range: what gloss makes between views."""
 PLANE_BONUS, HEIGHT_PENALTY = 0.4, 0.4
 """What a pixel must gain to leave the dominant plane, and to stand as high as the lowest camera."""
 SHELL_SCORE = -0.35
@@ -22,8 +22,8 @@ SMOOTH_PX = 7
 """Side of the window over which scores are averaged before the best is taken."""
 
 DISPUTED = 0.2
-"""Mean channel difference (0 to 1) from every other view at which a pixel cannot be part of the plane: more than exposure
-and gloss make of one surface."""
+"""Mean channel difference (0 to 1) from every other view at which a pixel cannot be part of the plane: more than gloss
+and exposure make of one surface."""
 RAY_SAMPLES = 32
 """Depths tried for a pixel that stands before the plane."""
 

@@ -1,4 +1,4 @@
-"""One set after another: node motion, the Gaussians that move, births and deaths. STATIC Gaussians cost nothing here."""
+"""One set after another: node motion, the Gaussians that move, births and deaths; STATIC ones are left alone."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from torch import Tensor
 
 from twin_node.model.adoption import adopt, as_newborns
 from twin_node.model.alignment import FlowSolver, solve_twists
+from twin_node.model.backgrounds import Backgrounds, on_surface
 from twin_node.model.births import find_births
 from twin_node.model.deaths import refuted_moving, refuted_static, showing_stale
 from twin_node.model.fitting import fit_window
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.nodes import Nodes, Poses
-from twin_node.model.observation import Backgrounds, Observed, Observer
+from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.rendering import Rendering, Splats, join, on_device, place, render
 from twin_node.model.rotations import quat_from_vector, quat_product
@@ -74,19 +75,16 @@ class Tracker:
 
         Those on the plane or the shell stay: what is there stays there, only its looks are learnt anew.
         """
-        cameras = [one.view.camera for one in observed]
-        static = self._backgrounds.seen(cameras)
-        gone = refuted_static(observed, renderings, static, self._parameters.track.residual)
-        gone &= ~self._backgrounds.on_surface(cameras)
+        gone = refuted_static(observed, renderings, self._parameters.track.residual)
+        gone &= ~on_surface([one.background for one in observed])
         if self._count_doubts(self._backgrounds.rows, torch.from_numpy(gone)):
             self._backgrounds.mark()
 
     def _fit(self, observed: Sequence[Observed]) -> None:
         """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
-        static = self._backgrounds.seen([one.view.camera for one in observed])
-        chosen = torch.from_numpy(showing_stale(observed, static)).to(self._gaussians.alive.device)
+        chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
         revised = self._living(self._backgrounds.rows[chosen])
-        near = self._living(self._backgrounds.near(observed))
+        near = self._near(observed)
         poses = on_device(self._poses(observed), self._gaussians.values.device)
         fit_window(self._gaussians, poses, observed, near, revised, self._parameters.track)
         if len(revised):
@@ -139,6 +137,11 @@ class Tracker:
         self._gaussians.retire(dead)
         return len(dead) > 0
 
+    def _near(self, observed: Sequence[Observed]) -> Tensor:
+        """Rows of the STATIC Gaussians that can show in the active pixels."""
+        near = self._backgrounds.near([one.background for one in observed], [one.active for one in observed])
+        return self._living(near)
+
     def _living(self, rows: Tensor) -> Tensor:
         return rows[self._gaussians.alive[rows]]
 
@@ -156,8 +159,7 @@ class Tracker:
 
     def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
         """What the views would see, in their active pixels, of the model with `moving` in it."""
-        rows = self._living(self._backgrounds.near(observed))
-        static = self._place(rows, self._nodes.extrapolated([0.0] * len(observed)))
+        static = self._place(self._near(observed), self._nodes.extrapolated([0.0] * len(observed)))
         with torch.no_grad():
             cameras, masks = [one.view.camera for one in observed], [one.active for one in observed]
             return render(join(static, moving), cameras, masks)

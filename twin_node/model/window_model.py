@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import Nodes, Poses
-from twin_node.model.observation import Backgrounds
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, on_device, place, render
@@ -74,7 +74,7 @@ class WindowModel:
         return self._bytes_per_frame
 
     def update(self, frames: FrameSet) -> TwinState:
-        """Brings the model up to date with a set; raises `ModelError` for a set without views or older than the last."""
+        """Brings the model up to date with a set; raises `ModelError` for one without views or older than the last."""
         self._check(frames)
         robots = self._robot_masks(frames)
         moving = self._mask.update(frames, robots)

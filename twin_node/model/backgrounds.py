@@ -1,0 +1,146 @@
+"""What each camera would see of the STATIC Gaussians alone, and where they fall in its image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
+from twin_node.model.plane import Plane
+from twin_node.model.rays import Seen, look, pixel_rays
+from twin_node.model.rendering import place, render
+from twin_node.model.sweep import Shell
+from twin_node.scene import Bool, Camera, Float32, Float64
+
+OCCLUSION = 0.03
+"""Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
+the footprint of two pixels and 60 degrees field of view."""
+BENEATH = 0.005
+"""How far under the plane, in radii of the shell, a point may lie: what the plane's fit and the calibration leave."""
+CULL_PX = 4
+"""Gaussians with a smaller radius show only this close to their centre."""
+REFRESH_SETS = 3
+"""Sets between renderings of a background that changes: it changes slowly, and 10 Hz will do."""
+
+
+@dataclass(frozen=True)
+class Background:
+    """One camera and what it sees of what stands still."""
+
+    camera: Camera
+    rgb: Float32
+    """[H, W, 3] 0 to 1."""
+    depth: Float64
+    """[H, W] m along the optical axis, everywhere finite: the plane or the shell where no Gaussian is."""
+    alpha: Float32
+    """[H, W] 0 to 1."""
+    rays: Float64
+    """[H, W, 3] the pixels' rays, see `pixel_rays`."""
+    surface: Float64
+    """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
+    static: Seen
+    """Where the STATIC Gaussians, `Backgrounds.rows`, fall."""
+    radii_px: Float64
+    """[n] pixels from its centre at which each of them ends."""
+
+    def occluded(self, seen: Seen) -> Bool:
+        """[n] points that something STATIC stands before."""
+        return seen.depth > self.depth[seen.rows, seen.columns] * (1 + OCCLUSION)
+
+
+class Backgrounds:
+    """The background of every camera of a rig, rendered anew after the STATIC Gaussians have changed."""
+
+    def __init__(self, plane: Plane | None, shell: Shell) -> None:
+        self._plane = plane
+        self._shell = shell
+        self._known: dict[str, Background] = {}
+        self._age = 0
+        self._changed = False
+        self.rows = torch.zeros(0, dtype=torch.int64)
+
+    @property
+    def due(self) -> bool:
+        """Whether this set's changes are seen by the next: between refreshes, learning on would be blind."""
+        return self._age + 1 >= REFRESH_SETS
+
+    def mark(self) -> None:
+        """The STATIC Gaussians have changed: the next refresh renders them anew."""
+        self._changed = True
+
+    def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
+        """The background of each camera; called once per set."""
+        self._age += 1
+        fresh = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
+        if not fresh or (self._changed and self._age >= REFRESH_SETS):
+            self._refresh(gaussians, cameras)
+        return [self._known[camera.name] for camera in cameras]
+
+    def _refresh(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
+        rows = self.rows = gaussians.static_rows
+        values, nodes = gaussians.values[rows], gaussians.nodes[rows]
+        nowhere = values.new_zeros(1, 1, 4)
+        with torch.no_grad():
+            renderings = render(place(values, nodes, nowhere[..., :3], nowhere), cameras)
+        means = values[:, MEAN].cpu().numpy()
+        reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
+        old, self._known = self._known, {}
+        for camera, seen in zip(cameras, renderings, strict=True):
+            known = old.get(camera.name)
+            same = known is not None and known.camera is camera
+            surface = known.surface if known is not None and same else self._surface(camera)
+            static = look(camera, means)
+            self._known[camera.name] = Background(
+                camera,
+                seen.rgb.cpu().numpy(),
+                np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface),
+                seen.alpha.cpu().numpy(),
+                known.rays if known is not None and same else pixel_rays(camera),
+                surface,
+                static,
+                reach * camera.K[0, 0] / np.maximum(static.depth, 0.02),
+            )
+        self._changed = False
+        self._age = 0
+
+    def near(self, backgrounds: Sequence[Background], active: Sequence[Bool]) -> Tensor:
+        """[k] those of `rows` that can show in the `active` pixels [H, W] of some view."""
+        shown = np.zeros(len(self.rows), bool)
+        for background, mask in zip(backgrounds, active, strict=True):
+            seen = background.static
+            close = grow(mask, CULL_PX)[seen.rows, seen.columns] & seen.inside
+            shown |= close | ((background.radii_px > CULL_PX) & (seen.depth > 0.02))
+        return self.rows[torch.from_numpy(shown).to(self.rows.device)]
+
+    def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
+        """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""
+        if self._plane is None:
+            return np.zeros(len(points), bool)
+        return self._plane.height(points) < -radii - BENEATH * self._shell.radius
+
+    def _surface(self, camera: Camera) -> Float64:
+        shell = self._shell.depth(camera)
+        plane = shell if self._plane is None else self._plane.depth(camera)
+        return np.where((plane > 0.05) & (plane < shell), plane, shell)
+
+
+def on_surface(backgrounds: Sequence[Background]) -> Bool:
+    """[n] which STATIC Gaussians lie on the plane or the shell: what stands still for good, whatever it looks like."""
+    out = np.zeros(len(backgrounds[0].static.rows), bool)
+    for background in backgrounds:
+        seen = background.static
+        surface = background.surface[seen.rows, seen.columns]
+        out |= seen.inside & (np.abs(seen.depth - surface) < OCCLUSION * surface)
+    return out
+
+
+def grow(mask: Bool, radius: int) -> Bool:
+    """The mask [H, W] dilated by a square of `radius` pixels."""
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    return cv2.dilate(mask.astype(np.uint8), kernel).astype(bool)
