@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import yaml
 from tqdm import tqdm
 
 from twin_node import __version__
@@ -81,6 +84,7 @@ def _add_bench(commands: Any) -> None:
     occupancy = benches.add_parser("occupancy", help="score a log's forecasts, beside the baselines")
     occupancy.add_argument("log", type=Path, metavar="LOG")
     occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
+    occupancy.add_argument("--hue", type=int, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
     occupancy.add_argument("--json", action="store_true", help="print one JSON object")
     _add_source_options(occupancy)
     occupancy.set_defaults(run=_bench_occupancy)
@@ -141,8 +145,9 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _run(session: Any, parameters: Any, rate: float | None, output: Path | None, report: Path | None) -> None:
     """Replay a session with a progress bar, then write its report, and say where everything is."""
+    from twin_node.nodes.chain import make_model
     from twin_node.nodes.replay import replay
-    from twin_node.nodes.report import write_report
+    from twin_node.nodes.report import STEPS, write_report
 
     with session, tqdm(total=round(session.span.seconds, 2), unit="s", desc="replay", disable=None) as bar:
 
@@ -157,8 +162,8 @@ def _run(session: Any, parameters: Any, rate: float | None, output: Path | None,
             if output is not None:
                 print(f"topics: {output}")
             if report is not None:
-                with tqdm(desc="report", unit="step", disable=None) as steps:
-                    write_report(run, session, parameters, report, steps.update)
+                with tqdm(total=STEPS, desc="report", unit="step", disable=None) as steps:
+                    write_report(run, session, lambda: make_model(parameters), report, steps.update)
                 print(f"report: {report / 'report.html'}")
 
 
@@ -178,6 +183,36 @@ def _with_source_options(parameters: Any, options: argparse.Namespace) -> Any:
 def _check_output(output: Path | None, log: Path) -> None:
     if output is not None and output.resolve() == log.resolve():
         raise TwinError(f"-o {output}: expected another file than the log that is read; choose a new name")
+
+
+def _bench_occupancy(options: argparse.Namespace) -> None:
+    from twin_node.bench.occupancy import OccupancyBenchParameters, run
+    from twin_node.bench.truth import ColourOf
+    from twin_node.nodes.log_source import DEFAULT_WIDTH
+    from twin_node.nodes.topics import parse_remaps
+
+    parameters = OccupancyBenchParameters(
+        width=options.width or DEFAULT_WIDTH,
+        max_rate_hz=options.max_rate,
+        rig=options.rig,
+        remaps=parse_remaps(options.remap),
+        start_offset_s=options.start_offset,
+        duration_s=options.duration,
+    )
+    colour = None if options.hue is None else ColourOf(options.hue)
+    bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
+    _print_bench(bench.as_json(), options.json)
+
+
+def _bench_raster(options: argparse.Namespace) -> None:
+    from twin_node.bench import raster
+
+    _print_bench(raster.run(raster.RasterOptions()), options.json)
+
+
+def _print_bench(figures: dict[str, Any], as_json: bool) -> None:
+    """One JSON object, or the same as indented text for a person."""
+    print(json.dumps(figures) if as_json else yaml.safe_dump(figures, sort_keys=False).rstrip())
 
 
 def _positive(text: str) -> float:
@@ -206,6 +241,6 @@ def _number(text: str) -> float:
         value = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text}: expected a number") from None
-    if value != value or abs(value) == float("inf"):
+    if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text}: expected a finite number")
     return value

@@ -67,7 +67,7 @@ class ArmNode(Node):
     def _on_obstacles(self, message: Any) -> None:
         obstacles = convert.obstacles_from_message(message)
         self._checker.update(obstacles)
-        stamp = max(self.clock.now(), obstacles.stamp)
+        stamp = max(self.clock.now(), int(obstacles.valid_from.min(initial=obstacles.stamp)))
         reaction_s = self._parameters.command_latency_ms * 1e-3
         decision = decide(self._checker, self._path_from(stamp), stamp, reaction_s, self._parameters.separation)
         told = self._limiter.decide(decision, stamp)

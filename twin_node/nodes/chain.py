@@ -61,6 +61,11 @@ def load_parameters(path: Path | None) -> ChainParameters:
     return fill(ChainParameters, sections, str(path))
 
 
+def make_model(parameters: ChainParameters) -> WindowModel:
+    """A fresh window model as the chain's."""
+    return WindowModel(parameters.model, arm=ur_model(parameters.arm.model))
+
+
 class Chain:
     """The nodes from frame sets to the arm's speed, made and wired."""
 
@@ -75,7 +80,7 @@ class Chain:
     ) -> None:
         """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status."""
         arm = ur_model(parameters.arm.model)
-        self.model = WindowModel(parameters.model, arm=arm)
+        self.model = make_model(parameters)
         self.forecaster = Forecaster(default_grid(workspace, parameters.grid.voxel_size), parameters.forecast)
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
         checker = ArmCollisionChecker(arm)

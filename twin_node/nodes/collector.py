@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twin_node.forecast import ForecastQuality
 from twin_node.messages import convert
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.spool import Spool, Tick
@@ -22,12 +23,16 @@ class CollectorNode(Node):
 
     def __init__(self, bus: Bus, clock: Clock, spool: Spool | None) -> None:
         super().__init__("collector", bus, clock)
+        self.stamps: list[int] = []
+        """Of every set that went through the chain, ns."""
         self.latencies_ms: list[float] = []
         """From the newest image's stamp to the speed decision, by the run's clock."""
         self.work_ms: list[float] = []
         """From a set's arrival at the model to the speed decision, by the wall clock."""
         self.tier_counts: list[list[int]] = []
         self.separations: list[Separation] = []
+        self.quality: ForecastQuality | None = None
+        """The forecaster's own record, as of the newest set."""
         self.newest_state: TwinState | None = None
         self.warnings: dict[str, int] = {}
         """Warning -> number of sets it was given with."""
@@ -63,15 +68,17 @@ class CollectorNode(Node):
 
     def _on_forecast(self, forecast: Forecast) -> None:
         self._forecast = forecast
+        self.quality = forecast.quality
 
     def _on_separation(self, message: Any) -> None:
         frames, state, forecast = self._frames, self.newest_state, self._forecast
         if frames is None or state is None or forecast is None:
             return
         separation = convert.separation_from_message(message)
+        self.stamps.append(frames.stamp)
         self.latencies_ms.append((self.clock.now() - frames.stamp) / 1e6)
         self.work_ms.append((time.perf_counter() - self._begun) * 1e3)
         self.tier_counts.append(np.bincount(state.gaussians.tiers, minlength=5).tolist())
         self.separations.append(separation)
         if self._spool is not None and self._spool.keeps(frames.stamp):
-            self._spool.add(Tick(frames, state, forecast.occupancy, forecast.obstacles, separation))
+            self._spool.add(Tick(frames, state, forecast.occupancy))

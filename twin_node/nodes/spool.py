@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from twin_node.scene import FrameSet, Obstacles, Occupancy, Separation, TwinState
+from twin_node.scene import FrameSet, Occupancy, TwinState
 
 MAX_SETS = 600
 """Sets kept in all: 20 s at 30 Hz, about 0.5 GB on disk at 10,000 Gaussians."""
@@ -23,8 +23,6 @@ class Tick:
     frames: FrameSet
     state: TwinState | None = None
     occupancy: Occupancy | None = None
-    obstacles: Obstacles | None = None
-    separation: Separation | None = None
 
     @property
     def stamp(self) -> int:

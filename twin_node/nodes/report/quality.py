@@ -14,7 +14,7 @@ from twin_node.model import WindowModel
 from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.model.rendering import Splats, render
 from twin_node.nodes.spool import Tick
-from twin_node.scene import Camera, Float32, FrameSet, GaussianCloud, TwinState, View
+from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, TwinState, View
 
 FEWEST_PIXELS = 50
 """An image with fewer moving pixels than this does not count: its PSNR would be noise."""
@@ -50,7 +50,11 @@ class Quality:
 class Renderings:
     """One image and what was shown in its place."""
 
+    set_stamp: int
+    """Stamp of the view's set, ns."""
     view: View
+    mask: Bool | None
+    """[H, W] the moving mask, where the set went through the twin."""
     image: Image
     first: Image
     """The camera's first image."""
@@ -71,13 +75,14 @@ def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Imag
         state = tick.state or state
         if state is None:
             continue
-        for view in tick.frames.views:
+        masks = tick.state.moving_masks if tick.state else (None,) * len(tick.frames.views)
+        for view, mask in zip(tick.frames.views, masks, strict=True):
             name = view.camera.name
             image = unit(view)
             if name not in first:
                 first[name], still[name] = image, frozen(view.camera)
             ours = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
-            yield Renderings(view, image, first[name], ours, still[name], previous.get(name))
+            yield Renderings(tick.stamp, view, mask, image, first[name], ours, still[name], previous.get(name))
             previous[name] = image
 
 
@@ -147,7 +152,7 @@ def _without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterato
         if first is None or still is None:
             first, still = image, model.render_frozen(hidden.camera).rgb
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
-        yield Renderings(hidden, image, first, ours, still, None)
+        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, None)
 
 
 class _Mean:

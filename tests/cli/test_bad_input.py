@@ -1,0 +1,119 @@
+"""Whatever a user gives that is wrong: one clear line, exit status 2, and nothing half-written."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twin_node.cell.scenario import Fault
+from twin_node.cli import main
+
+RIG = """
+cameras:
+  - name: {name}
+    size: [320, 240]
+    K: [[250, 0, 160], [0, 250, 120], [0, 0, 1]]
+    T_base_cam: [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 2], [0, 0, 0, 1]]
+"""
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """`refused(arguments...)` replays into `tmp_path`, expects to be refused, and returns the one line."""
+
+    def run(*arguments: object) -> str:
+        before = sorted(tmp_path.rglob("*"))
+        out, report = tmp_path / "out.mcap", tmp_path / "report"
+        status = main(["replay", *map(str, arguments), "-o", str(out), "--report", str(report), "--width", "80"])
+        assert status == 2
+        assert sorted(tmp_path.rglob("*")) == before
+        lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
+        assert len(lines) == 1
+        return lines[0]
+
+    return run
+
+
+def test_rig_file_of_another_rig(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(RIG.format(name="cam_elsewhere"))
+    line = refused(cell_log(0.4), "--rig", rig, "--lockstep")
+    assert "no images of camera 'cam_elsewhere'" in line
+    assert "cam_front" in line
+
+
+def test_rig_file_that_is_none(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("cameras: 3\n")
+    assert "rig.yaml" in refused(cell_log(0.4), "--rig", rig)
+
+
+@pytest.mark.parametrize("pace", [["--lockstep"], ["--rate", "4"]])
+def test_stamps_that_run_backwards(
+    refused: Callable[..., str], cell_log: Callable[..., Path], pace: list[str]
+) -> None:
+    line = refused(cell_log(0.4, Fault("unsorted_stamps", "cam_left")), *pace)
+    assert "camera 'cam_left'" in line
+    assert "run backwards" in line
+
+
+def test_depth_without_one_finite_pixel(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    line = refused(cell_log(0.4, Fault("nan_depth", "cam_left")), "--lockstep")
+    assert "cam_left" in line
+    assert "depth" in line
+
+
+def test_log_without_images(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    cameras = ("cam_front", "cam_left", "cam_back")
+    line = refused(cell_log(0.4, *(Fault("missing", camera) for camera in cameras)), "--lockstep")
+    assert "no image topic" in line
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(None, "nowhere.mcap"), (b"", "empty file"), (b"not a log at all", "found a file that begins")]
+)
+def test_a_file_that_is_no_log(
+    refused: Callable[..., str], tmp_path: Path, content: bytes | None, said: str
+) -> None:
+    path = tmp_path / "nowhere.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    assert said in refused(path)
+
+
+def test_a_remap_of_a_topic_that_is_not_there(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    assert "has no topic /nothing" in refused(cell_log(0.4), "--remap", "/nothing:=/cam/image_raw")
+
+
+def test_a_start_past_the_end(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    assert "--start-offset 9 s is past its end" in refused(cell_log(0.4), "--start-offset", "9")
+
+
+def test_an_unknown_parameter(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    file = tmp_path / "p.yaml"
+    file.write_text("synchronizer: {ros__parameters: {widht: 80}}\n")
+    assert "did you mean 'width'?" in refused(cell_log(0.4), "--params", file)
+
+
+def test_the_log_is_never_its_own_output(
+    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "log.mcap"
+    shutil.copy(cell_log(0.4), log)
+    before = log.read_bytes()
+    assert main(["replay", str(log), "-o", str(log), "--lockstep"]) == 2
+    assert log.read_bytes() == before
+    assert "expected another file than the log" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--rate", "0"), ("--width", "nan"), ("--max-rate", "-3"), ("--duration", "x")]
+)
+def test_numbers_that_make_no_sense(option: str, value: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["replay", "log.mcap", option, value])
+    assert exit_.value.code == 2
+    assert f"{value}: expected" in capfd.readouterr().err

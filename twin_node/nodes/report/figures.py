@@ -1,0 +1,96 @@
+"""The figures of a run under the stable names of `report.json`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from twin_node.forecast import ForecastQuality
+from twin_node.nodes.replay import Run
+from twin_node.nodes.report.foresight import Foresight
+from twin_node.nodes.report.quality import LeftOut, Quality
+from twin_node.scene import Separation, Tier
+
+MOVING_STEP_RAD = 1e-3
+"""Joint motion between two decisions above which the arm counts as moving."""
+
+
+def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], foresight: Foresight) -> dict[str, Any]:
+    """Everything measured, as JSON values; what could not be measured is None, and `reasons` says why."""
+    collector = run.collector
+    latencies = collector.work_ms if run.is_lockstep else collector.latencies_ms
+    counts = collector.tier_counts[-1] if collector.tier_counts else [0] * len(Tier)
+    figures: dict[str, Any] = {
+        "mode": "lockstep" if run.is_lockstep else "real time",
+        "sets": run.sets,
+        "dropped": run.dropped,
+        "rate_hz": run.sets / run.seconds if run.seconds > 0 else None,
+        "latency_ms": _percentiles(latencies),
+        "work_ms": _percentiles(collector.work_ms),
+        "quality": {**asdict(quality), "left_out": {name: asdict(scores) for name, scores in left_out.items()}},
+        "tiers": {tier.name.lower(): counts[tier] for tier in Tier},
+        "parameters": run.model.parameters_count,
+        "bytes_per_frame": run.bytes_per_frame,
+        "peak_rss_mb": run.peak_rss_mb,
+        "forecast": {**foresight.figures(), **_coverage(collector.quality)},
+        "arm": _arm(collector.separations),
+        "warnings": dict(collector.warnings),
+    }
+    figures["reasons"] = _reasons(figures, foresight)
+    plain: dict[str, Any] = _plain(figures)
+    return plain
+
+
+def _arm(separations: Sequence[Separation]) -> dict[str, Any]:
+    distances = np.array([s.distance for s in separations])
+    touching = distances <= 0
+    contacts = int(touching[:1].sum() + (touching[1:] & ~touching[:-1]).sum())
+    return {
+        "min_distance_m": float(distances.min()) if len(distances) else None,
+        "min_speed_fraction": min((s.speed_fraction for s in separations), default=None),
+        "contacts": contacts,
+    }
+
+
+def _coverage(quality: ForecastQuality | None) -> dict[str, float | None]:
+    """The calibrated bound's own record: share of what moved that it had foreseen, and the share it aims at."""
+    return {
+        "coverage": None if quality is None else quality.coverage,
+        "coverage_target": None if quality is None else quality.target,
+    }
+
+
+def _percentiles(milliseconds: Sequence[float]) -> dict[str, float | None]:
+    if not milliseconds:
+        return {"p50": None, "p95": None, "p99": None}
+    return {f"p{p}": float(np.percentile(milliseconds, p)) for p in (50, 95, 99)}
+
+
+def _reasons(figures: Mapping[str, Any], foresight: Foresight) -> dict[str, str]:
+    """Why a figure is None."""
+    reasons = {
+        f"forecast.{name}": "nothing moved at a time that had been foreseen"
+        if not foresight.recalls
+        else f"the truth ({foresight.truth}) cannot tell"
+        for name, value in figures["forecast"].items()
+        if value is None
+    }
+    for name, value in figures["quality"].items():
+        if value is None:
+            reasons[f"quality.{name}"] = "no image had 50 or more pixels of that kind"
+    if not figures["quality"]["left_out"]:
+        reasons["quality.left_out"] = "one camera cannot be left out of one"
+    return reasons
+
+
+def _plain(value: Any) -> Any:
+    """The value with non-finite numbers as None: JSON knows neither."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

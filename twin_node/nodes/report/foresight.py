@@ -1,0 +1,103 @@
+"""How much of what came true had been foreseen 200 ms before, beside the baselines."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twin_node.bag import LogReader
+from twin_node.bench.truth import LaterTruth, VoxelTruth
+from twin_node.forecast import BaselineForecaster
+from twin_node.forecast.comparison import NEAR_NS, Comparison, Score
+from twin_node.forecast.score import contains, litres_per_voxel
+from twin_node.nodes.spool import Tick
+from twin_node.nodes.topics import TRUTH_OCCUPANCY
+from twin_node.scene import HORIZONS_NS, Grid, Occupancy, TwinState, UInt32
+
+OURS = "ours"
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """A forecast, the set at the time it was for, and what was seen to move then: for the pictures."""
+
+    tick: Tick
+    grid: Grid
+    foreseen: UInt32
+    seen: UInt32
+
+
+@dataclass(frozen=True)
+class Foresight:
+    """Scores of ours and the baselines, 200 ms ahead."""
+
+    methods: Mapping[str, Score] = field(default_factory=dict)
+    truth: str = ""
+    """What the truth was taken from."""
+    examples: tuple[Foreseen, ...] = ()
+    recalls: tuple[tuple[int, float], ...] = ()
+    """Stamp (ns) and the share of the voxels seen to move then that had been foreseen."""
+
+    def figures(self) -> dict[str, Any]:
+        """As JSON values under the stable names."""
+        ours = asdict(self.methods[OURS]) if OURS in self.methods else dict.fromkeys(Score.__dataclass_fields__)
+        baselines = {name: asdict(scores) for name, scores in self.methods.items() if name != OURS}
+        return {"horizon_s": HORIZONS_NS[-1] * 1e-9, **ours, "truth": self.truth, "baselines": baselines}
+
+
+def score_forecasts(ticks: Iterable[Tick], log: LogReader, examples: int) -> Foresight:
+    """Scores every forecast whose time came within the run; keeps `examples` of them, evenly spread, for pictures.
+
+    The truth is the log's exact occupancy where it has one, else what the twin saw to move when the time had come.
+    """
+    has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in log.topics)
+    truth = VoxelTruth(log) if has_exact else LaterTruth()
+    comparison = Comparison(truth)
+    baselines: BaselineForecaster | None = None
+    due: deque[Occupancy] = deque()
+    shown: list[Foreseen] = []
+    recalls: list[tuple[int, float]] = []
+    for tick in ticks:
+        if tick.state is None or tick.occupancy is None:
+            continue
+        ours = tick.occupancy
+        baselines = baselines or BaselineForecaster(ours.grid)
+        others = baselines.update(tick.state, ours.publish_stamp)
+        seen = others.persistence.layers[0].indices
+        if isinstance(truth, LaterTruth):
+            _observe(truth, tick.state, ours.grid, seen)
+        comparison.add(tick.state, {OURS: ours, **vars(others)})
+        foreseen = _come_due(due, tick.stamp)
+        if foreseen is not None and len(seen):
+            held = contains(ours.grid, foreseen.layers[-1].indices, seen.astype(np.int64))
+            recalls.append((tick.stamp, float(held.mean())))
+            shown.append(Foreseen(tick, ours.grid, foreseen.layers[-1].indices, seen))
+        due.append(ours)
+    return Foresight(comparison.scores(), truth.source, tuple(_spread(shown, examples)), tuple(recalls))
+
+
+def _observe(truth: LaterTruth, state: TwinState, grid: Grid, seen: UInt32) -> None:
+    truth.observe(state.stamp, grid.centers(seen), len(seen) * litres_per_voxel(grid))
+    for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
+        truth.observe_mask(view, mask)
+
+
+def _come_due(due: deque[Occupancy], stamp: int) -> Occupancy | None:
+    """The newest waiting forecast for about `stamp`, ns; it and older ones no longer wait."""
+    found = None
+    while due and due[0].publish_stamp + HORIZONS_NS[-1] <= stamp + NEAR_NS:
+        found = due.popleft()
+    if found is None or found.publish_stamp + HORIZONS_NS[-1] < stamp - NEAR_NS:
+        return None
+    return found
+
+
+def _spread(items: list[Foreseen], count: int) -> list[Foreseen]:
+    """`count` of the items, evenly spread."""
+    if len(items) <= count:
+        return items
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]

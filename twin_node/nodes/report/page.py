@@ -1,0 +1,224 @@
+"""Writes the report of a run: `report.json` and `report.html`."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment
+
+from twin_node.errors import TwinError
+from twin_node.model import WindowModel
+from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.replay import Run
+from twin_node.nodes.report import pictures
+from twin_node.nodes.report.figures import figures_of
+from twin_node.nodes.report.foresight import OURS, Foreseen, Foresight, score_forecasts
+from twin_node.nodes.report.quality import Renderings, clouds_against_images, leave_one_out, score, unit
+
+STRIP_TIMES = 3
+"""Times at which every camera is shown."""
+FORECAST_TIMES = 6
+"""Forecasts that are drawn."""
+
+
+class ReportError(TwinError):
+    """A report cannot be written where it should go."""
+
+
+@dataclass(frozen=True)
+class Captioned:
+    """A picture of the page."""
+
+    data: str
+    """PNG in base64."""
+    caption: str
+
+
+def write_report(
+    run: Run, session: LogSession, make_model: Callable[[], WindowModel], folder: Path, step: Callable[[], object]
+) -> None:
+    """Score a run and write its report into `folder`: both files whole, or an error and neither.
+
+    `make_model()` gives a fresh model as the run's was; `step()` is called after each of the `STEPS`. Raises
+    `ReportError` where the folder cannot be written.
+    """
+    spool = run.spool
+    if spool is None:
+        raise ValueError("write_report: expected a run whose ticks were kept")
+    strips = _Strips(len(spool))
+    shown = clouds_against_images(spool, lambda camera: run.model.render_frozen(camera).rgb)
+    quality = score(strips.watch(shown))
+    step()
+    cameras = [view.camera for view in next(iter(spool)).frames.views]
+    left_out = leave_one_out(lambda: (tick.frames for tick in spool), cameras, make_model)
+    step()
+    foresight = score_forecasts(spool, session.log, FORECAST_TIMES)
+    step()
+    figures = figures_of(run, quality, left_out, foresight)
+    html = _page(session, run, figures, strips.taken, foresight)
+    _write(folder, {"report.json": json.dumps(figures, indent=2) + "\n", "report.html": html})
+    step()
+
+
+STEPS = 4
+"""Times that `write_report` calls its `step`."""
+
+
+class _Strips:
+    """Takes pictures of all cameras at a few times while renderings go by."""
+
+    def __init__(self, ticks: int) -> None:
+        self._wanted = set(np.linspace(0.1 * ticks, 0.95 * ticks, STRIP_TIMES).astype(int).tolist())
+        self._tick = -1
+        self._stamp: int | None = None
+        self.taken: list[Renderings] = []
+
+    def watch(self, renderings: Iterable[Renderings]) -> Iterator[Renderings]:
+        """The renderings as they come; those of the wanted ticks are kept."""
+        for shown in renderings:
+            if shown.set_stamp != self._stamp:
+                self._stamp = shown.set_stamp
+                self._tick += 1
+            if self._tick in self._wanted:
+                self.taken.append(shown)
+            yield shown
+
+
+def _page(
+    session: LogSession, run: Run, figures: Mapping[str, Any], strips: Sequence[Renderings], foresight: Foresight
+) -> str:
+    template = resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, trim_blocks=True)
+    start = session.span.start_ns
+    return environment.from_string(template).render(
+        title=session.log.path.name,
+        lead=_lead(session, run),
+        warnings=[f"{text} ({count} sets)" for text, count in figures["warnings"].items()],
+        cards=_cards(figures),
+        strips=[_strip(shown, start) for shown in strips],
+        forecasts=[_forecast(foreseen, start) for foreseen in foresight.examples],
+        truth=foresight.truth,
+        methods=_methods(foresight),
+        curves=_curves(run, foresight, start),
+        quality=_quality_rows(figures["quality"]),
+    )
+
+
+def _lead(session: LogSession, run: Run) -> str:
+    names = ", ".join(camera.name for camera in session.rig.cameras)
+    pace = "in lockstep" if run.is_lockstep else "in real time"
+    return (
+        f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {run.sets} sets went through the twin, "
+        f"{run.dropped} were dropped because a newer one was there."
+    )
+
+
+def _cards(figures: Mapping[str, Any]) -> list[dict[str, str]]:
+    quality, forecast, arm = figures["quality"], figures["forecast"], figures["arm"]
+    moving = sum(count for tier, count in figures["tiers"].items() if tier not in ("static", "robot"))
+    shown = [
+        ("image sets per second", _number(figures["rate_hz"], "{:.1f}")),
+        ("latency p50 / p99", f"{_number(figures['latency_ms']['p50'])} / {_number(figures['latency_ms']['p99'])} ms"),
+        ("PSNR on moving pixels", _number(quality["psnr_moving_db"], "{:.1f} dB")),
+        ("recall 200 ms ahead", _number(forecast["recall"], "{:.1%}")),
+        ("Gaussians that move, of all", f"{moving} / {sum(figures['tiers'].values())}"),
+        ("smallest distance to the arm", _number(arm["min_distance_m"], "{:.2f} m")),
+        ("lowest speed fraction", _number(arm["min_speed_fraction"], "{:.0%}")),
+        ("peak memory", _number(figures["peak_rss_mb"], "{:.0f} MB")),
+    ]
+    return [{"label": label, "value": value} for label, value in shown]
+
+
+def _strip(shown: Renderings, start: int) -> Captioned:
+    picture = pictures.camera_strip(shown.image, shown.ours, shown.mask)
+    return Captioned(_encoded(pictures.png(picture)), f"{shown.view.camera.name}, {_seconds(shown.view.stamp, start)}")
+
+
+def _forecast(foreseen: Foreseen, start: int) -> Captioned:
+    view = foreseen.tick.frames.views[0]
+    picture = pictures.forecast_picture(unit(view), view.camera, foreseen.grid, foreseen.foreseen, foreseen.seen)
+    return Captioned(_encoded(pictures.png(picture)), f"{view.camera.name}, {_seconds(view.stamp, start)}")
+
+
+def _methods(foresight: Foresight) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name.replace("_", " "),
+            "ours": name == OURS,
+            "recall": _number(score.recall, "{:.1%}"),
+            "recall_new": _number(score.recall_new, "{:.1%}"),
+            "volume": _number(score.moving_volume_l, "{:.1f} l"),
+            "iou": _number(score.iou, "{:.2f}"),
+        }
+        for name, score in foresight.methods.items()
+    ]
+
+
+def _curves(run: Run, foresight: Foresight, start: int) -> list[Captioned]:
+    collector = run.collector
+    seconds = (np.array(collector.stamps) - start) * 1e-9
+    latencies = collector.work_ms if run.is_lockstep else collector.latencies_ms
+    measured = seconds[len(seconds) - len(latencies) :]
+    recalls = np.array(foresight.recalls, dtype=np.float64).reshape(-1, 2)
+    recall = pictures.Curve("recall", (recalls[:, 0] - start) * 1e-9, recalls[:, 1])
+    latency = pictures.Curve("latency", measured, np.array(latencies))
+    what = "work per set, wall clock" if run.is_lockstep else "capture to decision"
+    drawn = [
+        (pictures.separation_over_time(seconds, collector.separations), "The arm: distance, required distance, speed"),
+        (pictures.tiers_over_time(seconds, np.array(collector.tier_counts)), "Gaussians per tier"),
+        (pictures.curves("Latency", "ms", [latency]), f"Latency: {what}"),
+        (pictures.curves("Foreseen", "share", [recall]), "Share of what was seen to move that had been foreseen"),
+    ]
+    return [Captioned(_encoded(data), caption) for data, caption in drawn]
+
+
+def _quality_rows(quality: Mapping[str, Any]) -> list[dict[str, str]]:
+    rows = [
+        ("all pixels", quality["psnr_db"], None, None),
+        (
+            "moving pixels",
+            quality["psnr_moving_db"],
+            quality["frozen_psnr_moving_db"],
+            quality["previous_psnr_moving_db"],
+        ),
+        ("unchanged pixels", quality["psnr_unchanged_db"], quality["frozen_psnr_unchanged_db"], None),
+    ]
+    rows += [
+        (f"moving pixels of {name}, left out", scores["psnr_moving_db"], scores["frozen_psnr_moving_db"], None)
+        for name, scores in quality["left_out"].items()
+    ]
+    return [
+        {"name": name, "ours": _number(ours), "frozen": _number(frozen), "previous": _number(previous)}
+        for name, ours, frozen, previous in rows
+    ]
+
+
+def _number(value: float | None, form: str = "{:.1f}") -> str:
+    return "–" if value is None else form.format(value)
+
+
+def _seconds(stamp: int, start: int) -> str:
+    return f"{(stamp - start) * 1e-9:.2f} s"
+
+
+def _encoded(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+def _write(folder: Path, files: Mapping[str, str]) -> None:
+    """Every file under a partial name first, then all under their own."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (folder / f"{name}.partial").write_text(text, encoding="utf-8")
+        for name in files:
+            (folder / f"{name}.partial").replace(folder / name)
+    except OSError as error:
+        raise ReportError(f"--report {folder}: cannot be written ({error.strerror}); give another folder") from None
