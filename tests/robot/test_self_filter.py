@@ -56,8 +56,9 @@ def test_mask_holds_every_pixel_that_a_ray_says_and_few_more(
     camera = camera_at(position, np.array([0.0, 0.0, 0.4]))
     expected, mask = cast(camera, q, margin), robot_mask(MODEL, q, camera, margin)
     assert not (expected & ~mask).any()
-    # Beyond the exact outline: polygons drawn around circles, and pixels that the outline only crosses.
-    near_edge = cast(camera, q, margin + 0.04)
+    # Beyond the exact outline: polygons drawn around circles, half a pixel, and pixels that the outline only crosses.
+    pixel_m = (distance + 1.0) / camera.K[0, 0]
+    near_edge = cast(camera, q, margin + 1.5 * pixel_m)
     assert not (mask & ~near_edge).any()
 
 

@@ -14,6 +14,10 @@ _RIM_POINTS = 16
 """Corners of the polygon drawn around each end's outline; it stands out by less than 2 % of the radius."""
 _SIGMAS = 2.0
 """How many standard errors of the camera's pose the arm is grown by (95 % of errors in one direction)."""
+_PIXEL_MARGIN = 0.5
+"""Pixels added around a polygon, because OpenCV fills to the nearest pixel and rounds corners."""
+_WIDEST = 0.999
+"""Sine of the largest half angle of an end's cone of rays: a camera that nearly touches an end sees it up to here."""
 _SUBPIXEL_BITS = 4
 """Fractional bits of corners given to OpenCV, 1/16 pixel."""
 _FAR_PIXEL = 2.0**24
@@ -24,7 +28,7 @@ def robot_mask(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_
     """True [H, W] where the arm, at joint angles [J] (rad), may be seen by the camera.
 
     Every capsule is grown by `margin_m` plus twice the camera's calibration error `sigma_m`. Its outline is the convex
-    hull of those of its two end spheres; a pixel whose centre is inside always counts. Raises `RobotError` for joint
+    hull of those of its two end spheres; every pixel whose centre is inside counts. Raises `RobotError` for joint
     angles that are not usable.
     """
     placed = place_capsules(model, forward_kinematics(model, q))
@@ -34,18 +38,19 @@ def robot_mask(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_
     behind = ends[..., 2].max(1) <= -radii
     mask = np.zeros((camera.height, camera.width), np.uint8)
     if in_front.any():
-        _draw_outlines(mask, _rims(ends[in_front], radii[in_front]), camera.K)
+        pixel = ends[in_front, :, 2] / min(camera.K[0, 0], camera.K[1, 1])
+        _draw_outlines(mask, _rims(ends[in_front], radii[in_front, None] + _PIXEL_MARGIN * pixel), camera.K)
     for index in np.flatnonzero(~in_front & ~behind):
         mask |= _ray_hits(camera, ends[index], float(radii[index]))
     return mask.astype(bool)
 
 
 def _rims(ends: Float64, radii: Float64) -> Float64:
-    """Points [C, 2 * _RIM_POINTS, 3] around the circles in which the camera's rays touch the end spheres [C, 2, 3]."""
+    """Points [C, 2 * _RIM_POINTS, 3] around the circles in which rays touch the end spheres [C, 2, 3], radii [C, 2]."""
     distance = np.linalg.norm(ends, axis=-1)
-    ratio = radii[:, None] / distance
+    ratio = np.minimum(radii / distance, _WIDEST)
     center = ends * (1 - ratio**2)[..., None]
-    circumscribed = radii[:, None] * np.sqrt(1 - ratio**2) / np.cos(np.pi / _RIM_POINTS)
+    circumscribed = ratio * distance * np.sqrt(1 - ratio**2) / np.cos(np.pi / _RIM_POINTS)
     axis = ends / distance[..., None]
     across = np.cross(axis, [1.0, 0.0, 0.0])  # z is positive, so the axis is never x itself
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
