@@ -1,0 +1,65 @@
+"""The kinematics that UR measured of one arm in the factory, as `ur_calibration` extracts them from the controller."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from twin_node.robot.model import ArmModel, RobotError
+from twin_node.scene import Float64
+
+_SECTIONS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+_FIELDS = ("x", "y", "z", "roll", "pitch", "yaw")
+_PLAUSIBLE_M = 0.1
+"""How far the tool at zero angles may be from where the DH parameters put it; another arm's file is farther off."""
+
+
+def with_factory_kinematics(model: ArmModel, path: str | Path) -> ArmModel:
+    """A UR arm's model with joint frames from its own calibration file instead of the published DH parameters.
+
+    The file is the one that `ur_robot_driver`'s `ur_calibration` writes (`kinematics:` with x, y, z in metres and roll,
+    pitch, yaw in radians per link). Without it the tool is off by millimetres. Raises `RobotError` for a file that
+    lacks a value, and for one that belongs to another type of arm.
+    """
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise RobotError(f"{path}: expected a UR calibration file, {' '.join(str(error).split())}") from error
+    sections = content.get("kinematics") if isinstance(content, dict) else None
+    origins = np.stack([_origin(sections, section, path) for section in _SECTIONS])
+    origins[0] = np.diag([-1.0, -1.0, 1.0, 1.0]) @ origins[0]  # the file starts in `base`, as UR's controller does
+    calibrated = replace(model, origins=origins)
+    shift = float(np.linalg.norm(_tool_at_zero(calibrated) - _tool_at_zero(model)))
+    if shift > _PLAUSIBLE_M:
+        raise RobotError(
+            f"{path}: expected the calibration of a {model.name}, found a tool {shift:.2f} m away from its place; "
+            "take the file of this arm"
+        )
+    return calibrated
+
+
+def _origin(sections: object, section: str, path: str | Path) -> Float64:
+    """Pose [4, 4] of one joint in the link before it."""
+    fields = sections.get(section) if isinstance(sections, dict) else None
+    values = [fields.get(name) if isinstance(fields, dict) else None for name in _FIELDS]
+    numbers = [value for value in values if isinstance(value, int | float) and np.isfinite(value)]
+    if len(numbers) < len(_FIELDS):
+        raise RobotError(
+            f"{path}: expected kinematics/{section} with numbers {', '.join(_FIELDS)}, found {values}; "
+            "extract the file again with ur_calibration"
+        )
+    origin = np.eye(4)
+    origin[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+    origin[:3, 3] = numbers[:3]
+    return origin
+
+
+def _tool_at_zero(model: ArmModel) -> Float64:
+    pose = np.eye(4)
+    for origin in model.origins:
+        pose = pose @ origin
+    return pose[:3, 3]
