@@ -6,7 +6,7 @@
 namespace splat {
 
 inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, const Pass &pass) {
-  parallel_over_images(r, [&](int i) { return w.images[i]->tiles(); }, [&](int i, int index) {
+  over_tiles(r, w, [&](int i, int index) {
     Image &image = *w.images[i];
     if (image.tile_begin[index] == image.tile_begin[index + 1]) return;
     const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
@@ -226,11 +226,14 @@ inline Status backward(Workspace &w, const Request &r, const Gradients &g) {
   const bool reload = channels_of(r) > kChannels;  // the splats still hold the forward pass's last channels
   for (int first = 0; first < channels_of(r); first += kChannels) {
     const Pass pass = make_pass(r, first);
-    if (reload) fill_splats(r, w, pass, false);
+    if (reload) fill_splats(r, w, pass);
     blend_vjp_pass(r, g, w, pass);
   }
   // A task owns its Gaussians in every batch and camera, so that sums need no locks and have one order.
-  parallel_for(r.threads, tasks, [&](int64_t task) {
+  constexpr int64_t kGrain = 1024;  // intersections
+  int64_t intersections = 0;
+  for (int i = 0; i < images; i++) intersections += w.images[i]->intersections;
+  parallel_for(threads_for(r.threads, intersections, kGrain), tasks, [&](int64_t task) {
     SlotTotals totals(kGeometrySums + channels_of(r), stride);
     for (int batch = 0; batch < r.batches; batch++) {
       float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + batch * r.cameras) * kCameraSums];

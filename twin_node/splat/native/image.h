@@ -182,9 +182,9 @@ inline void order_by_depth(Image &image, int gaussians) {
   if (count > 0) sort_by_key(image, count);
 }
 
-// Copies rows [begin, end) of the depth order into their splats.
-inline void gather_splats(Image &image, int begin, int end) {
-  for (int row = begin; row < end; row++) {
+// Copies what was found into the splats, in depth order.
+inline void gather_splats(Image &image) {
+  for (int row = 0; row < image.visible; row++) {
     const uint32_t place = image.place[row];
     const int32_t id = image.found_id[place];
     image.splats[row].shape = image.found[place];

@@ -65,8 +65,20 @@ inline float weight_at(const LossRequest &r, int64_t pixel) {
   return r.weights == nullptr ? 1.f : std::max(r.weights[pixel], 0.f);
 }
 
+inline void measure_all(const LossRequest &r, int index, LossImage &image) {
+  image.x0 = image.y0 = 0;
+  image.x1 = r.width;
+  image.y1 = r.height;
+  image.weight = static_cast<double>(r.width) * r.height;
+  image.depth_weight = 0;
+  if (r.target_depth == nullptr) return;
+  const float *depth = r.target_depth + static_cast<int64_t>(index) * r.width * r.height;
+  for (int64_t i = 0; i < static_cast<int64_t>(r.width) * r.height; i++) image.depth_weight += depth[i] > 0.f;
+}
+
 // Sums the weights and finds their bounding box.
 inline void measure_weights(const LossRequest &r, int index, LossImage &image) {
+  if (r.weights == nullptr) return measure_all(r, index, image);
   image.x0 = r.width;
   image.y0 = r.height;
   image.x1 = image.y1 = 0;
@@ -262,11 +274,16 @@ inline float depth_row(const LossRequest &r, const Factors &f, int index, const 
 // Runs task(image, first row, end row) -> double over bands of `rows(image)` rows and adds the results up in order.
 template <class Rows, class Task>
 inline double sum_over_bands(const LossRequest &r, LossWorkspace &w, const Rows &rows, const Task &task) {
+  constexpr int64_t kGrain = 4096;  // pixels
   int most = 0;
-  for (int i = 0; i < r.images; i++) most = std::max(most, rows(i));
+  int64_t pixels = 0;
+  for (int i = 0; i < r.images; i++) {
+    most = std::max(most, rows(i));
+    pixels += static_cast<int64_t>(rows(i)) * w.images[i]->columns();
+  }
   const int bands = (most + kRowsPerTask - 1) / kRowsPerTask;
   double *sums = w.sums.reserve(static_cast<size_t>(bands) * r.images + 1);
-  parallel_for(r.threads, static_cast<int64_t>(bands) * r.images, [&](int64_t at) {
+  parallel_for(threads_for(r.threads, pixels, kGrain), static_cast<int64_t>(bands) * r.images, [&](int64_t at) {
     const int image = static_cast<int>(at / bands), begin = static_cast<int>(at % bands) * kRowsPerTask;
     const int end = std::min(rows(image), begin + kRowsPerTask);
     sums[at] = begin < end ? task(image, begin, end) : 0.;
@@ -278,7 +295,7 @@ inline double sum_over_bands(const LossRequest &r, LossWorkspace &w, const Rows 
 
 inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
   static const Window window;
-  parallel_for(r.threads, r.images, [&](int64_t i) { measure_weights(r, static_cast<int>(i), *w.images[i]); });
+  for (int i = 0; i < r.images; i++) measure_weights(r, i, *w.images[i]);
   for (int i = 0; i < r.images; i++) reserve_planes(*w.images[i]);
   const Factors f = factors_of(r, w);
   const auto rows = [&](int i) { return std::max(0, w.images[i]->rows()); };

@@ -229,14 +229,15 @@ inline void for_width(int count, const Work &work) {
   }
 }
 
-// Runs task(image, share) over all images, each cut into as many shares as shares(image) says.
-template <class Shares, class Task>
-inline void parallel_over_images(const Request &r, const Shares &shares, const Task &task) {
-  std::vector<int64_t> begin(images_of(r) + 1, 0);
-  for (int i = 0; i < images_of(r); i++) begin[i + 1] = begin[i] + shares(i);
-  parallel_for(r.threads, begin.back(), [&](int64_t at) {
-    const int image = static_cast<int>(std::upper_bound(begin.begin(), begin.end(), at) - begin.begin()) - 1;
-    task(image, static_cast<int>(at - begin[image]));
+// Runs task(image, tile) over all tiles of all images.
+template <class Task>
+inline void over_tiles(const Request &r, const Workspace &w, const Task &task) {
+  constexpr int64_t kGrain = 1024;  // intersections, or pixels by the hundred
+  int64_t work = 0;
+  for (int i = 0; i < images_of(r); i++) work += w.images[i]->intersections + w.images[i]->width * w.images[i]->height / 100;
+  const int tiles = w.images[0]->tiles();
+  parallel_for(threads_for(r.threads, work, kGrain), int64_t{tiles} * images_of(r), [&](int64_t at) {
+    task(static_cast<int>(at / tiles), static_cast<int>(at % tiles));
   });
 }
 
@@ -244,19 +245,15 @@ inline const uint8_t *mask_of(const Request &r, int image) {
   return r.pixel_mask == nullptr ? nullptr : r.pixel_mask + static_cast<int64_t>(image) * r.width * r.height;
 }
 
-// Splats [row, row + kGaussiansPerTask) get the channels of a pass; with `gather`, their footprints first.
-inline void fill_splats(const Request &r, Workspace &w, const Pass &pass, bool gather) {
-  const auto shares = [&](int i) { return w.images[i]->tasks(w.images[i]->visible); };
-  parallel_over_images(r, shares, [&](int i, int share) {
-    Image &image = *w.images[i];
-    const int begin = share * kGaussiansPerTask, end = std::min(image.visible, begin + kGaussiansPerTask);
-    if (gather) gather_splats(image, begin, end);
-    load_channels(r, image, i, pass, begin, end);
+// Gives all splats the channels of a pass.
+inline void fill_splats(const Request &r, Workspace &w, const Pass &pass) {
+  parallel_for(r.threads, images_of(r), [&](int64_t i) {
+    load_channels(r, *w.images[i], static_cast<int>(i), pass, 0, w.images[i]->visible);
   });
 }
 
 inline void blend_pass(const Request &r, Workspace &w, const Pass &pass) {
-  parallel_over_images(r, [&](int i) { return w.images[i]->tiles(); }, [&](int i, int index) {
+  over_tiles(r, w, [&](int i, int index) {
     const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
     const PixelsOut out{r.renders + pixels * pass.total, r.alphas + pixels,
                         r.backgrounds == nullptr ? nullptr : r.backgrounds + i * pass.total};
@@ -265,24 +262,26 @@ inline void blend_pass(const Request &r, Workspace &w, const Pass &pass) {
   });
 }
 
-// Each image's own serial work, the images side by side.
-inline Status sort_and_bin(const Request &r, Workspace &w) {
+// From what projection found to tiles with their splats; the images side by side.
+inline Status sort_and_bin(const Request &r, Workspace &w, int tasks) {
+  constexpr int64_t kGrain = 2048;  // splats
+  int64_t found = 0;
+  for (int i = 0; i < images_of(r); i++) {
+    for (int task = 0; task < tasks; task++) found += w.images[i]->found_count[task];
+  }
   std::vector<Status> status(images_of(r), kOk);
-  const auto guarded = [&](int i, const auto &work) {
+  parallel_for(threads_for(r.threads, found, kGrain), images_of(r), [&](int64_t i) {
+    Image &image = *w.images[i];
     try {
-      if (!work(*w.images[i])) status[i] = kTooManyIntersections;
+      order_by_depth(image, r.gaussians);
+      gather_splats(image);
+      load_channels(r, image, static_cast<int>(i), make_pass(r, 0), 0, image.visible);
+      status[i] = bin_into_tiles(image) ? kOk : kTooManyIntersections;
     } catch (const std::bad_alloc &) {
       status[i] = kOutOfMemory;
     }
-  };
-  parallel_for(r.threads, images_of(r), [&](int64_t i) {
-    guarded(i, [&](Image &image) { return order_by_depth(image, r.gaussians), true; });
   });
-  for (const Status s : status) if (s != kOk) return s;
-  fill_splats(r, w, make_pass(r, 0), true);
-  parallel_for(r.threads, images_of(r), [&](int64_t i) { guarded(i, bin_into_tiles); });
-  for (const Status s : status) if (s != kOk) return s;
-  return kOk;
+  return *std::max_element(status.begin(), status.end());
 }
 
 inline Status forward(Workspace &w, const Request &r) {
@@ -290,14 +289,16 @@ inline Status forward(Workspace &w, const Request &r) {
   while (static_cast<int>(w.images.size()) < images_of(r)) w.images.push_back(std::make_unique<Image>());
   for (int i = 0; i < images_of(r); i++) prepare_image(*w.images[i], r, i);
   const int tasks = w.images[0]->tasks(r.gaussians);
-  parallel_for(r.threads, static_cast<int64_t>(r.batches) * tasks, [&](int64_t at) {
+  constexpr int64_t kGrain = 4096;  // Gaussians times images
+  const int threads = threads_for(r.threads, static_cast<int64_t>(r.gaussians) * images_of(r), kGrain);
+  parallel_for(threads, static_cast<int64_t>(r.batches) * tasks, [&](int64_t at) {
     project_task(r, w, static_cast<int>(at / tasks), static_cast<int>(at % tasks));
   });
-  const Status status = sort_and_bin(r, w);
+  const Status status = sort_and_bin(r, w, tasks);
   if (status != kOk) return status;
   for (int first = 0; first < channels_of(r); first += kChannels) {
     const Pass pass = make_pass(r, first);
-    if (first > 0) fill_splats(r, w, pass, false);
+    if (first > 0) fill_splats(r, w, pass);
     blend_pass(r, w, pass);
   }
   return kOk;

@@ -75,6 +75,10 @@ class Pool {
   std::vector<Workspace *> idle_;
 };
 
+// All threads or one: a stage that takes less than some 50 us is not worth waking others for, and on a busy machine the
+// wait for a thread that is not scheduled costs milliseconds. `grain` is the work that takes about so long.
+inline int threads_for(int threads, int64_t work, int64_t grain) { return work < grain ? 1 : threads; }
+
 // Runs task(0) ... task(count - 1) on up to `threads` threads of the process's OpenMP runtime, which torch shares.
 template <class Task>
 inline void parallel_for(int threads, int64_t count, const Task &task) {
