@@ -46,7 +46,7 @@ def decided(checker: ArmCollisionChecker, *things: Thing, velocity: np.ndarray =
 
 
 def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
-    found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.35))
+    found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.28))
     stop = stopping_table("ur5e").stop(TURNING)
     approach = found.term_reaction / REACTION_S
     tool_speed = np.hypot(*forward_kinematics(ur5e_checker.model, READY)[-1, :2, 3])  # at 1 rad/s about the base
@@ -61,7 +61,7 @@ def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
 
 
 def test_beyond_the_forecast_people_walk(ur5e_checker: ArmCollisionChecker) -> None:
-    short = beside_the_tool(ur5e_checker, 0.5, valid_ms=(0, 20))
+    short = beside_the_tool(ur5e_checker, 0.42, valid_ms=(0, 20))
     stop = stopping_table("ur5e").stop(TURNING)
     beyond_s = REACTION_S + stop.duration_s - 0.020
     assert decided(ur5e_checker, short).term_human == pytest.approx(1.6 * beyond_s, abs=1e-6)
@@ -120,7 +120,7 @@ def test_furniture_gets_plain_clearance(ur5e_checker: ArmCollisionChecker) -> No
 
 
 def test_unknown_space_follows_the_policy(ur5e_checker: ArmCollisionChecker) -> None:
-    dark = beside_the_tool(ur5e_checker, 0.2, kind=ObstacleKind.UNKNOWN)
+    dark = beside_the_tool(ur5e_checker, 0.12, kind=ObstacleKind.UNKNOWN)
     by_law = decided(ur5e_checker, dark)
     as_furniture = decided(ur5e_checker, dark, unknown=UnknownPolicy.CLEARANCE)
     assert by_law.speed_fraction < as_furniture.speed_fraction

@@ -47,7 +47,7 @@ class Approaches:
     obstacles: NDArray[np.int64]
     """[n] row in the obstacles."""
     distances: Float64
-    """[T, n] m, at each step of the path, the obstacle standing where it is."""
+    """[T, n] m, at each of the arm's positions, the obstacle standing where it is."""
 
 
 _NO_CLEARANCE = Clearance(float("inf"), "", -1, np.full(3, np.nan), np.full(3, np.nan))
@@ -142,20 +142,21 @@ class ArmCollisionChecker:
         return self._closest(angles, self._obstacles.valid_at(np.asarray(stamps)[:, None]))
 
     def approaches(self, positions: Float64, reach: Float64) -> Approaches:
-        """Pairs that come within reach [n] (m, per obstacle; negative: leave it out) while the arm moves.
+        """Pairs within reach [n] (m, per obstacle; negative: leave it out) of the first of the positions [T, J] (rad).
 
-        Distances are given at all steps of the positions [T, J] (rad), obstacles standing still. A pair is kept if its
-        distance may be within reach at any step.
+        Their distances are given at all positions, the obstacles standing still.
         """
         placed = place_capsules(self._model, forward_kinematics(self._model, positions))
-        shapes = self._obstacles
-        lower = self._axis_distances(placed) - placed.radii[:, None] - shapes.outer_radii
-        near = (lower.min(axis=0) <= reach) & (reach >= 0) & ~self._exempt
-        capsules, rows = np.nonzero(near)
-        count, steps = len(rows), len(positions)
-        ends = placed.ends[:, capsules].reshape(-1, 2, 3)
-        distances = self._exact(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
-        return Approaches(capsules, rows, distances.reshape(steps, count))
+        first = PlacedCapsules(placed.ends[:1], placed.radii, placed.links)
+        lower = self._axis_distances(first)[0] - placed.radii[:, None] - self._obstacles.outer_radii
+        capsules, rows = np.nonzero((lower <= reach) & (reach >= 0) & ~self._exempt)
+        now = self._exact(placed.ends[0, capsules], placed.radii[capsules], rows)
+        near = now <= reach[rows]
+        capsules, rows = capsules[near], rows[near]
+        later = len(positions) - 1
+        ends = placed.ends[1:, capsules].reshape(-1, 2, 3)
+        after = self._exact(ends, np.tile(placed.radii[capsules], later), np.tile(rows, later))
+        return Approaches(capsules, rows, np.concatenate([now[None, near], after.reshape(later, len(rows))]))
 
     def self_distance(self, q: NDArray[np.floating]) -> SelfClearance:
         """Closest pair of the arm's own links and attachments at joint angles [J] (rad).

@@ -119,11 +119,15 @@ def _reach(
     motion: Motion,
     law: SeparationParameters,
 ) -> Float64:
-    """Distance [n] (m) within which an obstacle can matter: the law at full speed for the arm's fastest point."""
+    """Distance [n] (m) within which an obstacle can matter now: the law at full speed for the arm's fastest point.
+
+    Negative for obstacles that come after the arm would have stopped, and for those that do not count.
+    """
     ends = place_capsules(checker.model, forward_kinematics(checker.model, positions)).ends
     steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=(1, 2))
     fastest = float((steps / np.diff(seconds)).max(initial=0.0))
     rows = np.arange(len(found.counts))
     nothing = np.zeros(len(rows))
     bound = Encounter(found, rows, nothing, np.full(len(rows), fastest), motion, law)
-    return np.where(found.counts, bound.terms(1.0).required, -1.0)
+    in_time = found.valid_from <= motion.standstill(motion.stop(1.0))
+    return np.where(found.counts & in_time, bound.terms(1.0).required, -1.0)
