@@ -13,6 +13,8 @@ from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
 _NEVER = np.float32(0)
 _ALWAYS = np.float32(1e6)
+_PIXEL_ERROR = 0.5
+"""A mask is no sharper than its pixels."""
 _MOVING, _ROBOT, _SEEN = np.uint8(1), np.uint8(2), np.uint8(4)
 
 
@@ -69,8 +71,8 @@ class Carver:
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             table = self._tables.of(view.camera)
             error = self.parameters.sigmas * (view.camera.sigma_m or self.parameters.assumed_sigma_m)
-            error += abs(state.stamp - view.stamp) * 1e-9 * speed
-            pixels = error * table.pixels_per_metre
+            error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
+            pixels = error * table.pixels_per_metre + _PIXEL_ERROR
             sights.append(_Sight(table, view, moving, robot, error_pixels=pixels, parameters=self.parameters))
         return sights
 

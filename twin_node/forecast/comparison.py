@@ -17,7 +17,7 @@ from twin_node.forecast.score import (
     projected,
     score_points,
 )
-from twin_node.scene import Bool, Float64, Occupancy, TwinState, View
+from twin_node.scene import Bool, Float64, Occupancy, TwinState, UInt32, View
 
 
 class Truth(Protocol):
@@ -58,15 +58,19 @@ class Score:
 class Comparison:
     """Forecasts by name, scored at their last horizon when their time has come."""
 
-    def __init__(self, truth: Truth) -> None:
+    def __init__(self, truth: Truth, reference: str) -> None:
+        """`reference` names the forecast whose first layer tells what was seen to be occupied (persistence)."""
         self._truth = truth
+        self._reference = reference
         self._pending: deque[_Pending] = deque()
         self._tallies: dict[str, _Tally] = {}
 
     def add(self, state: TwinState, forecasts: Mapping[str, Occupancy]) -> None:
-        """Takes in the forecasts of a state, all for the same times; states come in rising order of stamps."""
+        """Takes in the forecasts of a state, all for the same times (none: settles only); states come in order."""
         while self._pending and self._pending[0].valid_at <= state.stamp:
             self._settle(self._pending.popleft(), state)
+        if not forecasts:
+            return
         one = next(iter(forecasts.values()))
         self._pending.append(_Pending(one.publish_stamp + one.layers[-1].horizon_ns, dict(forecasts)))
 
@@ -76,10 +80,12 @@ class Comparison:
 
     def _settle(self, pending: _Pending, state: TwinState) -> None:
         """Scores forecasts for about the time of `state`, the first one not before it."""
+        before = pending.forecasts[self._reference].layers[0].indices
         for name, forecast in pending.forecasts.items():
             tally = self._tallies.setdefault(name, _Tally())
             tally.add_volume(forecast, self._truth.volume_l(pending.valid_at))
-            tally.add_points(forecast, self._truth.points(forecast.publish_stamp), self._truth.points(pending.valid_at))
+            now = self._truth.points(forecast.publish_stamp)
+            tally.add_points(forecast, before, now, self._truth.points(pending.valid_at))
             for view in state.frames.views:
                 pixels = self._truth.pixels(view)
                 if pixels is not None and abs(view.stamp - pending.valid_at) <= NEAR_NS:
@@ -119,13 +125,13 @@ class _Tally:
         if true_volume is not None:
             self.true_volumes.append(true_volume)
 
-    def add_points(self, forecast: Occupancy, now: Float64 | None, later: Float64 | None) -> None:
+    def add_points(self, forecast: Occupancy, before: UInt32, now: Float64 | None, later: Float64 | None) -> None:
         grid, first, last = forecast.grid, forecast.layers[0], forecast.layers[-1]
         if now is not None:
-            score = score_points(grid, first, now, first.indices)
+            score = score_points(grid, first, now, before)
             self.now_found, self.now_of = self.now_found + score.found, self.now_of + score.of
         if later is not None:
-            score = score_points(grid, last, later, first.indices)
+            score = score_points(grid, last, later, before)
             self.found, self.of = self.found + score.found, self.of + score.of
             self.new_found, self.new_of = self.new_found + score.new_found, self.new_of + score.new_of
             errors = nearest_error(grid, last, later)

@@ -1,0 +1,157 @@
+"""`twin_node bench occupancy`: how good a log's forecasts are, beside the baselines made of the same evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.truth import TRUTH_TOPIC, ColourOf, LaterTruth, Markers, PixelTruth, VoxelTruth
+from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
+from twin_node.forecast.comparison import Comparison, Score
+from twin_node.forecast.score import litres_per_voxel
+from twin_node.model import WindowModel
+from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
+from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.scene import Bool, Float64, FrameSet, Grid, TwinState
+
+OURS = "ours"
+
+
+@dataclass(frozen=True)
+class OccupancyBenchParameters:
+    """How a log is scored."""
+
+    width: int | None = DEFAULT_WIDTH
+    """Working width of the images in pixels; None: the cameras' own."""
+    max_rate_hz: float | None = None
+    """Sets above this rate are skipped; None takes all."""
+    rig: Path | None = None
+    """Rig file that replaces the log's own calibration."""
+    remaps: Mapping[str, str] | None = None
+    """The log's topics -> the names that they are taken for."""
+    start_offset_s: float = 0.0
+    """Where in the log to begin, s."""
+    duration_s: float | None = None
+    """How much of it to score, s; None: to the end."""
+    latency_ms: float = 33.0
+    """From the evidence to the publication of a forecast, ms."""
+    warm_up_s: float = 0.4
+    """Forecasts from the first so many seconds are made and not scored: nothing has had time to be seen moving."""
+    voxel_size: float = 0.02
+    """m."""
+
+
+@dataclass(frozen=True)
+class OccupancyBench:
+    """The scores of one log."""
+
+    truth: str
+    """Where the truth came from."""
+    sets: int
+    """Image sets forecast."""
+    coverage: float | None
+    """Share of pixels seen to move that our forecasts held, as the forecaster itself reports it."""
+    target: float
+    """Coverage aimed at."""
+    scores: Mapping[str, Score]
+    """By name: ours, persistence, constant_velocity, worst_case."""
+
+    def as_json(self) -> dict[str, object]:
+        """The stable names that `--json` prints."""
+        named = {name: asdict(score) for name, score in self.scores.items()}
+        return {**named, "truth": self.truth, "sets": self.sets, "coverage": self.coverage, "target": self.target}
+
+
+def run(
+    log: Path,
+    markers: Path | None = None,
+    colour: ColourOf | None = None,
+    parameters: OccupancyBenchParameters | None = None,
+    progress: Callable[[Iterable[FrameSet]], Iterable[FrameSet]] = iter,
+) -> OccupancyBench:
+    """Forecasts a whole log in lockstep and scores each forecast when its time has come.
+
+    The truth is, in this order: `markers`, `colour` (the moving thing's own pixels; only what has this colour is
+    forecast then), the log's `/truth/occupancy`, or what the twin sees to move 200 ms later. `progress` may wrap the
+    sets. Raises `BenchError` for markers that cannot be read or a log without forecasts to score, and the errors of
+    the log and its calibration.
+    """
+    parameters = parameters or OccupancyBenchParameters()
+    remaps = dict(parameters.remaps or {})
+    session = LogSession(log, parameters.rig, remaps, parameters.start_offset_s, parameters.duration_s)
+    with session:
+        source = LogSource(session, SynchronizerParameters(parameters.width, parameters.max_rate_hz))
+        grid = default_grid(source.workspace, parameters.voxel_size)
+        truth = _truth_of(session, markers, colour)
+        states = _states(progress(source), WindowModel().update, colour)
+        bench = score_states(states, grid, truth, parameters)
+    if not bench.scores:
+        raise BenchError(f"{log}: expected more than {parameters.warm_up_s + 0.2} s of images, found {bench.sets} sets")
+    return bench
+
+
+AnyTruth = Markers | VoxelTruth | PixelTruth | LaterTruth
+
+
+def score_states(
+    states: Iterable[TwinState], grid: Grid, truth: AnyTruth, parameters: OccupancyBenchParameters
+) -> OccupancyBench:
+    """Forecasts states in rising order of stamps, ours and the baselines, and scores them against the truth."""
+    forecaster, baselines, comparison = Forecaster(grid), BaselineForecaster(grid), Comparison(truth, "persistence")
+    sets, begin = 0, None
+    for state in states:
+        begin = state.stamp if begin is None else begin
+        publish = state.stamp + round(parameters.latency_ms * 1e6)
+        ours, others = forecaster.update(state, publish), baselines.update(state, publish)
+        if isinstance(truth, LaterTruth):
+            _observe(truth, state, grid, others.persistence.layers[0].indices.astype(np.int64))
+        sets += 1
+        forecasts = {
+            OURS: ours,
+            "persistence": others.persistence,
+            "constant_velocity": others.constant_velocity,
+            "worst_case": others.worst_case,
+        }
+        comparison.add(state, forecasts if state.stamp - begin >= parameters.warm_up_s * 1e9 else {})
+    quality = forecaster.quality
+    coverage = quality.coverage if np.isfinite(quality.coverage) else None
+    return OccupancyBench(truth.source, sets, coverage, quality.target, comparison.scores())
+
+
+def _observe(truth: LaterTruth, state: TwinState, grid: Grid, indices: np.ndarray) -> None:
+    points: Float64 = grid.centers(indices)
+    truth.observe(state.stamp, points, len(indices) * litres_per_voxel(grid))
+    for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
+        truth.observe_mask(view, mask)
+
+
+def _truth_of(session: LogSession, markers: Path | None, colour: ColourOf | None) -> AnyTruth:
+    if markers is not None:
+        return Markers(markers, session.span.start_ns)
+    if colour is not None:
+        return PixelTruth(colour)
+    if any(topic.name == TRUTH_TOPIC for topic in session.log.topics):
+        return VoxelTruth(session.log)
+    return LaterTruth()
+
+
+def _states(
+    sets: Iterable[FrameSet], model: Callable[[FrameSet], TwinState], colour: ColourOf | None
+) -> Iterator[TwinState]:
+    """The model's states; with a colour, only what has it counts as moving, and what hides it as in the way."""
+    for frames in sets:
+        state = model(frames)
+        if colour is None:
+            yield state
+            continue
+        marked = [colour.mask(view.rgb) for view in frames.views]
+        moving = tuple(mask & mine for mask, mine in zip(state.moving_masks, marked, strict=True))
+        hiding = zip(state.moving_masks, marked, state.robot_masks, strict=True)
+        robots: tuple[Bool | None, ...] = tuple(
+            mask & ~mine if robot is None else (mask & ~mine) | robot for mask, mine, robot in hiding
+        )
+        yield replace(state, moving_masks=moving, robot_masks=robots)
