@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from twin_node.splat import library as native
 from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite
@@ -33,10 +34,6 @@ class _Inputs:
 
 def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semantics | None = None) -> Rendered:
     """Renders float32 CPU tensors with the compiled library. Raises `ValueError` naming what is not finite."""
-    if scene.gaussians.means.dtype != torch.float32:
-        raise ValueError(
-            f"means: expected float32 on the CPU (or rasterize_plain), found {scene.gaussians.means.dtype}"
-        )
     g, views = scene.gaussians, scene.views
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
@@ -157,6 +154,7 @@ class _Rasterize(torch.autograd.Function):
         return rendered.renders, rendered.alphas, meta.radii, meta.means2d, meta.depths
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         call = cast(_Call, ctx.call)
         *saved, renders, alphas = ctx.saved_tensors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from twin_node.splat import library as native
@@ -104,6 +105,9 @@ def rasterize_plain(
 
 
 def _render(scene: Scene) -> Rendered:
+    dtype = scene.gaussians.means.dtype
+    if dtype != torch.float32:
+        raise ValueError(f"means: expected float32 (rasterize_plain takes float64 too), found {dtype}")
     if scene.gaussians.means.is_cuda:
         check_finite(scene)
         return render_gsplat(scene)

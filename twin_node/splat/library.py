@@ -89,7 +89,6 @@ class NativeLibrary:
         self._dll.splat_forward.argtypes = [c_void_p, ctypes.POINTER(Request)]
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
-        self._dll.splat_initialize()
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 

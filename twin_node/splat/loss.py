@@ -10,6 +10,7 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from twin_node.splat import library as native
 from twin_node.splat.arguments import non_finite
@@ -171,6 +172,7 @@ class _FusedLoss(torch.autograd.Function):
         return loss[0].float()
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (gradient,) = ctx.saved_tensors
         return gradient * gradients[0], None, None

@@ -28,7 +28,8 @@ inline bool has_gradient(const Image &image, int row, int stride) {
 // Sums of a vector of Gaussians' slots over the tiles of one image, [value][lane].
 class SlotTotals {
  public:
-  SlotTotals(int values, int stride) : values_(values), stride_(stride), totals_(static_cast<size_t>(values) * kLanes) {}
+  SlotTotals(int values, int stride)
+      : values_(values), stride_(stride), totals_(static_cast<size_t>(values) * kLanes) {}
 
   // False where the image has nothing for any of the Gaussians.
   bool collect(const Image &image, const Rows &rows) {
@@ -92,8 +93,8 @@ inline void colors_vjp(const Request &r, const Gradients &g, int index, const Im
 }
 
 // Gradient of what a Projection gives, from a vector's slots.
-inline ProjectionGradient projection_gradient(const Request &r, const Projection &p, Vec opacity, const SlotTotals &sums,
-                                              Vec &v_opacity) {
+inline ProjectionGradient projection_gradient(const Request &r, const Projection &p, Vec opacity,
+                                              const SlotTotals &sums, Vec &v_opacity) {
   ProjectionGradient v;
   const Vec a = p.conic_a(), b = p.conic_b(), c = p.conic_c();
   v.mean2d[0] = a * sums[1] + b * sums[2];
@@ -151,8 +152,8 @@ inline void camera_vjp(const Request &r, const Gradients &g, int index, const Im
 }
 
 // Backward pass of one vector of Gaussians through all cameras of a batch; the cameras' sums are [camera][kCameraSums].
-inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int batch, const Rows &rows, SlotTotals &totals,
-                      float *camera_sums) {
+inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int batch, const Rows &rows,
+                      SlotTotals &totals, float *camera_sums) {
   RowGradient v;
   const Shape shape = load_shape(r, batch, rows);
   const Vec opacity = rows.column(r.opacities + batch * r.opacities_stride, 1, 0);

@@ -14,11 +14,11 @@ constexpr int kGeometrySums = 6;            // of a slot: sums over pixels of v,
 
 // Channels of the image that one pass over the tiles renders.
 struct Pass {
-  int first, count;   // of `total`
+  int first, count;  // of `total`
   int total;
-  bool has_depth;     // the last one of the pass is the depth
+  bool has_depth;  // the last one of the pass is the depth
   bool expected_depth;
-  int slot_stride;    // floats per intersection in slot_gradient
+  int slot_stride;  // floats per intersection in slot_gradient
 };
 
 // Arrays of one image.
@@ -86,8 +86,12 @@ inline Vec initial_transmittance(const Image &image, const Tile &tile, int block
 struct LocalFootprint {
   Vec x, y, a, b, c, peak;
   LocalFootprint(const Footprint &f, const Tile &tile)
-      : x(broadcast(f.x - static_cast<float>(tile.x0))), y(broadcast(f.y - static_cast<float>(tile.y0))),
-        a(broadcast(f.a)), b(broadcast(f.b)), c(broadcast(f.c)), peak(broadcast(f.log2_opacity)) {}
+      : x(broadcast(f.x - static_cast<float>(tile.x0))),
+        y(broadcast(f.y - static_cast<float>(tile.y0))),
+        a(broadcast(f.a)),
+        b(broadcast(f.b)),
+        c(broadcast(f.c)),
+        peak(broadcast(f.log2_opacity)) {}
 };
 
 // Cells in which the footprint's alpha reaches the threshold anywhere, exactly but for a margin against rounding.
@@ -111,7 +115,7 @@ inline uint32_t cells_reached(const Footprint &f, const LocalFootprint &local) {
 
 // The blocks that make up cells: with fewer than 16 lanes a cell is several rows of blocks.
 inline BlockSet blocks_of_cells(uint32_t cells) {
-  if (kBlockHeight == kCell) return cells;
+  if constexpr (kBlockHeight == kCell) return cells;
   constexpr int kRows = kCell / kBlockHeight, kAcross = kTile / kCell;
   BlockSet blocks = 0;
   for (int row = 0; row < kTile / kCell; row++) {
@@ -132,8 +136,8 @@ inline Coverage cover(const LocalFootprint &f, int block, Vec transmittance) {
   out.dx = f.x - kPixels.x[block % kBlockColumns];
   out.dy = f.y - kPixels.y[block / kBlockColumns];
   out.exponent = f.peak - (out.dx * (f.a * out.dx + f.b * out.dy) + f.c * out.dy * out.dy);
-  out.hit = both(both(ge(out.exponent, broadcast(kLog2AlphaThreshold)), le(out.exponent, f.peak)),
-                 gt(transmittance, Vec{}));
+  out.hit =
+      both(both(ge(out.exponent, broadcast(kLog2AlphaThreshold)), le(out.exponent, f.peak)), gt(transmittance, Vec{}));
   return out;
 }
 
@@ -207,7 +211,7 @@ inline void blend_tile(Image &image, const Tile &tile, const Pass &pass, float m
 template <int C>
 struct BlockGradient {
   Vec transmittance;
-  Vec suffix;      // what is yet to come, weighted by v: the sum over splats behind of weight * color . v, and alpha's part
+  Vec suffix;  // what is yet to come, weighted by v: the sum over splats behind of weight * color . v, and alpha's part
   Vec v_render[C];
 };
 
@@ -220,7 +224,8 @@ inline void read_block(const Image &image, const Tile &tile, const Pass &pass, i
     if (!(out.transmittance[lane] > 0.f)) continue;
     const int x = tile.block_x(block) + lane % kBlockWidth, y = tile.block_y(block) + lane / kBlockWidth;
     const int64_t pixel = static_cast<int64_t>(y) * image.width + x;
-    const float *v = in.v_render + pixel * pass.total + pass.first, *value = in.render + pixel * pass.total + pass.first;
+    const float *v = in.v_render + pixel * pass.total + pass.first,
+                *value = in.render + pixel * pass.total + pass.first;
     float v_alpha = pass.first == 0 && in.v_alpha != nullptr ? in.v_alpha[pixel] : 0.f;
     for (int q = 0; q < C && q < pass.count; q++) {
       v_render[q][lane] = v[q];

@@ -14,15 +14,16 @@ namespace splat {
 constexpr int kTile = 16;                                  // pixels along the side of a tile
 constexpr int kBlockWidth = 4, kBlockHeight = kLanes / 4;  // pixels of one vector
 constexpr int kBlockColumns = kTile / kBlockWidth, kBlockRows = kTile / kBlockHeight;
-constexpr int kBlocks = kBlockColumns * kBlockRows;        // per tile, at most 64
-constexpr int kChannels = 8;                               // rendered in one pass
-constexpr int kGaussiansPerTask = 512;                     // fixed, so that sums do not depend on the thread count
+constexpr int kBlocks = kBlockColumns * kBlockRows;  // per tile, at most 64
+constexpr int kChannels = 8;                         // rendered in one pass
+constexpr int kGaussiansPerTask = 512;               // fixed, so that sums do not depend on the thread count
 constexpr float kLog2E = 1.4426950408889634f;
 constexpr float kLog2AlphaThreshold = -7.99435343685886f;  // log2(1 / 255): fainter than that is not drawn
 
 typedef uint64_t BlockSet;  // bit row * kBlockColumns + column
 
-// A Gaussian in the image: alpha = 2^(log2_opacity - (a dx^2 + b dx dy + c dy^2)), under the threshold beyond the reach.
+// A Gaussian in the image: alpha = 2^(log2_opacity - (a dx^2 + b dx dy + c dy^2)), under the threshold beyond the
+// reach.
 struct Footprint {
   float x, y, a, b, c, log2_opacity, reach_x, reach_y;  // pixels
 };
@@ -55,21 +56,21 @@ struct Image {
   Buffer<Footprint> found;     // [N] packed at the front of each task's share, as are the next two
   Buffer<uint32_t> found_key;  // bits of the depth
   Buffer<int32_t> found_id;
-  Buffer<int32_t> found_count; // [tasks]
+  Buffer<int32_t> found_count;                          // [tasks]
   Buffer<uint32_t> key, place, key_spare, place_spare;  // radix sort; place: row of `found`
-  Buffer<Splat> splats;        // [visible] in depth order
-  Buffer<int32_t> id;          // [visible] Gaussian
-  Buffer<float> depth;         // [visible]
-  Buffer<int32_t> row_of;      // [N] row in `splats`, -1 for none
+  Buffer<Splat> splats;                                 // [visible] in depth order
+  Buffer<int32_t> id;                                   // [visible] Gaussian
+  Buffer<float> depth;                                  // [visible]
+  Buffer<int32_t> row_of;                               // [N] row in `splats`, -1 for none
   Buffer<int32_t> slot_begin;  // [visible + 1] first of a splat's intersections, counted splat by splat
   Buffer<int32_t> tile_begin;  // [tiles + 1] first of a tile's intersections, counted tile by tile
   Buffer<int32_t> tile_end;    // [tiles] behind the last one that a pixel of the tile still saw
   Buffer<int32_t> tile_fill;
-  Buffer<int32_t> tile_splat;  // [intersections] row in `splats`, depth order within a tile
-  Buffer<int32_t> tile_slot;   // [intersections] the same one's number, counted splat by splat
-  Buffer<uint16_t> tile_cells; // [intersections] cells of the tile that it reaches, a bit each
-  Buffer<float> slot_gradient; // [intersections, slot stride]
-  Buffer<float> transmittance; // [height, width] what is left behind the last splat
+  Buffer<int32_t> tile_splat;   // [intersections] row in `splats`, depth order within a tile
+  Buffer<int32_t> tile_slot;    // [intersections] the same one's number, counted splat by splat
+  Buffer<uint16_t> tile_cells;  // [intersections] cells of the tile that it reaches, a bit each
+  Buffer<float> slot_gradient;  // [intersections, slot stride]
+  Buffer<float> transmittance;  // [height, width] what is left behind the last splat
 
   int tiles() const { return tile_columns * tile_rows; }
   int tasks(int gaussians) const { return (gaussians + kGaussiansPerTask - 1) / kGaussiansPerTask; }

@@ -1,7 +1,8 @@
 // L1 + (1 - SSIM) + depth L1 of a batch of images, value and gradient in one go.
 //
-// SSIM: Wang et al. 2004, 11x11 Gaussian window of sigma 1.5 px, zero padding, data range 1. Pixels of weight 0 count as
-// equal to their target, so that windows that reach over the edge of a mask compare what the mask selects and no more.
+// SSIM: Wang et al. 2004, 11x11 Gaussian window of sigma 1.5 px, zero padding, data range 1. Pixels of weight 0 count
+// as equal to their target, so that windows that reach over the edge of a mask compare what the mask selects and no
+// more.
 #pragma once
 
 #include <algorithm>
@@ -192,7 +193,8 @@ inline Vec ssim_row(const Window &window, LossImage &image, int q, int y, Filter
     const Vec means = mx * mx + my * my, d = means + c1, e = squares - means + c2;
     const Vec inverse = 1.f / (d * e), value = luminance * contrast * inverse;
     const Vec by_square = -value * d * inverse, by_product = 2.f * luminance * inverse;
-    const Vec by_mean = 2.f * my * contrast * inverse - value * 2.f * mx * e * inverse - 2.f * mx * by_square - my * by_product;
+    const Vec by_mean =
+        2.f * my * contrast * inverse - value * 2.f * mx * e * inverse - 2.f * mx * by_square - my * by_product;
     total += select(counts, weight * value, Vec{});
     store(map + x, select(counts, weight * by_mean, Vec{}));
     store(map + image.plane() + x, select(counts, weight * by_square, Vec{}));
@@ -244,15 +246,17 @@ inline float gradient_row(const LossRequest &r, const Factors &f, const Window &
     if (!any(gt(weight, Vec{}))) continue;
     const Vec a = load(&image.x[in_plane + x]), b = load(&image.y[in_plane + x]), difference = a - b;
     total += weight * abs(difference);
-    const Vec direction = select(gt(difference, Vec{}), broadcast(1.f), select(gt(Vec{}, difference), broadcast(-1.f), Vec{}));
+    const Vec direction =
+        select(gt(difference, Vec{}), broadcast(1.f), select(gt(Vec{}, difference), broadcast(-1.f), Vec{}));
     Vec gradient = f.l1 * weight * direction;
     if (f.ssim != 0.f) {
-      const Vec through = filtered.across(window, 0, x) + 2.f * a * filtered.across(window, 1, x) +
-                          b * filtered.across(window, 2, x);
+      const Vec through =
+          filtered.across(window, 0, x) + 2.f * a * filtered.across(window, 1, x) + b * filtered.across(window, 2, x);
       gradient -= f.ssim * through;
     }
     gradient = select(gt(weight, Vec{}), gradient, Vec{});
-    for (int lane = 0; lane < std::min(kLanes, image.columns() - x); lane++) to[(x + lane) * r.channels] = gradient[lane];
+    for (int lane = 0; lane < std::min(kLanes, image.columns() - x); lane++)
+      to[(x + lane) * r.channels] = gradient[lane];
   }
   return sum(total);
 }
@@ -299,10 +303,12 @@ inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
   for (int i = 0; i < r.images; i++) reserve_planes(*w.images[i]);
   const Factors f = factors_of(r, w);
   const auto rows = [&](int i) { return std::max(0, w.images[i]->rows()); };
-  sum_over_bands(r, w, [&](int i) { return rows(i) == 0 ? 0 : w.images[i]->padded_rows; }, [&](int i, int begin, int end) {
-    fill_planes(r, i, *w.images[i], begin, end);
-    return 0.;
-  });
+  sum_over_bands(
+      r, w, [&](int i) { return rows(i) == 0 ? 0 : w.images[i]->padded_rows; },
+      [&](int i, int begin, int end) {
+        fill_planes(r, i, *w.images[i], begin, end);
+        return 0.;
+      });
   double unlike = 0;
   if (f.ssim != 0.f) {
     unlike = sum_over_bands(r, w, rows, [&](int i, int begin, int end) {

@@ -21,19 +21,19 @@ enum DepthMode : int32_t { kNoDepth = 0, kAccumulatedDepth = 1, kExpectedDepth =
 // B batches of C cameras, N Gaussians each. A batch stride of 0 shares the array among all batches.
 struct Request {
   int32_t batches, cameras, gaussians, width, height;
-  int32_t color_channels;    // D of plain colours, 3 with spherical harmonics, 0 where only depth is rendered
-  int32_t sh_bases;          // K coefficients per channel; 0 for plain colours
+  int32_t color_channels;  // D of plain colours, 3 with spherical harmonics, 0 where only depth is rendered
+  int32_t sh_bases;        // K coefficients per channel; 0 for plain colours
   int32_t sh_degree;
-  int32_t colors_per_camera; // 1: colors are [B, C, N, ...]
+  int32_t colors_per_camera;  // 1: colors are [B, C, N, ...]
   int32_t depth_mode;
   int32_t antialiased;
   int32_t threads;
   float near_plane, far_plane, radius_clip, eps2d, max_alpha, min_compensation;
   int64_t means_stride, quats_stride, scales_stride, opacities_stride, colors_stride;  // floats from batch to batch
-  const float *means;         // [B, N, 3]
-  const float *quats;         // [B, N, 4] w, x, y, z
-  const float *scales;        // [B, N, 3]
-  const float *opacities;     // [B, N]
+  const float *means;                                                                  // [B, N, 3]
+  const float *quats;                                                                  // [B, N, 4] w, x, y, z
+  const float *scales;                                                                 // [B, N, 3]
+  const float *opacities;                                                              // [B, N]
   const float *colors;        // [B, (C,) N, D] or [B, (C,) N, K, 3]
   const float *viewmats;      // [B, C, 4, 4]
   const float *Ks;            // [B, C, 3, 3]
@@ -60,7 +60,7 @@ struct Gradients {
 
 struct LossRequest {
   int32_t images, height, width;
-  int32_t channels;         // floats per pixel in render: 3, or 4 with the depth last
+  int32_t channels;  // floats per pixel in render: 3, or 4 with the depth last
   int32_t threads;
   float l1, ssim, depth_weight;
   const float *render;        // [images, H, W, channels]

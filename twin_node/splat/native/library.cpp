@@ -11,8 +11,10 @@ splat::Pool<splat::Workspace> &workspaces() {
   return pool;
 }
 
+// The runtime is torch's too: after another library's omp_set_dynamic(1) it would take threads away under load.
 template <class Work>
 int32_t guarded(const Work &work) {
+  omp_set_dynamic(0);
   try {
     return work();
   } catch (const std::bad_alloc &) {
@@ -34,9 +36,6 @@ splat::Status check_cameras(const splat::Request &r) {
 extern "C" {
 
 int32_t splat_interface_version() { return splat::kInterfaceVersion; }
-
-// The runtime is torch's too: without this another library's omp_set_dynamic(1) would take threads away under load.
-void splat_initialize() { omp_set_dynamic(0); }
 
 // A workspace keeps what the backward pass needs; null where memory is short. Give it back with splat_release.
 void *splat_acquire() {

@@ -8,11 +8,11 @@
 namespace splat {
 
 struct Camera {
-  float R[9], t[3];        // world to camera
-  float fx, fy, cx, cy;    // pixels
+  float R[9], t[3];                  // world to camera
+  float fx, fy, cx, cy;              // pixels
   float x_min, x_max, y_min, y_max;  // x/z and y/z are clamped to these where the Jacobian is taken
-  double inverse_R[9];     // of R, which need not be a rotation to the last bit
-  float position[3];       // of the camera in the world
+  double inverse_R[9];               // of R, which need not be a rotation to the last bit
+  float position[3];                 // of the camera in the world
 };
 
 // Inverse of a 3x3 matrix by cofactors; false where it has none.
@@ -32,8 +32,8 @@ inline bool invert(const float *m, double *inverse) {
 }
 
 inline bool invertible(const float *viewmat) {
-  const float R[9] = {viewmat[0], viewmat[1], viewmat[2], viewmat[4], viewmat[5], viewmat[6], viewmat[8], viewmat[9],
-                      viewmat[10]};
+  const float R[9] = {viewmat[0], viewmat[1], viewmat[2], viewmat[4], viewmat[5],
+                      viewmat[6], viewmat[8], viewmat[9], viewmat[10]};
   double inverse[9];
   return invert(R, inverse);
 }
@@ -112,12 +112,14 @@ inline void transform_point(const Camera &c, const Shape &s, Projection &p) {
 inline void project_covariance(const Camera &c, const Shape &s, float eps2d, Projection &p) {
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      const Vec turned = c.R[i * 3] * s.rotation[j] + c.R[i * 3 + 1] * s.rotation[3 + j] + c.R[i * 3 + 2] * s.rotation[6 + j];
+      const Vec turned =
+          c.R[i * 3] * s.rotation[j] + c.R[i * 3 + 1] * s.rotation[3 + j] + c.R[i * 3 + 2] * s.rotation[6 + j];
       p.axes[i * 3 + j] = turned * s.scale[j];
     }
   }
   const Vec x = p.point[0] * p.inverse_z, y = p.point[1] * p.inverse_z;
-  const Vec x_min = broadcast(c.x_min), x_max = broadcast(c.x_max), y_min = broadcast(c.y_min), y_max = broadcast(c.y_max);
+  const Vec x_min = broadcast(c.x_min), x_max = broadcast(c.x_max), y_min = broadcast(c.y_min),
+            y_max = broadcast(c.y_max);
   p.free_x = both(le(x, x_max), ge(x, x_min));
   p.free_y = both(le(y, y_max), ge(y, y_min));
   p.ux = max(min(x, x_max), x_min);
@@ -157,7 +159,8 @@ struct ShapeGradient {
 };
 
 // Gradient of the image covariance (xx, xy, yy) that the conic and the compensation send back.
-inline void covariance_vjp(const Projection &p, const ProjectionGradient &v, bool antialiased, float floor, Vec *v_cov) {
+inline void covariance_vjp(const Projection &p, const ProjectionGradient &v, bool antialiased, float floor,
+                           Vec *v_cov) {
   const Vec a = p.conic_a(), b = p.conic_b(), c = p.conic_c();
   const Vec va = v.conic[0], vb = 0.5f * v.conic[1], vc = v.conic[2];
   // d(inverse) = -inverse d inverse, on symmetric matrices

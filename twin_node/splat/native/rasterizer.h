@@ -32,10 +32,14 @@ inline int non_finite_argument(const Request &r) {
   const auto floats = [&](int64_t stride, int64_t of_batch) { return stride == 0 ? of_batch : stride * r.batches; };
   const int64_t colors = n * floats_per_color(r) * (r.colors_per_camera ? r.cameras : 1);
   const Floats arguments[] = {
-      {r.means, floats(r.means_stride, 3 * n)},        {r.quats, floats(r.quats_stride, 4 * n)},
-      {r.scales, floats(r.scales_stride, 3 * n)},      {r.opacities, floats(r.opacities_stride, n)},
-      {r.colors, floats(r.colors_stride, colors)},     {r.viewmats, 16 * images},
-      {r.Ks, 9 * images},                              {r.backgrounds, images * channels_of(r)},
+      {r.means, floats(r.means_stride, 3 * n)},
+      {r.quats, floats(r.quats_stride, 4 * n)},
+      {r.scales, floats(r.scales_stride, 3 * n)},
+      {r.opacities, floats(r.opacities_stride, n)},
+      {r.colors, floats(r.colors_stride, colors)},
+      {r.viewmats, 16 * images},
+      {r.Ks, 9 * images},
+      {r.backgrounds, images * channels_of(r)},
   };
   return first_non_finite(arguments);
 }
@@ -67,7 +71,8 @@ inline Shape load_shape(const Request &r, int batch, const Rows &rows) {
   return s;
 }
 
-// Half sizes in pixels of what gsplat culls by and reports, before they are rounded up, and of what can be drawn at all.
+// Half sizes in pixels of what gsplat culls by and reports, before they are rounded up, and of what can be drawn at
+// all.
 struct Extent {
   Vec radius_x, radius_y, reach_x, reach_y;
 };
@@ -83,7 +88,10 @@ inline Extent extent_of(const Projection &p, Vec log2_opacity) {
 class Finder {
  public:
   Finder(const Request &r, Image &image, int index, int task)
-      : request_(r), image_(image), output_(static_cast<int64_t>(index) * r.gaussians), next_(task * kGaussiansPerTask) {}
+      : request_(r),
+        image_(image),
+        output_(static_cast<int64_t>(index) * r.gaussians),
+        next_(task * kGaussiansPerTask) {}
 
   void add(const Rows &rows, const Shape &shape, Vec opacity, Projection &p) {
     store_missing(rows);
@@ -101,8 +109,17 @@ class Finder {
     const Vec x = image_.camera.fx * p.point[0] * p.inverse_z + image_.camera.cx;
     const Vec y = image_.camera.fy * p.point[1] * p.inverse_z + image_.camera.cy;
     float value[11][kLanes];
-    const Vec columns[11] = {x, y, 0.5f * kLog2E * p.conic_a(), kLog2E * p.conic_b(), 0.5f * kLog2E * p.conic_c(),
-                             log2_opacity, extent.reach_x, extent.reach_y, extent.radius_x, extent.radius_y, p.point[2]};
+    const Vec columns[11] = {x,
+                             y,
+                             0.5f * kLog2E * p.conic_a(),
+                             kLog2E * p.conic_b(),
+                             0.5f * kLog2E * p.conic_c(),
+                             log2_opacity,
+                             extent.reach_x,
+                             extent.reach_y,
+                             extent.radius_x,
+                             extent.radius_y,
+                             p.point[2]};
     for (int i = 0; i < 11; i++) store(value[i], columns[i]);
     for (; found; found &= found - 1) {
       const int lane = __builtin_ctz(found);
@@ -234,11 +251,11 @@ template <class Task>
 inline void over_tiles(const Request &r, const Workspace &w, const Task &task) {
   constexpr int64_t kGrain = 1024;  // intersections, or pixels by the hundred
   int64_t work = 0;
-  for (int i = 0; i < images_of(r); i++) work += w.images[i]->intersections + w.images[i]->width * w.images[i]->height / 100;
+  for (int i = 0; i < images_of(r); i++)
+    work += w.images[i]->intersections + w.images[i]->width * w.images[i]->height / 100;
   const int tiles = w.images[0]->tiles();
-  parallel_for(threads_for(r.threads, work, kGrain), int64_t{tiles} * images_of(r), [&](int64_t at) {
-    task(static_cast<int>(at / tiles), static_cast<int>(at % tiles));
-  });
+  parallel_for(threads_for(r.threads, work, kGrain), int64_t{tiles} * images_of(r),
+               [&](int64_t at) { task(static_cast<int>(at / tiles), static_cast<int>(at % tiles)); });
 }
 
 inline const uint8_t *mask_of(const Request &r, int image) {
@@ -247,9 +264,8 @@ inline const uint8_t *mask_of(const Request &r, int image) {
 
 // Gives all splats the channels of a pass.
 inline void fill_splats(const Request &r, Workspace &w, const Pass &pass) {
-  parallel_for(r.threads, images_of(r), [&](int64_t i) {
-    load_channels(r, *w.images[i], static_cast<int>(i), pass, 0, w.images[i]->visible);
-  });
+  parallel_for(r.threads, images_of(r),
+               [&](int64_t i) { load_channels(r, *w.images[i], static_cast<int>(i), pass, 0, w.images[i]->visible); });
 }
 
 inline void blend_pass(const Request &r, Workspace &w, const Pass &pass) {
@@ -291,9 +307,8 @@ inline Status forward(Workspace &w, const Request &r) {
   const int tasks = w.images[0]->tasks(r.gaussians);
   constexpr int64_t kGrain = 4096;  // Gaussians times images
   const int threads = threads_for(r.threads, static_cast<int64_t>(r.gaussians) * images_of(r), kGrain);
-  parallel_for(threads, static_cast<int64_t>(r.batches) * tasks, [&](int64_t at) {
-    project_task(r, w, static_cast<int>(at / tasks), static_cast<int>(at % tasks));
-  });
+  parallel_for(threads, static_cast<int64_t>(r.batches) * tasks,
+               [&](int64_t at) { project_task(r, w, static_cast<int>(at / tasks), static_cast<int>(at % tasks)); });
   const Status status = sort_and_bin(r, w, tasks);
   if (status != kOk) return status;
   for (int first = 0; first < channels_of(r); first += kChannels) {

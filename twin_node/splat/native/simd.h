@@ -79,9 +79,7 @@ inline Vec min(Vec a, Vec b) { return (Vec)_mm_min_ps((__m128)a, (__m128)b); }
 inline Vec max(Vec a, Vec b) { return (Vec)_mm_max_ps((__m128)a, (__m128)b); }
 inline Vec sqrt(Vec a) { return (Vec)_mm_sqrt_ps((__m128)a); }
 #else
-inline uint32_t bits(Mask m) {
-  return (m[0] & 1u) | (m[1] & 2u) | (m[2] & 4u) | (m[3] & 8u);
-}
+inline uint32_t bits(Mask m) { return (m[0] & 1u) | (m[1] & 2u) | (m[2] & 4u) | (m[3] & 8u); }
 inline Vec min(Vec a, Vec b) { return a < b ? a : b; }
 inline Vec max(Vec a, Vec b) { return a > b ? a : b; }
 inline Vec sqrt(Vec a) {
@@ -149,7 +147,8 @@ inline Vec log2_positive(Vec x) {
   return __builtin_convertvector(exponent, Vec) + s * series;
 }
 
-// Sums over the lanes of four vectors at once, to[0..3]: a transposed reduction, a third of the work of four single sums.
+// Sums over the lanes of four vectors at once, to[0..3]: a transposed reduction, a third of the work of four single
+// sums.
 inline void sum4(Vec a, Vec b, Vec c, Vec d, float *to) {
 #if defined(__AVX512F__)
   const __m512 ab = _mm512_add_ps(_mm512_unpacklo_ps((__m512)a, (__m512)b), _mm512_unpackhi_ps((__m512)a, (__m512)b));
