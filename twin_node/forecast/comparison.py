@@ -50,7 +50,8 @@ class Score:
     inflation: float | None
     """`moving_volume_l` over the true volume."""
     iou: float | None
-    """Mean overlap (intersection over union) of the projected forecast with the true pixels at its time."""
+    """Mean overlap (intersection over union) with the true pixels at its time of the projected voxels that are
+    occupied more likely than not: the forecast without its bound."""
     error_mm: float | None
     """Mean distance from the true points to the forecast, 0 inside it, mm."""
 
@@ -95,6 +96,9 @@ class Comparison:
 NEAR_NS = 20_000_000
 """An image this far from a forecast's time still shows its truth: half a period at 25 Hz."""
 
+LIKELY = 128
+"""Probability (of 255) from which a voxel is occupied more likely than not."""
+
 
 @dataclass(frozen=True)
 class _Pending:
@@ -138,7 +142,9 @@ class _Tally:
             self.errors.extend(errors[np.isfinite(errors)].tolist())
 
     def add_pixels(self, forecast: Occupancy, view: View, truth: Bool) -> None:
-        overlap = iou(projected(view.camera, forecast.grid, forecast.layers[-1].indices), truth)
+        layer = forecast.layers[-1]
+        likely = layer.indices[layer.probability >= LIKELY]
+        overlap = iou(projected(view.camera, forecast.grid, likely), truth)
         if np.isfinite(overlap):
             self.overlaps.append(overlap)
 

@@ -90,7 +90,7 @@ def grow_by(levels: NDArray[np.uint8]) -> Bool:
     """Union of balls: every voxel of `levels` [nx, ny, nz] with level l > 0 grows by l - 1 voxels.
 
     Three steps to 18 neighbours and one to 6, in turn: their Minkowski sum holds the Euclidean ball (support 1 along
-    the axes and 1.01 along the space diagonals per step) and exceeds it by at most 1.24 times its radius.
+    the axes and 1.01 along the space diagonals per step) and reaches at most 1.42 times as far.
     """
     most = int(levels.max(initial=0))
     words = pack(levels == most) if most else pack(np.zeros(levels.shape, np.bool_))

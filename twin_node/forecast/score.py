@@ -105,7 +105,7 @@ def nearest_error(grid: Grid, layer: OccupancyLayer, points: Float64) -> Float64
     return np.concatenate([np.zeros(held), missing])
 
 
-def colour_mask(rgb: NDArray[np.uint8], hue: int, tolerance: int = 10, saturation: int = 130, value: int = 60) -> Bool:
+def colour_mask(rgb: NDArray[np.uint8], hue: int, tolerance: int = 10, saturation: int = 130, value: int = 90) -> Bool:
     """[H, W] pixels of one colour: hue in OpenCV's half degrees (orange 8), saturation and value from 0 to 255."""
     hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV).astype(np.int32)
     off = np.abs(hsv[..., 0] - hue)
