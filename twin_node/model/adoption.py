@@ -12,7 +12,7 @@ from twin_node.model.gaussians import Newborns
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate
-from twin_node.scene import Tier
+from twin_node.scene import Float64, Tier
 
 NEWBORN_OPACITY = 0.8
 
@@ -20,30 +20,27 @@ NEWBORN_OPACITY = 0.8
 def adopt(births: Births, nodes: Nodes, parameters: BirthParameters) -> NDArray[np.int64]:
     """[n] row of the node that carries each birth, -1 for what lies on the background or founds no node of its own."""
     carriers = np.full(len(births), -1, np.int64)
-    homeless = np.nonzero(~births.on_background)[0]
-    homeless = _join(births, homeless, nodes, carriers, parameters.node_radius_m)
-    while len(homeless) and nodes.free:
-        apart = np.linalg.norm(births.means[homeless] - births.means[homeless[0]], axis=-1)
-        group = homeless[apart < parameters.node_radius_m]
-        if len(group) >= parameters.node_members:
-            carriers[group] = _found(torch.from_numpy(births.means[group].mean(0)), nodes, parameters.node_radius_m)
-        homeless = homeless[apart >= parameters.node_radius_m]
+    off = ~births.on_background
+    carriers[off] = adopt_points(births.means[off], nodes, parameters)
     return carriers
 
 
-def _join(
-    births: Births, homeless: NDArray[np.int64], nodes: Nodes, carriers: NDArray[np.int64], radius_m: float
-) -> NDArray[np.int64]:
-    """Gives births to nodes within `radius_m`; returns those left over."""
+def adopt_points(points: Float64, nodes: Nodes, parameters: BirthParameters) -> NDArray[np.int64]:
+    """[n] row of the node that carries each of `points` [n, 3]; new nodes are founded where enough are together."""
+    carriers = np.full(len(points), -1, np.int64)
     alive = nodes.rows
-    if not len(alive) or not len(homeless):
-        return homeless
-    apart = np.linalg.norm(births.means[homeless, None] - nodes.positions[alive].numpy(), axis=-1)
-    nearest = apart.argmin(1)
-    close = apart[np.arange(len(homeless)), nearest] < radius_m
-    carriers[homeless[close]] = alive.numpy()[nearest[close]]
-    left: NDArray[np.int64] = homeless[~close]
-    return left
+    if len(alive) and len(points):
+        apart = np.linalg.norm(points[:, None] - nodes.positions[alive].numpy(), axis=-1)
+        near = apart.min(1) < parameters.node_radius_m
+        carriers[near] = alive.numpy()[apart.argmin(1)[near]]
+    homeless = np.nonzero(carriers < 0)[0]
+    while len(homeless) and nodes.free:
+        apart = np.linalg.norm(points[homeless] - points[homeless[0]], axis=-1)
+        group = homeless[apart < parameters.node_radius_m]
+        if len(group) >= parameters.node_members:
+            carriers[group] = _found(torch.from_numpy(points[group].mean(0)), nodes, parameters.node_radius_m)
+        homeless = homeless[apart >= parameters.node_radius_m]
+    return carriers
 
 
 def _found(centre: Tensor, nodes: Nodes, radius_m: float) -> int:
@@ -64,11 +61,12 @@ def as_newborns(births: Births, carriers: NDArray[np.int64], poses: Poses, devic
     local = rotate(conjugate(poses.quats[view, row]), means - poses.positions[view, row])
     quats = torch.where(node[:, None] >= 0, conjugate(poses.quats[view, row]), poses.quats.new_tensor([1.0, 0, 0, 0]))
     means = torch.where(node[:, None] >= 0, local, means)
-    lasting = torch.from_numpy(births.lasting)
+    lasting, free = torch.from_numpy(births.lasting), torch.from_numpy(~births.on_background)
     kinds = (
-        (Tier.RIGID, node >= 0),
-        (Tier.TRANSIENT, (node < 0) & ~lasting),
-        (Tier.STATIC, (node < 0) & lasting),
+        (Tier.RIGID, node >= 0, False),
+        (Tier.TRANSIENT, (node < 0) & free, True),
+        (Tier.TRANSIENT, (node < 0) & ~free & ~lasting, False),
+        (Tier.STATIC, (node < 0) & lasting, False),
     )
     return [
         Newborns(
@@ -79,6 +77,7 @@ def as_newborns(births: Births, carriers: NDArray[np.int64], poses: Poses, devic
             torch.from_numpy(births.rgb).float()[chosen].to(device),
             tier,
             node[chosen].to(device),
+            homeless,
         )
-        for tier, chosen in kinds
+        for tier, chosen, homeless in kinds
     ]

@@ -18,10 +18,14 @@ from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.scene import Float32
 
-ACCELERATION, TURN_ACCELERATION = 20.0, 100.0
-"""m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: twice what a quick human arm does."""
+ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
+"""m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""
 COLOUR_SIGMA = 0.1
 """Difference of colour (0 to 1) between both ends of a flow vector at which it loses most of its say."""
+SHOWN = 0.06
+"""Share of its depth by which a Gaussian may differ from the depth rendered at its pixel and still show there."""
+DEPTH_SHARE = 0.005
+"""Share of the depth that counts as much as a pixel: the noise of a depth camera at 1 m is half a per cent."""
 HUBER_PX = 2.0
 """Flow errors beyond this count linearly."""
 SHARED_BY = 4.0
@@ -44,9 +48,9 @@ class Twists:
 @dataclass(frozen=True)
 class _Linear:
     jacobian: Tensor
-    """[n, 2, 6] pixels per m and per rad."""
+    """[n, 3, 6] pixels per m and per rad; the last row is depth, in units of which `DEPTH_SHARE` counts as a pixel."""
     error: Tensor
-    """[n, 2] pixels."""
+    """[n, 3] pixels; 0 in the last where no depth is measured."""
     weight: Tensor
     """[n] 0 where a Gaussian does not show."""
 
@@ -55,8 +59,8 @@ class FlowSolver:
     """Optical flow of one rig; holds the engine, no state between calls."""
 
     def __init__(self) -> None:
-        self._engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
-        self._engine.setFinestScale(1)
+        self._engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._engine.setFinestScale(0)
 
     def flow(self, rendering: Rendering, observed: Observed) -> Float32:
         """[H, W, 2] pixels from where the rendering shows a thing to where the image does."""
@@ -95,7 +99,7 @@ def solve_twists(
         H.index_add_(0, nodes[carried], WJ.transpose(1, 2) @ linear.jacobian)
         g.index_add_(0, nodes[carried], (WJ.transpose(1, 2) @ linear.error[..., None])[..., 0])
     step = max(dt_s, 1e-3) ** 2 / 2
-    prior = torch.tensor([1 / (ACCELERATION * step + 2e-3)] * 3 + [1 / (TURN_ACCELERATION * step + 2e-2)] * 3)
+    prior = torch.tensor([1 / (ACCELERATION * step + 2e-3)] * 3 + [1 / (TURN_ACCELERATION * step + 1e-2)] * 3)
     H += torch.diag(prior.double() ** 2)
     covariance = torch.linalg.inv(H)
     xi = (covariance @ g[..., None])[..., 0]
@@ -104,7 +108,7 @@ def solve_twists(
 
 
 def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, origins: Tensor) -> _Linear:
-    """How the pixels of Gaussians at `at` [n, 3], turning about `origins` [n, 3], move with their nodes."""
+    """How the pixels and depths of Gaussians at `at` [n, 3], turning about `origins` [n, 3], move with their nodes."""
     camera = one.view.camera
     R = torch.from_numpy(camera.viewmat[:3, :3])
     x = at @ R.T + torch.from_numpy(camera.viewmat[:3, 3])
@@ -114,26 +118,45 @@ def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, o
     column, row = u.floor().long(), v.floor().long()
     seen = (x[:, 2] > 0.02) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
-    shown = rendering.depth.detach().cpu()[row, column]
-    seen &= ((x[:, 2] - shown).abs() < 0.06 * z) & torch.from_numpy(one.near_moving & one.usable)[row, column]
-    error = torch.from_numpy(flow)[row, column].double()
-    weight = seen * _confidence(one, rendering, flow)[row, column]
-    weight = weight * (HUBER_PX / error.norm(dim=-1).clamp_min(HUBER_PX))
-    zero = torch.zeros_like(z)
+    shown = rendering.depth.detach().cpu().double()
+    seen &= ((z - shown[row, column]).abs() < SHOWN * z) & torch.from_numpy(one.near_moving & one.usable)[row, column]
+    zero, one_ = torch.zeros_like(z), torch.ones_like(z)
+    depth_error, scale = _depth_error(one, shown, flow)
     projection = torch.stack(
-        [torch.stack([fx / z, zero, -fx * x[:, 0] / z**2], -1), torch.stack([zero, fy / z, -fy * x[:, 1] / z**2], -1)],
+        [
+            torch.stack([fx / z, zero, -fx * x[:, 0] / z**2], -1),
+            torch.stack([zero, fy / z, -fy * x[:, 1] / z**2], -1),
+            torch.stack([zero, zero, one_ * scale[row, column]], -1),
+        ],
         1,
     )
+    error = torch.cat([torch.from_numpy(flow).double(), depth_error[..., None]], -1)[row, column]
+    weight = seen * _confidence(one, rendering, flow)[row, column]
+    weight = weight * (HUBER_PX / error.norm(dim=-1).clamp_min(HUBER_PX))
     to_pixels = projection @ R
-    arm = at - origins.double()
-    turning = torch.linalg.cross(arm[:, None].expand(-1, 2, -1), to_pixels)
-    return _Linear(torch.cat([to_pixels, turning], -1), error, weight)
+    arm = (at - origins.double())[:, None].expand(-1, 3, -1)
+    return _Linear(torch.cat([to_pixels, torch.linalg.cross(arm, to_pixels)], -1), error, weight)
+
+
+def _depth_error(one: Observed, shown: Tensor, flow: Float32) -> tuple[Tensor, Tensor]:
+    """[H, W] measured depth at the flow's end less the depth `shown` [H, W] in pixels, and pixels per m (0: none)."""
+    if one.view.depth is None:
+        return torch.zeros_like(shown), torch.zeros_like(shown)
+    end = torch.from_numpy(_at_the_end(one.view.depth, flow, cv2.INTER_NEAREST)).double()
+    scale = torch.where((end > 0) & (shown > 0), 1 / (DEPTH_SHARE * shown.clamp_min(0.05)), 0.0)
+    return (end - shown) * scale, scale
 
 
 def _confidence(one: Observed, rendering: Rendering, flow: Float32) -> Tensor:
     """[H, W] 0 to 1: whether the image shows at the flow's end what the rendering shows at its start."""
+    arrived = _at_the_end(one.rgb, flow, cv2.INTER_LINEAR)
+    difference = torch.from_numpy(arrived) - rendering.rgb.detach().cpu()
+    return torch.exp(-(difference.square().mean(-1) / COLOUR_SIGMA**2)).double()
+
+
+def _at_the_end(image: Float32, flow: Float32, interpolation: int) -> Float32:
+    """The image [H, W, ...] looked up where the flow leads from each pixel."""
     height, width = flow.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    arrived = cv2.remap(one.view.rgb, x + flow[..., 0], y + flow[..., 1], cv2.INTER_LINEAR)
-    difference = torch.from_numpy(arrived).float() / 255 - rendering.rgb.detach().cpu()
-    return torch.exp(-(difference.square().mean(-1) / COLOUR_SIGMA**2)).double()
+    looked_up = cv2.remap(image, x + flow[..., 0], y + flow[..., 1], interpolation)
+    return looked_up.astype(np.float32)

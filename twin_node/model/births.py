@@ -21,6 +21,8 @@ SOLID = 0.5
 """Opacity of the background from which it can be learnt anew by colour alone; under it Gaussians are missing."""
 COLOUR_SIGMA = 0.12
 """Difference of colour (0 to 1) at which another view half agrees: what one surface shows to two exposures."""
+SAME_DEPTH = 0.02
+"""Share of its depth by which a measured surface may lie before the background and still be it."""
 HUGE_PX = 2.5
 """1 sigma in another view's pixels at which a newborn stands too close to that camera to be real."""
 REFUTED = 10.0
@@ -108,7 +110,7 @@ def _lift(
         depth, on_background = _agreed(observed, rendering, index, pixels, rays, far, samples)
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
     radii = 0.5 * BLOCK * depth / camera.K[0, 0]
-    lasting = on_background & one.stale[rows, columns]
+    lasting = on_background & (one.background.alpha[rows, columns] < SOLID)
     kept = ~(on_background & ~lasting & _contradicted(observed, index, means, threshold))
     return Births(
         means[kept], radii[kept], pixels.rgb[kept], on_background[kept], lasting[kept], np.full(int(kept.sum()), index)
@@ -130,7 +132,7 @@ def _measured(one: Observed, rows: NDArray[np.int64], columns: NDArray[np.int64]
     assert one.view.depth is not None
     depth = one.view.depth[rows, columns].astype(np.float64)
     depth = np.where(depth > 0, depth, far)
-    return depth, depth > 0.97 * far
+    return depth, depth > (1 - SAME_DEPTH) * far
 
 
 def _agreed(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.model.backgrounds import OCCLUSION, grow
+from twin_node.model.backgrounds import OCCLUSION, grow, on_surface
 from twin_node.model.observation import Observed
-from twin_node.model.rays import look
+from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float64
 
@@ -33,36 +34,53 @@ def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii
             visible = seen.inside & ~one.background.occluded(seen) & one.usable[seen.rows, seen.columns]
             held = np.where(carried, one.near_moving[seen.rows, seen.columns], one.active[seen.rows, seen.columns])
             refuted |= visible & ~held
-        if one.view.depth is not None:
-            seen = look(one.view.camera, at)
-            surface = one.view.depth[seen.rows, seen.columns]
-            refuted |= seen.inside & one.usable[seen.rows, seen.columns] & (surface > (1 + SEEN_THROUGH) * seen.depth)
+        refuted |= _seen_through(one, look(one.view.camera, at))
     return refuted
 
 
-def refuted_static(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> Bool:
-    """[n] STATIC Gaussians that have left: every view that should show them shows something else.
+@dataclass(frozen=True)
+class StaticEvidence:
+    """What a set says about the STATIC Gaussians."""
 
-    `renderings` is what the whole model looks like: what stands behind something moving is covered, not gone. Where a
-    camera measures depth, only depth behind a Gaussian speaks against it.
+    left: Bool
+    """[n] every view that should show them shows something else, or one measures depth behind them."""
+    moving: Bool
+    """[n] every view that should show them shows something that moves there, and two views or more do."""
+
+
+def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> StaticEvidence:
+    """Which STATIC Gaussians have left their place, and which are part of something that moves.
+
+    `renderings` is what the whole model looks like: what stands behind something moving is covered, not gone. What lies
+    on the plane or the shell moves never, whatever it looks like, and leaves only by measured depth.
     """
     count = len(observed[0].background.static.rows)
-    shown = np.zeros(count, np.int64)
-    gone = np.zeros(count, np.int64)
+    shown, gone, moving = (np.zeros(count, np.int64) for _ in range(3))
+    proven = np.zeros(count, bool)
     for one, rendering in zip(observed, renderings, strict=True):
         seen = one.background.static
         front = rendering.depth.cpu().numpy()[seen.rows, seen.columns]
         covered = one.active[seen.rows, seen.columns] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
         visible = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[seen.rows, seen.columns]
         changed = one.surprise[seen.rows, seen.columns] > threshold
-        if one.view.depth is not None:
-            surface = one.view.depth[seen.rows, seen.columns]
-            visible &= surface > (1 - SEEN_THROUGH) * seen.depth
-            changed = surface > (1 + SEEN_THROUGH) * seen.depth
+        if one.nearest is not None:
+            visible &= one.nearest[seen.rows, seen.columns] > (1 - SEEN_THROUGH) * seen.depth
+            changed = np.zeros(count, bool)
+        proven |= visible & _seen_through(one, seen)
         shown += visible
         gone += visible & changed
-    left: Bool = (gone == shown) & (gone >= 1)
-    return left
+        moving += visible & one.moving[seen.rows, seen.columns]
+    off = ~on_surface([one.background for one in observed])
+    left = proven | (off & (gone == shown) & (gone >= 1))
+    return StaticEvidence(left, off & (moving == shown) & (moving >= min(2, len(observed))))
+
+
+def _seen_through(one: Observed, seen: Seen) -> Bool:
+    """[n] points behind which the view measures depth."""
+    if one.nearest is None:
+        return np.zeros(len(seen.rows), bool)
+    through: Bool = seen.inside & one.active[seen.rows, seen.columns]
+    return through & (one.nearest[seen.rows, seen.columns] > (1 + SEEN_THROUGH) * seen.depth)
 
 
 def showing_stale(observed: Sequence[Observed]) -> Bool:

@@ -29,6 +29,10 @@ RATES[RGB] = 1.5e-2
 """Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
 
 
+CANONICAL_SHARE = 0.5
+"""Share of the mean's rate while things move: motion belongs to the nodes, and what is left over to the shape."""
+
+
 @dataclass(frozen=True)
 class Target:
     """What the rendering of one view is held to."""
@@ -80,15 +84,15 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
         splats = place(values, nobody, values.new_zeros(1, 1, 3), values.new_zeros(1, 1, 4))
         torch.autograd.backward(photometric(render(splats, cameras), targets))
         decay = 0.1 ** (step / steps)
-        _descend(gaussians, rows, values, decay)
+        _descend(gaussians, rows, values, decay, 1.0)
 
 
-def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float) -> None:
+def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float, mean_share: float) -> None:
     gradient = values.grad
     if gradient is None or not len(rows):
         return
     rates = (RATES.to(values.device) * factor).expand(len(rows), -1).clone()
-    rates[:, MEAN] *= gaussians.values[rows, LOG_SCALE].exp().mean(-1, keepdim=True)
+    rates[:, MEAN] *= mean_share * gaussians.values[rows, LOG_SCALE].exp().mean(-1, keepdim=True)
     gaussians.descend(rows, gradient, rates)
 
 
@@ -120,7 +124,7 @@ def fit_window(
         values = gaussians.values[rows].requires_grad_()
         splats = join(static, place(values, gaussians.nodes[rows], poses.positions, poses.quats))
         torch.autograd.backward(photometric(render(splats, cameras, masks), targets))
-        _descend(gaussians, rows, values, parameters.learning_rate)
+        _descend(gaussians, rows, values, parameters.learning_rate, CANONICAL_SHARE)
 
 
 def _footprint(one: Observed, points: NDArray[np.floating]) -> Bool:

@@ -35,6 +35,8 @@ class Newborns:
     tier: Tier
     nodes: Tensor
     """[n] int64 row of the node that carries it, -1 for none."""
+    homeless: bool = False
+    """Whether they stand in free space without a node: the next set may find them one."""
 
     def packed(self) -> Tensor:
         """[n, 14] as the columns of `Gaussians.values`."""
@@ -63,6 +65,9 @@ class Gaussians:
         self.births = torch.zeros(capacity, dtype=torch.int64, device=device)
         self.largest = torch.zeros(capacity, device=device)
         self.doubts = torch.zeros(capacity, dtype=torch.int64, device=device)
+        self.homeless = torch.zeros(capacity, dtype=torch.bool, device=device)
+        self.refused = 0
+        """Steps of single Gaussians that were not finite and were therefore not taken, since the model began."""
         self._next_id = 0
 
     def __len__(self) -> int:
@@ -99,6 +104,7 @@ class Gaussians:
         self.births[free] = stamp
         self.largest[free] = born.scales[:n].amax(-1).log() + LARGEST
         self.doubts[free] = 0
+        self.homeless[free] = born.homeless
         self._next_id += n
         self.forget_moments(free)
         return free
@@ -115,7 +121,7 @@ class Gaussians:
         self.steps[rows] = 0
 
     def descend(self, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """One Adam step (Kingma and Ba, 2015) on `rows` [n] only, gradient and rates [n, 14], kept in bounds."""
+        """One Adam step (Kingma and Ba, 2015) on `rows` [n] only, gradient and rates [n, 14], within bounds."""
         self.steps[rows] += 1
         m = self.moment1[rows].lerp_(gradient, 0.1)
         v = self.moment2[rows].lerp_(gradient.square(), 0.01)
@@ -126,4 +132,9 @@ class Gaussians:
         values = self.values[rows] - rates * update
         values[:, LOG_SCALE] = values[:, LOG_SCALE].clamp(max=self.largest[rows, None]).clamp(min=SMALLEST)
         values[:, RGB] = values[:, RGB].clamp(0, 1)
+        bad = ~torch.isfinite(values).all(1)
+        if bool(bad.any()):
+            values = torch.where(bad[:, None], self.values[rows], values)
+            self.forget_moments(rows[bad])
+            self.refused += int(bad.sum())
         self.values[rows] = values

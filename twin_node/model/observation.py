@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from twin_node.model.backgrounds import Background, grow
@@ -24,8 +25,10 @@ class Observed:
     offset_s: float
     """The view's stamp less the set's, s; never positive."""
     background: Background
+    moving: Bool
+    """[H, W] something moves or has moved."""
     near_moving: Bool
-    """[H, W] something moves or has moved, grown by what calibration and image noise can be wrong by."""
+    """[H, W] `moving`, grown by what calibration and image noise can be wrong by."""
     usable: Bool
     """[H, W] pixels that count: valid and off the robot."""
     surprise: Float32
@@ -33,6 +36,8 @@ class Observed:
     over; 0 where the pixel does not count."""
     active: Bool
     """[H, W] pixels to be explained by more than the background: near what moves, or other than the background."""
+    nearest: Float32 | None
+    """[H, W] m: smallest depth measured in the 3 x 3 pixels around, so that edges refute nothing; 0 where unknown."""
     stale: Bool
     """[H, W] the background has been wrong here for a while although nothing moves: it has to be learnt anew."""
 
@@ -66,7 +71,11 @@ class Observer:
             stale = self._stale(view.camera.name, wrong & ~grown, dt_s)
             offset_s = (view.stamp - frames.stamp) * 1e-9
             active = (grown | wrong) & usable
-            out.append(Observed(view, rgb, offset_s, background, grown, usable, surprise, active, stale))
+            out.append(
+                Observed(
+                    view, rgb, offset_s, background, mask, grown, usable, surprise, active, _nearest(view.depth), stale
+                )
+            )
         return out
 
     def _surprise(self, name: str, rgb: Float32, background: Background) -> Float32:
@@ -90,6 +99,13 @@ class Observer:
 def margin_px(camera: Camera, depth: Float64) -> int:
     """Pixels that a silhouette may be off by: two of noise, and the calibration's error at the median depth."""
     return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth)))
+
+
+def _nearest(depth: Float32 | None) -> Float32 | None:
+    if depth is None:
+        return None
+    around = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), np.ones((3, 3), np.uint8))
+    return np.where(np.isfinite(around), around, np.float32(0)).astype(np.float32)
 
 
 def _largest_channel(a: Float32, b: Float32) -> Float32:

@@ -56,7 +56,7 @@ class BirthParameters:
     """Depths tried along the ray of a pixel that nothing explains."""
     node_radius_m: float = 0.12
     """A Gaussian joins a node whose centre is nearer than this; else a new node is born."""
-    node_members: int = 12
+    node_members: int = 8
     """Gaussians that a new node needs."""
     transient_s: float = 0.5
     """Life of a TRANSIENT: by then a node carries what it stood for, or the background has learnt it."""

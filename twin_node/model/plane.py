@@ -18,6 +18,8 @@ PATCH_PX = 7
 """Side of the window over which images are compared: about twice the footprint of a hole or marking at 160 px width."""
 TEXTURE = 2.0 / 255
 """Standard deviation (0 to 1) inside a window below which its correlation says nothing: the noise of 8-bit video."""
+MEASURED_SHARE = 0.15
+"""Share of the measured points that a dominant plane holds at least."""
 MIN_AGREEMENT, DISTINCT = 0.01, 2.0
 """A plane is believed if it scores this much, and this many times the 90th percentile of all candidates."""
 
@@ -89,6 +91,23 @@ def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
     return _refined(views, candidates[best], scores[best], span)
 
 
+def plane_through(points: Float64, centres: Float64) -> Plane | None:
+    """The plane that holds the most of measured `points` [n, 3], seen from cameras at `centres` [C, 3].
+
+    None where the best of them holds less than `MEASURED_SHARE`.
+    """
+    found = _ransac(points, centres)
+    if not found:
+        return None
+    inside = np.abs(found[0].height(points)) < _tolerance(points, centres)
+    if inside.mean() < MEASURED_SHARE:
+        return None
+    centre = points[inside].mean(0)
+    normal = np.linalg.svd(points[inside] - centre, full_matrices=False)[2][2]
+    normal = normal if normal @ found[0].normal > 0 else -normal
+    return Plane(normal, float(-normal @ centre))
+
+
 def _agreement(views: Sequence[View], plane: Plane) -> float:
     """Mean correlation over the pixels that pairs of views share through the plane, discounted where they share few."""
     total = 0.0
@@ -132,7 +151,7 @@ def _ransac(points: Float64, centres: Float64, trials: int = 200, keep: int = 8)
     if len(points) < 8:
         return []
     rng = np.random.default_rng(0)
-    tolerance = 0.02 * np.median(np.linalg.norm(points - centres.mean(0), axis=1))
+    tolerance = _tolerance(points, centres)
     supported: list[tuple[int, Plane]] = []
     for _ in range(trials):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
@@ -146,6 +165,11 @@ def _ransac(points: Float64, centres: Float64, trials: int = 200, keep: int = 8)
         supported.append((int((np.abs(plane.height(points)) < tolerance).sum()), plane))
     supported.sort(key=lambda pair: -pair[0])
     return [plane for _, plane in supported[:keep]]
+
+
+def _tolerance(points: Float64, centres: Float64) -> float:
+    """Distance in m from a plane that still counts as on it: 1 % of the viewing distance, what depth cameras reach."""
+    return 0.01 * float(np.median(np.linalg.norm(points - centres.mean(0), axis=1)))
 
 
 def _corner_K(camera: Camera) -> Float64:

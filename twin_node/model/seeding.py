@@ -13,12 +13,14 @@ from torch import Tensor
 from twin_node.model.features import triangulate
 from twin_node.model.gaussians import Newborns
 from twin_node.model.parameters import SeedParameters
-from twin_node.model.plane import Plane, dominant_plane
+from twin_node.model.plane import Plane, dominant_plane, plane_through
 from twin_node.model.rays import back_project
 from twin_node.model.rotations import quat_between
 from twin_node.model.sweep import Surface, shell_around, sweep
 from twin_node.scene import Float64, Tier, View
 
+PLANE_SAMPLES = 4000
+"""Measured points that the dominant plane is fitted to."""
 FLATNESS = 0.2
 """Thickness of a Gaussian on the dominant plane in units of its radius."""
 SEED_OPACITY = 0.7
@@ -35,7 +37,7 @@ class Seeds:
 
 def seed(views: Sequence[View], parameters: SeedParameters, capacity: int, device: torch.device) -> Seeds:
     """STATIC Gaussians, at most `capacity`, that explain every pixel of `views`."""
-    plane = dominant_plane(views, triangulate(views)) if any(view.depth is None for view in views) else None
+    plane = find_plane(views)
     surfaces = find_surfaces(views, plane, parameters)
     stride = parameters.stride_px
     while True:
@@ -43,6 +45,16 @@ def seed(views: Sequence[View], parameters: SeedParameters, capacity: int, devic
         if len(born) <= capacity:
             return Seeds(_as_newborns(born, plane, device), plane)
         stride += 1
+
+
+def find_plane(views: Sequence[View]) -> Plane | None:
+    """The dominant plane: through what is measured, where any view measures depth, else what the images agree on."""
+    measured = [back_project(view.camera, view.depth)[view.depth > 0] for view in views if view.depth is not None]
+    points = np.concatenate([np.zeros((0, 3)), *measured])
+    if not len(points):
+        return dominant_plane(views, triangulate(views))
+    centres = np.stack([view.camera.T_base_cam[:3, 3] for view in views])
+    return plane_through(points[:: max(len(points) // PLANE_SAMPLES, 1)], centres)
 
 
 def find_surfaces(views: Sequence[View], plane: Plane | None, parameters: SeedParameters) -> list[Surface]:

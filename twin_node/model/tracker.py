@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from twin_node.model.adoption import adopt, as_newborns
+from twin_node.model.adoption import adopt, adopt_points, as_newborns
 from twin_node.model.alignment import FlowSolver, solve_twists
-from twin_node.model.backgrounds import Backgrounds, on_surface
+from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
-from twin_node.model.deaths import refuted_moving, refuted_static, showing_stale
+from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
 from twin_node.model.fitting import fit_window
-from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.gaussians import LOGIT, MEAN, QUAT, Gaussians
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.rendering import Rendering, Splats, join, on_device, place, render
-from twin_node.model.rotations import quat_from_vector, quat_product
+from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate
 from twin_node.scene import Bool, FrameSet, Tier
 
 
@@ -41,9 +41,11 @@ class Tracker:
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
         renderings = self._align(observed, dt_s)
-        self._bury_static(observed, renderings)
+        self._judge_static(observed, renderings)
         self._fit(observed)
         self._bury_moving(observed)
+        g = self._gaussians
+        self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
         born = self._bear(observed)
         self._nodes.remember()
         return born
@@ -70,15 +72,35 @@ class Tracker:
             self._nodes.sigmas[steered] = twists.sigmas[steered]
         return renderings
 
-    def _bury_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
-        """STATIC Gaussians that are no longer where they were die; what left is born again where it went.
-
-        Those on the plane or the shell stay: what is there stays there, only its looks are learnt anew.
-        """
-        gone = refuted_static(observed, renderings, self._parameters.track.residual)
-        gone &= ~on_surface([one.background for one in observed])
-        if self._count_doubts(self._backgrounds.rows, torch.from_numpy(gone)):
+    def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
+        """STATIC Gaussians that have left die, those that are part of something that moves join its node."""
+        evidence = judge_static(observed, renderings, self._parameters.track.residual)
+        doubted = self._doubted(self._backgrounds.rows, torch.from_numpy(evidence.left | evidence.moving))
+        left = torch.from_numpy(evidence.left).to(doubted.device)
+        self._gaussians.retire(self._backgrounds.rows[doubted & left])
+        self._house(self._backgrounds.rows[doubted & ~left])
+        if bool(doubted.any()):
             self._backgrounds.mark()
+
+    def _house(self, rows: Tensor) -> None:
+        """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
+        points = self._gaussians.means[rows].cpu().double().numpy()
+        carriers = torch.from_numpy(adopt_points(points, self._nodes, self._parameters.birth))
+        self._promote(rows[(carriers >= 0).to(rows.device)], carriers[carriers >= 0])
+
+    def _promote(self, rows: Tensor, carriers: Tensor) -> None:
+        """Gaussians `rows` [n] become RIGID, carried by nodes `carriers` [n] from where they are now."""
+        g, device = self._gaussians, self._gaussians.values.device
+        turn = conjugate(self._nodes.quats[carriers])
+        means = rotate(turn, g.values[rows, MEAN].cpu().double() - self._nodes.positions[carriers])
+        quats = quat_product(turn, g.values[rows, QUAT].cpu().double())
+        g.values[rows, MEAN] = means.float().to(device)
+        g.values[rows, QUAT] = quats.float().to(device)
+        g.tiers[rows] = int(Tier.RIGID)
+        g.nodes[rows] = carriers.to(device)
+        g.doubts[rows] = 0
+        g.homeless[rows] = False
+        g.forget_moments(rows)
 
     def _fit(self, observed: Sequence[Observed]) -> None:
         """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
@@ -99,7 +121,7 @@ class Tracker:
         carried = (g.nodes[rows] >= 0).cpu().numpy()
         gone = refuted_moving(observed, list(splats.means.cpu().numpy()), radii, carried)
         gone |= self._backgrounds.beneath(splats.means[0].cpu().double().numpy(), radii)
-        self._count_doubts(rows, torch.from_numpy(gone))
+        g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
         members = torch.bincount(g.nodes[g.moving_rows].cpu() + 1, minlength=self._nodes.capacity + 1)[1:]
@@ -129,13 +151,11 @@ class Tracker:
             faintest = self._gaussians.values[rows, LOGIT.start].argsort(stable=True)[:excess]
             self._gaussians.retire(rows[faintest])
 
-    def _count_doubts(self, rows: Tensor, refuted: Tensor) -> bool:
-        """Counts sets in a row that refute `rows`; retires those with enough. Whether any was retired."""
+    def _doubted(self, rows: Tensor, refuted: Tensor) -> Tensor:
+        """[n] which of `rows` [n] have been refuted for enough sets in a row, this one included."""
         doubts = (self._gaussians.doubts[rows] + 1) * refuted.to(rows.device)
         self._gaussians.doubts[rows] = doubts
-        dead = rows[(doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]]
-        self._gaussians.retire(dead)
-        return len(dead) > 0
+        return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]
 
     def _near(self, observed: Sequence[Observed]) -> Tensor:
         """Rows of the STATIC Gaussians that can show in the active pixels."""

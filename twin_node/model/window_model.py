@@ -138,21 +138,14 @@ class WindowModel:
 
     def _follow(self, frames: FrameSet, moving: tuple[Bool, ...], robots: tuple[Bool | None, ...]) -> tuple[str, ...]:
         assert self._tracker is not None
-        good = self._gaussians.values.clone()
+        refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
         born = self._tracker.track(frames, moving, robots, dt_s)
         self._bytes_per_frame = 4 * (14 * (born + len(self._gaussians.moving_rows)) + 7 * len(self._nodes.rows))
-        return self._restore(good)
-
-    def _restore(self, good: Tensor) -> tuple[str, ...]:
-        """Goes back to the last good values where any is not finite, and says so."""
-        bad = ~torch.isfinite(self._gaussians.values).all(1) & self._gaussians.alive
-        if not bool(bad.any()):
-            return ()
-        rows = torch.nonzero(bad)[:, 0]
-        self._gaussians.values[rows] = good[rows]
-        self._gaussians.forget_moments(rows)
-        return (f"model: {len(rows)} Gaussians became non-finite and were set back to the last good state",)
+        refused = self._gaussians.refused - refused_before
+        if refused:
+            return (f"model: {refused} steps of Gaussians were not finite; the last good values were kept",)
+        return ()
 
     def _place(self, rows: Tensor, poses: Poses) -> Splats:
         at = on_device(poses, self._device)

@@ -1,0 +1,162 @@
+"""The window model on a scene whose Gaussians and motion are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from model_scenes import BLOCK_SPEED, frames, rig, sliding
+
+from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.quality import moving_pixels, psnr, squared_error
+from twin_node.scene import Tier, TwinState
+
+QUICK = ModelParameters(seed=SeedParameters(steps=60), gaussians_per_pixel=0.5)
+CAMERAS = rig()
+
+
+@pytest.fixture(scope="module")
+def followed() -> tuple[WindowModel, list[TwinState]]:
+    """A model that has followed the sliding block with depth, and its states."""
+    model = WindowModel(QUICK)
+    return model, [model.update(one) for one in sliding(22, CAMERAS, depth=True)]
+
+
+def gain(model: WindowModel, state: TwinState) -> float:
+    """dB on moving pixels over the frozen first set, mean over views."""
+    gains = []
+    first = frames(0, -0.15, CAMERAS)
+    for view, start in zip(state.frames.views, first.views, strict=True):
+        image = view.rgb / 255
+        moving = moving_pixels(image, start.rgb / 255)
+        ours = squared_error(model.render(view.camera).rgb, image)[moving].mean()
+        frozen = squared_error(model.render_frozen(view.camera).rgb, image)[moving].mean()
+        gains.append(psnr(ours) - psnr(frozen))
+    return float(np.mean(gains))
+
+
+def test_the_first_set_is_explained_whole() -> None:
+    model = WindowModel(QUICK)
+    state = model.update(frames(0, -0.15, CAMERAS))
+    for view in state.frames.views:
+        assert psnr(squared_error(model.render(view.camera).rgb, view.rgb / 255).mean()) > 22
+    assert set(state.gaussians.tiers) == {Tier.STATIC}
+    assert not state.gaussians.velocities.any()
+
+
+def test_what_moves_is_followed_and_beats_the_frozen_first_set(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    model, states = followed
+    assert gain(model, states[-1]) > 6
+    assert model.tier_counts[Tier.RIGID] > 20
+
+
+def test_nodes_carry_the_speed_of_the_block(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    _, states = followed
+    nodes = states[-1].nodes
+    members = np.bincount(states[-1].gaussians.nodes + 1, minlength=len(nodes.ids) + 1)[1:]
+    velocity = (nodes.velocities * members[:, None]).sum(0) / members.sum()
+    assert velocity[0] == pytest.approx(BLOCK_SPEED, rel=0.4)
+    assert np.abs(velocity[1:]).max() < 0.1
+
+
+def test_unchanged_pixels_do_not_smear(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    model, states = followed
+    first = frames(0, -0.15, CAMERAS)
+    for view, start in zip(states[-1].frames.views, first.views, strict=True):
+        still = ~moving_pixels(view.rgb / 255, start.rgb / 255)
+        ours = squared_error(model.render(view.camera).rgb, view.rgb / 255)[still].mean()
+        frozen = squared_error(model.render_frozen(view.camera).rgb, view.rgb / 255)[still].mean()
+        assert psnr(ours) > psnr(frozen) - 1.5
+
+
+def test_colour_alone_will_do() -> None:
+    model = WindowModel(QUICK)
+    states = [model.update(one) for one in sliding(14, CAMERAS)]
+    assert gain(model, states[-1]) > 3
+
+
+def test_a_still_scene_has_no_moving_gaussians() -> None:
+    model = WindowModel(QUICK)
+    states = [model.update(frames(i, -0.15, CAMERAS, depth=True)) for i in range(5)]
+    assert (states[-1].gaussians.tiers == Tier.STATIC).all()
+    assert np.array_equal(states[-1].gaussians.means, states[0].gaussians.means)
+
+
+def test_equal_inputs_give_equal_bytes() -> None:
+    sets = sliding(7, CAMERAS, depth=True)
+    clouds = []
+    for _ in range(2):
+        model = WindowModel(QUICK, seed=1)
+        clouds.append([model.update(one) for one in sets][-1].gaussians)
+    for name, values in vars(clouds[0]).items():
+        assert values.tobytes() == getattr(clouds[1], name).tobytes(), name
+
+
+def test_capacity_is_never_passed(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    _, states = followed
+    capacity = int(3 * 80 * 60 * QUICK.gaussians_per_pixel)
+    assert max(len(state.gaussians.ids) for state in states) <= capacity
+    assert all(len(set(state.gaussians.ids)) == len(state.gaussians.ids) for state in states)
+
+
+def test_states_hold_together(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    _, states = followed
+    for state in states:
+        cloud, nodes = state.gaussians, state.nodes
+        assert cloud.nodes.max(initial=-1) < len(nodes.ids)
+        carried = cloud.nodes >= 0
+        apart = np.linalg.norm(cloud.means[carried] - nodes.positions[cloud.nodes[carried]], axis=1)
+        assert (apart <= nodes.radii[cloud.nodes[carried]] + 1e-4).all()
+        assert (cloud.tiers[~carried] != Tier.RIGID).all()
+        for values in (*vars(cloud).values(), *vars(nodes).values()):
+            assert np.isfinite(values.astype(np.float64)).all()
+
+
+def test_a_camera_may_go_and_come_back() -> None:
+    model = WindowModel(QUICK)
+    for index, one in enumerate(sliding(9, CAMERAS, depth=True)):
+        views = one.views[:2] if index in (3, 4, 5) else one.views
+        state = model.update(replace(one, views=views))
+        assert len(state.moving_masks) == len(views)
+
+
+def test_one_camera_is_enough_to_run() -> None:
+    model = WindowModel(QUICK)
+    for one in sliding(5, CAMERAS[:1]):
+        state = model.update(one)
+    assert len(state.gaussians.ids) > 0
+
+
+def test_a_past_stamp_renders_the_past(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    model, states = followed
+    now = model.render(CAMERAS[1]).rgb
+    same = model.render(CAMERAS[1], states[-1].stamp).rgb
+    past = model.render(CAMERAS[1], states[-6].stamp).rgb
+    assert np.abs(now - same).max() < 1e-3
+    assert np.abs(now - past).max() > 0.05
+
+
+def test_a_non_finite_gaussian_is_set_back_and_reported() -> None:
+    model = WindowModel(QUICK)
+    for one in sliding(8, CAMERAS, depth=True):
+        model.update(one)
+    poisoned = model._gaussians.moving_rows[:5]
+    assert len(poisoned)
+    model._gaussians.moment2[poisoned] = torch.nan
+    state = model.update(sliding(9, CAMERAS, depth=True)[-1])
+    assert np.isfinite(state.gaussians.means).all()
+    assert any("not finite" in warning for warning in state.warnings)
+
+
+def test_wrong_sets_are_refused_in_one_line() -> None:
+    model = WindowModel(QUICK)
+    sets = sliding(2, CAMERAS)
+    with pytest.raises(ModelError, match="no set has been seen"):
+        model.render_frozen(CAMERAS[0])
+    with pytest.raises(ModelError, match="at least one view"):
+        model.update(replace(sets[0], views=()))
+    model.update(sets[1])
+    with pytest.raises(ModelError, match="sort the source"):
+        model.update(sets[0])
