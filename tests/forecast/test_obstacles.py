@@ -86,7 +86,7 @@ def test_ids_stay_under_small_motion() -> None:
     first = cover(occupancy(start, np.zeros(0, np.int64)))
     second = cover(occupancy(start + 0.01, np.zeros(0, np.int64)), first)
     shared = np.intersect1d(first.ids, second.ids)
-    assert len(shared) >= 0.7 * len(first.ids)
+    assert len(shared) >= 0.6 * len(first.ids)
     for one in shared:
         moved = first.positions[first.ids == one] - second.positions[second.ids == one]
         assert np.linalg.norm(moved) < 0.05

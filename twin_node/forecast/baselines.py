@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
-from twin_node.forecast.grid import spread
+from twin_node.forecast.grid import reach_of, spread
 from twin_node.forecast.static import StaticParameters
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
@@ -53,13 +53,13 @@ class BaselineForecaster:
     def _occupancy(self, evidence: Evidence, publish_stamp: int, travelled_s: Float64, radius: float) -> Occupancy:
         """What moves, `travelled_s` [H] further on at its velocity and grown by `radius` (m)."""
         parts = evidence.parts
-        velocities = evidence.velocities[parts.labels]
+        reach = np.full(len(parts.indices), reach_of(self.grid, np.array([radius]))[0])
         layers: list[OccupancyLayer] = []
         for horizon, seconds in zip(HORIZONS_NS, travelled_s, strict=True):
             if layers and seconds == travelled_s[0]:
                 layers.append(OccupancyLayer(horizon, layers[0].indices, layers[0].probability))
                 continue
-            reached = spread(self.grid, parts.points + velocities * seconds, np.full(len(parts.points), radius))
+            reached = spread(self.grid, parts.moved(self.grid, evidence.velocities * seconds), reach)
             probability = np.where(reached.core, 255, 128).astype(np.uint8)
             layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
         return Occupancy(

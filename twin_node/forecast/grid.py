@@ -92,11 +92,13 @@ def grow_by(levels: NDArray[np.uint8]) -> Bool:
     Three steps to 18 neighbours and one to 6, in turn: their Minkowski sum holds the Euclidean ball (support 1 along
     the axes and 1.01 along the space diagonals per step) and reaches at most 1.42 times as far.
     """
-    most = int(levels.max(initial=0))
-    words = pack(levels == most) if most else pack(np.zeros(levels.shape, np.bool_))
+    present = np.bincount(levels.ravel(), minlength=2)
+    most = len(present) - 1
+    words = pack(levels == most)
     for level in range(most - 1, 0, -1):
         words = grow(words, diagonal=(level % 4) != 0)
-        words |= pack(levels == level)
+        if present[level]:
+            words |= pack(levels == level)
     return unpack(words, levels.shape[2])
 
 
@@ -110,20 +112,26 @@ class Spread:
     """[n] True for voxels that hold a point themselves."""
 
 
-def spread(grid: Grid, points: Float64, radii: Float64) -> Spread:
-    """Voxels of `grid` within `radii` [n] (m, rounded up to whole voxels) of the voxels that hold `points` [n, 3]."""
-    places = np.floor((points - grid.origin) / grid.voxel_size).astype(np.int64)
-    reach = np.ceil(radii / grid.voxel_size - 1e-6).astype(np.int64)
+def reach_of(grid: Grid, radii: Float64) -> NDArray[np.uint8]:
+    """Radii [n] (m) in whole voxels, rounded up; above six to even numbers, because every level costs time."""
+    reach = np.ceil(radii / grid.voxel_size - 1e-6)
+    even = np.where(reach > 6, 2 * np.ceil(reach / 2), reach)
+    return np.minimum(even, 200).astype(np.uint8)
+
+
+def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8]) -> Spread:
+    """Voxels of `grid` within `reach` [n] voxels of the voxels (i, j, k) `places` [n, 3], which may lie outside it."""
     most = int(reach.max(initial=0))
-    near = np.all((places >= -most) & (places < np.array(grid.dims) + most), axis=1)
-    if not near.any():
+    near = np.all((places >= -most) & (places < np.array(grid.dims, np.int32) + most), axis=1)
+    if not near.all():
+        places, reach = places[near], reach[near]
+    if len(places) == 0:
         return Spread(np.zeros(0, np.int64), np.zeros(0, np.bool_))
-    places, reach = places[near], reach[near]
     low = places.min(axis=0) - most
     dims = places.max(axis=0) + most + 1 - low
-    local = np.ravel_multi_index(tuple((places - low).T), tuple(dims))
-    order = np.argsort(reach.astype(np.uint8), kind="stable")
     levels = np.zeros(dims, np.uint8)
+    order = np.argsort(reach, kind="stable")
+    local = ((places[:, 0] - low[0]) * dims[1] + (places[:, 1] - low[1])) * dims[2] + (places[:, 2] - low[2])
     levels.ravel()[local[order]] = reach[order] + 1
     start, stop = np.maximum(low, 0), np.minimum(low + dims, grid.dims)
     inner = tuple(slice(a, b) for a, b in zip(start - low, stop - low, strict=True))

@@ -74,6 +74,8 @@ def cover(
 
 _SMALLEST = 4
 """Voxels along a cell of level 0; each level doubles it."""
+_MANY = 4000
+"""Voxels per layer above which boxes are fitted to pairs of voxels: finer ones are merged under any cap anyway."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +110,27 @@ def _check(parameters: CoverParameters) -> None:
 
 
 def _cells(grid: Grid, indices: NDArray[np.int64]) -> _Cells:
-    """The finest cells that hold voxels [n]."""
-    voxels = np.stack(np.unravel_index(indices, grid.dims), axis=1)
-    return _boxed(0, voxels // _SMALLEST, voxels, voxels)
+    """The finest cells that hold voxels [n]; many voxels are taken two by two by two, with boxes to match."""
+    stride = 2 if len(indices) > _MANY else 1
+    dims = np.array(grid.dims)
+    if stride == 2:
+        indices, coarse = _halved(grid, indices)
+    else:
+        coarse = grid.dims
+    voxels = np.stack(np.unravel_index(indices, coarse), axis=1) * stride
+    return _boxed(0, voxels // _SMALLEST, voxels, np.minimum(voxels + stride, dims) - 1)
+
+
+def _halved(grid: Grid, indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    """Flat indices, and size, on a lattice of half the resolution: the cells that hold any of the voxels [n]."""
+    x, y, z = (-(-n // 2) for n in grid.dims)
+    dense = np.zeros((2 * x, 2 * y, 2 * z), np.bool_)
+    flat = np.zeros(grid.size, np.bool_)
+    flat[indices] = True
+    dense[: grid.dims[0], : grid.dims[1], : grid.dims[2]] = flat.reshape(grid.dims)
+    dense = dense[::2] | dense[1::2]
+    dense = dense[:, ::2] | dense[:, 1::2]
+    return np.flatnonzero(dense[..., ::2] | dense[..., 1::2]), (x, y, z)
 
 
 def _boxed(level: int, cells: NDArray[np.int64], lower: NDArray[np.int64], upper: NDArray[np.int64]) -> _Cells:

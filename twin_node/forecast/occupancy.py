@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.bound import Bound, BoundParameters
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
-from twin_node.forecast.grid import spread
+from twin_node.forecast.grid import reach_of, spread
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import Tracks
@@ -21,6 +21,9 @@ CORE_PROBABILITY = 230
 """Of voxels where the parts themselves are forecast."""
 BOUND_PROBABILITY = 90
 """Of voxels that only the error bound adds."""
+
+JUDGED_EVERY_NS = 50_000_000
+"""Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,7 @@ class Forecaster:
         due = None
         while self._issued and self._issued[0].valid_at <= state.stamp:
             due = self._issued.popleft()
-        if due is None:
+        if due is None or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
         blocks = self._observer.tables.blocks
@@ -138,7 +141,8 @@ class Forecaster:
         self._radii = self._bound.radii(tracks.own_errors, speeds, tracks.ages_s, horizons)
         layers = []
         for horizon, displacement, radius in zip(HORIZONS_NS, moved, self._radii, strict=True):
-            reached = spread(self.grid, parts.points + displacement[parts.labels], radius[parts.labels])
+            reach = reach_of(self.grid, radius)[parts.labels]
+            reached = spread(self.grid, parts.moved(self.grid, displacement), reach)
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
             layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
         return tuple(layers)

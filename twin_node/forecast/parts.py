@@ -22,12 +22,17 @@ class Parts:
 
     indices: NDArray[np.int64]
     """[n] flat voxel indices."""
-    points: Float64
-    """[n, 3] voxel centres, m."""
+    places: NDArray[np.int32]
+    """[n, 3] voxel coordinates (i, j, k)."""
     labels: NDArray[np.int64]
     """[n] part of each voxel."""
     centers: Float64
     """[M, 3] mean of each part's voxels, m."""
+
+    def moved(self, grid: Grid, displacements: Float64) -> NDArray[np.int32]:
+        """Voxel coordinates [n, 3] after each part has moved by its displacement [M, 3] (m, to the nearest voxel)."""
+        shifts = np.round(displacements / grid.voxel_size).astype(np.int32)
+        return self.places + shifts[self.labels]
 
     @property
     def count(self) -> int:
@@ -39,14 +44,15 @@ def split(grid: Grid, indices: NDArray[np.int64]) -> Parts:
     """Parts of the voxels `indices` [n]: one per occupied cell of a coarser lattice."""
     side = max(1, round(PART_SIZE / grid.voxel_size))
     lattice = tuple(-(-n // side) for n in grid.dims)
-    cells = np.ravel_multi_index(tuple(axis // side for axis in np.unravel_index(indices, grid.dims)), lattice)
+    places = np.stack(np.unravel_index(indices, grid.dims), axis=1).astype(np.int32)
+    cells = np.ravel_multi_index(tuple((places // side).T), lattice)
     counts = np.bincount(cells, minlength=int(np.prod(lattice)))
     occupied = np.flatnonzero(counts)
     numbers = np.zeros(len(counts), np.int64)
     numbers[occupied] = np.arange(len(occupied))
-    points = grid.centers(indices)
-    sums = np.stack([np.bincount(cells, points[:, axis], len(counts))[occupied] for axis in range(3)], axis=1)
-    return Parts(indices, points, numbers[cells], sums / counts[occupied, None])
+    sums = np.stack([np.bincount(cells, places[:, axis], len(counts))[occupied] for axis in range(3)], axis=1)
+    centers = grid.origin + (sums / counts[occupied, None] + 0.5) * grid.voxel_size
+    return Parts(indices, places, numbers[cells], centers)
 
 
 class PartVelocities:
