@@ -203,18 +203,15 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
     )
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
-    _print_bench(bench.as_json(), options.json)
+    figures = bench.as_json()
+    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
 
 
 def _bench_raster(options: argparse.Namespace) -> None:
     from twin_node.bench import raster
 
-    _print_bench(raster.run(raster.RasterOptions()), options.json)
-
-
-def _print_bench(figures: dict[str, Any], as_json: bool) -> None:
-    """One JSON object, or the same as indented text for a person."""
-    print(json.dumps(figures) if as_json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    report = raster.run()
+    print(json.dumps(report) if options.json else raster.table(report))
 
 
 def _positive(text: str) -> float:

@@ -52,9 +52,7 @@ def test_rig_file_that_is_none(refused: Callable[..., str], cell_log: Callable[.
 
 
 @pytest.mark.parametrize("pace", [["--lockstep"], ["--rate", "4"]])
-def test_stamps_that_run_backwards(
-    refused: Callable[..., str], cell_log: Callable[..., Path], pace: list[str]
-) -> None:
+def test_stamps_that_run_backwards(refused: Callable[..., str], cell_log: Callable[..., Path], pace: list[str]) -> None:
     line = refused(cell_log(0.4, Fault("unsorted_stamps", "cam_left")), *pace)
     assert "camera 'cam_left'" in line
     assert "run backwards" in line
@@ -73,11 +71,10 @@ def test_log_without_images(refused: Callable[..., str], cell_log: Callable[...,
 
 
 @pytest.mark.parametrize(
-    ("content", "said"), [(None, "nowhere.mcap"), (b"", "empty file"), (b"not a log at all", "found a file that begins")]
+    ("content", "said"),
+    [(None, "nowhere.mcap"), (b"", "empty file"), (b"not a log at all", "found a file that begins")],
 )
-def test_a_file_that_is_no_log(
-    refused: Callable[..., str], tmp_path: Path, content: bytes | None, said: str
-) -> None:
+def test_a_file_that_is_no_log(refused: Callable[..., str], tmp_path: Path, content: bytes | None, said: str) -> None:
     path = tmp_path / "nowhere.mcap"
     if content is not None:
         path.write_bytes(content)

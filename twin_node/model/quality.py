@@ -25,4 +25,5 @@ def psnr(mean_squared_error: float) -> float:
 
 def moving_pixels(image: NDArray[np.floating], first: NDArray[np.floating]) -> NDArray[np.bool_]:
     """[H, W] True where an image differs from the first frame by more than `MOVING_THRESHOLD` in some channel."""
-    return np.max(np.abs(image - first), axis=-1) > MOVING_THRESHOLD
+    moving: NDArray[np.bool_] = np.max(np.abs(image - first), axis=-1) > MOVING_THRESHOLD
+    return moving

@@ -12,8 +12,8 @@ from twin_node.arm import (
     SeparationParameters,
     SpeedLimiter,
     decide,
-    extrapolate,
     path_ahead,
+    path_from_sample,
 )
 from twin_node.messages import convert
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
@@ -78,5 +78,5 @@ class ArmNode(Node):
         if self._path is not None and self._path.stamps[-1] > stamp:
             return path_ahead(model, self._path, stamp)
         if self._joints is not None:
-            return extrapolate(model, self._joints.positions, self._joints.velocities, stamp)
+            return path_from_sample(model, self._joints, stamp)
         return self._cycle.ahead(stamp)

@@ -56,7 +56,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, examples: int) -> For
     """
     has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in log.topics)
     truth = VoxelTruth(log) if has_exact else LaterTruth()
-    comparison = Comparison(truth)
+    comparison = Comparison(truth, "persistence")
     baselines: BaselineForecaster | None = None
     due: deque[Occupancy] = deque()
     shown: list[Foreseen] = []

@@ -52,7 +52,7 @@ def write_report(
     spool = run.spool
     if spool is None:
         raise ValueError("write_report: expected a run whose ticks were kept")
-    strips = _Strips(len(spool))
+    strips = _StripKeeper(len(spool))
     shown = clouds_against_images(spool, lambda camera: run.model.render_frozen(camera).rgb)
     quality = score(strips.watch(shown))
     step()
@@ -71,7 +71,7 @@ STEPS = 4
 """Times that `write_report` calls its `step`."""
 
 
-class _Strips:
+class _StripKeeper:
     """Takes pictures of all cameras at a few times while renderings go by."""
 
     def __init__(self, ticks: int) -> None:
@@ -102,7 +102,7 @@ def _page(
         lead=_lead(session, run),
         warnings=[f"{text} ({count} sets)" for text, count in figures["warnings"].items()],
         cards=_cards(figures),
-        strips=[_strip(shown, start) for shown in strips],
+        strips=_strips(strips, start),
         forecasts=[_forecast(foreseen, start) for foreseen in foresight.examples],
         truth=foresight.truth,
         methods=_methods(foresight),
@@ -136,9 +136,17 @@ def _cards(figures: Mapping[str, Any]) -> list[dict[str, str]]:
     return [{"label": label, "value": value} for label, value in shown]
 
 
-def _strip(shown: Renderings, start: int) -> Captioned:
-    picture = pictures.camera_strip(shown.image, shown.ours, shown.mask)
-    return Captioned(_encoded(pictures.png(picture)), f"{shown.view.camera.name}, {_seconds(shown.view.stamp, start)}")
+def _strips(taken: Sequence[Renderings], start: int) -> list[Captioned]:
+    """One picture per time, with a column per camera."""
+    by_set = {shown.set_stamp: [other for other in taken if other.set_stamp == shown.set_stamp] for shown in taken}
+    captioned = []
+    for stamp, shown in by_set.items():
+        columns = [pictures.camera_column(one.image, one.ours, one.mask) for one in shown]
+        names = ", ".join(one.view.camera.name for one in shown)
+        captioned.append(
+            Captioned(_encoded(pictures.png(pictures.beside(columns))), f"{_seconds(stamp, start)}: {names}")
+        )
+    return captioned
 
 
 def _forecast(foreseen: Foreseen, start: int) -> Captioned:

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from twin_node.geometry import project
+from twin_node.forecast.score import projected
 from twin_node.nodes.report.quality import Image
 from twin_node.scene import Bool, Camera, Grid, Separation, Tier, UInt8, UInt32
 
@@ -38,31 +38,25 @@ class Curve:
     colour: str | None = None
 
 
-def camera_strip(image: Image, rendering: Image, moving: Bool | None) -> UInt8:
-    """Image, rendering, and the image with the moving mask outlined, side by side, RGB."""
+def camera_column(image: Image, rendering: Image, moving: Bool | None) -> UInt8:
+    """Image, rendering, and the image with the moving mask outlined, one below the other, RGB."""
     outlined = enlarge(image)
     if moving is not None:
         outlined = outline(outlined, moving, MASK)
-    return np.hstack([enlarge(image), enlarge(rendering), outlined])
+    return np.vstack([enlarge(image), enlarge(rendering), outlined])
+
+
+def beside(pictures: Sequence[UInt8]) -> UInt8:
+    """Pictures side by side on white, their tops in line."""
+    height = max(picture.shape[0] for picture in pictures)
+    padded = [np.pad(p, ((0, height - p.shape[0]), (0, 6), (0, 0)), constant_values=255) for p in pictures]
+    return np.hstack(padded)[:, :-6]
 
 
 def forecast_picture(image: Image, camera: Camera, grid: Grid, foreseen: UInt32, true: UInt32) -> UInt8:
     """An image with the space foreseen for its time (blue) and the space seen to move then (green), RGB."""
-    shape = image.shape[:2]
-    picture = fill(enlarge(image), silhouette(camera, grid, foreseen, shape), FORESEEN)
-    return outline(picture, silhouette(camera, grid, true, shape), TRUE)
-
-
-def silhouette(camera: Camera, grid: Grid, indices: UInt32, shape: tuple[int, ...]) -> Bool:
-    """[H, W] True on the pixels that voxels project to, each as a disc of its size."""
-    mask = np.zeros(shape, np.uint8)
-    uvz = project(camera.K, camera.viewmat, grid.centers(indices))
-    radii = 0.6 * grid.voxel_size * camera.K[0, 0] / np.maximum(uvz[:, 2], 1e-3)
-    ahead = uvz[:, 2] > 0.05
-    for u, v, radius in np.column_stack([uvz[ahead, :2], radii[ahead]]):
-        if -50 < u < shape[1] + 50 and -50 < v < shape[0] + 50:
-            cv2.circle(mask, (int(u), int(v)), max(1, int(radius)), 1, -1)
-    return mask.astype(bool)
+    picture = fill(enlarge(image), projected(camera, grid, foreseen), FORESEEN)
+    return outline(picture, projected(camera, grid, true), TRUE)
 
 
 def enlarge(image: Image) -> UInt8:

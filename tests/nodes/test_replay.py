@@ -1,0 +1,170 @@
+"""The whole chain on a short log of the simulated cell: what it publishes, its report, and that it repeats itself."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bag import open_log
+from twin_node.cli import main
+from twin_node.messages import convert
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
+from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier
+
+SECONDS = 1.2
+WIDTH = "96"
+
+
+@pytest.fixture(scope="module")
+def lockstep(cell_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with `out.mcap` and the report of one lockstep replay."""
+    folder = tmp_path_factory.mktemp("lockstep")
+    arguments = ["--lockstep", "--width", WIDTH, "--max-rate", "15", "--report", str(folder)]
+    assert main(["replay", str(cell_log(SECONDS)), "-o", str(folder / "out.mcap"), *arguments]) == 0
+    return folder
+
+
+def test_every_set_gives_a_cloud_a_forecast_obstacles_and_a_decision(lockstep: Path) -> None:
+    with open_log(lockstep / "out.mcap") as log:
+        counts = {topic.name: topic.count for topic in log.topics}
+    sets = counts[OCCUPANCY]
+    assert sets >= 15
+    assert counts[OBSTACLES] == counts[SEPARATION] == counts[GAUSSIANS_MOVING] == sets
+    assert counts[GAUSSIANS] == counts[STATUS] == 2
+
+
+def test_the_same_log_gives_the_same_bytes(lockstep: Path, cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    again = tmp_path / "again.mcap"
+    arguments = ["--lockstep", "--width", WIDTH, "--max-rate", "15"]
+    assert main(["replay", str(cell_log(SECONDS)), "-o", str(again), *arguments]) == 0
+    assert again.read_bytes() == (lockstep / "out.mcap").read_bytes()
+
+
+def forecasts(path: Path) -> list[tuple[Occupancy, Obstacles]]:
+    with open_log(path) as log:
+        messages = {topic: [m.message for m in log.messages([topic])] for topic in (OCCUPANCY, OBSTACLES)}
+    occupancies = [convert.occupancy_from_message(m) for m in messages[OCCUPANCY]]
+    return list(zip(occupancies, map(convert.obstacles_from_message, messages[OBSTACLES]), strict=True))
+
+
+def uncovered(grid: Grid, indices: np.ndarray, obstacles: Obstacles, stamp: int, kind: ObstacleKind) -> int:
+    """How many of the voxels, whole, lie in no box of the kind that is valid at a stamp."""
+    valid = (obstacles.valid_from <= stamp) & (stamp <= obstacles.valid_to) & (obstacles.kinds == kind)
+    centres = grid.centers(indices)[:, None]
+    half = obstacles.sizes[valid] / 2 - grid.voxel_size / 2 + 1e-9
+    inside = np.all(np.abs(centres - obstacles.positions[valid]) <= half, axis=-1)
+    return int((~inside.any(axis=1)).sum())
+
+
+def test_every_occupied_voxel_is_inside_an_obstacle_at_its_time(lockstep: Path) -> None:
+    seen = Counter[str]()
+    for occupancy, obstacles in forecasts(lockstep / "out.mcap"):
+        assert [layer.horizon_ns for layer in occupancy.layers] == list(HORIZONS_NS)
+        for layer in occupancy.layers:
+            stamp = occupancy.publish_stamp + layer.horizon_ns
+            assert uncovered(occupancy.grid, layer.indices, obstacles, stamp, ObstacleKind.MOVING) == 0
+            assert uncovered(occupancy.grid, occupancy.static.indices, obstacles, stamp, ObstacleKind.STATIC) == 0
+            seen["moving"] += len(layer.indices)
+        seen["static"] += len(occupancy.static.indices)
+    assert seen["moving"] > 1000
+    assert seen["static"] > 1000
+
+
+def test_moving_clouds_hold_no_static_gaussian(lockstep: Path) -> None:
+    with open_log(lockstep / "out.mcap") as log:
+        clouds = [convert.gaussians_from_pointcloud2(m.message) for m in log.messages([GAUSSIANS_MOVING])]
+        [first, *_] = [convert.gaussians_from_pointcloud2(m.message) for m in log.messages([GAUSSIANS])]
+    assert all((cloud.tiers != Tier.STATIC).all() for cloud in clouds)
+    assert len(clouds[-1].means) > 50
+    assert len(first.means) > 500
+
+
+def test_the_report_holds_every_figure_by_its_name(lockstep: Path) -> None:
+    figures = json.loads((lockstep / "report.json").read_text())
+    assert figures["sets"] >= 15
+    assert figures["dropped"] == 0
+    assert set(figures["latency_ms"]) == {"p50", "p95", "p99"}
+    quality = figures["quality"]
+    assert quality["psnr_db"] > 15
+    assert quality["psnr_moving_db"] > quality["frozen_psnr_moving_db"]
+    assert set(quality["left_out"]) == {"cam_back", "cam_front", "cam_left"}
+    assert set(figures["tiers"]) == {tier.name.lower() for tier in Tier}
+    forecast = figures["forecast"]
+    assert set(forecast["baselines"]) == {"persistence", "constant_velocity", "worst_case"}
+    for scores in (forecast, *forecast["baselines"].values()):
+        assert {"recall", "recall_now", "recall_new", "volume_l", "inflation", "iou", "error_mm"} <= set(scores)
+    assert forecast["truth"] == "/truth/occupancy"
+    assert set(figures["arm"]) == {"min_distance_m", "min_speed_fraction", "contacts"}
+    assert {"parameters", "bytes_per_frame", "peak_rss_mb", "rate_hz"} <= set(figures)
+    for name, value in forecast.items():
+        if value is None:
+            assert f"forecast.{name}" in figures["reasons"]
+
+
+def test_the_page_stands_alone_and_shows_pictures(lockstep: Path) -> None:
+    page = (lockstep / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 8
+    assert "http" not in page
+
+
+def test_real_time_counts_what_it_drops(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    report = tmp_path / "report"
+    arguments = ["--rate", "20", "--width", WIDTH, "--report", str(report)]
+    assert main(["replay", str(cell_log(SECONDS)), *arguments]) == 0
+    figures = json.loads((report / "report.json").read_text())
+    assert figures["dropped"] > 0
+    assert figures["sets"] >= 2
+    assert 30 <= figures["sets"] + figures["dropped"] <= 40
+
+
+def test_start_and_duration_choose_a_part_of_the_log(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    part = ["--start-offset", "0.5", "--duration", "0.3", "--lockstep", "--width", WIDTH]
+    assert main(["replay", str(cell_log(SECONDS)), "-o", str(out), *part]) == 0
+    with open_log(cell_log(SECONDS)) as log, open_log(out) as written:
+        evidence = [convert.occupancy_from_message(m.message).stamp for m in written.messages([OCCUPANCY])]
+        begin = log.start_ns + 500_000_000
+    assert begin - 50_000_000 <= min(evidence)
+    assert max(evidence) <= begin + 350_000_000
+
+
+def test_a_truncated_log_is_replayed_up_to_the_damage(
+    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = cell_log(SECONDS).read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    out = tmp_path / "out.mcap"
+    assert main(["replay", str(cut), "-o", str(out), "--lockstep", "--width", WIDTH, "--max-rate", "10"]) == 0
+    assert "twin_node: warning:" in capfd.readouterr().err
+    with open_log(out) as log:
+        assert {topic.name for topic in log.topics} >= {OCCUPANCY, SEPARATION}
+
+
+def test_a_foreign_log_works_through_rig_and_remap(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    """Topics with other names, and calibration from a rig file instead of the log's own."""
+    from twin_node.bag import LogWriter
+    from twin_node.nodes.log_source import LogSession
+    from twin_node.rig import RigFile, save_rig
+
+    foreign, rig = tmp_path / "foreign.mcap", tmp_path / "rig.yaml"
+    with LogSession(cell_log(SECONDS)) as session:
+        save_rig(RigFile(session.rig), rig)
+        with LogWriter(foreign) as log:
+            for message in session.log.messages():
+                if message.topic.endswith("/image_raw/compressed"):
+                    topic = message.topic.replace("/image_raw/compressed", "/video/feed")
+                    log.write_raw(topic, message.msgtype, message.data, message.stamp)
+    remaps = []
+    for camera in ("cam_front", "cam_left", "cam_back"):
+        remaps += ["--remap", f"/{camera}/video/feed:=/{camera}/image_raw/compressed"]
+    out = tmp_path / "out.mcap"
+    arguments = ["--rig", str(rig), *remaps, "--lockstep", "--width", WIDTH, "--duration", "0.3"]
+    assert main(["replay", str(foreign), "-o", str(out), *arguments]) == 0
+    with open_log(out) as log:
+        assert {topic.name for topic in log.topics} >= {OCCUPANCY, SEPARATION}
