@@ -106,7 +106,7 @@ def fit_window(
 ) -> None:
     """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
 
-    `poses` holds the nodes at each view's own time, `near` the STATIC rows that can show there, which are not touched.
+    `poses` holds the nodes at each view's own time, `near` other rows that can show, which are not touched.
     """
     device = gaussians.values.device
     rows = torch.cat([gaussians.moving_rows, revised])

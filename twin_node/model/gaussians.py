@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.nodes import Nodes
+from twin_node.model.rotations import conjugate, quat_product, rotate
 from twin_node.scene import Tier
 
 MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
@@ -85,8 +87,13 @@ class Gaussians:
 
     @property
     def moving_rows(self) -> Tensor:
-        """[m] rows of all the others."""
-        return torch.nonzero(self.alive & (self.tiers != Tier.STATIC))[:, 0]
+        """[m] rows of the Gaussians whose motion is learned: RIGID, DEFORMABLE and TRANSIENT."""
+        return torch.nonzero(self.alive & (self.tiers != Tier.STATIC) & (self.tiers != Tier.ROBOT))[:, 0]
+
+    @property
+    def robot_rows(self) -> Tensor:
+        """[r] rows of the Gaussians that the arm carries."""
+        return torch.nonzero(self.alive & (self.tiers == Tier.ROBOT))[:, 0]
 
     def count(self, tier: Tier) -> int:
         """Living Gaussians of a tier."""
@@ -109,6 +116,20 @@ class Gaussians:
         self.forget_moments(free)
         return free
 
+    def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes, tier: Tier) -> None:
+        """Gaussians `rows` [n] without a node become `tier`, carried by nodes `carriers` [n] from where they are now."""
+        device = self.values.device
+        turn = conjugate(nodes.quats[carriers])
+        means = rotate(turn, self.values[rows, MEAN].cpu().double() - nodes.positions[carriers])
+        quats = quat_product(turn, self.values[rows, QUAT].cpu().double())
+        self.values[rows, MEAN] = means.float().to(device)
+        self.values[rows, QUAT] = quats.float().to(device)
+        self.tiers[rows] = int(tier)
+        self.nodes[rows] = carriers.to(device)
+        self.doubts[rows] = 0
+        self.homeless[rows] = False
+        self.forget_moments(rows)
+
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""
         self.alive[rows] = False
@@ -121,7 +142,7 @@ class Gaussians:
         self.steps[rows] = 0
 
     def descend(self, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """One Adam step (Kingma and Ba, 2015) on `rows` [n] only, gradient and rates [n, 14], within bounds."""
+        """One Adam step (Kingma and Ba, 2015) on `rows` [n] only, gradient and rates [n, 14]."""
         self.steps[rows] += 1
         m = self.moment1[rows].lerp_(gradient, 0.1)
         v = self.moment2[rows].lerp_(gradient.square(), 0.01)

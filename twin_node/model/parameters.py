@@ -74,6 +74,8 @@ class ModelParameters:
     """Torch device that the Gaussians live on."""
     gaussians_per_pixel: float = 0.3
     """Capacity in Gaussians per pixel of a set; fixed at the first set."""
+    most_gaussians: int = 24_000
+    """Capacity that larger images do not raise further: what two CPU cores follow at several sets per second."""
     nodes: int = 64
     """Capacity in motion nodes."""
     window: int = 32

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.nodes import Nodes
 from twin_node.model.rendering import on_device, place
 from twin_node.model.rotations import rotate
-from twin_node.scene import GaussianCloud, NodeStates
+from twin_node.scene import GaussianCloud, NodeStates, Tier
 
 
 def cloud_of(gaussians: Gaussians, nodes: Nodes) -> GaussianCloud:
@@ -25,7 +26,8 @@ def cloud_of(gaussians: Gaussians, nodes: Nodes) -> GaussianCloud:
     velocities = nodes.velocities[row] + torch.linalg.cross(nodes.angular_velocities[row], arm)
     velocities = torch.where(carrier.cpu()[:, None] >= 0, velocities, 0.0)
     position_of = torch.full((nodes.capacity + 1,), -1, dtype=torch.int64)
-    position_of[nodes.rows] = torch.arange(len(nodes.rows))
+    published = learned_rows(nodes)
+    position_of[published] = torch.arange(len(published))
     return GaussianCloud(
         means.numpy(),
         splats.quats[0].cpu().numpy(),
@@ -39,9 +41,14 @@ def cloud_of(gaussians: Gaussians, nodes: Nodes) -> GaussianCloud:
     )
 
 
+def learned_rows(nodes: Nodes) -> Tensor:
+    """[m] rows of the living nodes whose motion is learned: the arm's links follow its joints instead."""
+    return nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)]
+
+
 def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
-    """Living nodes at their stamp, each at the opacity-weighted centroid of the Gaussians it carries."""
-    alive = nodes.rows
+    """Nodes whose motion is learned, at their stamp, each at the opacity-weighted centroid of the Gaussians it carries."""
+    alive = learned_rows(nodes)
     carried = gaussians.moving_rows
     carrier = gaussians.nodes[carried]
     carried, carrier = carried[carrier >= 0], carrier[carrier >= 0].cpu()

@@ -17,7 +17,7 @@ from twin_node.model.plane import Plane, dominant_plane, plane_through
 from twin_node.model.rays import back_project
 from twin_node.model.rotations import quat_between
 from twin_node.model.sweep import Surface, shell_around, sweep
-from twin_node.scene import Float64, Tier, View
+from twin_node.scene import Float32, Float64, Tier, View
 
 PLANE_SAMPLES = 4000
 """Measured points that the dominant plane is fitted to."""
@@ -35,10 +35,23 @@ class Seeds:
     """The dominant plane, where the views agree on one."""
 
 
-def seed(views: Sequence[View], parameters: SeedParameters, capacity: int, device: torch.device) -> Seeds:
-    """STATIC Gaussians, at most `capacity`, that explain every pixel of `views`."""
+def seed(
+    views: Sequence[View],
+    arms: Sequence[Float32 | None],
+    parameters: SeedParameters,
+    capacity: int,
+    device: torch.device,
+) -> Seeds:
+    """STATIC Gaussians, at most `capacity`, that explain every pixel of `views`.
+
+    `arms` holds per view the depth [H, W] of the arm in m where its joints tell it (0 elsewhere), or None.
+    """
     plane = find_plane(views)
     surfaces = find_surfaces(views, plane, parameters)
+    surfaces = [
+        surface if arm is None or view.depth is not None else _measured(arm, surface)
+        for view, surface, arm in zip(views, surfaces, arms, strict=True)
+    ]
     stride = parameters.stride_px
     while True:
         born = _merged(_lift(views, surfaces, plane, stride))

@@ -13,12 +13,13 @@ from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
 from twin_node.model.fitting import fit_window
-from twin_node.model.gaussians import LOGIT, MEAN, QUAT, Gaussians
+from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.rendering import Rendering, Splats, join, on_device, place, render
-from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate
+from twin_node.model.robot_links import RobotLinks
+from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.scene import Bool, FrameSet, Tier
 
 
@@ -26,7 +27,12 @@ class Tracker:
     """Keeps Gaussians and nodes up to date with the newest images; a set is `track`."""
 
     def __init__(
-        self, parameters: ModelParameters, gaussians: Gaussians, nodes: Nodes, backgrounds: Backgrounds
+        self,
+        parameters: ModelParameters,
+        gaussians: Gaussians,
+        nodes: Nodes,
+        backgrounds: Backgrounds,
+        links: RobotLinks | None,
     ) -> None:
         self._parameters = parameters
         self._gaussians = gaussians
@@ -34,12 +40,15 @@ class Tracker:
         self._backgrounds = backgrounds
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
+        self._links = links
 
     def track(self, frames: FrameSet, moving: Sequence[Bool], robots: Sequence[Bool | None], dt_s: float) -> int:
         """Follows `frames`, taken `dt_s` after the set before; returns how many Gaussians were born."""
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
+        if self._links is not None and frames.joints is not None:
+            self._links.drive(frames.joints, dt_s)
         renderings = self._align(observed, dt_s)
         self._judge_static(observed, renderings)
         self._fit(observed)
@@ -86,21 +95,8 @@ class Tracker:
         """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
         points = self._gaussians.means[rows].cpu().double().numpy()
         carriers = torch.from_numpy(adopt_points(points, self._nodes, self._parameters.birth))
-        self._promote(rows[(carriers >= 0).to(rows.device)], carriers[carriers >= 0])
-
-    def _promote(self, rows: Tensor, carriers: Tensor) -> None:
-        """Gaussians `rows` [n] become RIGID, carried by nodes `carriers` [n] from where they are now."""
-        g, device = self._gaussians, self._gaussians.values.device
-        turn = conjugate(self._nodes.quats[carriers])
-        means = rotate(turn, g.values[rows, MEAN].cpu().double() - self._nodes.positions[carriers])
-        quats = quat_product(turn, g.values[rows, QUAT].cpu().double())
-        g.values[rows, MEAN] = means.float().to(device)
-        g.values[rows, QUAT] = quats.float().to(device)
-        g.tiers[rows] = int(Tier.RIGID)
-        g.nodes[rows] = carriers.to(device)
-        g.doubts[rows] = 0
-        g.homeless[rows] = False
-        g.forget_moments(rows)
+        housed = carriers >= 0
+        self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes, Tier.RIGID)
 
     def _fit(self, observed: Sequence[Observed]) -> None:
         """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
@@ -158,9 +154,9 @@ class Tracker:
         return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]
 
     def _near(self, observed: Sequence[Observed]) -> Tensor:
-        """Rows of the STATIC Gaussians that can show in the active pixels."""
+        """Rows that nothing is learned about and that can show: STATIC ones near active pixels, and the arm."""
         near = self._backgrounds.near([one.background for one in observed], [one.active for one in observed])
-        return self._living(near)
+        return torch.cat([self._living(near), self._gaussians.robot_rows])
 
     def _living(self, rows: Tensor) -> Tensor:
         return rows[self._gaussians.alive[rows]]
@@ -179,7 +175,7 @@ class Tracker:
 
     def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
         """What the views would see, in their active pixels, of the model with `moving` in it."""
-        static = self._place(self._near(observed), self._nodes.extrapolated([0.0] * len(observed)))
+        static = self._place(self._near(observed), self._poses(observed))
         with torch.no_grad():
             cameras, masks = [one.view.camera for one in observed], [one.active for one in observed]
             return render(join(static, moving), cameras, masks)

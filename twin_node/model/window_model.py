@@ -16,6 +16,7 @@ from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, on_device, place, render
+from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
 from twin_node.model.sweep import shell_around
 from twin_node.model.tracker import Tracker
@@ -80,7 +81,7 @@ class WindowModel:
         moving = self._mask.update(frames, robots)
         warnings: tuple[str, ...] = ()
         if self._tracker is None:
-            self._begin(frames)
+            self._begin(frames, robots)
         else:
             warnings = self._follow(frames, moving, robots)
         return TwinState(
@@ -120,21 +121,41 @@ class WindowModel:
         q = self._arm.ordered_positions(frames.joints)
         return tuple(robot_mask(self._arm, q, view.camera) for view in frames.views)
 
-    def _begin(self, frames: FrameSet) -> None:
+    def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> None:
         torch.manual_seed(self._seed)
         pixels = sum(view.camera.width * view.camera.height for view in frames.views)
-        self._gaussians = Gaussians(int(pixels * self.parameters.gaussians_per_pixel), self._device)
-        seeds = seed(frames.views, self.parameters.seed, int(SEED_SHARE * self._gaussians.capacity), self._device)
+        capacity = min(int(pixels * self.parameters.gaussians_per_pixel), self.parameters.most_gaussians)
+        self._gaussians = Gaussians(capacity, self._device)
+        arms = self._arm_depths(frames, robots)
+        seeds = seed(frames.views, arms, self.parameters.seed, int(SEED_SHARE * self._gaussians.capacity), self._device)
         self._gaussians.spawn(seeds.born, frames.stamp)
         fit_all(self._gaussians, frames.views, self.parameters.seed.steps)
         shell = shell_around([view.camera for view in frames.views], self.parameters.seed.shell_factor)
         backgrounds = Backgrounds(seeds.plane, shell)
-        self._tracker = Tracker(self.parameters, self._gaussians, self._nodes, backgrounds)
         self._nodes.stamp = frames.stamp
+        links = self._bind_arm(frames, robots)
+        self._tracker = Tracker(self.parameters, self._gaussians, self._nodes, backgrounds, links)
         self._nodes.remember()
-        rows = self._gaussians.static_rows
+        rows = torch.nonzero(self._gaussians.alive)[:, 0]
         self._frozen = self._place(rows, self._nodes.extrapolated([0.0]))
         self._bytes_per_frame = 4 * self.parameters_count
+
+    def _arm_depths(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> list[Float32 | None]:
+        if self._arm is None or frames.joints is None:
+            return [None] * len(frames.views)
+        q = self._arm.ordered_positions(frames.joints)
+        return [
+            None if mask is None else arm_depth(self._arm, q, view.camera, mask)
+            for view, mask in zip(frames.views, robots, strict=True)
+        ]
+
+    def _bind_arm(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> RobotLinks | None:
+        if self._arm is None or frames.joints is None:
+            return None
+        links = RobotLinks(self._arm, self._nodes, frames.joints)
+        masks = [mask for mask in robots if mask is not None]
+        links.bind(self._gaussians, frames.joints, masks, [view.camera for view in frames.views])
+        return links
 
     def _follow(self, frames: FrameSet, moving: tuple[Bool, ...], robots: tuple[Bool | None, ...]) -> tuple[str, ...]:
         assert self._tracker is not None

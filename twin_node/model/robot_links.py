@@ -1,0 +1,81 @@
+"""The arm in the model: Gaussians bound to its links, which joint angles move; nothing about them is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from twin_node.geometry import quat_from_rotation
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.nodes import Nodes
+from twin_node.model.rays import look, pixel_rays
+from twin_node.robot import ArmModel, PlacedCapsules, forward_kinematics, place_capsules
+from twin_node.scene import Bool, Camera, Float32, Float64, JointSample, Tier
+
+SKIN_M = 0.03
+"""Distance from the arm's capsules at which a Gaussian still belongs to it: the margin of the robot mask."""
+MARCH_STEPS = 32
+"""Steps of sphere tracing; a grazing ray at 2 m then ends within 2 mm of the surface."""
+
+
+class RobotLinks:
+    """One driven node per link that has a shape."""
+
+    def __init__(self, arm: ArmModel, nodes: Nodes, joints: JointSample) -> None:
+        self._arm = arm
+        self._nodes = nodes
+        poses = forward_kinematics(arm, arm.ordered_positions(joints))
+        self._links = np.unique(arm.capsules.links)
+        still = torch.zeros(3, dtype=torch.float64)
+        born = [nodes.give_birth(torch.from_numpy(poses[j, :3, 3].copy()), still, Tier.ROBOT) for j in self._links]
+        self._rows = torch.tensor(born)
+        self.drive(joints, 0.0)
+
+    def drive(self, joints: JointSample, dt_s: float) -> None:
+        """Puts the links where the joints say, `dt_s` after the last time (0: at once, without a speed)."""
+        poses = forward_kinematics(self._arm, self._arm.ordered_positions(joints))[self._links]
+        quats = torch.from_numpy(quat_from_rotation(poses[:, :3, :3]))
+        self._nodes.drive(self._rows, torch.from_numpy(poses[:, :3, 3].copy()), quats, dt_s)
+
+    def bind(self, gaussians: Gaussians, joints: JointSample, masks: Sequence[Bool], cameras: Sequence[Camera]) -> None:
+        """Makes STATIC Gaussians ROBOT that lie on the arm: within `SKIN_M` of a capsule and on a robot mask [H, W]."""
+        rows = gaussians.static_rows
+        points = gaussians.means[rows].cpu().double().numpy()
+        placed = place_capsules(self._arm, forward_kinematics(self._arm, self._arm.ordered_positions(joints)))
+        distance = _distances(placed, points)
+        shown = np.zeros(len(points), bool)
+        for mask, camera in zip(masks, cameras, strict=True):
+            seen = look(camera, points)
+            shown |= seen.inside & mask[seen.rows, seen.columns]
+        own = shown & (distance.min(1) < SKIN_M)
+        link = placed.links[distance.argmin(1)]
+        carrier = self._rows[torch.from_numpy(np.searchsorted(self._links, link[own]))]
+        gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes, Tier.ROBOT)
+
+
+def arm_depth(arm: ArmModel, q: Float64, camera: Camera, mask: Bool) -> Float32:
+    """[H, W] m along the optical axis to the arm's capsules inside `mask` [H, W]; 0 where a ray meets none."""
+    placed = place_capsules(arm, forward_kinematics(arm, q))
+    rays = pixel_rays(camera)[mask]
+    length = np.linalg.norm(rays, axis=1)
+    depth = np.full(len(rays), 0.05)
+    gap = np.full(len(rays), np.inf)
+    for _ in range(MARCH_STEPS):
+        gap = _distances(placed, camera.T_base_cam[:3, 3] + rays * depth[:, None]).min(1)
+        depth += np.maximum(gap, 0) / length
+    out = np.zeros(mask.shape, np.float32)
+    out[mask] = np.where(gap < 0.005, depth, 0)
+    return out
+
+
+def _distances(placed: PlacedCapsules, points: NDArray[np.floating]) -> Float64:
+    """[n, C] m from points [n, 3] to the capsules' surfaces; negative inside."""
+    a, b = placed.ends[:, 0], placed.ends[:, 1]
+    along = b - a
+    square = np.maximum((along**2).sum(1), 1e-12)
+    share = np.clip(((points[:, None] - a) * along).sum(-1) / square, 0, 1)
+    apart: Float64 = np.linalg.norm(points[:, None] - a - share[..., None] * along, axis=-1) - placed.radii
+    return apart
