@@ -17,6 +17,7 @@ constexpr int kBlockColumns = kTile / kBlockWidth, kBlockRows = kTile / kBlockHe
 constexpr int kBlocks = kBlockColumns * kBlockRows;  // per tile, at most 64
 constexpr int kChannels = 8;                         // rendered in one pass
 constexpr int kGaussiansPerTask = 512;               // fixed, so that sums do not depend on the thread count
+constexpr float kExtentSigmas = 3.33f;               // at which gsplat culls
 constexpr float kLog2E = 1.4426950408889634f;
 constexpr float kLog2AlphaThreshold = -7.99435343685886f;  // log2(1 / 255): fainter than that is not drawn
 
@@ -36,6 +37,12 @@ struct alignas(64) Splat {
 struct PixelRect {
   int x0, x1, y0, y1;  // inclusive; empty where x1 < x0 or y1 < y0
   bool empty() const { return x1 < x0 || y1 < y0; }
+  void include(int tile_x, int tile_y) {
+    x0 = std::min(x0, tile_x);
+    x1 = std::max(x1, tile_x + kTile - 1);
+    y0 = std::min(y0, tile_y);
+    y1 = std::max(y1, tile_y + kTile - 1);
+  }
 };
 
 // Pixels whose centres lie within a footprint's reach, cut to the image.
@@ -51,6 +58,7 @@ struct Image {
   Camera camera{};
   int visible = 0;             // splats
   int intersections = 0;       // (splat, tile) pairs
+  PixelRect live_rect{};       // of the tiles with live blocks
   Buffer<BlockSet> live;       // [tiles] blocks that hold a pixel to render
   Buffer<int32_t> live_table;  // [(rows + 1) * (columns + 1)] live tiles above and left
   Buffer<Footprint> found;     // [N] packed at the front of each task's share, as are the next two
@@ -112,12 +120,14 @@ inline void prepare_image(Image &image, const Request &request, int index) {
   image.live.reserve(image.tiles());
   image.live_table.reserve(static_cast<size_t>(stride) * (image.tile_rows + 1));
   std::fill_n(image.live_table.data(), stride, 0);
+  image.live_rect = {request.width, -1, request.height, -1};
   for (int row = 0; row < image.tile_rows; row++) {
     image.live_table[(row + 1) * stride] = 0;
     for (int column = 0, in_row = 0; column < image.tile_columns; column++) {
       const BlockSet live = live_blocks(image, mask, column * kTile, row * kTile);
       image.live[row * image.tile_columns + column] = live;
       in_row += live != 0;
+      if (live != 0) image.live_rect.include(column * kTile, row * kTile);
       image.live_table[(row + 1) * stride + column + 1] = image.live_table[row * stride + column + 1] + in_row;
     }
   }

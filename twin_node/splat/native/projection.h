@@ -101,10 +101,14 @@ struct Projection {
   Vec conic_c() const { return xx_blur * inverse_det; }
 };
 
-inline void transform_point(const Camera &c, const Shape &s, Projection &p) {
+inline void point_in_camera(const Camera &c, const Vec *mean, Vec *point) {
   for (int i = 0; i < 3; i++) {
-    p.point[i] = c.R[i * 3] * s.mean[0] + c.R[i * 3 + 1] * s.mean[1] + c.R[i * 3 + 2] * s.mean[2] + c.t[i];
+    point[i] = c.R[i * 3] * mean[0] + c.R[i * 3 + 1] * mean[1] + c.R[i * 3 + 2] * mean[2] + c.t[i];
   }
+}
+
+inline void transform_point(const Camera &c, const Shape &s, Projection &p) {
+  point_in_camera(c, s.mean, p.point);
   p.inverse_z = 1.0f / p.point[2];
 }
 

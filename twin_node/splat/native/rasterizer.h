@@ -1,10 +1,11 @@
-// The forward and the backward pass over all images of a call.
+// The forward pass over all images of a call.
 #pragma once
 
 #include <algorithm>
 #include <memory>
 
 #include "blend.h"
+#include "finder.h"
 #include "finite.h"
 #include "harmonics.h"
 
@@ -44,127 +45,6 @@ inline int non_finite_argument(const Request &r) {
   return first_non_finite(arguments);
 }
 
-// Some Gaussians of a batch, one per lane; lanes beyond the count repeat the last one.
-struct Rows {
-  int count;
-  IntVec id;
-  // The neighbours [first, end), as many as there are lanes.
-  Rows(int first, int end) : count(std::min(kLanes, end - first)) {
-    id = first + lane_numbers();
-    id = id < end ? id : broadcast(int32_t{end - 1});
-  }
-  Rows(const int32_t *ids, int count_) : count(std::min(kLanes, count_)) {
-    for (int lane = 0; lane < kLanes; lane++) id[lane] = ids[std::min(lane, count - 1)];
-  }
-  uint32_t valid() const { return (1u << count) - 1; }
-  Vec column(const float *base, int width, int index) const { return gather(base + index, id * width); }
-};
-
-inline Shape load_shape(const Request &r, int batch, const Rows &rows) {
-  Shape s;
-  const float *means = r.means + batch * r.means_stride, *quats = r.quats + batch * r.quats_stride;
-  const float *scales = r.scales + batch * r.scales_stride;
-  for (int i = 0; i < 3; i++) s.mean[i] = rows.column(means, 3, i);
-  for (int i = 0; i < 4; i++) s.quat[i] = rows.column(quats, 4, i);
-  for (int i = 0; i < 3; i++) s.scale[i] = rows.column(scales, 3, i);
-  set_rotation(s);
-  return s;
-}
-
-// Half sizes in pixels of what gsplat culls by and reports, before they are rounded up, and of what can be drawn at
-// all.
-struct Extent {
-  Vec radius_x, radius_y, reach_x, reach_y;
-};
-
-inline Extent extent_of(const Projection &p, Vec log2_opacity) {
-  const Vec sigmas = sqrt(max((log2_opacity - kLog2AlphaThreshold) * (2.0f / kLog2E), Vec{}));
-  const Vec x = sqrt(p.xx_blur), y = sqrt(p.yy_blur), at_most = min(sigmas, broadcast(3.33f));
-  // The reach is padded by more than float32 can lose, so that it never cuts what the exponent would let through.
-  return {at_most * x, at_most * y, sigmas * x * 1.0005f + 1e-3f, sigmas * y * 1.0005f + 1e-3f};
-}
-
-// What a lane of a projected vector leaves for the later stages.
-class Finder {
- public:
-  Finder(const Request &r, Image &image, int index, int task)
-      : request_(r),
-        image_(image),
-        output_(static_cast<int64_t>(index) * r.gaussians),
-        next_(task * kGaussiansPerTask) {}
-
-  void add(const Rows &rows, const Shape &shape, Vec opacity, Projection &p) {
-    store_missing(rows);
-    const Request &r = request_;
-    transform_point(image_.camera, shape, p);
-    const Mask in_depth = both(ge(p.point[2], broadcast(r.near_plane)), le(p.point[2], broadcast(r.far_plane)));
-    if (!any(in_depth)) return;
-    project_covariance(image_.camera, shape, r.eps2d, p);
-    if (r.antialiased) opacity *= compensation(p, r.min_compensation);
-    const Mask drawn = both(in_depth, both(gt(p.det, Vec{}), ge(opacity, broadcast(1.f / 255.f))));
-    uint32_t found = bits(drawn) & rows.valid();
-    if (found == 0) return;
-    const Vec log2_opacity = log2_positive(max(opacity, broadcast(1e-12f)));
-    const Extent extent = extent_of(p, log2_opacity);
-    const Vec x = image_.camera.fx * p.point[0] * p.inverse_z + image_.camera.cx;
-    const Vec y = image_.camera.fy * p.point[1] * p.inverse_z + image_.camera.cy;
-    float value[11][kLanes];
-    const Vec columns[11] = {x,
-                             y,
-                             0.5f * kLog2E * p.conic_a(),
-                             kLog2E * p.conic_b(),
-                             0.5f * kLog2E * p.conic_c(),
-                             log2_opacity,
-                             extent.reach_x,
-                             extent.reach_y,
-                             extent.radius_x,
-                             extent.radius_y,
-                             p.point[2]};
-    for (int i = 0; i < 11; i++) store(value[i], columns[i]);
-    for (; found; found &= found - 1) {
-      const int lane = __builtin_ctz(found);
-      const Footprint f{value[0][lane], value[1][lane], value[2][lane], value[3][lane],
-                        value[4][lane], value[5][lane], value[6][lane], value[7][lane]};
-      add_one(rows.id[lane], f, std::ceil(value[8][lane]), std::ceil(value[9][lane]), value[10][lane]);
-    }
-  }
-  int end() const { return next_; }
-
- private:
-  void store_missing(const Rows &rows) {
-    const int first = rows.id[0];
-    const int64_t at = output_ + first;
-    std::fill_n(&image_.row_of[first], rows.count, -1);
-    std::fill_n(request_.radii + 2 * at, 2 * rows.count, 0);
-    std::fill_n(request_.means2d + 2 * at, 2 * rows.count, 0.f);
-    std::fill_n(request_.depths + at, rows.count, 0.f);
-  }
-  void add_one(int gaussian, const Footprint &f, float radius_x, float radius_y, float depth) {
-    const Request &r = request_;
-    if (radius_x <= r.radius_clip && radius_y <= r.radius_clip) return;
-    // written so that a NaN, which an overflow can leave, is culled
-    if (!(f.x + radius_x > 0 && f.x - radius_x < r.width && f.y + radius_y > 0 && f.y - radius_y < r.height)) return;
-    const int64_t at = output_ + gaussian;
-    constexpr float kLargest = 1e9f;
-    r.radii[2 * at] = static_cast<int32_t>(std::min(radius_x, kLargest));
-    r.radii[2 * at + 1] = static_cast<int32_t>(std::min(radius_y, kLargest));
-    r.means2d[2 * at] = f.x;
-    r.means2d[2 * at + 1] = f.y;
-    r.depths[at] = depth;
-    const PixelRect p = pixel_rect(f, r.width, r.height);
-    if (p.empty() || image_.live_tiles(p.x0 / kTile, p.x1 / kTile, p.y0 / kTile, p.y1 / kTile) == 0) return;
-    image_.found[next_] = f;
-    std::memcpy(&image_.found_key[next_], &depth, sizeof(depth));
-    image_.found_id[next_] = gaussian;
-    next_++;
-  }
-
-  const Request &request_;
-  Image &image_;
-  const int64_t output_;
-  int next_;
-};
-
 // Projects one task's Gaussians of one batch into all its cameras.
 inline void project_task(const Request &r, Workspace &w, int batch, int task) {
   const int begin = task * kGaussiansPerTask, end = std::min(r.gaussians, begin + kGaussiansPerTask);
@@ -174,15 +54,16 @@ inline void project_task(const Request &r, Workspace &w, int batch, int task) {
     const int index = batch * r.cameras + camera;
     finders.emplace_back(r, *w.images[index], index, task);
   }
+  const float *means = r.means + batch * r.means_stride, *scales = r.scales + batch * r.scales_stride;
   for (int first = begin; first < end; first += kLanes) {
     const Rows rows(first, end);
-    const Shape shape = load_shape(r, batch, rows);
-    const Vec opacity = rows.column(r.opacities + batch * r.opacities_stride, 1, 0);
-    Projection p;
-    for (Finder &finder : finders) finder.add(rows, shape, opacity, p);
+    const Vec mean[3] = {rows.column(means, 3, 0), rows.column(means, 3, 1), rows.column(means, 3, 2)};
+    Vec largest{};
+    for (int i = 0; i < 3; i++) largest = max(largest, abs(rows.column(scales, 3, i)));
+    for (Finder &finder : finders) finder.scan(rows, mean, largest);
   }
   for (int camera = 0; camera < r.cameras; camera++) {
-    w.images[batch * r.cameras + camera]->found_count[task] = finders[camera].end() - begin;
+    w.images[batch * r.cameras + camera]->found_count[task] = finders[camera].finish() - begin;
   }
 }
 
