@@ -75,18 +75,22 @@ class _StripKeeper:
     """Takes pictures of all cameras at a few times while renderings go by."""
 
     def __init__(self, ticks: int) -> None:
-        self._wanted = set(np.linspace(0.1 * ticks, 0.95 * ticks, STRIP_TIMES).astype(int).tolist())
+        self._wanted = np.linspace(0.1 * ticks, 0.95 * ticks, STRIP_TIMES).astype(int).tolist()
         self._tick = -1
-        self._stamp: int | None = None
+        self._set: int | None = None
+        self._taking: int | None = None
         self.taken: list[Renderings] = []
 
     def watch(self, renderings: Iterable[Renderings]) -> Iterator[Renderings]:
-        """The renderings as they come; those of the wanted ticks are kept."""
+        """The renderings as they come; of each wanted tick, or the next that was not dropped, all are kept."""
         for shown in renderings:
-            if shown.set_stamp != self._stamp:
-                self._stamp = shown.set_stamp
+            if shown.set_stamp != self._set:
+                self._set = shown.set_stamp
                 self._tick += 1
-            if self._tick in self._wanted:
+                if self._wanted and self._tick >= self._wanted[0] and shown.mask is not None:
+                    self._wanted.pop(0)
+                    self._taking = shown.set_stamp
+            if shown.set_stamp == self._taking:
                 self.taken.append(shown)
             yield shown
 
