@@ -53,7 +53,8 @@ def test_agrees_with_the_plain_version(name: str, library: NativeLibrary):
     found = differentiate(rasterize, CASES[name])
     assert float(expected.alphas.max()) > 0.005
     assert_close(found, expected)
-    assert float((found.meta.radii != expected.meta.radii).float().mean()) < 2e-3
+    sought = (found.meta.radii > 0) if "pixel_mask" in CASES[name].options else torch.tensor(True)
+    assert float(((found.meta.radii != expected.meta.radii) & sought).float().mean()) < 2e-3
     drawn = (found.meta.radii > 0).all(-1) & (expected.meta.radii > 0).all(-1)
     near = drawn & (expected.meta.means2d.abs() < 1000).all(-1)
     torch.testing.assert_close(found.meta.means2d[near].double(), expected.meta.means2d[near], rtol=1e-4, atol=1e-3)

@@ -140,8 +140,8 @@ inline void camera_vjp(const Request &r, const Gradients &g, int index, const Im
   RowGradient here;
   Vec v_direction[3] = {};
   const ProjectionGradient v_projection = projection_gradient(r, p, opacity, totals, here.opacity);
-  project_vjp(image.camera, shape, p, v_projection, r.antialiased, r.min_compensation, g.v_viewmats != nullptr,
-              here.shape);
+  const ProjectionOptions options{r.eps2d, r.antialiased != 0, r.min_compensation};
+  project_vjp(image.camera, shape, p, v_projection, options, g.v_viewmats != nullptr, here.shape);
   colors_vjp(r, g, index, image, rows, shape, totals, v_direction);
   const Mask seen = seen_by(image, rows);
   v.add(here, seen, v_direction);

@@ -93,6 +93,7 @@ struct Projection {
   Mask free_x, free_y;      // where they are not
   Vec axes[9];              // columns: the Gaussian's half axes in the camera
   Vec px[3], py[3];         // the half axes in the image
+  Vec normal[3];            // px x py
   Vec xx, xy, yy;           // covariance in the image, pixel^2, before the blur
   Vec xx_blur, yy_blur, det_sharp, det, inverse_det;
 
@@ -136,10 +137,11 @@ inline void project_covariance(const Camera &c, const Shape &s, float eps2d, Pro
   p.xy = p.px[0] * p.py[0] + p.px[1] * p.py[1] + p.px[2] * p.py[2];
   p.yy = p.py[0] * p.py[0] + p.py[1] * p.py[1] + p.py[2] * p.py[2];
   // The determinant as |px x py|^2 and a sum of positive terms: xx * yy - xy^2 cancels for long, thin Gaussians.
-  const Vec n0 = p.px[1] * p.py[2] - p.px[2] * p.py[1];
-  const Vec n1 = p.px[2] * p.py[0] - p.px[0] * p.py[2];
-  const Vec n2 = p.px[0] * p.py[1] - p.px[1] * p.py[0];
-  p.det_sharp = n0 * n0 + n1 * n1 + n2 * n2;
+  for (int j = 0; j < 3; j++) {
+    const int k = (j + 1) % 3, l = (j + 2) % 3;
+    p.normal[j] = p.px[k] * p.py[l] - p.px[l] * p.py[k];
+  }
+  p.det_sharp = p.normal[0] * p.normal[0] + p.normal[1] * p.normal[1] + p.normal[2] * p.normal[2];
   p.xx_blur = p.xx + eps2d;
   p.yy_blur = p.yy + eps2d;
   p.det = p.det_sharp + eps2d * (p.xx + p.yy_blur);
@@ -162,23 +164,31 @@ struct ShapeGradient {
   Vec R[9], t[3];
 };
 
-// Gradient of the image covariance (xx, xy, yy) that the conic and the compensation send back.
-inline void covariance_vjp(const Projection &p, const ProjectionGradient &v, bool antialiased, float floor,
-                           Vec *v_cov) {
-  const Vec a = p.conic_a(), b = p.conic_b(), c = p.conic_c();
-  const Vec va = v.conic[0], vb = 0.5f * v.conic[1], vc = v.conic[2];
-  // d(inverse) = -inverse d inverse, on symmetric matrices
-  const Vec m00 = a * va + b * vb, m01 = a * vb + b * vc, m10 = b * va + c * vb, m11 = b * vb + c * vc;
-  v_cov[0] = -(m00 * a + m01 * b);
-  v_cov[1] = -2.f * (m00 * b + m01 * c);
-  v_cov[2] = -(m10 * b + m11 * c);
-  if (!antialiased) return;
-  const Vec ratio = p.det_sharp * p.inverse_det;
-  const Mask free = gt(ratio, broadcast(floor * floor));
-  const Vec scaled = select(free, 0.5f * v.compensation / sqrt(max(ratio, broadcast(1e-12f))), Vec{}) * p.inverse_det;
-  v_cov[0] += scaled * (p.yy - ratio * p.yy_blur);
-  v_cov[1] += scaled * (-2.f * p.xy + 2.f * ratio * p.xy);
-  v_cov[2] += scaled * (p.xx - ratio * p.xx_blur);
+// How a projection is derived from a Shape, beyond the camera.
+struct ProjectionOptions {
+  float eps2d;  // pixel^2
+  bool antialiased;
+  float min_compensation;
+};
+
+// Gradient of the image covariance. The determinant is kept apart, as in the forward pass: through -Q v Q of the
+// inverse covariance Q the gradients of long, thin Gaussians would cancel.
+struct CovarianceGradient {
+  Vec xx, xy, yy, det_sharp;
+};
+
+inline CovarianceGradient covariance_vjp(const Projection &p, const ProjectionGradient &v, const ProjectionOptions &o) {
+  Vec v_det = -(v.conic[0] * p.conic_a() + v.conic[1] * p.conic_b() + v.conic[2] * p.conic_c()) * p.inverse_det;
+  Vec v_sharp{};
+  if (o.antialiased) {
+    const Vec ratio = p.det_sharp * p.inverse_det;
+    const Mask free = gt(ratio, broadcast(o.min_compensation * o.min_compensation));
+    const Vec v_ratio = select(free, 0.5f * v.compensation / sqrt(max(ratio, broadcast(1e-12f))), Vec{});
+    v_sharp = v_ratio * p.inverse_det;
+    v_det -= v_sharp * ratio;
+  }
+  return {v.conic[2] * p.inverse_det + o.eps2d * v_det, -v.conic[1] * p.inverse_det,
+          v.conic[0] * p.inverse_det + o.eps2d * v_det, v_sharp + v_det};
 }
 
 // From the gradient of the rotation matrix to that of the quaternion as given (before it was normalised).
@@ -195,14 +205,15 @@ inline void rotation_vjp(const Shape &s, const Vec *v, Vec *v_quat) {
 
 // Adds to `out` what one camera sends back; R and t of `out` are added to only with `camera_gradient`.
 inline void project_vjp(const Camera &c, const Shape &s, const Projection &p, const ProjectionGradient &v,
-                        bool antialiased, float floor, bool camera_gradient, ShapeGradient &out) {
-  Vec v_cov[3];
-  covariance_vjp(p, v, antialiased, floor, v_cov);
+                        const ProjectionOptions &options, bool camera_gradient, ShapeGradient &out) {
+  const CovarianceGradient v_cov = covariance_vjp(p, v, options);
   const Vec jx = c.fx * p.inverse_z, jy = c.fy * p.inverse_z;
   Vec v_axes[9], v_jx{}, v_jy{}, v_ux{}, v_uy{};
   for (int j = 0; j < 3; j++) {
-    const Vec v_px = 2.f * v_cov[0] * p.px[j] + v_cov[1] * p.py[j];
-    const Vec v_py = 2.f * v_cov[2] * p.py[j] + v_cov[1] * p.px[j];
+    const int k = (j + 1) % 3, l = (j + 2) % 3;
+    const Vec v_normal_k = 2.f * v_cov.det_sharp * p.normal[k], v_normal_l = 2.f * v_cov.det_sharp * p.normal[l];
+    const Vec v_px = 2.f * v_cov.xx * p.px[j] + v_cov.xy * p.py[j] + p.py[k] * v_normal_l - p.py[l] * v_normal_k;
+    const Vec v_py = 2.f * v_cov.yy * p.py[j] + v_cov.xy * p.px[j] + p.px[l] * v_normal_k - p.px[k] * v_normal_l;
     v_axes[j] = jx * v_px;
     v_axes[3 + j] = jy * v_py;
     v_axes[6 + j] = -(p.ux * v_axes[j] + p.uy * v_axes[3 + j]);
