@@ -22,7 +22,7 @@ SMALLEST_DETERMINANT = 1e-12
 
 @dataclass(frozen=True)
 class RasterMeta:
-    """What the projection found; zero for Gaussians that a camera does not draw. Without gradients."""
+    """What the projection found; zero for Gaussians that a camera (or its mask) leaves out. Without gradients."""
 
     radii: Tensor
     """[..., C, N, 2] int32, half sizes in pixels of the box that gsplat culls by."""
