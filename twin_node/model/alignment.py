@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from twin_node.model.evidence import Fits
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.scene import Float32
@@ -22,6 +23,8 @@ ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
 """m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""
 COLOUR_SIGMA = 0.1
 """Difference of colour (0 to 1) between both ends of a flow vector at which it loses most of its say."""
+STRAIN = 0.05
+"""1 sigma of the strain that a set may bring."""
 SHOWN = 0.06
 """Share of its depth by which a Gaussian may differ from the depth rendered at its pixel and still show there."""
 DEPTH_SHARE = 0.005
@@ -43,12 +46,14 @@ class Twists:
     """[M, 3] rad."""
     sigmas: Tensor
     """[M] 1 sigma of the position after the correction, m."""
+    fits: Fits
+    """How well rigid motion explains the flow, and how well a strain on top of it."""
 
 
 @dataclass(frozen=True)
 class _Linear:
     jacobian: Tensor
-    """[n, 3, 6] pixels per m and per rad; the last row is depth, in units of which `DEPTH_SHARE` counts as a pixel."""
+    """[n, 3, 12] pixels per m, rad and strain; the last row is depth, of which `DEPTH_SHARE` counts as a pixel."""
     error: Tensor
     """[n, 3] pixels; 0 in the last where no depth is measured."""
     weight: Tensor
@@ -86,25 +91,56 @@ def solve_twists(
     `moving` holds m Gaussians at each view's time, `nodes` [m] the rows that carry them, `origins` [C, M, 3] the nodes'
     positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
     """
-    count = origins.shape[1]
-    H = torch.zeros(count, 6, 6, dtype=torch.float64)
-    g = torch.zeros(count, 6, dtype=torch.float64)
+    normal = _Normal(origins.shape[1])
     carried = torch.nonzero(nodes >= 0)[:, 0]
-    opacities = moving.opacities.detach().cpu()
+    opacities = moving.opacities.detach().cpu()[carried].double()
     for index, one in enumerate(observed):
-        at = moving.means[index, carried].cpu().double()
+        at = moving.means[index, carried].detach().cpu().double()
         linear = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
-        weight = linear.weight * opacities[carried].double() / (SHARED_BY * sigma_px**2)
-        WJ = linear.jacobian * weight[:, None, None]
-        H.index_add_(0, nodes[carried], WJ.transpose(1, 2) @ linear.jacobian)
-        g.index_add_(0, nodes[carried], (WJ.transpose(1, 2) @ linear.error[..., None])[..., 0])
+        normal.add(nodes[carried], linear, linear.weight * opacities / (SHARED_BY * sigma_px**2))
     step = max(dt_s, 1e-3) ** 2 / 2
-    prior = torch.tensor([1 / (ACCELERATION * step + 2e-3)] * 3 + [1 / (TURN_ACCELERATION * step + 1e-2)] * 3)
-    H += torch.diag(prior.double() ** 2)
-    covariance = torch.linalg.inv(H)
-    xi = (covariance @ g[..., None])[..., 0]
-    sigmas = covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
-    return Twists(xi[:, :3], xi[:, 3:], sigmas)
+    motion = torch.tensor([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
+    rigid = normal.solve(6, motion)
+    strained = normal.solve(12, torch.cat([motion, torch.full((6,), STRAIN)]))
+    sigmas = rigid.covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
+    fits = Fits(rigid.cost, strained.cost, normal.count)
+    return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    solution: Tensor
+    """[M, k]."""
+    covariance: Tensor
+    """[M, k, k]."""
+    cost: Tensor
+    """[M] squared errors left, in units of their variance, those of the prior included."""
+
+
+class _Normal:
+    """Normal equations of every node: 3 parameters of translation, 3 of rotation, 6 of strain."""
+
+    def __init__(self, count: int) -> None:
+        self.H = torch.zeros(count, 12, 12, dtype=torch.float64)
+        self.g = torch.zeros(count, 12, dtype=torch.float64)
+        self.squares = torch.zeros(count, dtype=torch.float64)
+        self.count = torch.zeros(count, dtype=torch.float64)
+
+    def add(self, nodes: Tensor, linear: _Linear, weight: Tensor) -> None:
+        """Takes in observations [n] of `nodes` [n]."""
+        WJ = (linear.jacobian * weight[:, None, None]).transpose(1, 2)
+        self.H.index_add_(0, nodes, WJ @ linear.jacobian)
+        self.g.index_add_(0, nodes, (WJ @ linear.error[..., None])[..., 0])
+        self.squares.index_add_(0, nodes, weight * linear.error.square().sum(-1))
+        self.count.index_add_(0, nodes, 2 * linear.weight / SHARED_BY)
+
+    def solve(self, size: int, sigmas: Tensor) -> _Solved:
+        """The most likely motion in the first `size` parameters, whose own 1 sigma are `sigmas` [size]."""
+        H = self.H[:, :size, :size] + torch.diag(1 / sigmas.double() ** 2)
+        covariance = torch.linalg.inv(H)
+        g = self.g[:, :size]
+        solution = (covariance @ g[..., None])[..., 0]
+        return _Solved(solution, covariance, self.squares - (g * solution).sum(-1))
 
 
 def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, origins: Tensor) -> _Linear:
@@ -135,7 +171,16 @@ def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, o
     weight = weight * (HUBER_PX / error.norm(dim=-1).clamp_min(HUBER_PX))
     to_pixels = projection @ R
     arm = (at - origins.double())[:, None].expand(-1, 3, -1)
-    return _Linear(torch.cat([to_pixels, torch.linalg.cross(arm, to_pixels)], -1), error, weight)
+    strain = to_pixels @ _strains(arm[:, 0])
+    return _Linear(torch.cat([to_pixels, torch.linalg.cross(arm, to_pixels), strain], -1), error, weight)
+
+
+def _strains(arm: Tensor) -> Tensor:
+    """[n, 3, 6] displacement of points at `arm` [n, 3] from their node under each symmetric strain of one."""
+    x, y, z = arm.unbind(-1)
+    o = torch.zeros_like(x)
+    columns = [(x, o, o), (o, y, o), (o, o, z), (y, x, o), (z, o, x), (o, z, y)]
+    return torch.stack([torch.stack(column, -1) for column in columns], -1)
 
 
 def _depth_error(one: Observed, shown: Tensor, flow: Float32) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look, pixel_rays
-from twin_node.model.rendering import place, render
+from twin_node.model.rendering import render
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64
 
@@ -84,10 +84,9 @@ class Backgrounds:
 
     def _refresh(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
         rows = self.rows = gaussians.static_rows
-        values, nodes = gaussians.values[rows], gaussians.nodes[rows]
-        nowhere = values.new_zeros(1, 1, 4)
+        values = gaussians.values[rows]
         with torch.no_grad():
-            renderings = render(place(values, nodes, nowhere[..., :3], nowhere), cameras)
+            renderings = render(gaussians.standing(values), cameras)
         means = values[:, MEAN].cpu().numpy()
         reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
         old, self._known = self._known, {}

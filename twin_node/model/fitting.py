@@ -13,11 +13,11 @@ from torch import Tensor
 from twin_node import splat
 from twin_node.model.backgrounds import grow
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians
-from twin_node.model.nodes import Poses
+from twin_node.model.motion import Motion
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
 from twin_node.model.rays import look
-from twin_node.model.rendering import Rendering, join, place, render
+from twin_node.model.rendering import Rendering, join, render
 from twin_node.scene import Bool, View
 
 RATES = torch.zeros(WIDTH)
@@ -29,6 +29,8 @@ RATES[RGB] = 1.5e-2
 """Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
 
 
+REGULARITY = 1e-3
+"""Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 0.5
 """Share of the mean's rate while things move: motion belongs to the nodes, and what is left over to the shape."""
 
@@ -78,11 +80,9 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
     rows = torch.nonzero(gaussians.alive)[:, 0]
     targets = [target_of(view, gaussians.values.device) for view in views]
     cameras = [view.camera for view in views]
-    nobody = torch.full((len(rows),), -1, dtype=torch.int64, device=rows.device)
     for step in range(steps):
         values = gaussians.values[rows].requires_grad_()
-        splats = place(values, nobody, values.new_zeros(1, 1, 3), values.new_zeros(1, 1, 4))
-        torch.autograd.backward(photometric(render(splats, cameras), targets))
+        torch.autograd.backward(photometric(render(gaussians.standing(values), cameras), targets))
         decay = 0.1 ** (step / steps)
         _descend(gaussians, rows, values, decay, 1.0)
 
@@ -98,7 +98,7 @@ def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float, 
 
 def fit_window(
     gaussians: Gaussians,
-    poses: Poses,
+    motion: Motion,
     observed: Sequence[Observed],
     near: Tensor,
     revised: Tensor,
@@ -106,7 +106,8 @@ def fit_window(
 ) -> None:
     """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
 
-    `poses` holds the nodes at each view's own time, `near` other rows that can show, which are not touched.
+    Each view is fitted at its own time. `near` are other rows that can show, which are not touched. Where a node is
+    DEFORMABLE the field learns along.
     """
     device = gaussians.values.device
     rows = torch.cat([gaussians.moving_rows, revised])
@@ -119,11 +120,16 @@ def fit_window(
         masks = [mask | (_footprint(one, points) & one.usable) for mask, one in zip(masks, observed, strict=True)]
     targets = [target_of(one.view, device, mask) for one, mask in zip(observed, masks, strict=True)]
     cameras = [one.view.camera for one in observed]
-    static = place(gaussians.values[kept], gaussians.nodes[kept], poses.positions, poses.quats)
+    offsets = [one.offset_s for one in observed]
+    poses, stamps = motion.poses(offsets), motion.stamps(offsets)
+    with torch.no_grad():
+        static = motion.place(gaussians, kept, poses, stamps)
     for _ in range(parameters.steps):
         values = gaussians.values[rows].requires_grad_()
-        splats = join(static, place(values, gaussians.nodes[rows], poses.positions, poses.quats))
-        torch.autograd.backward(photometric(render(splats, cameras, masks), targets))
+        splats = join(static, motion.place_values(values, gaussians, rows, poses, stamps))
+        loss = photometric(render(splats, cameras, masks), targets)
+        torch.autograd.backward(loss + REGULARITY * motion.field.regularity() if motion.bends else loss)
+        motion.descend()
         _descend(gaussians, rows, values, parameters.learning_rate, CANONICAL_SHARE)
 
 

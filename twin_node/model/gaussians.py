@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from twin_node.model.nodes import Nodes
+from twin_node.model.rendering import Splats
 from twin_node.model.rotations import conjugate, quat_product, rotate
 from twin_node.scene import Tier
 
@@ -95,6 +96,14 @@ class Gaussians:
         """[r] rows of the Gaussians that the arm carries."""
         return torch.nonzero(self.alive & (self.tiers == Tier.ROBOT))[:, 0]
 
+    @staticmethod
+    def standing(values: Tensor) -> Splats:
+        """Attributes `values` [n, 14] of Gaussians without a node, as they stand in `base_link`."""
+        opacities = values[:, LOGIT][:, 0].sigmoid()
+        return Splats(
+            values[None, :, MEAN], values[None, :, QUAT], values[:, LOG_SCALE].exp(), opacities, values[:, RGB]
+        )
+
     def count(self, tier: Tier) -> int:
         """Living Gaussians of a tier."""
         return int((self.alive & (self.tiers == tier)).sum())
@@ -116,15 +125,15 @@ class Gaussians:
         self.forget_moments(free)
         return free
 
-    def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes, tier: Tier) -> None:
-        """Gaussians `rows` [n] without a node become `tier`, carried by nodes `carriers` [n] from where they are now."""
+    def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
+        """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take."""
         device = self.values.device
         turn = conjugate(nodes.quats[carriers])
         means = rotate(turn, self.values[rows, MEAN].cpu().double() - nodes.positions[carriers])
         quats = quat_product(turn, self.values[rows, QUAT].cpu().double())
         self.values[rows, MEAN] = means.float().to(device)
         self.values[rows, QUAT] = quats.float().to(device)
-        self.tiers[rows] = int(tier)
+        self.tiers[rows] = nodes.tiers[carriers].to(device)
         self.nodes[rows] = carriers.to(device)
         self.doubts[rows] = 0
         self.homeless[rows] = False

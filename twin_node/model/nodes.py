@@ -43,6 +43,7 @@ class Nodes:
         self.angular_velocities = torch.zeros(capacity, 3, dtype=torch.float64)
         self.sigmas = torch.zeros(capacity, dtype=torch.float64)
         self.evidence = torch.zeros(capacity, dtype=torch.float64)
+        self.anchors = torch.zeros(capacity, 3, dtype=torch.float64)
         self.births = torch.zeros(capacity, dtype=torch.int64)
         self.quats[:, 0] = 1
         self.history_stamps = torch.full((window,), -1, dtype=torch.int64)
@@ -68,6 +69,7 @@ class Nodes:
         self.ids[row] = self._next_id
         self.tiers[row] = int(tier)
         self.positions[row] = position
+        self.anchors[row] = position
         self.quats[row] = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64)
         self.velocities[row] = velocity
         self.angular_velocities[row] = 0

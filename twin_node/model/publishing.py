@@ -7,19 +7,19 @@ import torch
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes
-from twin_node.model.rendering import on_device, place
 from twin_node.model.rotations import rotate
 from twin_node.scene import GaussianCloud, NodeStates, Tier
 
 
-def cloud_of(gaussians: Gaussians, nodes: Nodes) -> GaussianCloud:
+def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
     """All living Gaussians at the nodes' stamp; `nodes` are rows of `node_states_of`."""
     rows = torch.nonzero(gaussians.alive)[:, 0]
     carrier = gaussians.nodes[rows]
-    poses = on_device(nodes.extrapolated([0.0]), gaussians.values.device)
-    values = gaussians.values[rows]
-    splats = place(values, carrier, poses.positions, poses.quats)
+    nodes = motion.nodes
+    with torch.no_grad():
+        splats = motion.place(gaussians, rows, motion.poses([0.0]), [nodes.stamp])
     means = splats.means[0].cpu()
     row = carrier.cpu().clamp_min(0)
     arm = means.double() - nodes.positions[row]
@@ -47,7 +47,7 @@ def learned_rows(nodes: Nodes) -> Tensor:
 
 
 def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
-    """Nodes whose motion is learned, at their stamp, each at the opacity-weighted centroid of the Gaussians it carries."""
+    """Nodes whose motion is learned, each at the opacity-weighted centroid of the Gaussians it carries."""
     alive = learned_rows(nodes)
     carried = gaussians.moving_rows
     carrier = gaussians.nodes[carried]

@@ -1,4 +1,4 @@
-"""From canonical Gaussians to images: where each is at each view's own time, and what a camera sees of them."""
+"""From Gaussians in `base_link`, each view's at its own time, to what a camera sees of them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
-from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB
-from twin_node.model.nodes import Poses
-from twin_node.model.rotations import quat_product, rotate
 from twin_node.scene import Bool, Camera
 
 
@@ -42,25 +39,6 @@ class Rendering:
     """[H, W] expected depth along the optical axis, m; 0 where nothing is."""
     alpha: Tensor
     """[H, W] 0 to 1."""
-
-
-def place(values: Tensor, nodes: Tensor, positions: Tensor, quats: Tensor) -> Splats:
-    """Gaussians `values` [N, 14] carried by `nodes` [N] (-1: none) whose poses are [T, M, 3] and [T, M, 4]."""
-    times = positions.shape[0]
-    means = values[:, MEAN].expand(times, -1, -1)
-    turned = values[:, QUAT].expand(times, -1, -1)
-    if bool((nodes >= 0).any()):
-        carried = (nodes >= 0)[None, :, None]
-        row = nodes.clamp_min(0)
-        q = quats[:, row]
-        means = torch.where(carried, rotate(q, values[:, MEAN]) + positions[:, row], means)
-        turned = torch.where(carried, quat_product(q, turned), turned)
-    return Splats(means, turned, values[:, LOG_SCALE].exp(), values[:, LOGIT][:, 0].sigmoid(), values[:, RGB])
-
-
-def on_device(poses: Poses, device: torch.device) -> Poses:
-    """Poses as the rasteriser takes them: float32 on its device."""
-    return Poses(poses.positions.to(device, torch.float32), poses.quats.to(device, torch.float32))
 
 
 def join(a: Splats, b: Splats) -> Splats:

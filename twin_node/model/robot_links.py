@@ -53,7 +53,7 @@ class RobotLinks:
         own = shown & (distance.min(1) < SKIN_M)
         link = placed.links[distance.argmin(1)]
         carrier = self._rows[torch.from_numpy(np.searchsorted(self._links, link[own]))]
-        gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes, Tier.ROBOT)
+        gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes)
 
 
 def arm_depth(arm: ArmModel, q: Float64, camera: Camera, mask: Bool) -> Float32:

@@ -12,12 +12,14 @@ from twin_node.model.alignment import FlowSolver, solve_twists
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
+from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import fit_window
 from twin_node.model.gaussians import LOGIT, Gaussians
-from twin_node.model.nodes import Nodes, Poses
+from twin_node.model.motion import Motion
+from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
-from twin_node.model.rendering import Rendering, Splats, join, on_device, place, render
+from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.scene import Bool, FrameSet, Tier
@@ -30,13 +32,14 @@ class Tracker:
         self,
         parameters: ModelParameters,
         gaussians: Gaussians,
-        nodes: Nodes,
+        motion: Motion,
         backgrounds: Backgrounds,
         links: RobotLinks | None,
     ) -> None:
         self._parameters = parameters
         self._gaussians = gaussians
-        self._nodes = nodes
+        self._motion = motion
+        self._nodes = motion.nodes
         self._backgrounds = backgrounds
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
@@ -47,6 +50,7 @@ class Tracker:
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
+        self._motion.slide(frames.stamp)
         if self._links is not None and frames.joints is not None:
             self._links.drive(frames.joints, dt_s)
         renderings = self._align(observed, dt_s)
@@ -79,7 +83,21 @@ class Tracker:
             quats = quat_product(quat_from_vector(twists.angular[steered]), at.quats[0, steered])
             self._nodes.correct(steered, positions, quats, at, dt_s)
             self._nodes.sigmas[steered] = twists.sigmas[steered]
+            if step == 0:
+                self._weigh(twists.fits)
         return renderings
+
+    def _weigh(self, fits: Fits) -> None:
+        """Nodes that evidence says bend become DEFORMABLE with all they carry, those that no longer do RIGID again."""
+        nodes, g = self._nodes, self._gaussians
+        nodes.evidence = accumulate(nodes.evidence, fits)
+        bending = (nodes.tiers == int(Tier.RIGID)) & (nodes.evidence > PROMOTE)
+        stiff = (nodes.tiers == int(Tier.DEFORMABLE)) & (nodes.evidence < DEMOTE)
+        for chosen, tier in ((bending, Tier.DEFORMABLE), (stiff, Tier.RIGID)):
+            rows = torch.nonzero(chosen & nodes.alive)[:, 0]
+            if len(rows):
+                nodes.tiers[rows] = int(tier)
+                g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
 
     def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """STATIC Gaussians that have left die, those that are part of something that moves join its node."""
@@ -96,15 +114,14 @@ class Tracker:
         points = self._gaussians.means[rows].cpu().double().numpy()
         carriers = torch.from_numpy(adopt_points(points, self._nodes, self._parameters.birth))
         housed = carriers >= 0
-        self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes, Tier.RIGID)
+        self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
 
     def _fit(self, observed: Sequence[Observed]) -> None:
         """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
         chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
         revised = self._living(self._backgrounds.rows[chosen])
         near = self._near(observed)
-        poses = on_device(self._poses(observed), self._gaussians.values.device)
-        fit_window(self._gaussians, poses, observed, near, revised, self._parameters.track)
+        fit_window(self._gaussians, self._motion, observed, near, revised, self._parameters.track)
         if len(revised):
             self._backgrounds.mark()
 
@@ -135,7 +152,11 @@ class Tracker:
         if births.lasting.any():
             self._backgrounds.mark()
         newborns = as_newborns(births, carriers, self._poses(observed), self._gaussians.values.device)
-        return sum(len(self._gaussians.spawn(part, self._nodes.stamp)) for part in newborns)
+        rows = torch.cat([self._gaussians.spawn(part, self._nodes.stamp) for part in newborns])
+        carried = rows[self._gaussians.nodes[rows] >= 0]
+        tiers = self._nodes.tiers[self._gaussians.nodes[carried].cpu()]
+        self._gaussians.tiers[carried] = tiers.to(carried.device)
+        return len(rows)
 
     def _make_room(self, wanted: int) -> None:
         """Retires the faintest moving Gaussians where `wanted` more would pass the cap."""
@@ -163,19 +184,20 @@ class Tracker:
 
     def _poses(self, observed: Sequence[Observed]) -> Poses:
         """The nodes at each view's own time."""
-        return self._nodes.extrapolated([one.offset_s for one in observed])
+        return self._motion.poses([one.offset_s for one in observed])
 
     def _moving(self, observed: Sequence[Observed]) -> Splats:
         """What moves, at each view's own time."""
-        return self._place(self._gaussians.moving_rows, self._poses(observed))
+        return self._place(self._gaussians.moving_rows, observed)
 
-    def _place(self, rows: Tensor, poses: Poses) -> Splats:
-        at = on_device(poses, self._gaussians.values.device)
-        return place(self._gaussians.values[rows], self._gaussians.nodes[rows], at.positions, at.quats)
+    def _place(self, rows: Tensor, observed: Sequence[Observed]) -> Splats:
+        offsets = [one.offset_s for one in observed]
+        with torch.no_grad():
+            return self._motion.place(self._gaussians, rows, self._poses(observed), self._motion.stamps(offsets))
 
     def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
         """What the views would see, in their active pixels, of the model with `moving` in it."""
-        static = self._place(self._near(observed), self._poses(observed))
+        static = self._place(self._near(observed), observed)
         with torch.no_grad():
             cameras, masks = [one.view.camera for one in observed], [one.active for one in observed]
             return render(join(static, moving), cameras, masks)

@@ -6,19 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.field import HexPlane
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
+from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
-from twin_node.model.nodes import Nodes, Poses
+from twin_node.model.nodes import Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.publishing import cloud_of, node_states_of
-from twin_node.model.rendering import Splats, on_device, place, render
+from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
-from twin_node.model.sweep import shell_around
+from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, Float32, FrameSet, Tier, TwinState
@@ -55,6 +56,7 @@ class WindowModel:
         self._nodes = Nodes(self.parameters.nodes, self.parameters.window)
         self._gaussians = Gaussians(0, self._device)
         self._frozen: Splats | None = None
+        self._motion: Motion | None = None
         self._tracker: Tracker | None = None
         self._bytes_per_frame = 0
 
@@ -65,9 +67,11 @@ class WindowModel:
 
     @property
     def parameters_count(self) -> int:
-        """Numbers that describe the scene now: 14 per Gaussian, 6 per pose of a node in the window."""
+        """Numbers that describe the scene now: 14 per Gaussian, 6 per node and set of the window, the field if used."""
         poses = int((self._nodes.history_stamps >= 0).sum()) * len(self._nodes.rows)
-        return 14 * len(self._gaussians) + 6 * poses
+        bending = self._motion is not None and self._motion.bends
+        field = self._motion.field.parameters_count if self._motion is not None and bending else 0
+        return 14 * len(self._gaussians) + 6 * poses + field
 
     @property
     def bytes_per_frame(self) -> int:
@@ -84,10 +88,11 @@ class WindowModel:
             self._begin(frames, robots)
         else:
             warnings = self._follow(frames, moving, robots)
+        assert self._motion is not None
         return TwinState(
             frames.stamp,
             frames,
-            cloud_of(self._gaussians, self._nodes),
+            cloud_of(self._gaussians, self._motion),
             node_states_of(self._gaussians, self._nodes),
             moving,
             robots,
@@ -96,9 +101,14 @@ class WindowModel:
 
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
         """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""
-        poses = self._nodes.extrapolated([0.0]) if stamp is None else self._nodes.poses_at([stamp])
+        if self._motion is None:
+            raise ModelError("render: no set has been seen yet; call update first")
+        at = self._nodes.stamp if stamp is None else stamp
+        poses = self._motion.poses([0.0]) if stamp is None else self._nodes.poses_at([stamp])
         rows = torch.nonzero(self._gaussians.alive)[:, 0]
-        return self._shoot(self._place(rows, poses), camera)
+        with torch.no_grad():
+            splats = self._motion.place(self._gaussians, rows, poses, [at])
+        return self._shoot(splats, camera)
 
     def render_frozen(self, camera: Camera) -> ModelImage:
         """The model as it was fitted to the first set: the baseline that every later rendering must beat."""
@@ -134,11 +144,20 @@ class WindowModel:
         backgrounds = Backgrounds(seeds.plane, shell)
         self._nodes.stamp = frames.stamp
         links = self._bind_arm(frames, robots)
-        self._tracker = Tracker(self.parameters, self._gaussians, self._nodes, backgrounds, links)
+        motion = self._motion = Motion(self._nodes, self._make_field(shell))
+        motion.slide(frames.stamp)
+        self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, links)
         self._nodes.remember()
         rows = torch.nonzero(self._gaussians.alive)[:, 0]
-        self._frozen = self._place(rows, self._nodes.extrapolated([0.0]))
+        with torch.no_grad():
+            self._frozen = motion.place(self._gaussians, rows, motion.poses([0.0]), [frames.stamp])
         self._bytes_per_frame = 4 * self.parameters_count
+
+    def _make_field(self, shell: Shell) -> HexPlane:
+        """The field spans what the cameras stand around; beyond, it is clamped."""
+        reach = shell.radius / self.parameters.seed.shell_factor
+        centre = torch.from_numpy(shell.centre).to(self._device)
+        return HexPlane(centre - reach, centre + reach, self.parameters.window, seed=self._seed)
 
     def _arm_depths(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> list[Float32 | None]:
         if self._arm is None or frames.joints is None:
@@ -167,10 +186,6 @@ class WindowModel:
         if refused:
             return (f"model: {refused} steps of Gaussians were not finite; the last good values were kept",)
         return ()
-
-    def _place(self, rows: Tensor, poses: Poses) -> Splats:
-        at = on_device(poses, self._device)
-        return place(self._gaussians.values[rows], self._gaussians.nodes[rows], at.positions, at.quats)
 
     def _shoot(self, splats: Splats, camera: Camera) -> ModelImage:
         with torch.no_grad():

@@ -1,0 +1,38 @@
+"""When a node needs a richer motion model: likelihood gained, less what the extra parameters cost (Schwarz, 1978)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+FORGETTING = 0.9
+"""Share of the evidence that a set keeps: things change how they move within ten sets."""
+PROMOTE, DEMOTE = 20.0, -20.0
+"""Evidence (nats) at which a node becomes DEFORMABLE and RIGID again; apart, so that it does not flicker."""
+EXTRA_PARAMETERS = 6
+"""Of a symmetric strain, the simplest motion that no rigid one explains."""
+
+
+@dataclass(frozen=True)
+class Fits:
+    """How well two motion models explain one set, per node."""
+
+    rigid: Tensor
+    """[M] sum of squared errors of the rigid motion, in units of their variance."""
+    strained: Tensor
+    """[M] the same with a strain added."""
+    count: Tensor
+    """[M] independent observations."""
+
+
+def gain(fits: Fits) -> Tensor:
+    """[M] nats by which the strain explains a set better, less (k / 2) log n for its k parameters."""
+    cost = EXTRA_PARAMETERS / 2 * torch.log(fits.count.clamp_min(2.0))
+    return torch.where(fits.count > EXTRA_PARAMETERS, (fits.rigid - fits.strained) / 2 - cost, 0.0)
+
+
+def accumulate(evidence: Tensor, fits: Fits) -> Tensor:
+    """[M] evidence after another set, bounded so that a long calm does not have to be paid back."""
+    return (FORGETTING * evidence + gain(fits)).clamp(2 * DEMOTE, 2 * PROMOTE)
