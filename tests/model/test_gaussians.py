@@ -1,0 +1,120 @@
+"""Fixed-capacity storage: births, deaths, boarding a node, and steps that stay in bounds."""
+
+from __future__ import annotations
+
+import torch
+
+from twin_node.model.field import HexPlane
+from twin_node.model.gaussians import LOG_SCALE, MEAN, RGB, Gaussians, Newborns
+from twin_node.model.motion import Motion
+from twin_node.model.nodes import Nodes
+from twin_node.model.rotations import quat_from_vector
+from twin_node.scene import Tier
+
+
+def newborns(count: int, tier: Tier = Tier.STATIC) -> Newborns:
+    """Gaussians at whole metres along x."""
+    means = torch.zeros(count, 3)
+    means[:, 0] = torch.arange(count)
+    quats = torch.zeros(count, 4)
+    quats[:, 0] = 1
+    nobody = torch.full((count,), -1, dtype=torch.int64)
+    return Newborns(
+        means, quats, torch.full((count, 3), 0.01), torch.full((count,), 0.5), torch.full((count, 3), 0.5), tier, nobody
+    )
+
+
+def test_more_births_than_room_fill_the_room_and_no_more() -> None:
+    store = Gaussians(5, torch.device("cpu"))
+    assert len(store.spawn(newborns(3), 1)) == 3
+    assert len(store.spawn(newborns(4), 2)) == 2
+    assert len(store) == 5
+    store.retire(torch.tensor([1]))
+    rows = store.spawn(newborns(2), 3)
+    assert rows.tolist() == [1]
+    assert sorted(store.ids.tolist()) == [0, 2, 3, 4, 5]
+
+
+def test_a_non_finite_step_is_not_taken() -> None:
+    store = Gaussians(3, torch.device("cpu"))
+    rows = store.spawn(newborns(3), 1)
+    before = store.values.clone()
+    gradient = torch.ones(3, 14)
+    gradient[1, 4] = torch.nan
+    store.descend(rows, gradient, torch.full((3, 14), 0.01))
+    assert torch.equal(store.values[1], before[1])
+    assert not torch.equal(store.values[0], before[0])
+    assert store.refused == 1
+    store.descend(rows, torch.ones(3, 14), torch.full((3, 14), 0.01))
+    assert torch.isfinite(store.values).all()
+    assert store.refused == 1
+
+
+def test_steps_keep_colours_and_sizes_in_bounds() -> None:
+    store = Gaussians(2, torch.device("cpu"))
+    rows = store.spawn(newborns(2), 1)
+    for _ in range(50):
+        store.descend(rows, -torch.ones(2, 14), torch.full((2, 14), 0.2))
+    assert store.values[:, RGB].max() == 1
+    assert store.values[:, LOG_SCALE].exp().max() < 0.025
+    for _ in range(100):
+        store.descend(rows, torch.ones(2, 14), torch.full((2, 14), 0.2))
+    assert store.values[:, RGB].min() == 0
+    assert store.values[:, LOG_SCALE].exp().min() > 4e-4
+
+
+def moving_world() -> tuple[Gaussians, Motion]:
+    """Four STATIC Gaussians and a turned node."""
+    store, nodes = Gaussians(6, torch.device("cpu")), Nodes(3, 4)
+    store.spawn(newborns(4), 1)
+    nodes.give_birth(torch.tensor([0.5, 0.2, 0.1], dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
+    nodes.quats[0] = quat_from_vector(torch.tensor([0.3, -0.2, 0.5], dtype=torch.float64))
+    field = HexPlane(torch.full((3,), -5.0), torch.full((3,), 5.0), 4)
+    motion = Motion(nodes, field)
+    motion.slide(0)
+    return store, motion
+
+
+def test_boarding_a_node_moves_nothing_until_the_node_does() -> None:
+    store, motion = moving_world()
+    rows = torch.arange(4)
+    before = motion.place(store, rows, motion.poses([0.0]), [0])
+    store.board(rows[:2], torch.zeros(2, dtype=torch.int64), motion.nodes)
+    after = motion.place(store, rows, motion.poses([0.0]), [0])
+    assert torch.allclose(before.means, after.means, atol=1e-6)
+    assert torch.allclose(before.quats, after.quats, atol=1e-6)
+    assert store.tiers[:4].tolist() == [Tier.RIGID, Tier.RIGID, Tier.STATIC, Tier.STATIC]
+    motion.nodes.positions[0, 2] += 1
+    moved = motion.place(store, rows, motion.poses([0.0]), [0])
+    assert torch.allclose(moved.means[0, :2, 2], after.means[0, :2, 2] + 1, atol=1e-6)
+    assert torch.equal(moved.means[0, 2:], after.means[0, 2:])
+
+
+def test_the_field_bends_the_deformable_and_nobody_else() -> None:
+    store, motion = moving_world()
+    store.board(torch.tensor([0, 1]), torch.zeros(2, dtype=torch.int64), motion.nodes)
+    rigid = motion.place(store, torch.arange(4), motion.poses([0.0]), [0])
+    motion.nodes.tiers[0] = int(Tier.DEFORMABLE)
+    store.tiers[:2] = int(Tier.DEFORMABLE)
+    neutral = motion.place(store, torch.arange(4), motion.poses([0.0]), [0])
+    assert torch.allclose(rigid.means, neutral.means, atol=1e-7)
+    with torch.no_grad():
+        motion.field.time[:, :, 0] = 1.7
+    bent = motion.place(store, torch.arange(4), motion.poses([0.0]), [0])
+    assert (bent.means - rigid.means)[0, :2].abs().max() > 1e-6
+    assert torch.equal(bent.means[0, 2:].detach(), rigid.means[0, 2:])
+
+
+def test_a_gradient_reaches_canonical_means_and_the_field() -> None:
+    store, motion = moving_world()
+    store.board(torch.tensor([0, 1]), torch.zeros(2, dtype=torch.int64), motion.nodes)
+    motion.nodes.tiers[0] = int(Tier.DEFORMABLE)
+    store.tiers[:2] = int(Tier.DEFORMABLE)
+    rows = torch.tensor([0, 1])
+    values = store.values[rows].requires_grad_()
+    placed = motion.place_values(values, store, rows, motion.poses([0.0, -0.01]), [0, 0])
+    placed.means[..., 2].sum().backward()
+    assert values.grad is not None and values.grad[:, MEAN].abs().min() > 0
+    before = motion.field.time.detach().clone()
+    motion.descend()
+    assert not torch.equal(motion.field.time.detach(), before)

@@ -1,0 +1,92 @@
+"""Node poses over time: prediction, correction, memory."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from twin_node.model.nodes import MAX_SPEED, Nodes
+from twin_node.model.rotations import quat_from_vector, vector_from_quat
+from twin_node.scene import Tier
+
+TICK_NS = 33_000_000
+
+
+def moving_nodes(speed: float = 1.0) -> Nodes:
+    """One node that has moved along x at `speed` for six sets."""
+    nodes = Nodes(4, 8)
+    nodes.stamp = 1000
+    row = nodes.give_birth(torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
+    nodes.velocities[row, 0] = speed
+    nodes.remember()
+    for index in range(1, 7):
+        nodes.predict(1000 + index * TICK_NS, 1.0)
+        nodes.remember()
+    return nodes
+
+
+def test_a_constant_velocity_is_carried_on_exactly() -> None:
+    nodes = moving_nodes(0.5)
+    assert nodes.positions[0, 0] == pytest.approx(0.5 * 6 * 0.033)
+    ahead = nodes.extrapolated([0.2])
+    assert ahead.positions[0, 0, 0] == pytest.approx(0.5 * (6 * 0.033 + 0.2))
+
+
+def test_the_window_remembers_and_interpolates() -> None:
+    nodes = moving_nodes(1.0)
+    poses = nodes.poses_at([1000 + 2 * TICK_NS, 1000 + 2 * TICK_NS + TICK_NS // 2, 1000 + 6 * TICK_NS])
+    assert poses.positions[:, 0, 0].tolist() == pytest.approx([0.066, 0.0825, 0.198])
+
+
+def test_before_the_window_its_oldest_pose_holds_and_after_it_the_velocity() -> None:
+    nodes = moving_nodes(1.0)
+    assert nodes.poses_at([0]).positions[0, 0, 0] == pytest.approx(0.0)
+    later = nodes.poses_at([1000 + 6 * TICK_NS + 100_000_000])
+    assert later.positions[0, 0, 0] == pytest.approx(0.298)
+
+
+def test_measured_poses_teach_velocity_and_turn() -> None:
+    nodes = Nodes(2, 4)
+    row = torch.tensor([nodes.give_birth(torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))])
+    velocity = torch.tensor([[0.4, -0.2, 0.1]], dtype=torch.float64)
+    turn = torch.tensor([[0.0, 0.0, 1.5]], dtype=torch.float64)
+    for index in range(1, 40):
+        nodes.predict(index * TICK_NS, 0.98)
+        at = index * TICK_NS * 1e-9
+        nodes.correct(row, velocity * at, quat_from_vector(turn * at), nodes.extrapolated([0.0]), TICK_NS * 1e-9)
+    assert torch.allclose(nodes.velocities[row], velocity, atol=0.05)
+    assert torch.allclose(nodes.angular_velocities[row], turn, atol=0.15)
+    assert torch.allclose(nodes.positions[row], velocity * at, atol=2e-3)
+
+
+def test_a_wild_measurement_cannot_make_an_impossible_speed() -> None:
+    nodes = Nodes(2, 4)
+    row = torch.tensor([nodes.give_birth(torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))])
+    far = torch.full((1, 3), 100.0, dtype=torch.float64)
+    nodes.correct(row, far, nodes.quats[row], nodes.extrapolated([0.0]), 0.033)
+    assert nodes.velocities[row].norm() <= MAX_SPEED + 1e-9
+
+
+def test_driven_nodes_take_the_pose_and_its_speed() -> None:
+    nodes = Nodes(2, 4)
+    row = torch.tensor(
+        [nodes.give_birth(torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64), Tier.ROBOT)]
+    )
+    quats = quat_from_vector(torch.tensor([[0.0, 0.1, 0.0]], dtype=torch.float64))
+    nodes.drive(row, torch.tensor([[0.01, 0, 0]], dtype=torch.float64), quats, 0.05)
+    assert nodes.velocities[row].tolist() == [pytest.approx([0.2, 0, 0])]
+    assert nodes.angular_velocities[row].tolist() == [pytest.approx([0, 2.0, 0])]
+    assert torch.allclose(vector_from_quat(nodes.quats[row]), torch.tensor([[0.0, 0.1, 0.0]], dtype=torch.float64))
+
+
+def test_rows_are_used_again_but_ids_never() -> None:
+    nodes = Nodes(2, 4)
+    origin = torch.zeros(3, dtype=torch.float64)
+    first = nodes.give_birth(origin, origin)
+    nodes.give_birth(origin, origin)
+    assert not nodes.free
+    nodes.retire(torch.tensor([first]))
+    again = nodes.give_birth(origin + 1, origin)
+    assert again == first
+    assert sorted(nodes.ids.tolist()) == [1, 2]
+    assert torch.equal(nodes.poses_at([nodes.stamp]).positions[0, again], origin + 1)
