@@ -86,18 +86,20 @@ def grow(words: Words, diagonal: bool) -> Words:
     return grown
 
 
-def grow_by(levels: NDArray[np.uint8]) -> Bool:
+def grow_by(levels: NDArray[np.uint8], present: NDArray[np.integer]) -> Bool:
     """Union of balls: every voxel of `levels` [nx, ny, nz] with level l > 0 grows by l - 1 voxels.
+
+    `present` [k] lists the levels that occur.
 
     Three steps to 18 neighbours and one to 6, in turn: their Minkowski sum holds the Euclidean ball (support 1 along
     the axes and 1.01 along the space diagonals per step) and reaches at most 1.42 times as far.
     """
-    present = np.bincount(levels.ravel(), minlength=2)
-    most = len(present) - 1
+    occurring = set(present.tolist())
+    most = max(occurring, default=1)
     words = pack(levels == most)
     for level in range(most - 1, 0, -1):
         words = grow(words, diagonal=(level % 4) != 0)
-        if present[level]:
+        if level in occurring:
             words |= pack(levels == level)
     return unpack(words, levels.shape[2])
 
@@ -120,24 +122,26 @@ def reach_of(grid: Grid, radii: Float64) -> NDArray[np.uint8]:
 
 
 def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8]) -> Spread:
-    """Voxels of `grid` within `reach` [n] voxels of the voxels (i, j, k) `places` [n, 3], which may lie outside it."""
+    """Voxels of `grid` within `reach` [n] voxels of the voxels (i, j, k) `places` [3, n], which may lie outside it."""
     most = int(reach.max(initial=0))
-    near = np.all((places >= -most) & (places < np.array(grid.dims, np.int32) + most), axis=1)
+    upper = np.array(grid.dims, np.int32)[:, None] + most
+    near = ((places >= -most) & (places < upper)).all(axis=0)
     if not near.all():
-        places, reach = places[near], reach[near]
-    if len(places) == 0:
+        places, reach = places[:, near], reach[near]
+    if len(reach) == 0:
         return Spread(np.zeros(0, np.int64), np.zeros(0, np.bool_))
-    low = places.min(axis=0) - most
-    dims = places.max(axis=0) + most + 1 - low
+    low = places.min(axis=1) - most
+    dims = places.max(axis=1) + most + 1 - low
     levels = np.zeros(dims, np.uint8)
     order = np.argsort(reach, kind="stable")
-    local = ((places[:, 0] - low[0]) * dims[1] + (places[:, 1] - low[1])) * dims[2] + (places[:, 2] - low[2])
+    local = ((places[0] - low[0]) * dims[1] + (places[1] - low[1])) * dims[2] + (places[2] - low[2])
     levels.ravel()[local[order]] = reach[order] + 1
+    present = np.flatnonzero(np.bincount(reach)) + 1
     start, stop = np.maximum(low, 0), np.minimum(low + dims, grid.dims)
     inner = tuple(slice(a, b) for a, b in zip(start - low, stop - low, strict=True))
     outer = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
     reached, core = np.zeros((2, *grid.dims), np.bool_)
-    reached[outer] = grow_by(levels)[inner]
+    reached[outer] = grow_by(levels, present)[inner]
     core[outer] = levels[inner] > 0
     indices = np.flatnonzero(reached)
     return Spread(indices, core.ravel()[indices])

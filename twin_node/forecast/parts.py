@@ -23,16 +23,16 @@ class Parts:
     indices: NDArray[np.int64]
     """[n] flat voxel indices."""
     places: NDArray[np.int32]
-    """[n, 3] voxel coordinates (i, j, k)."""
+    """[3, n] voxel coordinates (i, j, k)."""
     labels: NDArray[np.int64]
     """[n] part of each voxel."""
     centers: Float64
     """[M, 3] mean of each part's voxels, m."""
 
     def moved(self, grid: Grid, displacements: Float64) -> NDArray[np.int32]:
-        """Voxel coordinates [n, 3] after each part has moved by its displacement [M, 3] (m, to the nearest voxel)."""
+        """Voxel coordinates [3, n] after each part has moved by its displacement [M, 3] (m, to the nearest voxel)."""
         shifts = np.round(displacements / grid.voxel_size).astype(np.int32)
-        return self.places + shifts[self.labels]
+        return self.places + np.ascontiguousarray(shifts.T)[:, self.labels]
 
     @property
     def count(self) -> int:
@@ -44,13 +44,13 @@ def split(grid: Grid, indices: NDArray[np.int64]) -> Parts:
     """Parts of the voxels `indices` [n]: one per occupied cell of a coarser lattice."""
     side = max(1, round(PART_SIZE / grid.voxel_size))
     lattice = tuple(-(-n // side) for n in grid.dims)
-    places = np.stack(np.unravel_index(indices, grid.dims), axis=1).astype(np.int32)
-    cells = np.ravel_multi_index(tuple((places // side).T), lattice)
+    places = np.stack(np.unravel_index(indices, grid.dims)).astype(np.int32)
+    cells = np.ravel_multi_index(tuple(places // side), lattice)
     counts = np.bincount(cells, minlength=int(np.prod(lattice)))
     occupied = np.flatnonzero(counts)
     numbers = np.zeros(len(counts), np.int64)
     numbers[occupied] = np.arange(len(occupied))
-    sums = np.stack([np.bincount(cells, places[:, axis], len(counts))[occupied] for axis in range(3)], axis=1)
+    sums = np.stack([np.bincount(cells, axis, len(counts))[occupied] for axis in places], axis=1)
     centers = grid.origin + (sums / counts[occupied, None] + 0.5) * grid.voxel_size
     return Parts(indices, places, numbers[cells], centers)
 
@@ -58,12 +58,13 @@ def split(grid: Grid, indices: NDArray[np.int64]) -> Parts:
 class PartVelocities:
     """Velocities of parts from the optical flow of the views that see them."""
 
-    def __init__(self, tables: RigTables, baseline_ns: int = 30_000_000) -> None:
+    def __init__(self, tables: RigTables) -> None:
         self._tables = tables
-        self._baseline_ns = baseline_ns
-        self._past: dict[str, list[tuple[int, UInt8]]] = {}
+        self._last: dict[str, tuple[int, UInt8]] = {}
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-        self._flow.setFinestScale(1)
+        self._flow.setFinestScale(0)
+        self._flow.setPatchSize(5)
+        self._flow.setPatchStride(2)
 
     def update(self, state: TwinState, parts: Parts, expected: Float64) -> Float64:
         """Velocities [M, 3] in m/s; `expected` [M, 3] stands where, and along directions that, no view shows.
@@ -76,7 +77,7 @@ class PartVelocities:
         precision: Float64 = np.tile(np.eye(3) * _PRIOR, (parts.count, 1, 1))
         evidence: Float64 = expected * _PRIOR
         for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
-            image_velocity = self._image_velocity(view)
+            image_velocity = self._image_velocity(view, mask)
             if image_velocity is None or parts.count == 0:
                 continue
             seen = _seen_by(view, image_velocity, mask, self._tables.of(view.camera), sample)
@@ -87,18 +88,41 @@ class PartVelocities:
         velocities: Float64 = np.linalg.solve(precision, evidence[..., None]).astype(np.float64)[..., 0]
         return velocities
 
-    def _image_velocity(self, view: View) -> Float32 | None:
-        """[H, W, 2] pixels per second; None without an earlier image."""
-        grey = np.asarray(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-        past = self._past.setdefault(view.camera.name, [])
-        while len(past) > 1 and view.stamp - past[1][0] >= self._baseline_ns:
-            past.pop(0)
-        velocity = None
-        if past and past[0][0] < view.stamp and past[0][1].shape == grey.shape:
-            flow = self._flow.calc(grey, past[0][1], np.zeros((*grey.shape, 2), np.float32))
-            velocity = (flow / (-1e-9 * (view.stamp - past[0][0]))).astype(np.float32)
-        past.append((view.stamp, grey))
+    def _image_velocity(self, view: View, mask: Bool) -> Float32 | None:
+        """[H, W, 2] pixels per second, on what moves alone; None without an earlier image.
+
+        All else is painted grey first: still ground would hold back the flow of thin limbs.
+        """
+        near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))
+        grey = np.where(near > 0, cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
+        last = self._last.get(view.camera.name)
+        self._last[view.camera.name] = (view.stamp, grey)
+        if last is None or last[0] >= view.stamp or last[1].shape != grey.shape:
+            return None
+        velocity = np.zeros((*grey.shape, 2), np.float32)
+        window = _window((grey != _GREY) | (last[1] != _GREY))
+        if window is not None:
+            now, before = np.ascontiguousarray(grey[window]), np.ascontiguousarray(last[1][window])
+            flow = self._flow.calc(now, before, np.zeros((*now.shape, 2), np.float32))
+            velocity[window] = flow / (-1e-9 * (view.stamp - last[0]))
         return velocity
+
+
+_GREY = np.uint8(128)
+_SMALLEST_WINDOW = 32
+"""Side in pixels of the smallest image that optical flow is computed on: two coarse patches."""
+
+
+def _window(mask: Bool) -> tuple[slice, slice] | None:
+    """Rows and columns about the pixels of a mask, some more on each side; None for an empty mask."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return None
+    slices = []
+    for used, size in ((rows, mask.shape[0]), (columns, mask.shape[1])):
+        margin = max(8, (_SMALLEST_WINDOW - int(used[-1] - used[0])) // 2 + 1)
+        slices.append(slice(max(0, int(used[0]) - margin), min(size, int(used[-1]) + margin + 1)))
+    return slices[0], slices[1]
 
 
 _FLOW_NOISE = 3.0

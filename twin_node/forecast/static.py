@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,10 +67,16 @@ class StaticSpace:
 
 
 def _unproject(view: View, where: NDArray[np.bool_]) -> Float64:
-    """Base-frame points [n, 3] of the pixels in `where` [H, W]."""
+    """Base-frame points [n, 3] all over the pixels in `where` [H, W]."""
     assert view.depth is not None
-    rows, columns = np.nonzero(where)
-    z = view.depth[rows, columns].astype(np.float64)
+    fine = cv2.resize(where.astype(np.uint8), None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_NEAREST)
+    rows, columns = np.nonzero(fine)
+    z = view.depth[rows // _FINER, columns // _FINER].astype(np.float64)
+    u, v = (columns + 0.5) / _FINER, (rows + 0.5) / _FINER
     K = view.camera.K
-    points = np.stack([(columns + 0.5 - K[0, 2]) * z / K[0, 0], (rows + 0.5 - K[1, 2]) * z / K[1, 1], z], axis=1)
+    points = np.stack([(u - K[0, 2]) * z / K[0, 0], (v - K[1, 2]) * z / K[1, 1], z], axis=1)
     return transform(view.camera.T_base_cam, points)
+
+
+_FINER = 3
+"""Points along each side of a pixel: where a surface is seen at a slant, pixels are wider than voxels."""

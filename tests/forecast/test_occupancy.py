@@ -1,0 +1,151 @@
+"""The forecaster end to end, on exact silhouettes of a ball with a known path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, rays, state_of
+
+from twin_node.forecast import BaselineForecaster, Forecaster
+from twin_node.forecast.grid import decode_runs
+from twin_node.scene import HORIZONS_NS, GaussianCloud, Occupancy, Tier, TwinState
+
+PERIOD_NS = 33_333_333
+LATENCY_NS = 33_000_000
+RADIUS = 0.12
+
+
+def moving_ball(sets: int, speed: float = 0.5, with_depth: bool = False) -> list[TwinState]:
+    """A ball that crosses the workspace along x."""
+    return [
+        state_of(tick * PERIOD_NS, place(tick * PERIOD_NS, speed), RADIUS, with_depth=with_depth)
+        for tick in range(sets)
+    ]
+
+
+def place(stamp: int, speed: float = 0.5) -> np.ndarray:
+    return np.array([-0.3 + speed * stamp * 1e-9, 0.05, 0.4])
+
+
+def run(states: list[TwinState]) -> Occupancy:
+    forecaster = Forecaster(GRID)
+    for state in states:
+        occupancy = forecaster.update(state, state.stamp + LATENCY_NS)
+    return occupancy
+
+
+def recall(occupancy: Occupancy, index: int, speed: float = 0.5) -> float:
+    """Share of the ball's voxels at a layer's time that the layer holds."""
+    truth = ball_voxels(place(occupancy.publish_stamp + HORIZONS_NS[index], speed), 0.9 * RADIUS)
+    return float(np.isin(truth, occupancy.layers[index].indices).mean())
+
+
+def test_every_layer_holds_the_ball_at_its_time() -> None:
+    occupancy = run(moving_ball(16))
+    assert [layer.horizon_ns for layer in occupancy.layers] == list(HORIZONS_NS)
+    for index in range(len(HORIZONS_NS)):
+        assert recall(occupancy, index) == 1.0
+    for layer in occupancy.layers:
+        assert np.all(np.diff(layer.indices.astype(np.int64)) > 0)
+        assert len(layer.probability) == len(layer.indices)
+
+
+def test_forecast_is_far_smaller_than_the_worst_case() -> None:
+    states = moving_ball(20)
+    ours, baselines = run(states), BaselineForecaster(GRID)
+    for state in states:
+        others = baselines.update(state, state.stamp + LATENCY_NS)
+    assert recall(others.worst_case, -1) == 1.0
+    assert recall(others.persistence, -1) < 0.9
+    assert len(ours.layers[-1].indices) < 0.5 * len(others.worst_case.layers[-1].indices)
+
+
+def test_the_flow_of_the_images_tells_the_velocity() -> None:
+    forecaster = Forecaster(GRID)
+    for state in moving_ball(12):
+        forecaster.update(state, state.stamp + LATENCY_NS)
+    inner = np.linalg.norm(forecaster.motion.centers - place(11 * PERIOD_NS), axis=1) < RADIUS
+    assert np.abs(forecaster.motion.velocities[inner].mean(axis=0) - [0.5, 0, 0]).max() < 0.15
+
+
+def test_vacated_space_is_free_at_once() -> None:
+    states = moving_ball(16, speed=1.0)
+    occupancy = run(states)
+    start = ball_voxels(place(0), RADIUS)
+    blocked = decode_runs(occupancy.unknown_runs, GRID.size)
+    blocked[occupancy.layers[0].indices] = True
+    assert not blocked[start].any()
+
+
+def test_what_stops_stays() -> None:
+    states = moving_ball(10)
+    forecaster = Forecaster(GRID)
+    for state in states:
+        forecaster.update(state, state.stamp + LATENCY_NS)
+    for tick in range(10, 40):
+        still = state_of(tick * PERIOD_NS, place(9 * PERIOD_NS))
+        occupancy = forecaster.update(still, still.stamp + LATENCY_NS)
+    for layer in occupancy.layers:
+        assert np.isin(ball_voxels(place(9 * PERIOD_NS), 0.9 * RADIUS), layer.indices).all()
+
+
+def test_quality_tells_coverage_against_target() -> None:
+    forecaster = Forecaster(GRID)
+    assert np.isnan(forecaster.quality.coverage)
+    for state in moving_ball(24):
+        forecaster.update(state, state.stamp + LATENCY_NS)
+    quality = forecaster.quality
+    assert quality.coverage > 0.97
+    assert quality.target == 0.99
+    assert np.isclose(quality.expert_weights.sum(), 1)
+    assert 0 < quality.bound_radius < 1.6 * 0.233
+
+
+def test_nothing_moving_gives_empty_layers() -> None:
+    occupancy = run([state_of(tick * PERIOD_NS, None) for tick in range(4)])
+    assert all(len(layer.indices) == 0 for layer in occupancy.layers)
+    assert len(occupancy.static.indices) == 0
+
+
+def test_a_silent_camera_does_not_stop_the_forecast() -> None:
+    states = moving_ball(12)
+    half = [replace(s, frames=replace(s.frames, views=s.frames.views[:3])) for s in states[6:]]
+    half = [replace(s, moving_masks=s.moving_masks[:3], robot_masks=s.robot_masks[:3]) for s in half]
+    assert recall(run(states[:6] + half), -1) == 1.0
+
+
+def test_same_states_give_the_same_forecast() -> None:
+    first, second = run(moving_ball(10)), run(moving_ball(10))
+    for one, other in zip(first.layers, second.layers, strict=True):
+        assert np.array_equal(one.indices, other.indices)
+        assert np.array_equal(one.probability, other.probability)
+    assert np.array_equal(first.unknown_runs, second.unknown_runs)
+
+
+def test_measured_surfaces_stand_and_the_floor_is_not_unknown() -> None:
+    occupancy = run(moving_ball(3, with_depth=True))
+    cam = RIG[0]
+    points = cam.T_base_cam[:3, 3] + rays(cam).reshape(-1, 3) * floor_depth(cam).reshape(-1, 1)
+    on_floor = GRID.indices(points[:: WIDTH * HEIGHT // 50] + [0, 0, 1e-3])
+    on_floor = on_floor[on_floor >= 0]
+    assert np.isin(on_floor, occupancy.static.indices).mean() > 0.9
+    assert not decode_runs(occupancy.unknown_runs, GRID.size)[occupancy.static.indices].any()
+
+
+def test_static_gaussians_stand() -> None:
+    f = np.float32
+    means = np.array([[0.0, 0.0, 0.3], [0.2, 0.2, 0.3], [0.3, 0.0, 0.3]], f)
+    cloud = GaussianCloud(
+        means,
+        np.tile(np.array([1, 0, 0, 0], f), (3, 1)),
+        np.full((3, 3), 0.01, f),
+        np.array([0.9, 0.2, 0.9], f),
+        np.zeros((3, 3), f),
+        np.zeros((3, 3), f),
+        np.array([Tier.STATIC, Tier.STATIC, Tier.RIGID], np.uint8),
+        np.arange(3, dtype=np.uint32),
+        np.full(3, -1, np.int32),
+    )
+    occupancy = run([replace(state_of(0, None), gaussians=cloud)])
+    assert np.array_equal(occupancy.static.indices, GRID.indices(means[:1].astype(np.float64)))
