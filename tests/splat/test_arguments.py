@@ -79,6 +79,12 @@ def test_something_else_than_a_tensor():
 
 
 @RENDERERS
+def test_colors_are_checked_where_only_depth_is_drawn(renderer: Any):
+    case = replace(CASE, colors=torch.full_like(CASE.colors, float("nan"))).with_options(render_mode="D")
+    assert_names(case, "colors", renderer)
+
+
+@RENDERERS
 def test_empty_sets(renderer: Any):
     none = {name: getattr(CASE, name)[:0] for name in ("means", "quats", "scales", "opacities", "colors")}
     assert_names(replace(CASE, **none), "means", renderer)

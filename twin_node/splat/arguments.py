@@ -177,9 +177,9 @@ def check_shapes(gaussians: Gaussians, views: Views, options: Options) -> Scene:
 def check_finite(scene: Scene) -> None:
     """Raises `ValueError` naming the first argument that is not finite, or a camera that no image can come from."""
     for name, tensor in {**vars(scene.gaussians), "viewmats": scene.views.viewmats, "Ks": scene.views.Ks}.items():
-        _require_finite(name, tensor)
+        require_finite(name, tensor)
     if scene.views.backgrounds is not None:
-        _require_finite("backgrounds", scene.views.backgrounds)
+        require_finite("backgrounds", scene.views.backgrounds)
     focal = scene.views.Ks[..., [0, 1], [0, 1]]
     if not bool((focal > 0).all()):
         raise ValueError(f"Ks: expected positive focal lengths, found {float(focal.min())}")
@@ -187,7 +187,8 @@ def check_finite(scene: Scene) -> None:
         raise ValueError("viewmats: expected invertible matrices, found one that is not")
 
 
-def _require_finite(name: str, tensor: Tensor) -> None:
+def require_finite(name: str, tensor: Tensor) -> None:
+    """Raises `ValueError` where the tensor holds a NaN or an infinity."""
     if not bool(torch.isfinite(tensor).all()):
         raise non_finite(name, tensor)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from twin_node.splat import library as native
-from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite
+from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite, require_finite
 from twin_node.splat.semantics import Semantics, installed_semantics
 
 DEPTH_MODES = {"RGB": 0, "D": 1, "RGB+D": 1, "ED": 2, "RGB+ED": 2}
@@ -35,6 +35,8 @@ class _Inputs:
 def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semantics | None = None) -> Rendered:
     """Renders float32 CPU tensors with the compiled library. Raises `ValueError` naming what is not finite."""
     g, views = scene.gaussians, scene.views
+    if not scene.options.with_color:
+        require_finite("colors", g.colors)  # which the library then never reads
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
     renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene))  # type: ignore[no-untyped-call]
