@@ -41,7 +41,8 @@ def table() -> Splats:
     x, y = np.meshgrid(np.arange(-0.8, 0.8, 0.04), np.arange(-0.8, 0.8, 0.04))
     means = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
     patches = rng.uniform(0.1, 0.9, (10, 10, 3)).repeat(4, 0).repeat(4, 1).reshape(-1, 3)
-    return _splats(means, patches[: len(means)], 0.022)
+    flat = _splats(means, patches[: len(means)], 0.022)
+    return replace(flat, scales=flat.scales * torch.tensor([1.0, 1.0, 0.1]))
 
 
 def block(x: float, y: float = 0.0) -> Splats:

@@ -1,0 +1,56 @@
+"""Gaussians on the arm follow its joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from model_scenes import camera, frames, with_joints
+
+from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model.robot_links import arm_depth
+from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
+from twin_node.scene import Tier
+
+ARM = ur_model("ur5e")
+Q = np.array([0.3, -1.2, 1.4, -1.6, -1.5, 0.0])
+CAMERAS = tuple(camera(f"cam{i}", eye, (0.2, 0, 0.3)) for i, eye in enumerate([(1.6, -0.6, 1.0), (1.5, 0.7, 1.1)]))
+
+
+def test_depth_of_the_arm_lies_on_its_capsules() -> None:
+    mask = robot_mask(ARM, Q, CAMERAS[0], margin_m=0.0)
+    depth = arm_depth(ARM, Q, CAMERAS[0], mask)
+    assert (depth[~mask] == 0).all()
+    assert (depth[mask] > 0).mean() > 0.7  # the mask is a pixel wider than the arm
+    nearest = np.linalg.norm(
+        place_capsules(ARM, forward_kinematics(ARM, Q)).ends.reshape(-1, 3) - CAMERAS[0].T_base_cam[:3, 3], axis=1
+    ).min()
+    assert depth[depth > 0].min() > nearest - 0.3
+
+
+def test_robot_gaussians_move_with_the_joints_and_are_no_nodes_to_forecast() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20), gaussians_per_pixel=0.5), arm=ARM)
+    first = model.update(with_joints(frames(0, None, CAMERAS), ARM.joint_names, Q))
+    own = first.gaussians.tiers == Tier.ROBOT
+    assert own.sum() > 30
+    assert len(first.nodes.ids) == 0
+    assert (first.gaussians.nodes[own] == -1).all()
+    turned = Q + np.array([0.4, 0, 0, 0, 0, 0])
+    second = model.update(with_joints(frames(1, None, CAMERAS), ARM.joint_names, turned))
+    both = np.intersect1d(first.gaussians.ids[own], second.gaussians.ids)
+    before = first.gaussians.means[np.isin(first.gaussians.ids, both)]
+    after = second.gaussians.means[np.isin(second.gaussians.ids, both)]
+    R = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
+    base = np.abs(after - before).max(1) < 1e-4
+    assert (~base).sum() > 20
+    assert np.allclose(after[~base], before[~base] @ R.T, atol=1e-3)
+    assert np.linalg.norm(second.gaussians.velocities[second.gaussians.tiers == Tier.ROBOT], axis=1).max() > 0.5
+
+
+def test_the_arm_is_left_out_of_the_masks() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=5), gaussians_per_pixel=0.5), arm=ARM)
+    for index in range(3):
+        state = model.update(with_joints(frames(index, None, CAMERAS), ARM.joint_names, Q + 0.1 * index))
+    for moving, robot in zip(state.moving_masks, state.robot_masks, strict=True):
+        assert robot is not None
+        assert not (moving & robot).any()
+    assert torch.isfinite(torch.from_numpy(state.gaussians.means)).all()

@@ -1,0 +1,151 @@
+"""The steps of a set, each held to a scene in which the right answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from model_scenes import block, frames, joined, rig, table
+
+from twin_node.model.alignment import FlowSolver, solve_twists
+from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.births import find_births
+from twin_node.model.deaths import judge_static, refuted_moving
+from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
+from twin_node.model.gaussians import Gaussians, Newborns
+from twin_node.model.observation import Observed, Observer
+from twin_node.model.parameters import BirthParameters
+from twin_node.model.plane import Plane
+from twin_node.model.rendering import Rendering, Splats, render
+from twin_node.model.sweep import shell_around
+from twin_node.scene import Tier
+
+CAMERAS = rig(120, 90)
+THRESHOLD = 25 / 255
+
+
+def world(splats: Splats) -> tuple[Gaussians, Backgrounds]:
+    """STATIC Gaussians `splats` and their backgrounds."""
+    count = splats.means.shape[1]
+    store = Gaussians(count, torch.device("cpu"))
+    nobody = torch.full((count,), -1, dtype=torch.int64)
+    store.spawn(
+        Newborns(splats.means[0], splats.quats[0], splats.scales, splats.opacities, splats.rgb, Tier.STATIC, nobody),
+        0,
+    )
+    plane = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
+    return store, Backgrounds(plane, shell_around(CAMERAS, 2.5))
+
+
+def observe(static: Splats, block_x: float | None, depth: bool = False, blind: int | None = None) -> list[Observed]:
+    """The block at `block_x` over what `static` says stands still, with true masks; view `blind` sees nothing move."""
+    store, backgrounds = world(static)
+    known = backgrounds.of(store, CAMERAS)
+    now = frames(1, block_x, CAMERAS, depth)
+    with torch.no_grad():
+        ground = [seen.rgb.numpy() for seen in render(static, CAMERAS)]
+    masks = [np.abs(view.rgb / 255 - rgb).max(-1) > THRESHOLD for view, rgb in zip(now.views, ground, strict=True)]
+    masks = [mask & (index != blind) for index, mask in enumerate(masks)]
+    observer = Observer(THRESHOLD, 0.15)
+    with torch.no_grad():
+        rest = [to_bytes(seen) for seen in render(static, CAMERAS)]
+    still = replace(now, views=tuple(replace(view, rgb=rgb) for view, rgb in zip(now.views, rest, strict=True)))
+    observer.observe(still, [np.zeros_like(mask) for mask in masks], [None] * 3, known, 0.0)
+    return observer.observe(now, masks, [None] * 3, known, 0.033)
+
+
+def to_bytes(seen: Rendering) -> np.ndarray:
+    """The rendering as a camera would give it."""
+    return (seen.rgb.clamp(0, 1).numpy() * 255).round().astype(np.uint8)
+
+
+def look_at(splats: Splats) -> list[Rendering]:
+    """What the cameras see."""
+    with torch.no_grad():
+        return render(splats, CAMERAS)
+
+
+def test_unexplained_pixels_become_gaussians_inside_the_block() -> None:
+    births = find_births(observe(table(), 0.1), look_at(table()), THRESHOLD, BirthParameters())
+    free = births.means[~births.on_background]
+    assert len(free) > 60
+    inside = (np.abs(free - [0.1, 0, 0.05]) < [0.14, 0.14, 0.11]).all(1)
+    assert inside.mean() > 0.85
+
+
+def test_nothing_is_born_where_a_camera_sees_through_it() -> None:
+    observed = observe(table(), 0.1, blind=1)
+    births = find_births(observed, look_at(table()), THRESHOLD, BirthParameters())
+    seen = births.means[~births.on_background]
+    assert not refuted_moving(observed, [seen] * 3, np.zeros(len(seen)), np.ones(len(seen), bool)).any()
+
+
+def test_measured_depth_places_births_on_the_surface() -> None:
+    births = find_births(observe(table(), 0.1, depth=True), look_at(table()), THRESHOLD, BirthParameters())
+    free = births.means[~births.on_background]
+    assert len(free) > 60
+    outside = np.maximum(np.abs(free - [0.1, 0, 0.05]) - [0.08, 0.08, 0.05], 0)
+    assert np.percentile(np.linalg.norm(outside, axis=1), 80) < 0.03
+
+
+def test_an_explained_image_bears_nothing() -> None:
+    births = find_births(observe(table(), 0.1), look_at(joined(table(), block(0.1))), THRESHOLD, BirthParameters())
+    assert len(births) == 0
+
+
+def test_what_a_view_sees_through_is_refuted() -> None:
+    observed = observe(table(), 0.1)
+    points = np.array([[0.1, 0.0, 0.06], [-0.3, 0.2, 0.1]])
+    gone = refuted_moving(observed, [points] * 3, np.zeros(2), np.ones(2, bool))
+    assert gone.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_static_gaussians_of_a_thing_that_left_are_told_from_the_rest(depth: bool) -> None:
+    static = joined(table(), block(-0.2))
+    observed = observe(static, 0.25, depth)
+    evidence = judge_static(observed, look_at(joined(table(), block(0.25))), THRESHOLD)
+    of_block = static.means[0, :, 2].numpy() > 0.06
+    assert evidence.left[of_block].mean() > 0.2
+    assert evidence.left[~of_block].mean() < 0.03
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) -> None:
+    shift = np.array([0.02, 0.01, 0.0])
+    observed = observe(table(), 0.1 + shift[0], depth)
+    moved = block(0.1 + shift[0], shift[1])
+    observed = [
+        replace(
+            one, view=replace(one.view, rgb=(seen.rgb.clamp(0, 1).numpy() * 255).astype(np.uint8)), rgb=seen.rgb.numpy()
+        )
+        for one, seen in zip(observed, look_at(joined(table(), moved)), strict=True)
+    ]
+    before = block(0.1)
+    moving = Splats(before.means.expand(3, -1, -1), before.quats.expand(3, -1, -1), *list(vars(before).values())[2:])
+    renderings = look_at(joined(table(), before))
+    flow = FlowSolver()
+    flows = [flow.flow(seen, one) for seen, one in zip(renderings, observed, strict=True)]
+    origins = torch.tensor([0.1, 0.0, 0.05], dtype=torch.float64).expand(3, 1, 3)
+    carriers = torch.zeros(before.means.shape[1], dtype=torch.int64)
+    twists = solve_twists(observed, renderings, flows, moving, carriers, origins, 0.05, 0.5)
+    assert twists.linear[0].numpy() == pytest.approx(shift, abs=0.008)
+    assert twists.angular[0].norm() < 0.12
+    assert 0 < twists.sigmas[0] < 0.01
+
+
+def test_evidence_needs_more_than_the_extra_parameters_are_worth() -> None:
+    def fits(rigid: float, strained: float, count: float) -> Fits:
+        return Fits(*(torch.tensor([value], dtype=torch.float64) for value in (rigid, strained, count)))
+
+    none = torch.zeros(1, dtype=torch.float64)
+    assert accumulate(none, fits(100, 90, 100)) < 0
+    assert accumulate(none, fits(100, 60, 100)) > 0
+    assert accumulate(none, fits(100, 60, 4)) == 0
+    bent = stiff = none
+    for _ in range(60):
+        bent, stiff = accumulate(bent, fits(100, 50, 100)), accumulate(stiff, fits(100, 99, 100))
+    assert bent > PROMOTE
+    assert stiff < DEMOTE
