@@ -12,17 +12,22 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.evidence import Fits
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering, Splats
-from twin_node.scene import Float32
+from twin_node.scene import Bool, Float32
 
 ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
 """m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""
 COLOUR_SIGMA = 0.1
 """Difference of colour (0 to 1) between both ends of a flow vector at which it loses most of its say."""
+MARGIN_PX, SMALLEST_PX = 12, 32
+"""Pixels around what moves that the flow is sought in, and the smallest side that its engine takes."""
+MOST_OBSERVATIONS = 1000
+"""Gaussians per view whose flow is taken; with more, every n-th stands for its neighbours."""
 STRAIN = 0.05
 """1 sigma of the strain that a set may bring."""
 SHOWN = 0.06
@@ -68,12 +73,16 @@ class FlowSolver:
         self._engine.setFinestScale(0)
 
     def flow(self, rendering: Rendering, observed: Observed) -> Float32:
-        """[H, W, 2] pixels from where the rendering shows a thing to where the image does."""
-        shown = (rendering.rgb.detach().cpu().clamp(0, 1).numpy() * 255).astype(np.uint8)
+        """[H, W, 2] pixels from where the rendering shows a thing to where the image does; 0 far from what moves."""
+        out = np.zeros((*observed.near_moving.shape, 2), np.float32)
+        window = _window(observed.near_moving)
+        if window is None:
+            return out
+        shown = (rendering.rgb.detach().cpu().numpy()[window].clip(0, 1) * 255).astype(np.uint8)
         a = cv2.cvtColor(shown, cv2.COLOR_RGB2GRAY)
-        b = cv2.cvtColor(observed.view.rgb, cv2.COLOR_RGB2GRAY)
-        found = self._engine.calc(a, b, np.zeros((*a.shape, 2), np.float32))
-        return found.astype(np.float32)
+        b = cv2.cvtColor(observed.view.rgb[window], cv2.COLOR_RGB2GRAY)
+        out[window] = self._engine.calc(a, b, np.zeros((*a.shape, 2), np.float32))
+        return out
 
 
 def solve_twists(
@@ -93,7 +102,9 @@ def solve_twists(
     """
     normal = _Normal(origins.shape[1])
     carried = torch.nonzero(nodes >= 0)[:, 0]
-    opacities = moving.opacities.detach().cpu()[carried].double()
+    stride = max(len(carried) // MOST_OBSERVATIONS, 1)
+    carried = carried[::stride]
+    opacities = moving.opacities.detach().cpu()[carried].double() * stride
     for index, one in enumerate(observed):
         at = moving.means[index, carried].detach().cpu().double()
         linear = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
@@ -105,6 +116,20 @@ def solve_twists(
     sigmas = rigid.covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
     fits = Fits(rigid.cost, strained.cost, normal.count)
     return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits)
+
+
+def _window(mask: Bool) -> tuple[slice, slice] | None:
+    """Rows and columns that hold all True pixels and a margin; None without one."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return None
+    return _span(rows, mask.shape[0]), _span(columns, mask.shape[1])
+
+
+def _span(used: NDArray[np.int64], size: int) -> slice:
+    start, stop = int(used[0]) - MARGIN_PX, int(used[-1]) + 1 + MARGIN_PX
+    missing = max(SMALLEST_PX - (stop - start), 0)
+    return slice(max(start - missing, 0), min(stop + missing, size))
 
 
 @dataclass(frozen=True)

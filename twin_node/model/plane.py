@@ -21,7 +21,7 @@ TEXTURE = 2.0 / 255
 MEASURED_SHARE = 0.15
 """Share of the measured points that a dominant plane holds at least."""
 MIN_AGREEMENT, DISTINCT = 0.01, 2.0
-"""A plane is believed if it scores this much, and this many times the 90th percentile of all candidates."""
+"""A plane is believed if it scores this much, and this many times what three quarters of the heights do not reach."""
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,13 @@ def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
     candidates = [
         Plane(np.array([0.0, 0.0, 1.0]), -z) for z in np.linspace(lowest - 2 * span, lowest - 0.05 * span, 96)
     ]
+    levels = len(candidates)
     candidates += _ransac(points, centres)
     if len(views) < 2:
         return None
     scores = [_agreement(views, plane) for plane in candidates]
     best = int(np.argmax(scores))
-    if scores[best] < max(MIN_AGREEMENT, DISTINCT * float(np.percentile(scores, 90))):
+    if scores[best] < max(MIN_AGREEMENT, DISTINCT * float(np.percentile(scores[:levels], 75))):
         return None
     return _refined(views, candidates[best], scores[best], span)
 
