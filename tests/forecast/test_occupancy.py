@@ -127,7 +127,7 @@ def test_measured_surfaces_stand_and_the_floor_is_not_unknown() -> None:
     occupancy = run(moving_ball(3, with_depth=True))
     cam = RIG[0]
     points = cam.T_base_cam[:3, 3] + rays(cam).reshape(-1, 3) * floor_depth(cam).reshape(-1, 1)
-    on_floor = GRID.indices(points[:: WIDTH * HEIGHT // 50] + [0, 0, 1e-3])
+    on_floor = GRID.indices(points[:: WIDTH * HEIGHT // 50] + np.array([0, 0, 1e-3]))
     on_floor = on_floor[on_floor >= 0]
     assert np.isin(on_floor, occupancy.static.indices).mean() > 0.9
     assert not decode_runs(occupancy.unknown_runs, GRID.size)[occupancy.static.indices].any()

@@ -187,7 +187,7 @@ def _read_trc(path: Path) -> _Table:
         lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise BenchError(f"{path}: expected a readable .trc file, found {error}; check the path") from None
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise BenchError(f"{path}: expected a .trc file (first line 'PathFileType ...'); give a file of that kind")
     header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
     scale = {"m": 1.0, "mm": 1e-3}.get(header.get("Units", "").strip())

@@ -1,0 +1,108 @@
+"""Scores against hand-made truths."""
+
+from __future__ import annotations
+
+import numpy as np
+from forecast_worlds import GRID, RIG, ball_depth, ball_voxels, state_of
+
+from twin_node.forecast.comparison import Comparison
+from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.score import blocked_volume, colour_mask, iou, nearest_error, projected, score_points
+from twin_node.scene import HORIZONS_NS, Bool, Occupancy, OccupancyLayer, View
+
+CENTER = np.array([0.0, 0.0, 0.4])
+
+
+def layer(indices: np.ndarray, horizon: int = 0) -> OccupancyLayer:
+    return OccupancyLayer(horizon, np.sort(indices).astype(np.uint32), np.full(len(indices), 255, np.uint8))
+
+
+def occupancy(now: np.ndarray, later: np.ndarray, stamp: int = 0) -> Occupancy:
+    layers = tuple(layer(now if horizon < HORIZONS_NS[-1] else later, horizon) for horizon in HORIZONS_NS)
+    return Occupancy(stamp, stamp, GRID, layers, layer(np.zeros(0, int)), encode_runs(np.zeros(GRID.size, np.bool_)))
+
+
+def test_points_inside_outside_new_and_off_the_grid() -> None:
+    held, missed = GRID.centers(np.array([10, 500])), GRID.centers(np.array([900]))
+    points = np.concatenate([held, missed, [[50.0, 0, 0]], [[np.nan, 0, 0]]])
+    score = score_points(GRID, layer(np.array([10, 500, 700])), points, np.array([10]))
+    assert (score.found, score.of, score.new_found, score.new_of) == (2, 3, 1, 2)
+
+
+def test_unknown_space_counts_as_volume() -> None:
+    found = occupancy(np.array([1, 2]), np.array([1, 2]))
+    unknown = np.zeros(GRID.size, np.bool_)
+    unknown[2:6] = True
+    blocked = Occupancy(0, 0, GRID, found.layers, found.static, encode_runs(unknown))
+    assert np.isclose(blocked_volume(blocked, blocked.layers[0]), 5 * 27e-3)
+
+
+def test_a_projected_ball_looks_like_the_ball() -> None:
+    for cam in RIG:
+        seen = np.isfinite(ball_depth(cam, CENTER, 0.2))
+        assert iou(projected(cam, GRID, ball_voxels(CENTER, 0.2)), seen) > 0.8
+
+
+def test_voxels_behind_or_beside_the_camera_do_not_project() -> None:
+    cam = RIG[0]
+    behind = GRID.indices(np.array([[0.0, 0.0, 0.4]]))
+    turned = cam.T_base_cam.copy()
+    turned[:3, :3] = turned[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+    away = type(cam)(cam.name, cam.width, cam.height, cam.K, turned)
+    assert projected(cam, GRID, behind).any()
+    assert not projected(away, GRID, behind).any()
+
+
+def test_distance_to_the_forecast_is_zero_inside_and_measured_outside() -> None:
+    index = int(GRID.indices(CENTER[None])[0])
+    center = GRID.centers(np.array([index]))
+    errors = nearest_error(GRID, layer(np.array([index])), np.concatenate([center, center + np.array([0.3, 0, 0])]))
+    assert np.allclose(errors, [0, 0.3])
+    assert np.isinf(nearest_error(GRID, layer(np.zeros(0, int)), center)).all()
+
+
+def test_colours_are_told_apart_across_the_end_of_the_hue_circle() -> None:
+    rgb = np.array([[[255, 100, 20], [255, 0, 30], [30, 60, 255], [120, 110, 100]]], np.uint8)
+    assert colour_mask(rgb, 8).tolist() == [[True, False, False, False]]
+    assert colour_mask(rgb, 179).tolist() == [[False, True, False, False]]
+
+
+class BallTruth:
+    """The same voxels at every time."""
+
+    def points(self, stamp: int) -> np.ndarray | None:
+        return GRID.centers(ball_voxels(CENTER))
+
+    def volume_l(self, stamp: int) -> float | None:
+        return len(ball_voxels(CENTER)) * 27e-3
+
+    def pixels(self, view: View) -> Bool | None:
+        return np.isfinite(ball_depth(view.camera, CENTER, 0.12))
+
+
+def test_forecasts_are_scored_when_their_time_has_come() -> None:
+    ball = ball_voxels(CENTER)
+    comparison = Comparison(BallTruth(), "half")
+    half = occupancy(ball[: len(ball) // 2], ball[: len(ball) // 2])
+    whole = occupancy(ball, ball)
+    comparison.add(state_of(0, CENTER), {"half": half, "whole": whole})
+    comparison.add(state_of(150_000_000, CENTER), {})
+    assert comparison.scores() == {}
+    comparison.add(state_of(200_000_000, CENTER), {})
+    scores = comparison.scores()
+    assert scores["whole"].recall == 1.0
+    assert scores["whole"].recall_new == 1.0
+    assert np.isclose(scores["half"].recall or 0, 0.5, atol=0.01)
+    assert scores["half"].recall_new == 0.0
+    assert np.isclose(scores["whole"].inflation or 0, 1.0)
+    assert scores["whole"].error_mm == 0.0
+    assert (scores["half"].error_mm or 0) > 0
+    assert (scores["whole"].iou or 0) > (scores["half"].iou or 1)
+
+
+def test_views_far_from_the_forecast_time_do_not_count() -> None:
+    ball = ball_voxels(CENTER)
+    comparison = Comparison(BallTruth(), "ball")
+    comparison.add(state_of(0, CENTER), {"ball": occupancy(ball, ball)})
+    comparison.add(state_of(300_000_000, CENTER), {})
+    assert comparison.scores()["ball"].iou is None
