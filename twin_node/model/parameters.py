@@ -48,9 +48,9 @@ class TrackParameters:
 class BirthParameters:
     """When Gaussians and nodes are born and die."""
 
-    per_set: int = 300
+    per_set: int = 200
     """Gaussians born per set at most."""
-    moving_share: float = 0.25
+    moving_share: float = 0.18
     """Share of the capacity that Gaussians which are not STATIC may take."""
     ray_samples: int = 24
     """Depths tried along the ray of a pixel that nothing explains."""

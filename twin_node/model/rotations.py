@@ -22,7 +22,10 @@ def quat_product(a: Tensor, b: Tensor) -> Tensor:
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
-    """Cross product [..., 3] with all of broadcasting, which `torch.linalg.cross` lacks."""
+    """Cross product [..., 3] with all of broadcasting: `torch.linalg.cross` wants equally many dimensions."""
+    if a.ndim == b.ndim:
+        crossed: Tensor = torch.linalg.cross(a, b)
+        return crossed
     ax, ay, az = a.unbind(-1)
     bx, by, bz = b.unbind(-1)
     return torch.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
