@@ -63,8 +63,6 @@ class PartVelocities:
         self._last: dict[str, tuple[int, UInt8]] = {}
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
         self._flow.setFinestScale(0)
-        self._flow.setPatchSize(5)
-        self._flow.setPatchStride(2)
 
     def update(self, state: TwinState, parts: Parts, expected: Float64) -> Float64:
         """Velocities [M, 3] in m/s; `expected` [M, 3] stands where, and along directions that, no view shows.
