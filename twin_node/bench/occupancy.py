@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from twin_node.bench.truth import TRUTH_TOPIC, ColourOf, LaterTruth, Markers, Pi
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import litres_per_voxel
-from twin_node.model import WindowModel
+from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.scene import Bool, Float64, FrameSet, Grid, TwinState
@@ -41,8 +41,8 @@ class OccupancyBenchParameters:
     """From the evidence to the publication of a forecast, ms."""
     warm_up_s: float = 0.4
     """Forecasts from the first so many seconds are made and not scored: nothing has had time to be seen moving."""
-    voxel_size: float = 0.02
-    """m."""
+    chain: ChainParameters = field(default_factory=ChainParameters)
+    """Model, arm and grid as the chain's."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,9 @@ def run(
     session = LogSession(log, parameters.rig, remaps, parameters.start_offset_s, parameters.duration_s)
     with session:
         source = LogSource(session, SynchronizerParameters(parameters.width, parameters.max_rate_hz))
-        grid = default_grid(source.workspace, parameters.voxel_size)
+        grid = default_grid(source.workspace, parameters.chain.grid.voxel_size)
         truth = _truth_of(session, markers, colour)
-        states = _states(progress(source), WindowModel().update, colour)
+        states = _states(progress(source), make_model(parameters.chain).update, colour)
         bench = score_states(states, grid, truth, parameters)
     if not bench.scores:
         raise BenchError(f"{log}: expected more than {parameters.warm_up_s + 0.2} s of images, found {bench.sets} sets")
