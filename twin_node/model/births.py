@@ -27,7 +27,7 @@ HUGE_PX = 2.5
 """1 sigma in another view's pixels at which a newborn stands too close to that camera to be real."""
 REFUTED = 10.0
 """What it costs a depth that a view sees through it: more than all other views can make good."""
-LOCALITY = 0.15
+LOCALITY = 0.3
 """What it costs to be e times as deep as the moving things already known around the pixel."""
 
 
