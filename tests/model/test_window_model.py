@@ -122,6 +122,16 @@ def test_a_camera_may_go_and_come_back() -> None:
         assert len(state.moving_masks) == len(views)
 
 
+def test_a_camera_that_comes_late_is_explained_too() -> None:
+    model = WindowModel(QUICK)
+    for index, one in enumerate(sliding(24, CAMERAS, depth=True, still=30)):
+        state = model.update(one if index > 2 else replace(one, views=one.views[:2]))
+        if index == 3:
+            early = squared_error(model.render(CAMERAS[2]).rgb, state.frames.views[2].rgb / 255).mean()
+    late = squared_error(model.render(CAMERAS[2]).rgb, state.frames.views[2].rgb / 255).mean()
+    assert psnr(late) > psnr(early) + 1
+
+
 def test_one_camera_is_enough_to_run() -> None:
     model = WindowModel(QUICK)
     for one in sliding(5, CAMERAS[:1]):

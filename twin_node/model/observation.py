@@ -50,6 +50,7 @@ class Observer:
         self._stale_s = stale_s
         self._wrong_s: dict[str, Float32] = {}
         self._misfit: dict[str, Float32] = {}
+        self._seeding = True
 
     def observe(
         self,
@@ -76,14 +77,15 @@ class Observer:
                     view, rgb, offset_s, background, mask, grown, usable, surprise, active, _nearest(view.depth), stale
                 )
             )
+        self._seeding = False
         return out
 
     def _surprise(self, name: str, rgb: Float32, background: Background) -> Float32:
-        """[H, W] what the image differs by beyond what the background's own fit leaves over."""
+        """[H, W] what the image differs by beyond what the background's own fit to the first images left over."""
         difference = _largest_channel(rgb, background.rgb)
         known = self._misfit.get(name)
         if known is None or known.shape != difference.shape:
-            known = difference
+            known = difference if self._seeding else np.zeros_like(difference)
         misfit = self._misfit[name] = np.minimum(known, difference + np.float32(MISFIT_GROWTH))
         surprise: Float32 = np.maximum(difference - misfit, np.float32(0))
         return surprise
