@@ -24,8 +24,8 @@ class CarvingParameters:
 
     sigmas: float = 2.0
     """Calibration error that the moving mask is widened by, in sigmas of `Camera.sigma_m`."""
-    assumed_sigma_m: float = 0.015
-    """Calibration error ascribed to cameras whose own is unknown, m: a careful board calibration at 2 to 4 m."""
+    assumed_sigma_m: float = 0.005
+    """Calibration error ascribed to cameras whose own is unknown, m: a careful board calibration at 2 m."""
     depth_margin: float = 0.015
     """Space is freed up to this far in front of a measured surface, m, plus `depth_share` of its depth."""
     depth_share: float = 0.01
@@ -124,11 +124,12 @@ class _Sight:
         widened = _dilate(moving, error_pixels)
         self.free_image = _free_until(view, widened | blind, blind, error_pixels, parameters)
         self.free_until = np.append(self.free_image, _NEVER)
-        flags = (widened & ~blind) * _MOVING + seen * _SEEN
+        blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
+        flags = blunt * _MOVING + seen * _SEEN
         if robot is not None:
             flags += (robot & seen) * _ROBOT
         self.flags = np.append(flags, np.uint8(0))
-        self.moving_until = _moving_until(view, moving & ~blind, parameters)
+        self.moving_until = _moving_until(view, moving, blind, error_pixels=error_pixels, parameters=parameters)
 
     def frees_blocks(self) -> Bool:
         """[blocks] True where every voxel of the block is freed."""
@@ -146,16 +147,22 @@ def _free_until(view: View, moving: Bool, blind: Bool, error_pixels: float, para
     """[H, W] depth up to which each pixel frees its ray, m."""
     if view.depth is None:
         return np.where(moving, _NEVER, _ALWAYS).astype(np.float32)
-    surface = view.depth * (1 - parameters.depth_share) - parameters.depth_margin
-    free = np.where((view.depth > 0) & ~blind, surface, _NEVER).astype(np.float32)
+    surface = np.where(view.depth > 0, view.depth * (1 - parameters.depth_share) - parameters.depth_margin, _ALWAYS)
+    nearest = cv2.erode(surface.astype(np.float32), np.ones((3, 3), np.uint8))  # single pixels lack depth everywhere
+    surface = np.where(view.depth > 0, surface, np.where(nearest < _ALWAYS, nearest, _NEVER))
+    free = np.where(blind, _NEVER, surface).astype(np.float32)
     return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 0.5 else free
 
 
-def _moving_until(view: View, moving: Bool, parameters: CarvingParameters) -> Float32 | None:
+def _moving_until(
+    view: View, moving: Bool, blind: Bool, *, error_pixels: float, parameters: CarvingParameters
+) -> Float32 | None:
     """Flat depth up to which a measured moving surface explains its ray, with the entry for outside; None: no depth."""
     if view.depth is None:
         return None
-    return np.append(np.where(moving & (view.depth > 0), view.depth + parameters.thickness, _NEVER), _NEVER)
+    until = np.where(moving & (view.depth > 0), view.depth + parameters.thickness, _NEVER).astype(np.float32)
+    widened = np.where(blind, _NEVER, cv2.dilate(until, _disk(error_pixels)))
+    return np.append(widened, _NEVER).astype(np.float32)
 
 
 def _dilate(mask: Bool, pixels: float) -> Bool:
