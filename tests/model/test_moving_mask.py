@@ -120,3 +120,44 @@ def test_depth_finds_what_colour_cannot(scene: Scene) -> None:
         if tick > 1:
             assert share(found, shape) > 0.8
     assert found.sum() < 2 * shape.sum()
+
+
+def test_a_jump_of_exposure_is_not_motion(scene: Scene) -> None:
+    for _ in range(5):
+        scene.show()
+    assert not any(scene.show(gain=1.25).any() for _ in range(10))
+
+
+def test_a_soft_shadow_is_not_motion(scene: Scene) -> None:
+    for _ in range(5):
+        scene.show()
+    for tick in range(20):
+        shade = np.ones((HEIGHT, WIDTH, 1))
+        shade[20:60, 10 + 4 * tick : 50 + 4 * tick] = 0.8
+        plain, scene.floor = scene.floor, (scene.floor * cv2.GaussianBlur(shade, (9, 9), 0)[..., None]).astype(np.uint8)
+        found = scene.show()
+        scene.floor = plain
+        assert found.mean() < 0.01
+
+
+def test_cameras_may_come_and_go(scene: Scene) -> None:
+    mask = MovingMask()
+    for tick in range(10):
+        views = [View(CAMERA, tick * STEP_NS, scene.floor)]
+        if tick % 3:
+            views.append(View(Camera("other", WIDTH, HEIGHT, np.eye(3), np.eye(4)), tick * STEP_NS, scene.floor))
+        found = mask.update(FrameSet(tick * STEP_NS, tuple(views)), [None] * len(views))
+        assert len(found) == len(views)
+        assert not any(one.any() for one in found)
+
+
+def test_pixels_without_an_image_are_never_moving(scene: Scene) -> None:
+    valid = np.ones((HEIGHT, WIDTH), np.bool_)
+    valid[:, :40] = False
+    mask = MovingMask()
+    for tick in range(12):
+        image = scene.floor.copy()
+        image[box(6 * tick)] = (230, 60, 30)
+        view = View(CAMERA, tick * STEP_NS, image, valid=valid)
+        found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
+        assert not (found & ~valid).any()
