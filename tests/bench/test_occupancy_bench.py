@@ -9,7 +9,8 @@ import pytest
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.occupancy import OccupancyBenchParameters, score_states
-from twin_node.bench.truth import ColourOf, LaterTruth, Markers, PixelTruth
+from twin_node.bench.truth import ColourOf, Markers, PixelTruth
+from twin_node.nodes.truth import LaterTruth
 from twin_node.scene import Camera, FrameSet, GaussianCloud, Grid, NodeStates, TwinState, View
 
 HEADER = (

@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bench.errors import BenchError
-from twin_node.bench.truth import TRUTH_TOPIC, ColourOf, LaterTruth, Markers, PixelTruth, VoxelTruth
+from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.nodes.topics import TRUTH_OCCUPANCY
+from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.scene import Bool, Float64, FrameSet, Grid, TwinState
 
 OURS = "ours"
@@ -134,7 +136,7 @@ def _truth_of(session: LogSession, markers: Path | None, colour: ColourOf | None
         return Markers(markers, session.span.start_ns)
     if colour is not None:
         return PixelTruth(colour)
-    if any(topic.name == TRUTH_TOPIC for topic in session.log.topics):
+    if any(topic.name == TRUTH_OCCUPANCY for topic in session.log.topics):
         return VoxelTruth(session.log)
     return LaterTruth()
 

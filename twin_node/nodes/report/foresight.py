@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from twin_node.bag import LogReader
-from twin_node.bench.truth import LaterTruth, VoxelTruth
 from twin_node.forecast import BaselineForecaster
 from twin_node.forecast.comparison import NEAR_NS, Comparison, Score
 from twin_node.forecast.score import contains, litres_per_voxel
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
+from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.scene import HORIZONS_NS, Grid, Occupancy, TwinState, UInt32
 
 OURS = "ours"

@@ -1,0 +1,96 @@
+"""What a log knows to be true of its moving things, or, for want of that, what the twin saw when the time had come."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.bag import LogReader
+from twin_node.forecast.score import litres_per_voxel
+from twin_node.messages import convert
+from twin_node.nodes.topics import TRUTH_OCCUPANCY
+from twin_node.scene import Bool, Float64, View
+
+STALE_NS = 26_000_000
+"""Truth further than this from the time asked for is none: half a period at 20 Hz."""
+
+
+class VoxelTruth:
+    """Exact moving voxels that a log carries."""
+
+    source = TRUTH_OCCUPANCY
+
+    def __init__(self, log: LogReader) -> None:
+        self._points: list[Float64] = []
+        self._volumes: list[float] = []
+        stamps = []
+        for message in log.messages([TRUTH_OCCUPANCY]):
+            occupancy = convert.occupancy_from_message(message.message)
+            stamps.append(occupancy.stamp)
+            self._points.append(occupancy.grid.centers(occupancy.layers[0].indices))
+            self._volumes.append(len(self._points[-1]) * litres_per_voxel(occupancy.grid))
+        self._stamps = np.array(stamps, dtype=np.int64)
+
+    def points(self, stamp: int) -> Float64 | None:
+        """[n, 3] centres of the moving voxels nearest in time, m."""
+        row = self._row(stamp)
+        return None if row is None else self._points[row]
+
+    def volume_l(self, stamp: int) -> float | None:
+        """Litres of the moving voxels nearest in time."""
+        row = self._row(stamp)
+        return None if row is None else self._volumes[row]
+
+    def pixels(self, view: View) -> Bool | None:
+        """Voxels have no pixels."""
+        return None
+
+    def _row(self, stamp: int) -> int | None:
+        if len(self._stamps) == 0:
+            return None
+        row = int(np.abs(self._stamps - stamp).argmin())
+        return row if abs(int(self._stamps[row]) - stamp) <= STALE_NS else None
+
+
+class LaterTruth:
+    """What the twin itself saw to move when the time had come: no independent truth, for want of a better one."""
+
+    source = "hull observed when the time had come"
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._points: list[Float64] = []
+        self._volumes: list[float] = []
+        self._masks: dict[tuple[str, int], Bool] = {}
+
+    def observe(self, stamp: int, points: Float64, volume_l: float) -> None:
+        """Remembers what was seen to move at a stamp; 64 observations are kept."""
+        self._stamps.append(stamp)
+        self._points.append(points)
+        self._volumes.append(volume_l)
+        del self._stamps[:-64], self._points[:-64], self._volumes[:-64]
+
+    def observe_mask(self, view: View, mask: Bool) -> None:
+        """Remembers the moving mask of a view; those of the last 64 views are kept."""
+        self._masks[view.camera.name, view.stamp] = mask
+        while len(self._masks) > 64:
+            del self._masks[next(iter(self._masks))]
+
+    def points(self, stamp: int) -> Float64 | None:
+        """[n, 3] centres of the voxels seen to move nearest in time, m."""
+        row = self._row(stamp)
+        return None if row is None else self._points[row]
+
+    def volume_l(self, stamp: int) -> float | None:
+        """Litres of the voxels seen to move nearest in time."""
+        row = self._row(stamp)
+        return None if row is None else self._volumes[row]
+
+    def pixels(self, view: View) -> Bool | None:
+        """[H, W] the moving mask of the view."""
+        return self._masks.get((view.camera.name, view.stamp))
+
+    def _row(self, stamp: int) -> int | None:
+        if not self._stamps:
+            return None
+        row = int(np.abs(np.array(self._stamps) - stamp).argmin())
+        return row if abs(self._stamps[row] - stamp) <= STALE_NS else None
