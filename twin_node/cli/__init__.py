@@ -1,0 +1,39 @@
+"""The command `twin_node`: a module per group of subcommands; wrong input becomes one line and exit status 2."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from twin_node import __version__
+from twin_node.cli.bench import add_bench
+from twin_node.cli.imports import add_import
+from twin_node.cli.replay import add_demo, add_replay
+from twin_node.errors import TwinError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: our products are too small to share
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except TwinError as error:
+        print(f"twin_node: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("twin_node: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="twin_node", description="A live 4D Gaussian twin of a robot cell.")
+    parser.add_argument("--version", action="version", version=f"twin_node {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    add_replay(commands)
+    add_import(commands)
+    add_demo(commands)
+    add_bench(commands)
+    return parser

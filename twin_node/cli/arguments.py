@@ -1,0 +1,51 @@
+"""Arguments that several subcommands take, and the numbers in them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+
+def add_source_options(parser: argparse.ArgumentParser) -> None:
+    """Which part of a log to read, and how."""
+    parser.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="skip the first S seconds")
+    parser.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds of the log")
+    parser.add_argument("--max-rate", type=positive, metavar="HZ", help="take at most so many image sets per second")
+    parser.add_argument("--width", type=width, metavar="PX", help="working width of the images")
+    parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    parser.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
+
+
+def positive(text: str) -> float:
+    """A number above 0."""
+    value = _number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number above 0")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """A number of 0 or more."""
+    value = _number(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
+    return value
+
+
+def width(text: str) -> int:
+    """A width in pixels."""
+    value = _number(text)
+    if value != int(value) or value < 16:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of pixels, 16 or more")
+    return int(value)
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected a finite number")
+    return value

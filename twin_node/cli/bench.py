@@ -1,0 +1,55 @@
+"""`twin_node bench`: measurements, as text or as one JSON object."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+from tqdm import tqdm
+
+from twin_node.cli.arguments import add_source_options
+
+
+def add_bench(commands: Any) -> None:
+    """Adds `bench` to the subcommands."""
+    benches = commands.add_parser("bench", help="measure").add_subparsers(required=True, metavar="WHAT")
+    occupancy = benches.add_parser("occupancy", help="score a log's forecasts, beside the baselines")
+    occupancy.add_argument("log", type=Path, metavar="LOG")
+    occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
+    occupancy.add_argument("--hue", type=int, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
+    occupancy.add_argument("--json", action="store_true", help="print one JSON object")
+    add_source_options(occupancy)
+    occupancy.set_defaults(run=_bench_occupancy)
+    raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
+    raster.add_argument("--json", action="store_true", help="print one JSON object")
+    raster.set_defaults(run=_bench_raster)
+
+
+def _bench_occupancy(options: argparse.Namespace) -> None:
+    from twin_node.bench.occupancy import OccupancyBenchParameters, run
+    from twin_node.bench.truth import ColourOf
+    from twin_node.nodes.log_source import DEFAULT_WIDTH
+    from twin_node.nodes.topics import parse_remaps
+
+    parameters = OccupancyBenchParameters(
+        width=options.width or DEFAULT_WIDTH,
+        max_rate_hz=options.max_rate,
+        rig=options.rig,
+        remaps=parse_remaps(options.remap),
+        start_offset_s=options.start_offset,
+        duration_s=options.duration,
+    )
+    colour = None if options.hue is None else ColourOf(options.hue)
+    bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
+    figures = bench.as_json()
+    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+
+
+def _bench_raster(options: argparse.Namespace) -> None:
+    from twin_node.bench import raster
+
+    report = raster.run()
+    print(json.dumps(report) if options.json else raster.table(report))

@@ -1,0 +1,42 @@
+"""`twin_node import`: foreign recordings become logs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+
+def add_import(commands: Any) -> None:
+    """Adds `import` to the subcommands."""
+    importers = commands.add_parser("import", help="turn foreign recordings into logs")
+    kinds = importers.add_subparsers(required=True, metavar="KIND")
+    video = kinds.add_parser("video", help="calibrated videos, as a rig file names them")
+    video.add_argument("rig", type=Path, metavar="RIG.yaml", help="rig file: calibration/README.md documents it")
+    video.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap")
+    video.set_defaults(run=_import_video)
+
+
+def _import_video(options: argparse.Namespace) -> None:
+    from twin_node.bag.import_video import VideoCamera, import_video
+    from twin_node.rig import load_rig
+    from twin_node.rig.stamps import read_stamps
+
+    rig_file = load_rig(options.rig)
+    cameras = [
+        VideoCamera(camera, source.video, None if source.stamps is None else read_stamps(source.stamps), source.fps)
+        for camera, source in zip(rig_file.rig.cameras, rig_file.videos(), strict=True)
+    ]
+    with tqdm(unit="frame", desc="import", disable=None) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        imported = import_video(cameras, options.output, show, workspace=rig_file.rig.workspace)
+    for warning in imported.warnings:
+        print(f"twin_node: warning: {warning}", file=sys.stderr)
+    print(f"{options.output}: {sum(imported.frames)} images of {len(cameras)} cameras")

@@ -1,0 +1,105 @@
+"""`twin_node replay` and `twin_node demo`: the twin on a log, recorded or made."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import add_source_options, positive
+from twin_node.errors import TwinError
+
+
+def add_replay(commands: Any) -> None:
+    """Adds `replay` to the subcommands."""
+    replay = commands.add_parser("replay", help="run the twin on a recorded log")
+    replay.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    replay.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="write the /twin topics here")
+    replay.add_argument("--report", type=Path, metavar="DIR", help="write report.json and report.html here")
+    pace = replay.add_mutually_exclusive_group()
+    pace.add_argument("--rate", type=positive, default=1.0, metavar="R", help="speed of the clock (default 1)")
+    pace.add_argument("--lockstep", action="store_true", help="every set in turn, repeatable to the byte")
+    add_source_options(replay)
+    replay.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file")
+    replay.set_defaults(run=_replay)
+
+
+def add_demo(commands: Any) -> None:
+    """Adds `demo` to the subcommands."""
+    demo = commands.add_parser("demo", help="make a log of a simulated cell and replay it")
+    demo.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for log and report")
+    demo.set_defaults(run=_demo)
+
+
+def _replay(options: argparse.Namespace) -> None:
+    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.topics import parse_remaps
+
+    parameters = _with_source_options(load_parameters(options.params), options)
+    _check_output(options.output, options.log)
+    session = _open_session(options, parse_remaps(options.remap))
+    _run(session, parameters, None if options.lockstep else options.rate, options.output, options.report)
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from twin_node.cell import load_scenario, write_log
+    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.log_source import LogSession
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    log = options.out / "demo.mcap"
+    with tqdm(unit="image", desc="simulate", disable=None) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        write_log(load_scenario("demo"), log, show)
+    parameters = load_parameters(Path("launch/demo.yaml"))
+    _run(LogSession(log), parameters, 1.0, options.out / "twin.mcap", options.out / "report")
+
+
+def _run(session: Any, parameters: Any, rate: float | None, output: Path | None, report: Path | None) -> None:
+    """Replay a session with a progress bar, then write its report, and say where everything is."""
+    from twin_node.nodes.chain import make_model
+    from twin_node.nodes.replay import replay
+    from twin_node.nodes.report import STEPS, write_report
+
+    with session, tqdm(total=round(session.span.seconds, 2), unit="s", desc="replay", disable=None) as bar:
+
+        def show(seconds: float) -> None:
+            bar.update(min(seconds, session.span.seconds) - bar.n)
+
+        with replay(session, parameters, rate, output, report is not None, show) as run:
+            bar.close()
+            if run.damage:
+                print(f"twin_node: warning: {run.damage}", file=sys.stderr)
+            print(f"{session.log.path}: {run.sets} sets, {run.dropped} dropped, in {run.seconds:.1f} s")
+            if output is not None:
+                print(f"topics: {output}")
+            if report is not None:
+                with tqdm(total=STEPS, desc="report", unit="step", disable=None) as steps:
+                    write_report(run, session, lambda: make_model(parameters), report, steps.update)
+                print(f"report: {report / 'report.html'}")
+
+
+def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> Any:
+    from twin_node.nodes.log_source import LogSession
+
+    return LogSession(options.log, options.rig, remaps, options.start_offset, options.duration)
+
+
+def _with_source_options(parameters: Any, options: argparse.Namespace) -> Any:
+    """Chain parameters with the command line's width and rate in place of the file's."""
+    given = {"width": options.width, "max_rate_hz": options.max_rate}
+    changed = {name: value for name, value in given.items() if value is not None}
+    return replace(parameters, synchronizer=replace(parameters.synchronizer, **changed))
+
+
+def _check_output(output: Path | None, log: Path) -> None:
+    if output is not None and output.resolve() == log.resolve():
+        raise TwinError(f"-o {output}: expected another file than the log that is read; choose a new name")
