@@ -8,6 +8,7 @@ import sys
 
 from twin_node import __version__
 from twin_node.cli.bench import add_bench
+from twin_node.cli.calibrate import add_calibrate
 from twin_node.cli.imports import add_import
 from twin_node.cli.replay import add_demo, add_replay
 from twin_node.errors import TwinError
@@ -36,4 +37,5 @@ def _parser() -> argparse.ArgumentParser:
     add_import(commands)
     add_demo(commands)
     add_bench(commands)
+    add_calibrate(commands)
     return parser

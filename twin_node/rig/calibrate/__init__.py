@@ -1,0 +1,1 @@
+"""Calibration: lenses, rigs and clocks from boards and motion."""
