@@ -72,8 +72,10 @@ class Tracks:
         places = centers - velocities * step
         shift = self._inherit(time, self._parents(places), self._parents(places, KIN), centers, velocities * step)
         self.positions = np.concatenate([self.positions + shift, centers[None]])[-KEPT:]
-        self.forecasts = self.forecasts + shift
         self.times = np.append(self.times, time)[-KEPT:]
+        made = len(self.times) - 1  # forecasts of the times before now, row for row
+        self.forecasts = (self.forecasts + shift)[len(self.forecasts) - made :]
+        self.valid_at = self.valid_at[len(self.valid_at) - made :]
         self.velocities = velocities
         self._learn_from_due_forecasts()
         self._issue(horizon_s)
@@ -115,8 +117,8 @@ class Tracks:
         at = np.array([horizon_s])
         single = [expert(self.history, at)[0] for expert in (*EXPERTS, self.autoregression.forecast)]
         places = self.positions[-1] + np.stack(single)
-        self.valid_at = np.append(self.valid_at, self.times[-1] + horizon_s)[-KEPT:]
-        self.forecasts = np.concatenate([self.forecasts, places[None]])[-KEPT:]
+        self.valid_at = np.append(self.valid_at, self.times[-1] + horizon_s)
+        self.forecasts = np.concatenate([self.forecasts, places[None]])
 
     def _learn_from_due_forecasts(self) -> None:
         """Judges the forecasts that were made for about now, and teaches the autoregression."""
