@@ -50,7 +50,6 @@ class SynchronizerNode(Node):
         self, bus: Bus, clock: Clock, cameras: tuple[CameraTopics, ...], rig: Rig, parameters: SynchronizerParameters
     ) -> None:
         super().__init__("synchronizer", bus, clock)
-        self.sets_seen = 0
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
         self._topics = {camera.name: camera for camera in cameras}
         self._offsets = {camera.name: camera.time_offset_ns for camera in rig.cameras}
@@ -118,7 +117,6 @@ class SynchronizerNode(Node):
     def _add(self, name: str, view: EncodedView) -> None:
         stamp = from_time(view.colour.header.stamp) + self._offsets[name]
         for grouped in self._synchronizer.add(name, stamp, view, max(self.clock.now(), stamp)):
-            self.sets_seen += 1
             if self._is_wanted(grouped.stamp):
                 self._publish(grouped)
 
