@@ -160,7 +160,9 @@ class CharucoBoard:
     @property
     def points(self) -> Float64:
         """[P, 3] inner corners, m."""
-        return lattice(self.columns - 1, self.rows - 1, self.square) + np.array([self.square, self.square, 0.0])
+        corners: Float64 = lattice(self.columns - 1, self.rows - 1, self.square)
+        corners[:, :2] += self.square
+        return corners
 
     @property
     def turns(self) -> int:
@@ -221,8 +223,10 @@ class AprilGrid:
         quads = self._in_order(ids, np.stack([tags[i] for i in ids]))
         if quads is None:
             return None
+        # Kalibr's black squares at the corners push the outline off by a few pixels: first a wide window, then a small.
         pixels, sides = quads.reshape(-1, 2), np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=2)
-        refined = _refined(grey, pixels, float(sides.min()) * self.spacing)
+        gap = float(sides.min()) * self.spacing
+        refined = _refined(grey, _refined(grey, pixels, 2 * gap), gap)
         return Corners((4 * ids[:, None] + np.arange(4)).ravel(), refined)
 
     def _tags(self, grey: UInt8, border: int) -> dict[int, Float64]:
