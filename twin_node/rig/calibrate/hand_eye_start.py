@@ -1,0 +1,141 @@
+"""Closed-form hand-eye calibration, and how the points of a symmetrical target are numbered in each view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.rig.errors import RigError
+from twin_node.scene import Bool, Float64, RigCamera
+
+AX_XB = (cv2.CALIB_HAND_EYE_PARK, cv2.CALIB_HAND_EYE_TSAI, cv2.CALIB_HAND_EYE_DANIILIDIS)
+ROBOT_WORLD = (cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI)
+NO_DOUBT = np.radians(5)
+"""A numbering is taken for certain where the next best fits the turn of the robot worse by this much."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The unknown poses of `T_camera_target = X^-1 G Y`."""
+
+    X: Float64
+    """[4, 4] pose of the camera in what carries it."""
+    Y: Float64
+    """[4, 4] pose of the target in what carries it."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """What the robot and the camera say at N stops, of a target of P points."""
+
+    carried: Float64
+    """[N, 4, 4] the known G: what carries the target as seen from what carries the camera."""
+    pixels: Float64
+    """[N, P, 2] raw pixels of the target's points, OpenCV convention."""
+
+    def chosen(self, rows: Bool) -> Stops:
+        """The stops under this mask [N]."""
+        return Stops(self.carried[rows], self.pixels[rows])
+
+
+def offsets(camera: RigCamera, target: Float64, stops: Stops, loop: Loop) -> Float64:
+    """[N, P, 2] pixels from where the target is seen to where the loop puts it; `target` [P, 3] m."""
+    poses = inverse_pose(loop.X) @ stops.carried @ loop.Y
+    points = np.einsum("nij,pj->npi", poses[:, :3, :3], target) + poses[:, None, :3, 3]
+    out: Float64 = raw_pixels(camera, points.reshape(-1, 3)).reshape(stops.pixels.shape) - stops.pixels
+    return out
+
+
+def numbered_alike(camera: RigCamera, target: Float64, stops: Stops) -> Stops:
+    """The stops with every view's pixels numbered from the same corner of a target that looks alike from several.
+
+    First the views whose turn since the first view leaves no doubt, then all by the calibration that these give.
+    """
+    turns = target_symmetries(target)
+    if len(turns) == 1:
+        return stops
+    candidates = _target_poses(camera, target, stops)[:, None] @ turns  # [N, S, 4, 4]
+    turned = _angles(stops.carried[:1, :3, :3].swapaxes(1, 2) @ stops.carried[:, :3, :3])
+    looked = _angles(candidates[:1, :1, :3, :3].swapaxes(2, 3) @ candidates[..., :3, :3])
+    off = np.abs(looked - turned[:, None])
+    ranked = np.sort(off, axis=1)
+    rows = np.flatnonzero(ranked[:, 1] - ranked[:, 0] > NO_DOUBT)
+    for _ in range(2):
+        if len(rows) < 3:
+            break
+        poses = candidates[rows, off.argmin(1)[rows]]
+        loop = closed_form(camera, target, Stops(stops.carried[rows], _reordered(camera, target, stops, poses, rows)))
+        expected = inverse_pose(loop.X) @ stops.carried @ loop.Y
+        off = _angles(expected[:, None, :3, :3].swapaxes(2, 3) @ candidates[..., :3, :3])
+        rows = np.arange(len(off))
+    rows = np.arange(len(off))
+    return Stops(stops.carried, _reordered(camera, target, stops, candidates[rows, off.argmin(1)], rows))
+
+
+def target_symmetries(target: Float64) -> Float64:
+    """[S, 4, 4] turns by quarters about the axis through the centre of a flat target [P, 3] that leave it as it is."""
+    centre = (target.min(0) + target.max(0)) / 2
+    kept = []
+    for quarter in range(4):
+        R = Rotation.from_euler("z", 90 * quarter, degrees=True).as_matrix()
+        M = pose(R, centre - R @ centre)
+        distance = np.linalg.norm(transform(M, target)[:, None] - target[None], axis=2)
+        if distance.min(1).max() < 1e-6 * np.ptp(target):
+            kept.append(M)
+    return np.stack(kept)
+
+
+def closed_form(camera: RigCamera, target: Float64, stops: Stops) -> Loop:
+    """The solution that reprojects best among OpenCV's AX = XB and robot-world methods.
+
+    Raises `RigError` where none of them finds one.
+    """
+    seen, back = _target_poses(camera, target, stops), inverse_pose(stops.carried)
+    turns_seen, moves_seen = list(seen[:, :3, :3]), list(seen[:, :3, 3])
+    loops = []
+    for method in AX_XB:
+        R, t = cv2.calibrateHandEye(list(back[:, :3, :3]), list(back[:, :3, 3]), turns_seen, moves_seen, method=method)
+        X = pose(np.asarray(R), np.ravel(t))
+        if np.isfinite(X).all():
+            Ys = back @ X @ seen
+            loops.append(Loop(X, pose(Rotation.from_matrix(Ys[:, :3, :3]).mean().as_matrix(), Ys[:, :3, 3].mean(0))))
+    turns, moves = list(stops.carried[:, :3, :3]), list(stops.carried[:, :3, 3])
+    for method in ROBOT_WORLD:
+        Rw, tw, Rg, tg = cv2.calibrateRobotWorldHandEye(turns_seen, moves_seen, turns, moves, method=method)
+        X, Y = inverse_pose(pose(Rg, np.ravel(tg))), inverse_pose(pose(Rw, np.ravel(tw)))
+        if np.isfinite(X).all() and np.isfinite(Y).all():
+            loops.append(Loop(X, Y))
+    if not loops:
+        raise RigError("hand-eye: expected motions that tell the camera's pose, found none that do; add stops")
+    return min(loops, key=lambda loop: float(np.median(np.abs(offsets(camera, target, stops, loop)))))
+
+
+def _target_poses(camera: RigCamera, target: Float64, stops: Stops) -> Float64:
+    """[N, 4, 4] `T_camera_target` of every stop from its own view."""
+    out = []
+    for pixels in stops.pixels:
+        _, rvec, tvec = cv2.solvePnP(target, pixel_rays(camera, pixels), np.eye(3), np.zeros(4))
+        out.append(pose(Rotation.from_rotvec(rvec.ravel()).as_matrix(), np.asarray(tvec, np.float64).ravel()))
+    return np.stack(out)
+
+
+def _reordered(camera: RigCamera, target: Float64, stops: Stops, poses: Float64, rows: NDArray[np.intp]) -> Float64:
+    """[n, P, 2] pixels of the stops `rows` in the order that the target's points have under `poses` [n, 4, 4]."""
+    out = []
+    for pixels, T in zip(stops.pixels[rows], poses, strict=True):
+        distance = np.linalg.norm(raw_pixels(camera, transform(T, target))[:, None] - pixels[None], axis=2)
+        order = distance.argmin(1)
+        out.append(pixels[order] if len(set(order)) == len(order) else pixels)
+    return np.stack(out)
+
+
+def _angles(rotations: Float64) -> Float64:
+    """Angle (rad) of rotation matrices [..., 3, 3]."""
+    out: Float64 = np.arccos(np.clip((np.trace(rotations, axis1=-2, axis2=-1) - 1) / 2, -1, 1))
+    return out
