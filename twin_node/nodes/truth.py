@@ -12,6 +12,8 @@ from twin_node.scene import Bool, Float64, View
 
 STALE_NS = 26_000_000
 """Truth further than this from the time asked for is none: half a period at 20 Hz."""
+OBSERVED_NS = 51_000_000
+"""What the twin itself saw is taken for times this far from it: half a period where it keeps up at 10 Hz only."""
 
 
 class VoxelTruth:
@@ -93,4 +95,4 @@ class LaterTruth:
         if not self._stamps:
             return None
         row = int(np.abs(np.array(self._stamps) - stamp).argmin())
-        return row if abs(self._stamps[row] - stamp) <= STALE_NS else None
+        return row if abs(self._stamps[row] - stamp) <= OBSERVED_NS else None

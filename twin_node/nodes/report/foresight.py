@@ -11,11 +11,11 @@ import numpy as np
 
 from twin_node.bag import LogReader
 from twin_node.forecast import BaselineForecaster
-from twin_node.forecast.comparison import NEAR_NS, Comparison, Score
+from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import contains, litres_per_voxel
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.nodes.truth import LaterTruth, VoxelTruth
+from twin_node.nodes.truth import OBSERVED_NS, LaterTruth, VoxelTruth
 from twin_node.scene import HORIZONS_NS, Grid, Occupancy, TwinState, UInt32
 
 OURS = "ours"
@@ -89,9 +89,9 @@ def _observe(truth: LaterTruth, state: TwinState, grid: Grid, seen: UInt32) -> N
 def _come_due(due: deque[Occupancy], stamp: int) -> Occupancy | None:
     """The newest waiting forecast for about `stamp`, ns; it and older ones no longer wait."""
     found = None
-    while due and due[0].publish_stamp + HORIZONS_NS[-1] <= stamp + NEAR_NS:
+    while due and due[0].publish_stamp + HORIZONS_NS[-1] <= stamp + OBSERVED_NS:
         found = due.popleft()
-    if found is None or found.publish_stamp + HORIZONS_NS[-1] < stamp - NEAR_NS:
+    if found is None or found.publish_stamp + HORIZONS_NS[-1] < stamp - OBSERVED_NS:
         return None
     return found
 
