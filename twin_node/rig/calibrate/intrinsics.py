@@ -1,0 +1,203 @@
+"""Calibrates one lens from pictures of a board (Zhang's method, `cv2.calibrateCamera` and `cv2.fisheye.calibrate`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.rig.calibrate.boards import Board, Corners
+from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project_points
+from twin_node.rig.errors import RigError
+from twin_node.scene import Float64
+
+MIN_VIEWS = 3
+"""Fewest views of a plane that determine a lens (Zhang, PAMI 2000, section 3.1)."""
+
+MIN_CORNERS = 6
+"""Fewest corners of a view that say more than its six numbers of pose need."""
+
+MIN_SPREAD = 0.05
+"""Narrowest extent of a view's corners as a share of their longest: below it they lie on a line and tell no pose."""
+
+OUTLIER_FACTOR = 3.0
+"""A view whose rms is more than this times the median of all is dropped: a misread board, motion blur."""
+
+OUTLIER_FLOOR_PX = 0.5
+"""No view better than this is dropped, however good the others are."""
+
+COVERAGE_CELLS = (6, 8)
+"""Rows and columns of cells that coverage is counted in."""
+
+STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-9)
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """A board as one image shows it."""
+
+    name: str
+    """Of the image, for messages."""
+    corners: Corners
+
+
+@dataclass(frozen=True)
+class DroppedView:
+    """A view that the calibration does without."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class LensCalibration:
+    """A lens, and how well the pictures determine it."""
+
+    lens: Lens
+    sigmas: Float64 | None
+    """[4 + D] 1 sigma of `lens.parameters`; None where the model's solver does not tell (equidistant)."""
+    views: tuple[BoardView, ...]
+    """The views that were used."""
+    residuals: tuple[Float64, ...]
+    """Per view: [N, 2] found minus projected, pixels."""
+    dropped: tuple[DroppedView, ...]
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance between found and projected corners, pixels."""
+        return rms(self.residuals)
+
+    @property
+    def coverage(self) -> NDArray[np.int64]:
+        """[6, 8] corners in each cell of the image."""
+        return coverage(self.views, (self.lens.width, self.lens.height))
+
+
+def calibrate_lens(
+    board: Board,
+    views: Sequence[BoardView],
+    size: tuple[int, int],
+    model: str = "plumb_bob",
+    source: str = "images",
+) -> LensCalibration:
+    """The lens that explains the views best; views that do not fit are dropped and named.
+
+    `size`: (width, height) pixels; `source`: named in errors. Raises `RigError` for an unknown model or where too few
+    views are left.
+    """
+    if model not in COEFFICIENTS:
+        raise RigError(f"distortion model: expected one of {', '.join(COEFFICIENTS)}, found {model!r}")
+    used, dropped = _usable(board, views)
+    while True:
+        if len(used) < MIN_VIEWS:
+            raise RigError(
+                f"{source}: expected at least {MIN_VIEWS} views of the board ({board}), found {len(used)} "
+                f"among {len(views)} with a board; check the board's size and take more pictures"
+            )
+        solution = _solve(board, used, size, model, source)
+        residuals = _residuals(board, used, solution)
+        bad = _outliers(residuals)
+        if not bad.any():
+            return LensCalibration(solution.lens, solution.sigmas, tuple(used), residuals, tuple(dropped))
+        errors = [rms([r]) for r in residuals]
+        dropped += [DroppedView(used[i].name, f"rms {errors[i]:.2f} px") for i in np.flatnonzero(bad)]
+        used = [view for view, is_bad in zip(used, bad, strict=True) if not is_bad]
+
+
+def usable(board: Board, corners: Corners) -> bool:
+    """Whether corners are enough, and wide enough apart, to tell the pose of their board."""
+    if len(corners) < MIN_CORNERS:
+        return False
+    points = board.points[corners.ids, :2]
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extent[1] > MIN_SPREAD * extent[0])
+
+
+def rms(residuals: Sequence[Float64]) -> float:
+    """Root mean square length of residuals [N, 2] of several views, pixels."""
+    return float(np.sqrt(np.mean((np.concatenate(residuals) ** 2).sum(axis=1))))
+
+
+def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.int64]:
+    """[6, 8] corners of the views in each cell of an image of `size` (width, height)."""
+    pixels = np.concatenate([view.corners.pixels for view in views])
+    rows, columns = COVERAGE_CELLS
+    counts, *_ = np.histogram2d(
+        pixels[:, 1], pixels[:, 0], bins=(rows, columns), range=((-0.5, size[1] - 0.5), (-0.5, size[0] - 0.5))
+    )
+    return np.asarray(counts, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    lens: Lens
+    sigmas: Float64 | None
+    poses: Float64
+    """[V, 6] rotation vector and translation that map the board to the optical frame, per view."""
+
+
+def _usable(board: Board, views: Sequence[BoardView]) -> tuple[list[BoardView], list[DroppedView]]:
+    used = [view for view in views if usable(board, view.corners)]
+    few = [DroppedView(v.name, f"only {len(v.corners)} corners") for v in views if not usable(board, v.corners)]
+    return used, few
+
+
+def _outliers(residuals: Sequence[Float64]) -> NDArray[np.bool_]:
+    errors = np.array([rms([r]) for r in residuals])
+    return np.asarray(errors > max(OUTLIER_FACTOR * float(np.median(errors)), OUTLIER_FLOOR_PX))
+
+
+def _solve(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str, source: str) -> _Solution:
+    solve = _solve_fisheye if model == "equidistant" else _solve_pinhole
+    try:
+        return solve(board, views, size, model)
+    except cv2.error as error:
+        reason = " ".join(str(error.err or error).split())
+        raise RigError(
+            f"{source}: expected views that determine a {model} lens, found that they do not ({reason}); "
+            "take pictures of the board tilted to all sides"
+        ) from error
+
+
+def _solve_pinhole(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str) -> _Solution:
+    objects = [board.points[view.corners.ids].astype(np.float32)[:, None] for view in views]
+    pixels = [view.corners.pixels.astype(np.float32)[:, None] for view in views]
+    flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
+    _, K, D, rotations, translations, sigmas, _, _ = cv2.calibrateCameraExtended(
+        objects,
+        pixels,
+        size,
+        np.eye(3),
+        np.zeros(5),
+        flags=flags,
+        criteria=STOP,
+    )
+    count = COEFFICIENTS[model]
+    lens = Lens(*size, np.asarray(K, np.float64), model, np.asarray(D, np.float64).ravel()[:count])
+    return _Solution(lens, np.asarray(sigmas, np.float64).ravel()[: 4 + count], _poses(rotations, translations))
+
+
+def _solve_fisheye(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str) -> _Solution:
+    objects = [board.points[view.corners.ids][None] for view in views]
+    pixels = [view.corners.pixels[None] for view in views]
+    flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW
+    _, K, D, rotations, translations = cv2.fisheye.calibrate(
+        objects, pixels, size, np.eye(3), np.zeros(4), flags=flags, criteria=STOP
+    )
+    lens = Lens(*size, np.asarray(K, np.float64), model, np.asarray(D, np.float64).ravel())
+    return _Solution(lens, None, _poses(rotations, translations))
+
+
+def _poses(rotations: Sequence[object], translations: Sequence[object]) -> Float64:
+    columns = [np.asarray(part, np.float64).reshape(len(rotations), 3) for part in (rotations, translations)]
+    return np.concatenate(columns, axis=1)
+
+
+def _residuals(board: Board, views: Sequence[BoardView], solution: _Solution) -> tuple[Float64, ...]:
+    return tuple(
+        view.corners.pixels - project_points(solution.lens, pose[:3], pose[3:], board.points[view.corners.ids]).pixels
+        for view, pose in zip(views, solution.poses, strict=True)
+    )

@@ -1,0 +1,81 @@
+"""How lenses map directions to pixels: the three models of ROS, with derivatives (OpenCV's projections)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from twin_node.rig.rig_checks import DISTORTION_LENGTHS
+from twin_node.scene import Float64, RigCamera
+
+COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.items()}
+"""Distortion models and how many coefficients are calibrated of each."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics of one camera."""
+
+    width: int
+    height: int
+    K: Float64
+    """[3, 3] pixels, OpenCV convention."""
+    model: str
+    """ROS name: plumb_bob, rational_polynomial or equidistant."""
+    D: Float64
+    """Distortion coefficients in the model's own order."""
+
+    @property
+    def parameters(self) -> Float64:
+        """fx, fy, cx, cy (pixels) and the distortion coefficients, in one array [4 + D]."""
+        return np.concatenate([[self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2]], self.D])
+
+    def with_parameters(self, values: Float64) -> Lens:
+        """The lens with other `parameters`."""
+        fx, fy, cx, cy = values[:4]
+        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        return Lens(self.width, self.height, K, self.model, np.array(values[4:]))
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Where points are seen, and how that changes."""
+
+    pixels: Float64
+    """[N, 2] OpenCV convention."""
+    by_rotation: Float64
+    """[N, 2, 3] by the rotation vector that maps to the optical frame."""
+    by_translation: Float64
+    """[N, 2, 3] by the translation, pixels per metre."""
+    by_lens: Float64
+    """[N, 2, 4 + D] by `Lens.parameters`."""
+
+
+def lens_of(camera: RigCamera) -> Lens:
+    """The intrinsics of a rig's camera."""
+    return Lens(camera.width, camera.height, camera.K, camera.distortion_model, camera.D)
+
+
+def project_points(lens: Lens, rotation: Float64, translation: Float64, points: Float64) -> Projection:
+    """Pixels of points [N, 3] that a rotation vector [3] and a translation [3] map to the optical frame."""
+    if lens.model == "equidistant":
+        pixels, J = cv2.fisheye.projectPoints(points[:, None], rotation, translation, lens.K, lens.D)
+        J = np.asarray(J, dtype=np.float64).reshape(len(points), 2, -1)
+        # Order of the columns: f (2), c (2), k (4), rotation, translation, skew.
+        by_lens, by_rotation, by_translation = J[..., :8], J[..., 8:11], J[..., 11:14]
+    else:
+        pixels, J = cv2.projectPoints(points[:, None], rotation, translation, lens.K, lens.D)
+        J = np.asarray(J, dtype=np.float64).reshape(len(points), 2, -1)
+        by_lens, by_rotation, by_translation = J[..., 6 : 10 + len(lens.D)], J[..., :3], J[..., 3:6]
+    return Projection(np.asarray(pixels, np.float64).reshape(-1, 2), by_rotation, by_translation, by_lens)
+
+
+def rays_of(lens: Lens, pixels: Float64) -> Float64:
+    """Directions (x/z, y/z) [N, 2] in the optical frame of pixels [N, 2]."""
+    if lens.model == "equidistant":
+        rays = cv2.fisheye.undistortPoints(pixels[:, None], lens.K, lens.D)
+    else:
+        rays = cv2.undistortPoints(pixels[:, None], lens.K, lens.D)
+    return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
