@@ -54,21 +54,38 @@ def occupancy_from_message(message: Message) -> Occupancy:
 
 def obstacles_to_message(obstacles: Obstacles) -> Message:
     """`twin_msgs/msg/ObstacleArray` of obstacles; angular velocities are zero, because the cover does not turn."""
-    obstacle = message_type("twin_msgs/msg/Obstacle")
-    twist = message_type("geometry_msgs/msg/Twist")
+    obstacle, pose = message_type("twin_msgs/msg/Obstacle"), message_type("geometry_msgs/msg/Pose")
+    point, vector = message_type("geometry_msgs/msg/Point"), message_type("geometry_msgs/msg/Vector3")
+    quaternion, twist = message_type("geometry_msgs/msg/Quaternion"), message_type("geometry_msgs/msg/Twist")
+    times = {int(stamp): to_time(int(stamp)) for stamp in {*obstacles.valid_from, *obstacles.valid_to}}
+    still = vector(x=0.0, y=0.0, z=0.0)
+    columns = (
+        obstacles.ids,
+        obstacles.kinds,
+        obstacles.shapes,
+        obstacles.positions,
+        obstacles.quats,
+        obstacles.sizes,
+        obstacles.velocities,
+        obstacles.bounds,
+        obstacles.valid_from,
+        obstacles.valid_to,
+    )
     messages = [
         obstacle(
-            id=int(obstacles.ids[i]),
-            kind=int(obstacles.kinds[i]),
-            shape=int(obstacles.shapes[i]),
-            pose=_pose(obstacles.positions[i], obstacles.quats[i]),
-            size=_vector(obstacles.sizes[i]),
-            twist=twist(linear=_vector(obstacles.velocities[i]), angular=_vector(np.zeros(3))),
-            bound=float(obstacles.bounds[i]),
-            valid_from=to_time(int(obstacles.valid_from[i])),
-            valid_to=to_time(int(obstacles.valid_to[i])),
+            id=number,
+            kind=kind,
+            shape=shape,
+            pose=pose(position=point(*position), orientation=quaternion(x=qx, y=qy, z=qz, w=qw)),
+            size=vector(*size),
+            twist=twist(linear=vector(*velocity), angular=still),
+            bound=bound,
+            valid_from=times[valid_from],
+            valid_to=times[valid_to],
         )
-        for i in range(len(obstacles.ids))
+        for number, kind, shape, position, (qw, qx, qy, qz), size, velocity, bound, valid_from, valid_to in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
     ]
     return message_type("twin_msgs/msg/ObstacleArray")(header=header(obstacles.stamp, BASE_FRAME), obstacles=messages)
 
@@ -118,20 +135,6 @@ def _layer_from_message(message: Message, grid: Grid) -> OccupancyLayer:
             f"{grid.size} voxels; the sender is at fault"
         )
     return OccupancyLayer(horizon_ns=horizon_ns, indices=indices, probability=np.asarray(message.probability))
-
-
-def _vector(values: NDArray[np.float64]) -> Message:
-    return message_type("geometry_msgs/msg/Vector3")(x=float(values[0]), y=float(values[1]), z=float(values[2]))
-
-
-def _pose(position: NDArray[np.float64], quat: NDArray[np.float64]) -> Message:
-    w, x, y, z = (float(v) for v in quat)
-    return message_type("geometry_msgs/msg/Pose")(
-        position=message_type("geometry_msgs/msg/Point")(
-            x=float(position[0]), y=float(position[1]), z=float(position[2])
-        ),
-        orientation=message_type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w),
-    )
 
 
 def _xyz(message: Message) -> list[float]:
