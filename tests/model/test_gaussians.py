@@ -35,17 +35,24 @@ def test_more_births_than_room_fill_the_room_and_no_more() -> None:
     assert sorted(store.ids.tolist()) == [0, 2, 3, 4, 5]
 
 
+def descend(store: Gaussians, rows: torch.Tensor, gradient: torch.Tensor, rate: float) -> None:
+    """One step, stored."""
+    descent = store.descent(rows)
+    descent.step(gradient, torch.full_like(gradient, rate))
+    descent.end()
+
+
 def test_a_non_finite_step_is_not_taken() -> None:
     store = Gaussians(3, torch.device("cpu"))
     rows = store.spawn(newborns(3), 1)
     before = store.values.clone()
     gradient = torch.ones(3, 14)
     gradient[1, 4] = torch.nan
-    store.descend(rows, gradient, torch.full((3, 14), 0.01))
+    descend(store, rows, gradient, 0.01)
     assert torch.equal(store.values[1], before[1])
     assert not torch.equal(store.values[0], before[0])
     assert store.refused == 1
-    store.descend(rows, torch.ones(3, 14), torch.full((3, 14), 0.01))
+    descend(store, rows, torch.ones(3, 14), 0.01)
     assert torch.isfinite(store.values).all()
     assert store.refused == 1
 
@@ -54,11 +61,11 @@ def test_steps_keep_colours_and_sizes_in_bounds() -> None:
     store = Gaussians(2, torch.device("cpu"))
     rows = store.spawn(newborns(2), 1)
     for _ in range(50):
-        store.descend(rows, -torch.ones(2, 14), torch.full((2, 14), 0.2))
+        descend(store, rows, -torch.ones(2, 14), 0.2)
     assert store.values[:, RGB].max() == 1
     assert store.values[:, LOG_SCALE].exp().max() < 0.025
     for _ in range(100):
-        store.descend(rows, torch.ones(2, 14), torch.full((2, 14), 0.2))
+        descend(store, rows, torch.ones(2, 14), 0.2)
     assert store.values[:, RGB].min() == 0
     assert store.values[:, LOG_SCALE].exp().min() > 4e-4
 

@@ -71,6 +71,9 @@ class FlowSolver:
     def __init__(self) -> None:
         self._engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         self._engine.setFinestScale(0)
+        self._engine.setPatchStride(4)
+        self._engine.setGradientDescentIterations(12)
+        self._engine.setVariationalRefinementIterations(1)
 
     def flow(self, rendering: Rendering, observed: Observed) -> Float32:
         """[H, W, 2] pixels from where the rendering shows a thing to where the image does; 0 far from what moves."""

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from twin_node.geometry import project
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look, pixel_rays
@@ -23,8 +24,6 @@ OCCLUSION = 0.03
 the footprint of two pixels and 60 degrees field of view."""
 BENEATH = 0.005
 """How far under the plane, in radii of the shell, a point may lie: what the plane's fit and the calibration leave."""
-CULL_PX = 4
-"""Gaussians with a smaller radius show only this close to their centre."""
 REFRESH_SETS = 3
 """Sets between renderings of a background that changes: it changes slowly, and 10 Hz will do."""
 
@@ -46,8 +45,8 @@ class Background:
     """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
     static: Seen
     """Where the STATIC Gaussians, `Backgrounds.rows`, fall."""
-    radii_px: Float64
-    """[n] pixels from its centre at which each of them ends."""
+    reach_px: Float32
+    """[n] pixels that each of them reaches into the image from `static`'s row and column; negative: not at all."""
 
     def occluded(self, seen: Seen) -> Bool:
         """[n] points that something STATIC stands before."""
@@ -103,7 +102,7 @@ class Backgrounds:
                 known.rays if known is not None and same else pixel_rays(camera),
                 surface,
                 static,
-                reach * camera.K[0, 0] / np.maximum(static.depth, 0.02),
+                _reach_px(camera, static, means, reach),
             )
         self._changed = False
         self._age = 0
@@ -112,9 +111,9 @@ class Backgrounds:
         """[k] those of `rows` that can show in the `active` pixels [H, W] of some view."""
         shown = np.zeros(len(self.rows), bool)
         for background, mask in zip(backgrounds, active, strict=True):
+            apart = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
             seen = background.static
-            close = grow(mask, CULL_PX)[seen.rows, seen.columns] & seen.inside
-            shown |= close | ((background.radii_px > CULL_PX) & (seen.depth > 0.02))
+            shown |= background.reach_px + 1 > apart[seen.rows, seen.columns]
         return self.rows[torch.from_numpy(shown).to(self.rows.device)]
 
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
@@ -127,6 +126,14 @@ class Backgrounds:
         shell = self._shell.depth(camera)
         plane = shell if self._plane is None else self._plane.depth(camera)
         return np.where((plane > 0.05) & (plane < shell), plane, shell)
+
+
+def _reach_px(camera: Camera, seen: Seen, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Float32:
+    """[n] pixels that spheres of `radii` (m) at `points` [n, 3] reach into the image from its pixel next to them."""
+    uv = project(camera.K, camera.viewmat, points)[:, :2]
+    outside = np.square(uv - 0.5 - np.stack([seen.columns, seen.rows], -1)).sum(-1) * ~seen.inside
+    square = (radii * camera.K[0, 0] / np.maximum(seen.depth, 0.02)) ** 2 - outside
+    return np.where((square > 0) & (seen.depth > 0.02), np.sqrt(np.maximum(square, 0)), -1.0).astype(np.float32)
 
 
 def on_surface(backgrounds: Sequence[Background]) -> Bool:

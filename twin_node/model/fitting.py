@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,13 +12,14 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.backgrounds import grow
-from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians
+from twin_node.model.carriage import carry
+from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians, activated
 from twin_node.model.motion import Motion
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
 from twin_node.model.rays import look
-from twin_node.model.rendering import Rendering, join, render
-from twin_node.scene import Bool, View
+from twin_node.model.rendering import Rendering, Sheet, Splats, by_size, draw, join, split
+from twin_node.scene import Bool, Camera, Float32, View
 
 RATES = torch.zeros(WIDTH)
 RATES[MEAN] = 0.08
@@ -33,67 +34,80 @@ REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 0.5
 """Share of the mean's rate while things move: motion belongs to the nodes, and what is left over to the shape."""
+DEPTH_WEIGHT = 0.2
+"""Weight of a metre of depth error beside the photometric loss."""
 
 
 @dataclass(frozen=True)
-class Target:
-    """What the rendering of one view is held to."""
+class Targets:
+    """What the renderings of cameras of one size are held to."""
 
     rgb: Tensor
-    """[H, W, 3] 0 to 1."""
+    """[C, H, W, 3] 0 to 1."""
     weights: Tensor | None
-    """[H, W]; None: all pixels count alike."""
+    """[C, H, W]; None: all pixels count alike."""
     depth: Tensor | None
-    """[H, W] m, 0 where unknown."""
+    """[C, H, W] m, 0 where unknown; None where no view measures it."""
 
 
-def target_of(view: View, device: torch.device, mask: Bool | None = None) -> Target:
-    """The view's image (and depth, where it has one) inside `mask` [H, W] and its valid pixels."""
-    chosen = view.valid if mask is None else (mask if view.valid is None else mask & view.valid)
-    return Target(
-        torch.from_numpy(view.rgb).to(device).float() / 255,
-        None if chosen is None else torch.from_numpy(chosen).to(device).float(),
-        None if view.depth is None else torch.from_numpy(view.depth).to(device),
-    )
+def targets_of(views: Sequence[View], masks: Sequence[Bool | None], device: torch.device) -> list[Targets]:
+    """The views' images (and depths) inside `masks` [H, W] and their valid pixels, one record per size of image.
 
-
-def photometric(renderings: Sequence[Rendering], targets: Sequence[Target]) -> Tensor:
-    """Sum over views of 0.8 L1 + 0.2 (1 - SSIM), and Huber-free L1 on depth where it is measured."""
-    total = renderings[0].rgb.new_zeros(())
-    for rendering, target in zip(renderings, targets, strict=True):
-        weights = None if target.weights is None else target.weights[None]
-        depth = None if target.depth is None else rendering.depth[None]
-        goal = None if target.depth is None else target.depth[None]
-        total = total + splat.image_loss(
-            rendering.rgb[None],
-            target.rgb[None],
-            weights=weights,
-            depth=depth,
-            target_depth=goal,
-            depth_weight=0.0 if depth is None else 0.2,
+    Each view weighs the same, however few of its pixels count.
+    """
+    out = []
+    for chosen in by_size([view.camera for view in views]):
+        part = [views[i] for i in chosen]
+        counted = [_counted(views[i], masks[i]) for i in chosen]
+        depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in part]
+        out.append(
+            Targets(
+                torch.from_numpy(np.stack([view.rgb for view in part])).to(device).float() / 255,
+                None if all(one is None for one in counted) else torch.from_numpy(_weights(part, counted)).to(device),
+                None if all(view.depth is None for view in part) else torch.from_numpy(np.stack(depths)).to(device),
+            )
         )
+    return out
+
+
+def _counted(view: View, mask: Bool | None) -> Bool | None:
+    if mask is None or view.valid is None:
+        return view.valid if mask is None else mask
+    return mask & view.valid
+
+
+def _weights(views: Sequence[View], counted: Sequence[Bool | None]) -> Float32:
+    """[C, H, W] ones where pixels count, scaled so that each view's add up to the same."""
+    masks = [np.ones(v.rgb.shape[:2], bool) if m is None else m for v, m in zip(views, counted, strict=True)]
+    return np.stack([mask / np.float32(max(mask.mean(), 1 / mask.size)) for mask in masks]).astype(np.float32)
+
+
+def photometric(sheets: Sequence[Sheet], targets: Sequence[Targets]) -> Tensor:
+    """Sum over views of 0.8 L1 + 0.2 (1 - SSIM), and Huber-free L1 on depth where it is measured."""
+    total = sheets[0].rgbd.new_zeros(())
+    for sheet, target in zip(sheets, targets, strict=True):
+        loss = splat.image_loss(
+            sheet.rgbd,
+            target.rgb,
+            weights=target.weights,
+            target_depth=target.depth,
+            depth_weight=0.0 if target.depth is None else DEPTH_WEIGHT,
+        )
+        total = total + len(sheet.indices) * loss
     return total
 
 
 def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
     """Fits every Gaussian, none of which moves, to one set of views."""
-    rows = torch.nonzero(gaussians.alive)[:, 0]
-    targets = [target_of(view, gaussians.values.device) for view in views]
-    cameras = [view.camera for view in views]
+    targets = targets_of(views, [None] * len(views), gaussians.values.device)
+    goal = _Goal([view.camera for view in views], None, targets)
+    descent = gaussians.descent(torch.nonzero(gaussians.alive)[:, 0])
     for step in range(steps):
-        values = gaussians.values[rows].requires_grad_()
-        torch.autograd.backward(photometric(render(gaussians.standing(values), cameras), targets))
-        decay = 0.1 ** (step / steps)
-        _descend(gaussians, rows, values, decay, 1.0)
-
-
-def _descend(gaussians: Gaussians, rows: Tensor, values: Tensor, factor: float, mean_share: float) -> None:
-    gradient = values.grad
-    if gradient is None or not len(rows):
-        return
-    rates = (RATES.to(values.device) * factor).expand(len(rows), -1).clone()
-    rates[:, MEAN] *= mean_share * gaussians.values[rows, LOG_SCALE].exp().mean(-1, keepdim=True)
-    gaussians.descend(rows, gradient, rates)
+        splats = gaussians.standing(descent.values)
+        descent.step(
+            _to_columns(splats, _differentiate(splats, goal).gradient), _rates(descent.values, 0.1 ** (step / steps))
+        )
+    descent.end()
 
 
 def fit_window(
@@ -103,34 +117,121 @@ def fit_window(
     near: Tensor,
     revised: Tensor,
     parameters: TrackParameters,
-) -> None:
+) -> list[Rendering]:
     """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
 
     Each view is fitted at its own time. `near` are other rows that can show, which are not touched. Where a node is
-    DEFORMABLE the field learns along.
+    DEFORMABLE the field learns along. Returns what the views saw before the last step; empty where nothing learns.
     """
-    device = gaussians.values.device
     rows = torch.cat([gaussians.moving_rows, revised])
-    if not len(rows):
-        return
-    kept = near[~torch.isin(near, revised)]
+    if not len(rows) or not parameters.steps:
+        return []
+    offsets = [one.offset_s for one in observed]
+    poses, stamps = motion.poses(offsets), motion.stamps(offsets)
+    goal = _goal(gaussians, observed, revised)
+    with torch.no_grad():
+        static = motion.place(gaussians, near[~torch.isin(near, revised)], poses, stamps)
+    carriage = carry(poses, gaussians.nodes[rows])
+    descent = gaussians.descent(rows)
+    rates = _rates(descent.values, parameters.learning_rate)
+    rates[:, MEAN] *= CANONICAL_SHARE
+    sheets: list[Sheet] = []
+    for _ in range(parameters.steps):
+        values = descent.values.detach().requires_grad_(motion.bends)
+        means, quats = motion.canonical(values, gaussians, rows, stamps)
+        with torch.no_grad():
+            moving = activated(values, carriage.means(means), carriage.quats(quats))
+        seen = _differentiate(join(static, moving), goal)
+        sheets = seen.sheets
+        gradient = _tail(seen.gradient, len(rows))
+        local = replace(
+            gradient,
+            means=carriage.means_gradient(gradient.means),
+            quats=carriage.quats_gradient(gradient.quats),
+        )
+        columns = _to_columns(moving, local)
+        if motion.bends:
+            _learn_field(motion, means, quats, local)
+            assert values.grad is not None
+            columns[:, : LOG_SCALE.start] = values.grad[:, : LOG_SCALE.start]
+        descent.step(columns, rates)
+    descent.end()
+    return split(sheets)
+
+
+@dataclass(frozen=True)
+class _Goal:
+    """What is fitted to: the views' cameras, the pixels that count, and what they should show."""
+
+    cameras: Sequence[Camera]
+    masks: Sequence[Bool] | None
+    targets: Sequence[Targets]
+
+
+def _goal(gaussians: Gaussians, observed: Sequence[Observed], revised: Tensor) -> _Goal:
+    """The active pixels, and those around the STATIC Gaussians `revised` [r]."""
     masks = [one.active for one in observed]
     if len(revised):
         points = gaussians.values[revised, MEAN].cpu().numpy()
         masks = [mask | (_footprint(one, points) & one.usable) for mask, one in zip(masks, observed, strict=True)]
-    targets = [target_of(one.view, device, mask) for one, mask in zip(observed, masks, strict=True)]
-    cameras = [one.view.camera for one in observed]
-    offsets = [one.offset_s for one in observed]
-    poses, stamps = motion.poses(offsets), motion.stamps(offsets)
-    with torch.no_grad():
-        static = motion.place(gaussians, kept, poses, stamps)
-    for _ in range(parameters.steps):
-        values = gaussians.values[rows].requires_grad_()
-        splats = join(static, motion.place_values(values, gaussians, rows, poses, stamps))
-        loss = photometric(render(splats, cameras, masks), targets)
-        torch.autograd.backward(loss + REGULARITY * motion.field.regularity() if motion.bends else loss)
-        motion.descend()
-        _descend(gaussians, rows, values, parameters.learning_rate, CANONICAL_SHARE)
+    views = [one.view for one in observed]
+    return _Goal([view.camera for view in views], masks, targets_of(views, masks, gaussians.values.device))
+
+
+@dataclass(frozen=True)
+class _Differentiated:
+    sheets: list[Sheet]
+    gradient: Splats
+    """Of the photometric loss with respect to the Gaussians that were drawn."""
+
+
+def _differentiate(splats: Splats, goal: _Goal) -> _Differentiated:
+    leaf = Splats(*(field.detach().requires_grad_() for field in vars(splats).values()))
+    sheets = draw(leaf, goal.cameras, goal.masks)
+    torch.autograd.backward(photometric(sheets, goal.targets))
+    grads = [torch.zeros_like(field) if field.grad is None else field.grad for field in vars(leaf).values()]
+    detached = [replace(sheet, rgbd=sheet.rgbd.detach(), alpha=sheet.alpha.detach()) for sheet in sheets]
+    return _Differentiated(detached, Splats(*grads))
+
+
+def _tail(splats: Splats, count: int) -> Splats:
+    """The last `count` Gaussians."""
+    start = splats.means.shape[1] - count
+    return Splats(
+        splats.means[:, start:],
+        splats.quats[:, start:],
+        splats.scales[start:],
+        splats.opacities[start:],
+        splats.rgb[start:],
+    )
+
+
+def _learn_field(motion: Motion, means: Tensor, quats: Tensor, gradient: Splats) -> None:
+    """Sends `gradient` with respect to bent `means` and `quats` on to what they were bent from, and steps the field."""
+    shaped = [gradient.means, gradient.quats] if means.ndim == 3 else [gradient.means.sum(0), gradient.quats.sum(0)]
+    torch.autograd.backward([means, quats], shaped)
+    torch.autograd.backward(REGULARITY * motion.field.regularity())
+    motion.descend()
+
+
+def _to_columns(splats: Splats, gradient: Splats) -> Tensor:
+    """[n, 14] gradient with respect to `Gaussians.values`, from that with respect to the `splats` they stand for."""
+    logit = gradient.opacities * splats.opacities * (1 - splats.opacities)
+    columns = [
+        gradient.means.sum(0),
+        gradient.quats.sum(0),
+        gradient.scales * splats.scales,
+        logit[:, None],
+        gradient.rgb,
+    ]
+    return torch.cat(columns, 1)
+
+
+def _rates(values: Tensor, factor: float) -> Tensor:
+    """[n, 14] Adam's rates of Gaussians `values` [n, 14]."""
+    rates = (RATES.to(values.device) * factor).repeat(len(values), 1)
+    rates[:, MEAN] *= values[:, LOG_SCALE].exp().mean(-1, keepdim=True)
+    return rates
 
 
 def _footprint(one: Observed, points: NDArray[np.floating]) -> Bool:

@@ -47,6 +47,11 @@ class Newborns:
         return torch.cat([self.means, self.quats, self.scales.log(), opacity.logit(), self.rgb], 1)
 
 
+def activated(values: Tensor, means: Tensor, quats: Tensor) -> Splats:
+    """Gaussians with the sizes, opacities and colours of `values` [n, 14], at `means` and `quats` [T, n, ...]."""
+    return Splats(means, quats, values[:, LOG_SCALE].exp(), values[:, LOGIT.start].sigmoid(), values[:, RGB])
+
+
 class Gaussians:
     """Structure of arrays of fixed capacity; nothing is ever reallocated, so a long run cannot grow.
 
@@ -99,10 +104,7 @@ class Gaussians:
     @staticmethod
     def standing(values: Tensor) -> Splats:
         """Attributes `values` [n, 14] of Gaussians without a node, as they stand in `base_link`."""
-        opacities = values[:, LOGIT][:, 0].sigmoid()
-        return Splats(
-            values[None, :, MEAN], values[None, :, QUAT], values[:, LOG_SCALE].exp(), opacities, values[:, RGB]
-        )
+        return activated(values, values[None, :, MEAN], values[None, :, QUAT])
 
     def count(self, tier: Tier) -> int:
         """Living Gaussians of a tier."""
@@ -150,21 +152,47 @@ class Gaussians:
         self.moment2[rows] = 0
         self.steps[rows] = 0
 
-    def descend(self, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """One Adam step (Kingma and Ba, 2015) on `rows` [n] only, gradient and rates [n, 14]."""
-        self.steps[rows] += 1
-        m = self.moment1[rows].lerp_(gradient, 0.1)
-        v = self.moment2[rows].lerp_(gradient.square(), 0.01)
-        k = self.steps[rows][:, None].to(m.dtype)
-        update = (m / (1 - 0.9**k)) / ((v / (1 - 0.99**k)).sqrt() + 1e-12)
-        self.moment1[rows] = m
-        self.moment2[rows] = v
-        values = self.values[rows] - rates * update
-        values[:, LOG_SCALE] = values[:, LOG_SCALE].clamp(max=self.largest[rows, None]).clamp(min=SMALLEST)
-        values[:, RGB] = values[:, RGB].clamp(0, 1)
-        bad = ~torch.isfinite(values).all(1)
-        if bool(bad.any()):
-            values = torch.where(bad[:, None], self.values[rows], values)
-            self.forget_moments(rows[bad])
-            self.refused += int(bad.sum())
-        self.values[rows] = values
+    def descent(self, rows: Tensor) -> Descent:
+        """Adam steps on `rows` [n] only; what they lead to is stored by `Descent.end`."""
+        return Descent(self, rows)
+
+
+class Descent:
+    """Several steps of Adam (Kingma and Ba, 2015) on the same rows of one store."""
+
+    def __init__(self, gaussians: Gaussians, rows: Tensor) -> None:
+        self._store = gaussians
+        self._rows = rows
+        self._ceiling = gaussians.largest[rows, None]
+        self._moment1, self._moment2 = gaussians.moment1[rows], gaussians.moment2[rows]
+        self._steps = gaussians.steps[rows]
+        self.values = gaussians.values[rows]
+        """[n, 14] as they are now."""
+
+    def step(self, gradient: Tensor, rates: Tensor) -> None:
+        """One step down `gradient` [n, 14] at `rates` [n, 14].
+
+        Rows that would not stay finite keep their values and forget their moments.
+        """
+        self._steps = self._steps + 1
+        k = self._steps[:, None].to(gradient.dtype)
+        m = self._moment1.lerp_(gradient, 0.1)
+        v = self._moment2.mul_(0.99).addcmul_(gradient, gradient, value=0.01)
+        update = (m / (1 - 0.9**k)).div_((v / (1 - 0.99**k)).sqrt_().add_(1e-12))
+        values = self.values - update.mul_(rates)
+        scales, rgb = values[:, LOG_SCALE], values[:, RGB]
+        torch.minimum(scales, self._ceiling, out=scales)
+        scales.clamp_(min=SMALLEST)
+        rgb.clamp_(0, 1)
+        if not bool(torch.isfinite(values).all()):
+            bad = ~torch.isfinite(values).all(1)
+            values[bad] = self.values[bad]
+            self._moment1[bad], self._moment2[bad], self._steps[bad] = 0, 0, 0
+            self._store.refused += int(bad.sum())
+        self.values = values
+
+    def end(self) -> None:
+        """Stores values and moments."""
+        store, rows = self._store, self._rows
+        store.values[rows] = self.values
+        store.moment1[rows], store.moment2[rows], store.steps[rows] = self._moment1, self._moment2, self._steps

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from twin_node.model.carriage import carry
 from twin_node.model.field import HexPlane
-from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, Gaussians
+from twin_node.model.gaussians import MEAN, QUAT, Gaussians, activated
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rendering import Splats
-from twin_node.model.rotations import quat_from_vector, quat_product, rotate
+from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.scene import Tier
 
 GRID_RATE, DECODER_RATE = 1.6e-3, 1.6e-4
@@ -50,19 +51,31 @@ class Motion:
         self, values: Tensor, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]
     ) -> Splats:
         """The same with attributes `values` [n, 14] in place of those stored: where a gradient is wanted."""
-        times = len(stamps)
-        means = values[:, MEAN].expand(times, -1, -1)
-        quats = values[:, QUAT].expand(times, -1, -1)
+        means, quats = self.canonical(values, gaussians, rows, stamps)
         carriers = gaussians.nodes[rows]
-        if self.bends:
-            means, quats = self._bend(means, quats, carriers, gaussians.tiers[rows], stamps)
         if bool((carriers >= 0).any()):
-            carried = (carriers >= 0)[None, :, None]
-            row = carriers.clamp_min(0).cpu()
-            turn = poses.quats[:, row].to(values)
-            means = torch.where(carried, rotate(turn, means) + poses.positions[:, row].to(values), means)
-            quats = torch.where(carried, quat_product(turn, quats), quats)
-        return Splats(means, quats, values[:, LOG_SCALE].exp(), values[:, LOGIT][:, 0].sigmoid(), values[:, RGB])
+            carriage = carry(poses, carriers)
+            means, quats = carriage.means(means), carriage.quats(quats)
+        else:
+            means, quats = means.expand(len(stamps), -1, -1), quats.expand(len(stamps), -1, -1)
+        return activated(values, means, quats)
+
+    def canonical(self, values: Tensor, gaussians: Gaussians, rows: Tensor, stamps: list[int]) -> tuple[Tensor, Tensor]:
+        """Means [n, 3] and quaternions [n, 4] in the nodes' frames; [T, n, ...] where the field bends some of them."""
+        means, quats = values[:, MEAN], values[:, QUAT]
+        if not self.bends:
+            return means, quats
+        chosen = torch.nonzero(gaussians.tiers[rows] == int(Tier.DEFORMABLE))[:, 0]
+        if not len(chosen):
+            return means, quats
+        anchors = self.nodes.anchors[gaussians.nodes[rows[chosen]].cpu()].to(means)
+        residual = self.field.residual(means[chosen] + anchors, stamps)
+        turned = quat_product(quat_from_vector(residual.rotations), quats[chosen])
+        times = len(stamps)
+        return (
+            means.expand(times, -1, -1).clone().index_add(1, chosen, residual.offsets),
+            quats.expand(times, -1, -1).clone().index_copy(1, chosen, turned),
+        )
 
     def slide(self, stamp: int) -> None:
         """The window now ends at `stamp` (ns)."""
@@ -75,18 +88,3 @@ class Motion:
         if gradients and all(bool(torch.isfinite(g).all()) for g in gradients):
             self._optimiser.step()
         self._optimiser.zero_grad()
-
-    def _bend(
-        self, means: Tensor, quats: Tensor, carriers: Tensor, tiers: Tensor, stamps: list[int]
-    ) -> tuple[Tensor, Tensor]:
-        """Means [T, n, 3] and quaternions [T, n, 4] with the residual of the DEFORMABLE ones added."""
-        chosen = torch.nonzero(tiers == int(Tier.DEFORMABLE))[:, 0]
-        if not len(chosen):
-            return means, quats
-        anchors = self.nodes.anchors[carriers[chosen].cpu()].to(means)
-        residual = self.field.residual(means[0, chosen] + anchors, stamps)
-        turned = quat_product(quat_from_vector(residual.rotations), quats[:, chosen])
-        return (
-            means.clone().index_add(1, chosen, residual.offsets),
-            quats.clone().index_copy(1, chosen, turned),
-        )

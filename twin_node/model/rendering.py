@@ -41,11 +41,24 @@ class Rendering:
     """[H, W] 0 to 1."""
 
 
+@dataclass(frozen=True)
+class Sheet:
+    """Images of cameras of one size, rasterised together."""
+
+    indices: list[int]
+    """Which cameras, in order."""
+    rgbd: Tensor
+    """[C, H, W, 4] colour 0 to 1 on black, and expected depth, m; 0 where nothing is."""
+    alpha: Tensor
+    """[C, H, W] 0 to 1."""
+
+
 def join(a: Splats, b: Splats) -> Splats:
-    """Both sets of Gaussians, those of `a` first."""
+    """Both sets of Gaussians, those of `a` first; one of the two may hold one time for all of the other's."""
+    times = max(a.means.shape[0], b.means.shape[0])
     return Splats(
-        torch.cat([a.means, b.means], 1),
-        torch.cat([a.quats, b.quats], 1),
+        torch.cat([a.means.expand(times, -1, -1), b.means.expand(times, -1, -1)], 1),
+        torch.cat([a.quats.expand(times, -1, -1), b.quats.expand(times, -1, -1)], 1),
         torch.cat([a.scales, b.scales]),
         torch.cat([a.opacities, b.opacities]),
         torch.cat([a.rgb, b.rgb]),
@@ -57,30 +70,52 @@ def render(splats: Splats, cameras: Sequence[Camera], masks: Sequence[Bool] | No
 
     Cameras of one size are rasterised together. Pixels outside `masks` (each [H, W]) cost nothing and are black.
     """
-    out: list[Rendering | None] = [None] * len(cameras)
-    for size in dict.fromkeys((camera.width, camera.height) for camera in cameras):
-        chosen = [i for i, camera in enumerate(cameras) if (camera.width, camera.height) == size]
-        part = _rasterise(splats, [cameras[i] for i in chosen], chosen, [masks[i] for i in chosen] if masks else None)
-        for index, rendering in zip(chosen, part, strict=True):
-            out[index] = rendering
-    return [rendering for rendering in out if rendering is not None]
+    return split(draw(splats, cameras, masks))
 
 
-def _rasterise(splats: Splats, cameras: list[Camera], times: list[int], masks: list[Bool] | None) -> list[Rendering]:
+def draw(splats: Splats, cameras: Sequence[Camera], masks: Sequence[Bool] | None = None) -> list[Sheet]:
+    """The same as one sheet per size of image."""
+    return [
+        _rasterise(splats, [cameras[i] for i in chosen], chosen, None if masks is None else [masks[i] for i in chosen])
+        for chosen in by_size(cameras)
+    ]
+
+
+def by_size(cameras: Sequence[Camera]) -> list[list[int]]:
+    """Indices of the cameras of each size of image."""
+    sizes = [(camera.width, camera.height) for camera in cameras]
+    return [[i for i, own in enumerate(sizes) if own == size] for size in dict.fromkeys(sizes)]
+
+
+def split(sheets: Sequence[Sheet]) -> list[Rendering]:
+    """One rendering per camera, in order."""
+    out = {
+        index: Rendering(sheet.rgbd[i, ..., :3], sheet.rgbd[i, ..., 3], sheet.alpha[i])
+        for sheet in sheets
+        for i, index in enumerate(sheet.indices)
+    }
+    return [out[index] for index in range(len(out))]
+
+
+def _rasterise(splats: Splats, cameras: list[Camera], times: list[int], masks: list[Bool] | None) -> Sheet:
     device, count = splats.means.device, len(cameras)
     if splats.means.shape[1] == 0:
-        nothing = splats.means.new_zeros(cameras[0].height, cameras[0].width)
-        return [Rendering(nothing[..., None].repeat(1, 1, 3), nothing, nothing) for _ in cameras]
+        nothing = splats.means.new_zeros(count, cameras[0].height, cameras[0].width, 4)
+        return Sheet(times, nothing, nothing[..., 0])
     viewmats = torch.from_numpy(np.stack([camera.viewmat for camera in cameras])).to(device, torch.float32)
     Ks = torch.from_numpy(np.stack([camera.K for camera in cameras])).to(device, torch.float32)
-    at = slice(None) if splats.means.shape[0] == 1 or count == splats.means.shape[0] else times
+    means, quats = splats.means, splats.quats
+    if means.shape[0] == 1:
+        means, quats = means[0], quats[0]
+    elif means.shape[0] != count:
+        means, quats = means[times], quats[times]
     mask = None if masks is None else torch.from_numpy(np.stack(masks)).to(device)[:, None]
     renders, alphas, _ = splat.rasterize(
-        splats.means[at].expand(count, -1, -1),
-        splats.quats[at].expand(count, -1, -1),
-        splats.scales.expand(count, -1, -1),
-        splats.opacities.expand(count, -1),
-        splats.rgb.expand(count, -1, -1),
+        means,
+        quats,
+        splats.scales,
+        splats.opacities,
+        splats.rgb,
         viewmats[:, None],
         Ks[:, None],
         cameras[0].width,
@@ -88,4 +123,4 @@ def _rasterise(splats: Splats, cameras: list[Camera], times: list[int], masks: l
         render_mode="RGB+ED",
         pixel_mask=mask,
     )
-    return [Rendering(renders[i, 0, ..., :3], renders[i, 0, ..., 3], alphas[i, 0, ..., 0]) for i in range(count)]
+    return Sheet(times, renders[:, 0], alphas[:, 0, ..., 0])

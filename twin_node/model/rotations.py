@@ -43,6 +43,23 @@ def rotate(q: Tensor, v: Tensor) -> Tensor:
     return v + w * t + cross(u, t)
 
 
+def left_product(q: Tensor) -> Tensor:
+    """Matrices [..., 4, 4] L of quaternions q [..., 4] with `L p = q p`."""
+    w, x, y, z = q.unbind(-1)
+    columns = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
+    return torch.stack([torch.stack(column, -1) for column in columns], -1)
+
+
+def rotation_matrix(q: Tensor) -> Tensor:
+    """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
+    w, u = q[..., 0, None, None], q[..., 1:]
+    x, y, z = u.unbind(-1)
+    o = torch.zeros_like(x)
+    cross_matrix = torch.stack([torch.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
+    matrix: Tensor = torch.eye(3, dtype=q.dtype, device=q.device) + 2 * (w * cross_matrix + cross_matrix @ cross_matrix)
+    return matrix
+
+
 def quat_from_vector(omega: Tensor) -> Tensor:
     """Unit quaternions [..., 4] of rotation vectors [..., 3] in rad (exponential map, smooth at zero)."""
     half = omega / 2

@@ -55,11 +55,10 @@ class Tracker:
             self._links.drive(frames.joints, dt_s)
         renderings = self._align(observed, dt_s)
         self._judge_static(observed, renderings)
-        self._fit(observed)
         self._bury_moving(observed)
         g = self._gaussians
         self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
-        born = self._bear(observed)
+        born = self._bear(observed, self._fit(observed) or renderings)
         self._nodes.remember()
         return born
 
@@ -116,14 +115,18 @@ class Tracker:
         housed = carriers >= 0
         self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
 
-    def _fit(self, observed: Sequence[Observed]) -> None:
-        """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps."""
+    def _fit(self, observed: Sequence[Observed]) -> list[Rendering]:
+        """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps.
+
+        Returns what the views saw before the last of them; empty where nothing learns.
+        """
         chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
         revised = self._living(self._backgrounds.rows[chosen])
         near = self._near(observed)
-        fit_window(self._gaussians, self._motion, observed, near, revised, self._parameters.track)
+        seen = fit_window(self._gaussians, self._motion, observed, near, revised, self._parameters.track)
         if len(revised):
             self._backgrounds.mark()
+        return seen
 
     def _bury_moving(self, observed: Sequence[Observed]) -> None:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
@@ -141,9 +144,8 @@ class Tracker:
         empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
         self._nodes.retire(torch.nonzero(empty)[:, 0])
 
-    def _bear(self, observed: Sequence[Observed]) -> int:
-        """Gaussians and nodes for what is still unexplained; returns how many Gaussians."""
-        renderings = self._look(observed, self._moving(observed))
+    def _bear(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> int:
+        """Gaussians and nodes for what `renderings` leave unexplained; returns how many Gaussians."""
         births = find_births(observed, renderings, self._parameters.track.residual, self._parameters.birth)
         if not len(births):
             return 0

@@ -1,0 +1,61 @@
+"""Gaussians carried from the frames of their nodes to `base_link`, and gradients carried back: linear both ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node.model.nodes import Poses
+from twin_node.model.rotations import left_product, rotation_matrix
+
+
+@dataclass(frozen=True)
+class Carriage:
+    """What the poses of their nodes do to n Gaussians at each of T times."""
+
+    turns: Tensor
+    """[T, n, 3, 3] rotation of the node."""
+    shifts: Tensor
+    """[T, n, 3] m, position of the node."""
+    products: Tensor
+    """[T, n, 4, 4] the quaternion product with the node's rotation."""
+
+    def means(self, local: Tensor) -> Tensor:
+        """[T, n, 3] m in `base_link` of means [n, 3] or [T, n, 3] in the nodes' frames."""
+        return _apply(self.turns, local) + self.shifts
+
+    def quats(self, local: Tensor) -> Tensor:
+        """[T, n, 4] in `base_link` of quaternions [n, 4] or [T, n, 4] in the nodes' frames."""
+        return _apply(self.products, local)
+
+    def means_gradient(self, gradient: Tensor) -> Tensor:
+        """[T, n, 3] gradient with respect to what `means` was given, from that [T, n, 3] with respect to its result."""
+        return _apply(self.turns.transpose(-1, -2), gradient)
+
+    def quats_gradient(self, gradient: Tensor) -> Tensor:
+        """[T, n, 4] gradient with respect to what `quats` was given, from that [T, n, 4] with respect to its result."""
+        return _apply(self.products.transpose(-1, -2), gradient)
+
+
+def carry(poses: Poses, carriers: Tensor) -> Carriage:
+    """The carriage of Gaussians whose nodes are `carriers` [n]; -1 stands still in `base_link`."""
+    times = poses.positions.shape[0]
+    rest = poses.quats.new_tensor([1.0, 0, 0, 0]).expand(times, 1, 4)
+    quats = torch.cat([poses.quats, rest], 1).to(carriers.device)
+    positions = torch.cat([poses.positions, poses.positions.new_zeros(times, 1, 3)], 1).to(carriers.device)
+    row = carriers.remainder(quats.shape[1])  # -1 is the row at rest
+    return Carriage(
+        rotation_matrix(quats).float().index_select(1, row),
+        positions.float().index_select(1, row),
+        left_product(quats).float().index_select(1, row),
+    )
+
+
+def _apply(matrices: Tensor, vectors: Tensor) -> Tensor:
+    """Matrices [T, n, k, k] times vectors [n, k] or [T, n, k], by columns: batched products of this size crawl."""
+    out = matrices[..., 0] * vectors[..., :1]
+    for column in range(1, matrices.shape[-1]):
+        out = torch.addcmul(out, matrices[..., column], vectors[..., column, None])
+    return out
