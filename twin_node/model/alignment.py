@@ -17,8 +17,9 @@ from torch import Tensor
 
 from twin_node.model.evidence import Fits
 from twin_node.model.observation import Observed
+from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Splats
-from twin_node.scene import Bool, Float32
+from twin_node.scene import Bool, Camera, Float32, Float64
 
 ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
 """m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""
@@ -57,12 +58,18 @@ class Twists:
 
 @dataclass(frozen=True)
 class _Linear:
-    jacobian: Tensor
+    """Observations of the n Gaussians that show in one view."""
+
+    nodes: NDArray[np.int64]
+    """[n] rows of the nodes that carry them."""
+    jacobian: Float64
     """[n, 3, 12] pixels per m, rad and strain; the last row is depth, of which `DEPTH_SHARE` counts as a pixel."""
-    error: Tensor
+    error: Float64
     """[n, 3] pixels; 0 in the last where no depth is measured."""
-    weight: Tensor
-    """[n] 0 where a Gaussian does not show."""
+    weight: Float64
+    """[n] 0 to 1."""
+    opacities: Float64
+    """[n] 0 to 1."""
 
 
 class FlowSolver:
@@ -107,17 +114,18 @@ def solve_twists(
     carried = torch.nonzero(nodes >= 0)[:, 0]
     stride = max(len(carried) // MOST_OBSERVATIONS, 1)
     carried = carried[::stride]
-    opacities = moving.opacities.detach().cpu()[carried].double() * stride
+    carriers = nodes[carried].numpy()
+    means = moving.means.detach().cpu()[:, carried].double().numpy()
+    opacities = moving.opacities.detach().cpu()[carried].double().numpy()
     for index, one in enumerate(observed):
-        at = moving.means[index, carried].detach().cpu().double()
-        linear = _linearise(one, renderings[index], flows[index], at, origins[index, nodes[carried]])
-        normal.add(nodes[carried], linear, linear.weight * opacities / (SHARED_BY * sigma_px**2))
+        group = _Group(carriers, means[index], means[index] - origins[index].double().numpy()[carriers], opacities)
+        normal.add(_linearise(one, renderings[index], flows[index], group), stride / (SHARED_BY * sigma_px**2))
     step = max(dt_s, 1e-3) ** 2 / 2
-    motion = torch.tensor([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
+    motion = np.array([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
     rigid = normal.solve(6, motion)
-    strained = normal.solve(12, torch.cat([motion, torch.full((6,), STRAIN)]))
+    strained = normal.solve(12, np.concatenate([motion, np.full(6, STRAIN)]))
     sigmas = rigid.covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
-    fits = Fits(rigid.cost, strained.cost, normal.count)
+    fits = Fits(rigid.cost, strained.cost, torch.from_numpy(normal.count))
     return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits)
 
 
@@ -149,82 +157,106 @@ class _Normal:
     """Normal equations of every node: 3 parameters of translation, 3 of rotation, 6 of strain."""
 
     def __init__(self, count: int) -> None:
-        self.H = torch.zeros(count, 12, 12, dtype=torch.float64)
-        self.g = torch.zeros(count, 12, dtype=torch.float64)
-        self.squares = torch.zeros(count, dtype=torch.float64)
-        self.count = torch.zeros(count, dtype=torch.float64)
+        self.H = np.zeros((count, 12, 12))
+        self.g = np.zeros((count, 12))
+        self.squares = np.zeros(count)
+        self.count = np.zeros(count)
 
-    def add(self, nodes: Tensor, linear: _Linear, weight: Tensor) -> None:
-        """Takes in observations [n] of `nodes` [n]."""
-        WJ = (linear.jacobian * weight[:, None, None]).transpose(1, 2)
-        self.H.index_add_(0, nodes, WJ @ linear.jacobian)
-        self.g.index_add_(0, nodes, (WJ @ linear.error[..., None])[..., 0])
-        self.squares.index_add_(0, nodes, weight * linear.error.square().sum(-1))
-        self.count.index_add_(0, nodes, 2 * linear.weight / SHARED_BY)
+    def add(self, linear: _Linear, scale: float) -> None:
+        """Takes in the observations of one view, each of weight `scale` times opacity and its own."""
+        if not len(linear.nodes):
+            return
+        weight = linear.weight * linear.opacities * scale
+        root = np.sqrt(weight)
+        order = np.argsort(linear.nodes, kind="stable")
+        J = (linear.jacobian * root[:, None, None])[order]
+        error = (linear.error * root[:, None])[order]
+        present, starts = np.unique(linear.nodes[order], return_index=True)
+        for node, start, end in zip(present, starts, [*starts[1:], len(order)], strict=True):
+            rows = J[start:end].reshape(-1, 12)
+            self.H[node] += rows.T @ rows
+            self.g[node] += rows.T @ error[start:end].ravel()
+        size = len(self.count)
+        squares = weight * np.square(linear.error).sum(-1)
+        self.squares += np.bincount(linear.nodes, weights=squares, minlength=size)
+        self.count += np.bincount(linear.nodes, weights=2 * linear.weight / SHARED_BY, minlength=size)
 
-    def solve(self, size: int, sigmas: Tensor) -> _Solved:
+    def solve(self, size: int, sigmas: NDArray[np.float64]) -> _Solved:
         """The most likely motion in the first `size` parameters, whose own 1 sigma are `sigmas` [size]."""
-        H = self.H[:, :size, :size] + torch.diag(1 / sigmas.double() ** 2)
-        covariance = torch.linalg.inv(H)
+        covariance = np.linalg.inv(self.H[:, :size, :size] + np.diag(1 / sigmas**2))
         g = self.g[:, :size]
         solution = (covariance @ g[..., None])[..., 0]
-        return _Solved(solution, covariance, self.squares - (g * solution).sum(-1))
+        cost = self.squares - (g * solution).sum(-1)
+        return _Solved(torch.from_numpy(solution), torch.from_numpy(covariance), torch.from_numpy(cost))
 
 
-def _linearise(one: Observed, rendering: Rendering, flow: Float32, at: Tensor, origins: Tensor) -> _Linear:
-    """How the pixels and depths of Gaussians at `at` [n, 3], turning about `origins` [n, 3], move with their nodes."""
+@dataclass(frozen=True)
+class _Group:
+    """Carried Gaussians at one view's time."""
+
+    nodes: NDArray[np.int64]
+    """[n] rows of the nodes that carry them."""
+    means: Float64
+    """[n, 3] m."""
+    arms: Float64
+    """[n, 3] m from their nodes."""
+    opacities: Float64
+    """[n] 0 to 1."""
+
+
+def _linearise(one: Observed, rendering: Rendering, flow: Float32, group: _Group) -> _Linear:
+    """How the pixels and depths of those of `group` that show move with their nodes."""
     camera = one.view.camera
-    R = torch.from_numpy(camera.viewmat[:3, :3])
-    x = at @ R.T + torch.from_numpy(camera.viewmat[:3, 3])
-    z = x[:, 2].clamp_min(1e-3)
-    fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
-    u, v = fx * x[:, 0] / z + float(camera.K[0, 2]), fy * x[:, 1] / z + float(camera.K[1, 2])
-    column, row = u.floor().long(), v.floor().long()
-    seen = (x[:, 2] > 0.02) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
-    shown = rendering.depth.detach().cpu().double()
-    seen &= ((z - shown[row, column]).abs() < SHOWN * z) & torch.from_numpy(one.near_moving & one.usable)[row, column]
-    zero, one_ = torch.zeros_like(z), torch.ones_like(z)
+    seen = look(camera, group.means)
+    shown = rendering.depth.detach().cpu().numpy()
+    visible = seen.inside & (one.near_moving & one.usable)[seen.rows, seen.columns]
+    visible &= np.abs(seen.depth - shown[seen.rows, seen.columns]) < SHOWN * seen.depth
+    at = np.flatnonzero(visible)
+    row, column = seen.rows[at], seen.columns[at]
     depth_error, scale = _depth_error(one, shown, flow)
-    projection = torch.stack(
-        [
-            torch.stack([fx / z, zero, -fx * x[:, 0] / z**2], -1),
-            torch.stack([zero, fy / z, -fy * x[:, 1] / z**2], -1),
-            torch.stack([zero, zero, one_ * scale[row, column]], -1),
-        ],
-        1,
-    )
-    error = torch.cat([torch.from_numpy(flow).double(), depth_error[..., None]], -1)[row, column]
-    weight = seen * _confidence(one, rendering, flow)[row, column]
-    weight = weight * (HUBER_PX / error.norm(dim=-1).clamp_min(HUBER_PX))
-    to_pixels = projection @ R
-    arm = (at - origins.double())[:, None].expand(-1, 3, -1)
-    strain = to_pixels @ _strains(arm[:, 0])
-    return _Linear(torch.cat([to_pixels, torch.linalg.cross(arm, to_pixels), strain], -1), error, weight)
+    to_pixels = _to_pixels(camera, group.means[at], scale[row, column])
+    arm = group.arms[at]
+    error = np.concatenate([flow, depth_error[..., None]], -1)[row, column].astype(np.float64)
+    huber = HUBER_PX / np.maximum(np.linalg.norm(error, axis=-1), HUBER_PX)
+    weight = _confidence(one, rendering, flow)[row, column] * huber
+    turned = np.cross(arm[:, None], to_pixels)
+    jacobian = np.concatenate([to_pixels, turned, _strained(to_pixels, arm)], -1)
+    return _Linear(group.nodes[at], jacobian, error, weight, group.opacities[at])
 
 
-def _strains(arm: Tensor) -> Tensor:
-    """[n, 3, 6] displacement of points at `arm` [n, 3] from their node under each symmetric strain of one."""
-    x, y, z = arm.unbind(-1)
-    o = torch.zeros_like(x)
-    columns = [(x, o, o), (o, y, o), (o, o, z), (y, x, o), (z, o, x), (o, z, y)]
-    return torch.stack([torch.stack(column, -1) for column in columns], -1)
+def _to_pixels(camera: Camera, points: Float64, scale: NDArray[np.floating]) -> Float64:
+    """[n, 3, 3] pixels (u, v, and depth times `scale` [n]) per m of points [n, 3]."""
+    R = camera.viewmat[:3, :3]
+    x = points @ R.T + camera.viewmat[:3, 3]
+    z = x[:, 2]
+    u = camera.K[0, 0] / z[:, None] * (R[0] - (x[:, 0] / z)[:, None] * R[2])
+    v = camera.K[1, 1] / z[:, None] * (R[1] - (x[:, 1] / z)[:, None] * R[2])
+    return np.stack([u, v, scale[:, None] * R[2]], 1)
 
 
-def _depth_error(one: Observed, shown: Tensor, flow: Float32) -> tuple[Tensor, Tensor]:
+def _strained(to_pixels: Float64, arm: Float64) -> Float64:
+    """[n, 3, 6] pixels per strain xx, yy, zz, xy, xz, yz of points at `arm` [n, 3] from their node."""
+    x, y, z = arm.T[..., None]
+    a, b, c = np.moveaxis(to_pixels, -1, 0)
+    return np.stack([a * x, b * y, c * z, a * y + b * x, a * z + c * x, b * z + c * y], -1)
+
+
+def _depth_error(one: Observed, shown: Float32, flow: Float32) -> tuple[Float32, Float32]:
     """[H, W] measured depth at the flow's end less the depth `shown` [H, W] in pixels, and pixels per m (0: none)."""
     if one.view.depth is None:
-        return torch.zeros_like(shown), torch.zeros_like(shown)
-    end = torch.from_numpy(_at_the_end(one.view.depth, flow, cv2.INTER_NEAREST)).double()
-    scale = torch.where((end > 0) & (shown > 0), 1 / (DEPTH_SHARE * shown.clamp_min(0.05)), 0.0)
+        return np.zeros_like(shown), np.zeros_like(shown)
+    end = _at_the_end(one.view.depth, flow, cv2.INTER_NEAREST)
+    known = (end > 0) & (shown > 0)
+    scale = np.where(known, 1 / (DEPTH_SHARE * np.maximum(shown, 0.05)), 0).astype(np.float32)
     return (end - shown) * scale, scale
 
 
-def _confidence(one: Observed, rendering: Rendering, flow: Float32) -> Tensor:
+def _confidence(one: Observed, rendering: Rendering, flow: Float32) -> Float32:
     """[H, W] 0 to 1: whether the image shows at the flow's end what the rendering shows at its start."""
     arrived = _at_the_end(one.rgb, flow, cv2.INTER_LINEAR)
-    difference = torch.from_numpy(arrived) - rendering.rgb.detach().cpu()
-    return torch.exp(-(difference.square().mean(-1) / COLOUR_SIGMA**2)).double()
+    difference = arrived - rendering.rgb.detach().cpu().numpy()
+    confidence: Float32 = np.exp(-np.square(difference).mean(-1) / np.float32(COLOUR_SIGMA**2))
+    return confidence
 
 
 def _at_the_end(image: Float32, flow: Float32, interpolation: int) -> Float32:

@@ -28,14 +28,24 @@ def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii
     """
     refuted = np.zeros(len(carried), bool)
     for one, at in zip(observed, means, strict=True):
-        axes = one.view.camera.T_base_cam[:3, :2].T
+        seen = look(one.view.camera, at)
+        reach_px = radii * one.view.camera.K[0, 0] / np.maximum(seen.depth, 0.02)
+        carried_pixels, free_pixels = one.usable & ~one.near_moving, one.usable & ~one.active
         for share in RIM:
-            seen = look(one.view.camera, at + radii[:, None] * (share @ axes))
-            visible = seen.inside & ~one.background.occluded(seen) & one.usable[seen.rows, seen.columns]
-            held = np.where(carried, one.near_moving[seen.rows, seen.columns], one.active[seen.rows, seen.columns])
-            refuted |= visible & ~held
-        refuted |= _seen_through(one, look(one.view.camera, at))
+            rim = _beside(seen, share[0] * reach_px, share[1] * reach_px, one.usable.shape)
+            empty = np.where(carried, carried_pixels[rim.rows, rim.columns], free_pixels[rim.rows, rim.columns])
+            refuted |= rim.inside & ~one.background.occluded(rim) & empty
+        refuted |= _seen_through(one, seen)
     return refuted
+
+
+def _beside(seen: Seen, right: Float64, down: Float64, shape: tuple[int, ...]) -> Seen:
+    """The pixels `right` and `down` [n] of where points fall, at the same depth."""
+    columns = seen.columns + np.clip(np.rint(right), -1e6, 1e6).astype(np.int64)
+    rows = seen.rows + np.clip(np.rint(down), -1e6, 1e6).astype(np.int64)
+    inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
+    clipped = np.clip(rows, 0, shape[0] - 1), np.clip(columns, 0, shape[1] - 1)
+    return Seen(clipped[1], clipped[0], seen.depth, inside & seen.inside)
 
 
 @dataclass(frozen=True)
