@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_voxels, camera, pixels_of, state_of
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_depth, ball_voxels, camera, pixels_of, state_of
 
 from twin_node.forecast.carving import Carved, Carver
 from twin_node.forecast.tables import RigTables
@@ -108,3 +108,45 @@ def test_a_camera_whose_calibration_changes_gets_a_new_table() -> None:
     before = tables.of(RIG[0])
     assert tables.of(replace(RIG[0])) is before
     assert tables.of(camera(RIG[0].name, np.array([0.5, 1.9, 1.0]))) is not before
+
+
+def test_a_measured_thing_is_not_much_thicker_than_it_is_wide() -> None:
+    """A thin ball in front of one depth camera: its shadow is unknown, not moving."""
+    center, radius = np.array([0.3, 0.0, 0.5]), 0.05
+    carved = carve(state_of(0, center, radius=radius, cameras=RIG[:1], with_depth=True))
+    away = center - RIG[0].T_base_cam[:3, 3]
+    behind = GRID.indices((center + 0.25 * away / np.linalg.norm(away))[None])
+    assert np.isin(ball_voxels(center, radius), carved.moving).all()
+    assert np.isin(behind, carved.unknown).all()
+
+
+def test_a_thing_ends_where_its_backdrop_was_seen() -> None:
+    """A small ball close before a large one that stands: the inside of the large one does not move."""
+    large, small = np.array([0.0, 0.0, 0.45]), np.array([0.4, 0.0, 0.5])
+
+    def seen(stamp: int, center: np.ndarray | None) -> TwinState:
+        state = state_of(stamp, center, radius=0.1, cameras=RIG[:1], with_depth=True)
+        view = state.frames.views[0]
+        assert view.depth is not None
+        view = replace(view, depth=np.minimum(view.depth, ball_depth(view.camera, large, 0.3)))
+        return replace(state, frames=replace(state.frames, views=(view,)))
+
+    carver = Carver(RigTables(GRID))
+    alone = carver.carve(seen(0, small), 0.0)
+    carver.carve(seen(33_000_000, None), 0.0)
+    before = carver.carve(seen(66_000_000, small), 0.0)
+    inside = ball_voxels(large, 0.2)
+    assert np.isin(inside, alone.moving).any()
+    assert not np.isin(inside, before.moving).any()
+    assert np.isin(ball_voxels(small, 0.08), before.moving).all()
+
+
+def test_colour_that_changes_on_a_measured_surface_does_not_move() -> None:
+    """A shadow on the floor: the moving mask shows it, the depth says that nothing stands out from the floor."""
+    carver = Carver(RigTables(GRID))
+    still = state_of(0, None, with_depth=True)
+    carver.carve(still, 0.0)
+    shadow = np.zeros((HEIGHT, WIDTH), np.bool_)
+    shadow[HEIGHT // 2 :, WIDTH // 3 : WIDTH // 2] = True
+    carved = carver.carve(replace(still, stamp=33_000_000, moving_masks=(shadow,) * len(RIG)), 0.0)
+    assert len(carved.moving) == 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.tables import REACHES, VOXELS, CameraTable, RigTables
 from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
@@ -24,14 +26,16 @@ class CarvingParameters:
 
     sigmas: float = 2.0
     """Calibration error that the moving mask is widened by, in sigmas of `Camera.sigma_m`."""
-    assumed_sigma_m: float = 0.005
-    """Calibration error ascribed to cameras whose own is unknown, m: a careful board calibration at 2 m."""
+    assumed_sigma_m: float = 0.003
+    """Calibration error ascribed to cameras whose own is unknown, m: what the real rigs of `calibration/` have."""
     depth_margin: float = 0.015
     """Space is freed up to this far in front of a measured surface, m, plus `depth_share` of its depth."""
     depth_share: float = 0.01
     """Depth error as a share of depth."""
     thickness: float = 0.3
-    """Depth behind a measured moving surface that may belong to the thing, m; a torso from front to back."""
+    """Most depth behind a measured moving surface that may belong to the thing, m; a torso from front to back."""
+    thickness_share: float = 1.25
+    """A thing is at most this many times as thick as it is wide in the image, plus `depth_margin`."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +55,25 @@ class Carver:
         self.parameters = parameters or CarvingParameters()
         self._tables = tables
         self._blocks = tables.blocks
+        self._backdrops = Backdrops()
+        self._last: tuple[TwinState, list[_Sight]] | None = None
 
     def carve(self, state: TwinState, speed: float) -> Carved:
-        """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps."""
+        """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
+
+        States come in rising order of stamps: what each depth camera saw behind moving things before is remembered.
+        """
+        self._backdrops.update(state)
         sights = self._sights(state, speed)
+        self._last = (state, sights)
         return self._decide(self._undecided_blocks(sights), sights)
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n]."""
         places = self._blocks.locate(indices)
         freed = np.zeros(len(indices), np.bool_)
-        for sight in self._sights(state, 0.0):
+        sights = self._last[1] if self._last is not None and self._last[0] is state else self._sights(state, 0.0)
+        for sight in sights:
             seen = sight.table.at(places)
             freed |= seen.depth < sight.free_until[seen.pixels]
         return freed
@@ -73,7 +85,8 @@ class Carver:
             error = self.parameters.sigmas * (view.camera.sigma_m or self.parameters.assumed_sigma_m)
             error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
-            sights.append(_Sight(table, view, moving, robot, error_pixels=pixels, parameters=self.parameters))
+            backdrop = self._backdrops.of(view)
+            sights.append(_Sight(table, view, moving, robot, backdrop, error_pixels=pixels, parameters=self.parameters))
         return sights
 
     def _undecided_blocks(self, sights: list[_Sight]) -> NDArray[np.int64]:
@@ -114,6 +127,7 @@ class _Sight:
         view: View,
         moving: Bool,
         robot: Bool | None,
+        backdrop: Float32,
         *,
         error_pixels: float,
         parameters: CarvingParameters,
@@ -129,7 +143,8 @@ class _Sight:
         if robot is not None:
             flags += (robot & seen) * _ROBOT
         self.flags = np.append(flags, np.uint8(0))
-        self.moving_until = _moving_until(view, moving, blind, error_pixels=error_pixels, parameters=parameters)
+        until = None if view.depth is None else _moving_until(view, moving, blind, backdrop, parameters)
+        self.moving_until = None if until is None else _flat(until, blind, error_pixels)
 
     def frees_blocks(self) -> Bool:
         """[blocks] True where every voxel of the block is freed."""
@@ -151,24 +166,51 @@ def _free_until(view: View, moving: Bool, blind: Bool, error_pixels: float, para
     nearest = cv2.erode(surface.astype(np.float32), np.ones((3, 3), np.uint8))  # single pixels lack depth everywhere
     surface = np.where(view.depth > 0, surface, np.where(nearest < _ALWAYS, nearest, _NEVER))
     free = np.where(blind, _NEVER, surface).astype(np.float32)
-    return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 0.5 else free
+    return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 1 else free
 
 
-def _moving_until(
-    view: View, moving: Bool, blind: Bool, *, error_pixels: float, parameters: CarvingParameters
-) -> Float32 | None:
-    """Flat depth up to which a measured moving surface explains its ray, with the entry for outside; None: no depth."""
-    if view.depth is None:
-        return None
-    until = np.where(moving & (view.depth > 0), view.depth + parameters.thickness, _NEVER).astype(np.float32)
+def _moving_until(view: View, moving: Bool, blind: Bool, backdrop: Float32, parameters: CarvingParameters) -> Float32:
+    """[H, W] depth up to which a measured moving surface explains its ray, m.
+
+    A thing is not much thicker than it is wide, and ends where something that stands was seen behind it.
+    """
+    assert view.depth is not None
+    width = 2 * _local_radius(moving | blind) * view.depth / view.camera.K[0, 0]
+    thickness = np.minimum(parameters.thickness, parameters.thickness_share * width + parameters.depth_margin)
+    until = np.minimum(view.depth + thickness, backdrop + parameters.depth_margin)
+    stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
+    return np.where(moving & ~blind & (view.depth > 0) & stands_out, until, _NEVER).astype(np.float32)
+
+
+def _flat(until: Float32, blind: Bool, error_pixels: float) -> Float32:
+    """The image widened by the calibration's error, flat, with the entry for outside."""
     widened = np.where(blind, _NEVER, cv2.dilate(until, _disk(error_pixels)))
     return np.append(widened, _NEVER).astype(np.float32)
 
 
+_RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
+"""Radii in pixels that widths in the image are told apart by."""
+
+
+def _local_radius(mask: Bool) -> Float32:
+    """[H, W] upper bound of the radius in pixels of the largest disk inside the mask that holds each pixel."""
+    radius = np.where(mask, np.float32(_RADII[0]), np.float32(0))
+    depth_inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    for smaller, larger in itertools.pairwise((*_RADII, 2 * _RADII[-1])):
+        middles = depth_inside >= smaller
+        if not middles.any():
+            break
+        reached = cv2.distanceTransform((~middles).astype(np.uint8), cv2.DIST_L2, 3) <= larger
+        radius = np.where(reached & mask, np.float32(larger), radius)
+    return radius
+
+
 def _dilate(mask: Bool, pixels: float) -> Bool:
-    return cv2.dilate(mask.astype(np.uint8), _disk(pixels)) > 0 if pixels >= 0.5 else mask
+    return cv2.dilate(mask.astype(np.uint8), _disk(pixels)) > 0 if pixels >= 1 else mask
 
 
 def _disk(radius: float) -> UInt8:
-    size = 2 * round(radius) + 1
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)).astype(np.uint8)
+    """Kernel of the pixels whose centres lie within `radius` pixels."""
+    reach = int(radius)
+    offsets = np.arange(-reach, reach + 1)
+    return (np.hypot(offsets[:, None], offsets) <= radius).astype(np.uint8)
