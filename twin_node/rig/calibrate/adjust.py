@@ -1,0 +1,127 @@
+"""Bundle adjustment of cameras on matches without points: through a common plane, and through epipolar lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from twin_node.geometry import pose
+from twin_node.rig.calibrate.matches import Matches, epipolar_px, transfer_px
+from twin_node.scene import Float64, RigCamera
+
+POSE, LENS = 6, 3
+"""Numbers per camera: rotation vector and translation; focal length and principal point."""
+
+
+@dataclass(frozen=True)
+class AdjustParameters:
+    """1 sigma of what each may be off by as given, and of the matches; 0 keeps a thing as it is."""
+
+    turn_deg: float = 1.0
+    move_m: float = 0.01
+    """Of a camera whose rig file does not say how well it is known."""
+    focal: float = 0.003
+    """Share of the focal length: what factory calibrations are wrong by."""
+    centre_px: float = 1.0
+    """Principal point, pixels of an image 480 wide; wider images in proportion."""
+    distortion: tuple[float, ...] = (0.1, 0.15, 0.003, 0.003)
+    """k1, k2, p1, p2 (k1 to k4 of a fisheye)."""
+    match_px: float = 3.0
+    """Of a match in an image 480 wide, in proportion in wider ones; errors beyond it count linearly. Each is found to a
+    fifth of a pixel, but hundreds on one plane err together: they would bend the lens to explain a ripple of it."""
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Cameras and the plane as they are believed to be."""
+
+    cameras: tuple[RigCamera, ...]
+    plane: Float64 | None
+    """[4] unit normal, offset in m."""
+
+
+def adjust(
+    cameras: Sequence[RigCamera], plane: Float64 | None, matches: Sequence[Matches], parameters: AdjustParameters
+) -> Adjusted:
+    """The cameras and plane nearest to those given, in units of `parameters`, that explain the matches."""
+    problem = _Problem(tuple(cameras), plane, matches, parameters)
+    # LSMR: the dense solver's SVD of thousands of rows takes ten times as long as all the rest.
+    solved = least_squares(
+        problem.residuals, np.zeros(problem.size), loss="soft_l1", tr_solver="lsmr", ftol=1e-4, xtol=1e-4, max_nfev=40
+    )
+    return problem.state(solved.x)
+
+
+class _Problem:
+    """Unknowns are counted in their own sigmas, so that the prior is the vector itself."""
+
+    def __init__(
+        self,
+        cameras: tuple[RigCamera, ...],
+        plane: Float64 | None,
+        matches: Sequence[Matches],
+        parameters: AdjustParameters,
+    ) -> None:
+        self._cameras, self._plane = cameras, plane
+        self._matches = [pair for pair in matches if len(pair)]
+        self._match_px = [parameters.match_px * camera.width / 480 for camera in cameras]
+        self._sigmas = [_sigmas(camera, parameters) for camera in cameras]
+        self._starts = np.cumsum([0] + [len(sigmas) for sigmas in self._sigmas])
+        self.size = int(self._starts[-1]) + (3 if plane is not None else 0)
+
+    def state(self, x: Float64) -> Adjusted:
+        """The cameras and plane that unknowns stand for."""
+        cameras = tuple(
+            _changed(camera, x[start : start + len(sigmas)] * sigmas)
+            for camera, sigmas, start in zip(self._cameras, self._sigmas, self._starts[:-1], strict=True)
+        )
+        return Adjusted(cameras, None if self._plane is None else _tilted(self._plane, x[-3:] * 0.02, self._cameras))
+
+    def residuals(self, x: Float64) -> Float64:
+        """Matches in units of their noise, then the prior."""
+        state = self.state(x)
+        out = [x]
+        for pair in self._matches:
+            a, b = state.cameras[pair.a], state.cameras[pair.b]
+            noise = max(self._match_px[pair.a], self._match_px[pair.b])
+            if pair.on_plane and state.plane is not None:
+                there = transfer_px(a, b, state.plane, pair.pixels_a, pair.pixels_b)
+                back = transfer_px(b, a, state.plane, pair.pixels_b, pair.pixels_a)
+                out += [there.ravel() / noise, back.ravel() / noise]
+            else:
+                out.append(epipolar_px(a, b, pair.pixels_a, pair.pixels_b) / noise)
+        return np.clip(np.concatenate(out), -1e4, 1e4)
+
+
+def _sigmas(camera: RigCamera, parameters: AdjustParameters) -> Float64:
+    move = max(camera.sigma_m, parameters.move_m / 2) if camera.sigma_m else parameters.move_m
+    turn = np.radians(parameters.turn_deg)
+    lens = [parameters.focal, *[parameters.centre_px * camera.width / 480] * 2]
+    return np.array([*[turn] * 3, *[move] * 3, *lens, *parameters.distortion], dtype=np.float64)
+
+
+def _changed(camera: RigCamera, change: Float64) -> RigCamera:
+    R = Rotation.from_rotvec(change[:3]).as_matrix() @ camera.T_base_cam[:3, :3]
+    T = pose(R, camera.T_base_cam[:3, 3] + change[3:POSE])
+    focal, cx, cy = change[POSE : POSE + LENS]
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= 1 + focal
+    K[:2, 2] += [cx, cy]
+    D = camera.D.copy()
+    D[:4] += change[POSE + LENS :]
+    return replace(camera, K=K, D=D, T_base_cam=T)
+
+
+def _tilted(plane: Float64, change: Float64, cameras: Sequence[RigCamera]) -> Float64:
+    """A plane turned by two angles (rad) about the foot of the cameras' centre, then lifted (m)."""
+    first = np.cross(plane[:3], [1.0, 0.0, 0.0] if abs(plane[0]) < 0.9 else [0.0, 1.0, 0.0])
+    first /= np.linalg.norm(first)
+    centre = np.mean([camera.T_base_cam[:3, 3] for camera in cameras], axis=0)
+    foot = centre - plane[:3] * (plane[:3] @ centre + plane[3])
+    normal = plane[:3] + change[0] * first + change[1] * np.cross(plane[:3], first)
+    normal /= np.linalg.norm(normal)
+    return np.array([*normal, -normal @ foot - change[2]], dtype=np.float64)

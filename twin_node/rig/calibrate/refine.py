@@ -1,0 +1,194 @@
+"""A rig made better by an ordinary recording: what stands still must fit together in all cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from twin_node.rig.calibrate.adjust import Adjusted, AdjustParameters, adjust
+from twin_node.rig.calibrate.birds_eye import ground_of, lay_flat
+from twin_node.rig.calibrate.ground_matches import agreed_map, measured
+from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
+from twin_node.rig.calibrate.stills import Still
+from twin_node.rig.errors import RigError
+from twin_node.scene import Float64, Rig, RigCamera
+
+Pair = tuple[int, int]
+"""Indices of two cameras."""
+LEAST_SIGMA_M = 0.001
+"""No rig is stated to be better than this: what medians of video leave."""
+
+
+@dataclass(frozen=True)
+class RefineParameters:
+    """How matches are found and what they may change."""
+
+    adjust: AdjustParameters = field(default_factory=AdjustParameters)
+    """What may change, and by how much."""
+    distinct: float = 1.08
+    """By how much the best map of the ground must beat its rival; below it the pattern repeats and tells nothing."""
+    least_matches: int = 24
+    """Matches that a pair of cameras must share to count as connected."""
+    gates_px: tuple[float, ...] = (16.0, 3.0)
+    """Epipolar distance up to which features are taken for matches, one per round: a better rig
+    shows the ground better."""
+
+
+@dataclass(frozen=True)
+class PairFigures:
+    """How two cameras agree, on matches that the fit has not seen."""
+
+    a: str
+    b: str
+    matches: int
+    epipolar_before_px: float
+    """Median distance from the epipolar line."""
+    epipolar_after_px: float
+    plane_before_m: float | None
+    """Median distance on the plane; None where the pair has no matches on it."""
+    plane_after_m: float | None
+
+
+@dataclass(frozen=True)
+class RefineResult:
+    """A refined rig and what it was judged by."""
+
+    rig: Rig
+    plane: Float64 | None
+    """[4] the refined plane."""
+    pairs: tuple[PairFigures, ...]
+    skipped: tuple[str, ...]
+    """Pairs of cameras that told nothing, and why."""
+
+
+def refine_rig(
+    rig: Rig, stills: Sequence[Still], plane: Float64 | None, parameters: RefineParameters | None = None
+) -> RefineResult:
+    """Poses, and lenses within their priors, that make what stands still agree; `plane` [4] holds much of it, or None.
+
+    Half of the matches on the plane are fitted, the other half judges. Scale and place in the base are those that leave
+    the given poses least changed.
+
+    Raises `RigError` where the geometry cannot tell: it names the cameras and what was lacking.
+    """
+    parameters = parameters or RefineParameters()
+    features = [feature_matches(stills, a, b) for a, b in combinations(range(len(rig.cameras)), 2)]
+    now = Adjusted(rig.cameras, plane)
+    matches: list[Matches] = []
+    skipped: list[str] = []
+    for i, gate in enumerate(parameters.gates_px):
+        known = None if i == 0 else [(pair.a, pair.b) for pair in matches if pair.on_plane]
+        on_plane, lost = _on_plane(stills, now, parameters, known)
+        skipped = skipped or lost
+        matches = on_plane + [_gated(pair, now.cameras, gate) for pair in features]
+        _check_connected(rig.cameras, matches, parameters, skipped)
+        now = adjust(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
+    figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
+    return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, tuple(skipped))
+
+
+def _on_plane(
+    stills: Sequence[Still], now: Adjusted, parameters: RefineParameters, known: Sequence[Pair] | None
+) -> tuple[list[Matches], list[str]]:
+    """Matches on the plane of every pair that shows it, and why others do not.
+
+    `known`: the pairs whose maps an earlier fit has brought to the identity; None: all are sought.
+    """
+    if now.plane is None:
+        return [], []
+    ground = ground_of(now.cameras, now.plane)
+    sheets = [lay_flat(replace(s, camera=c), ground) for s, c in zip(stills, now.cameras, strict=True)]
+    found: list[Matches] = []
+    skipped: list[str] = []
+    for a, b in known if known is not None else combinations(range(len(sheets)), 2):
+        agreed = None if known is not None else agreed_map(sheets[a], sheets[b])
+        names = f"{now.cameras[a].name} and {now.cameras[b].name}"
+        if known is None and agreed is None:
+            skipped.append(f"{names} share too little of the plane")
+        elif agreed is not None and agreed.agreement < parameters.distinct * agreed.rival:
+            skipped.append(f"{names} see a pattern that fits in several places")
+        else:
+            points = measured(sheets[a], sheets[b], np.eye(2, 3) if agreed is None else agreed.affine)
+            pixels_a, pixels_b = ground.pixels(now.cameras[a], points.a), ground.pixels(now.cameras[b], points.b)
+            found.append(Matches(a, b, pixels_a, pixels_b, True))
+    return found, skipped
+
+
+def _gated(matches: Matches, cameras: Sequence[RigCamera], gate_px: float) -> Matches:
+    off = epipolar_px(cameras[matches.a], cameras[matches.b], matches.pixels_a, matches.pixels_b)
+    return matches.where(np.abs(off) < gate_px)
+
+
+def _half(matches: Matches, part: int) -> Matches:
+    """Every second match on the plane; of the few others all are fitted and judge too."""
+    if not matches.on_plane:
+        return matches
+    return matches.where(np.arange(len(matches)) % 2 == part)
+
+
+def _check_connected(
+    cameras: Sequence[RigCamera], matches: Sequence[Matches], parameters: RefineParameters, skipped: Sequence[str]
+) -> None:
+    """Every camera must hang together with the first through pairs with enough matches."""
+    counts: dict[frozenset[int], int] = {}
+    for pair in matches:
+        key = frozenset((pair.a, pair.b))
+        counts[key] = counts.get(key, 0) + len(pair)
+    reached, grown = {0}, True
+    while grown:
+        linked = {i for key, n in counts.items() if n >= parameters.least_matches and key & reached for i in key}
+        grown = not linked <= reached
+        reached |= linked
+    lost = [camera.name for i, camera in enumerate(cameras) if i not in reached]
+    if lost:
+        reason = f" ({'; '.join(skipped)})" if skipped else ""
+        raise RigError(
+            f"refine: camera {lost[0]}: expected at least {parameters.least_matches} points shared with another "
+            f"camera, found fewer{reason}; record a scene with more texture, or calibrate with a board"
+        )
+
+
+def _figures(rig: Rig, plane: Float64 | None, now: Adjusted, judging: Sequence[Matches]) -> tuple[PairFigures, ...]:
+    out = []
+    for a, b in combinations(range(len(rig.cameras)), 2):
+        pairs = [pair for pair in judging if (pair.a, pair.b) == (a, b) and len(pair)]
+        if not pairs:
+            continue
+        on_plane = [pair for pair in pairs if pair.on_plane]
+        out.append(
+            PairFigures(
+                rig.cameras[a].name,
+                rig.cameras[b].name,
+                sum(map(len, pairs)),
+                _median_epipolar(rig.cameras, pairs),
+                _median_epipolar(now.cameras, pairs),
+                _median_gap(rig.cameras, plane, on_plane),
+                _median_gap(now.cameras, now.plane, on_plane),
+            )
+        )
+    return tuple(out)
+
+
+def _median_epipolar(cameras: Sequence[RigCamera], pairs: Sequence[Matches]) -> float:
+    off = [epipolar_px(cameras[p.a], cameras[p.b], p.pixels_a, p.pixels_b) for p in pairs]
+    return float(np.median(np.abs(np.concatenate(off))))
+
+
+def _median_gap(cameras: Sequence[RigCamera], plane: Float64 | None, pairs: Sequence[Matches]) -> float | None:
+    if plane is None or not pairs:
+        return None
+    gaps = [plane_gap_m(cameras[p.a], cameras[p.b], plane, p.pixels_a, p.pixels_b) for p in pairs]
+    return float(np.nanmedian(np.concatenate(gaps)))
+
+
+def _with_sigmas(rig: Rig, now: Adjusted, figures: Sequence[PairFigures]) -> Rig:
+    """The refined rig, each camera with the error that its pairs still show on the plane."""
+    cameras = []
+    for camera in now.cameras:
+        gaps = [f.plane_after_m for f in figures if camera.name in (f.a, f.b) and f.plane_after_m is not None]
+        sigma = max(LEAST_SIGMA_M, *gaps) if gaps else camera.sigma_m
+        cameras.append(replace(camera, sigma_m=sigma))
+    return replace(rig, cameras=tuple(cameras))

@@ -1,0 +1,65 @@
+"""What stands still in a recording: each camera's temporal median, free of whatever passes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.rig.errors import RigError
+from twin_node.scene import Bool, FrameSet, Rig, RigCamera, UInt8
+
+MOST_IMAGES = 80
+"""Images per camera that a median is taken of: beyond that it changes by less than a grey level."""
+LEAST_IMAGES = 3
+STILL_LEVELS, STILL_SHARE = 20, 0.6
+"""A pixel stands still where so large a share of its values is within so many grey levels of the median."""
+
+
+@dataclass(frozen=True)
+class Still:
+    """A camera's raw image without what moves."""
+
+    camera: RigCamera
+    rgb: UInt8
+    """[H, W, 3] median over time, distorted as the camera sees it."""
+    still: Bool
+    """[H, W] False where something else was seen too often for the median to be trusted."""
+
+
+def stills_of(rig: Rig, sets: Iterable[FrameSet]) -> tuple[Still, ...]:
+    """The still image of every camera of `rig` from sets of its raw (not undistorted) images at full size.
+
+    Long recordings are thinned evenly. Raises `RigError` naming a camera with too few images or of another size.
+    """
+    kept: dict[str, list[UInt8]] = {camera.name: [] for camera in rig.cameras}
+    step = 1
+    for i, frames in enumerate(sets):
+        if i % step:
+            continue
+        for view in frames.views:
+            kept[view.camera.name].append(view.rgb)
+        if max(map(len, kept.values())) >= 2 * MOST_IMAGES:
+            kept = {name: images[::2] for name, images in kept.items()}
+            step *= 2
+    return tuple(_still(camera, kept[camera.name]) for camera in rig.cameras)
+
+
+def _still(camera: RigCamera, images: list[UInt8]) -> Still:
+    if len(images) < LEAST_IMAGES:
+        raise RigError(
+            f"camera {camera.name}: expected at least {LEAST_IMAGES} images to see what stands still, found {len(images)}; "
+            "record for longer"
+        )
+    if images[0].shape[:2] != (camera.height, camera.width):
+        raise RigError(
+            f"camera {camera.name}: expected raw images of {camera.width}x{camera.height}, found "
+            f"{images[0].shape[1]}x{images[0].shape[0]}"
+        )
+    stack = np.stack(images)
+    median = np.median(stack, axis=0).astype(np.uint8)
+    near = np.zeros(median.shape[:2])
+    for image in stack:
+        near += np.abs(image.astype(np.int16) - median).max(-1) < STILL_LEVELS
+    return Still(camera, median, near > STILL_SHARE * len(stack))
