@@ -13,6 +13,21 @@ from twin_node.scene import Float64, RigCamera
 COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.items()}
 """Distortion models and how many coefficients are calibrated of each."""
 
+ASPECT_SIGMA = 0.003
+"""1 sigma of fy / fx: pixels of sensors in use are square; scaling by a video driver rounds to a pixel in 300 or more."""
+
+CENTRE_SIGMA = 0.03
+"""1 sigma of the principal point's distance from the middle of the image, as a share of its width: assumed; published
+calibrations of webcams and industrial cameras lie within 0.04."""
+
+DISTORTION_SIGMAS = {
+    "plumb_bob": (0.5, 1.0, 0.005, 0.005, 1.0),
+    "rational_polynomial": (5.0, 5.0, 0.005, 0.005, 5.0, 5.0, 5.0, 5.0),
+    "equidistant": (0.5, 0.5, 0.5, 0.5),
+}
+"""1 sigma of each coefficient about 0: wide for any lens on sale, but no room for the values of hundreds that corners in
+the middle of the image leave open."""
+
 
 @dataclass(frozen=True)
 class Lens:
@@ -37,6 +52,25 @@ class Lens:
         fx, fy, cx, cy = values[:4]
         K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         return Lens(self.width, self.height, K, self.model, np.array(values[4:]))
+
+    def priors(self) -> Float64:
+        """[3 + D] what a lens hardly is, in sigmas: oblong pixels, off centre, strongly distorted."""
+        fx, fy, cx, cy = self.parameters[:4]
+        off_centre = (np.array([cx, cy]) - self._middle) / (CENTRE_SIGMA * self.width)
+        return np.concatenate([[np.log(fy / fx) / ASPECT_SIGMA], off_centre, self.D / DISTORTION_SIGMAS[self.model]])
+
+    def priors_jacobian(self) -> Float64:
+        """[3 + D, 4 + D] of `priors` by `parameters`."""
+        fx, fy = self.parameters[:2]
+        J = np.zeros((3 + len(self.D), 4 + len(self.D)))
+        J[0, :2] = np.array([-1 / fx, 1 / fy]) / ASPECT_SIGMA
+        J[[1, 2], [2, 3]] = 1 / (CENTRE_SIGMA * self.width)
+        J[3:, 4:] = np.diag(1 / np.array(DISTORTION_SIGMAS[self.model]))
+        return J
+
+    @property
+    def _middle(self) -> Float64:
+        return (np.array([self.width, self.height]) - 1) / 2
 
 
 @dataclass(frozen=True)
