@@ -94,6 +94,23 @@ def test_box_present_from_the_start_is_found_whole_and_its_place_is_freed(scene:
     assert share(found, box(40)) < 0.1
 
 
+def test_ground_is_freed_where_a_thing_of_its_own_colours_was_from_the_start() -> None:
+    """Tiles of 40 levels' contrast, and a box striped in the tiles' colours and another: colour alone cannot tell."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    tiles = ((rows // 7 + columns // 9) % 2)[..., None]
+    ground = (np.array([90, 100, 130]) + 40 * tiles).astype(np.uint8)
+    stripes = np.where((rows // 2 % 2)[..., None] == 0, ground[::-1, ::-1], np.array([230, 60, 30])).astype(np.uint8)
+    mask = MovingMask()
+    path = (40, 40, 40, 40, 40, *range(43, 120, 3), *range(117, 80, -3), *range(82, 120, 3), *(15 * (118,)))
+    for tick, left in enumerate(path):
+        image = np.where(box(left)[..., None], np.roll(stripes, left, axis=1), ground)
+        noisy = image + np.random.default_rng(tick).normal(0, 1.5, image.shape)
+        view = View(CAMERA, tick * STEP_NS, np.clip(noisy, 0, 255).astype(np.uint8))
+        found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
+    assert share(found, box(118)) > 0.9
+    assert share(found, box(40)) < 0.1
+
+
 def test_robot_is_left_out(scene: Scene) -> None:
     scene.show()
     for left in range(0, 60, 4):

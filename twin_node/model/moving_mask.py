@@ -36,6 +36,9 @@ class MovingMaskParameters:
     """A reflected glow adds at most up to this multiple of the background's brightness."""
     ground_certainty: float = 0.7
     """A settled pixel of a colour this surely ground's is ground, if it touches ground."""
+    ground_likelihood: float = 0.4
+    """A settled pixel of a colour this likely ground's is ground, if it fits the ground beside it clearly better than
+    what the background held there does: textured ground that a thing, there from the start, has moved off."""
     growth_pixels: int = 3
     """Rings of uncovered ground found per image; each ring is two pixels wide."""
     learning_rate: float = 0.05
@@ -178,13 +181,17 @@ class _CameraMask:
         """
         self._colours.learn(image, free, object_)
         found = np.zeros(self.shape, np.bool_)
-        ground_coloured = settled & (self._colours.ground_share(image) > self.parameters.ground_certainty)
+        share = self._colours.ground_share(image)
+        ground_coloured = settled & (share > self.parameters.ground_certainty)
+        likely_ground = settled & (share > self.parameters.ground_likelihood)
         for _ in range(self.parameters.growth_pixels):
             known = (free | found).astype(np.float32)
             weight = cv2.boxFilter(known, -1, (5, 5))
             sums = np.stack([cv2.boxFilter(plane * known, -1, (5, 5)) for plane in image])
             ground = (sums / np.maximum(weight, 1e-3)).astype(np.float32)
-            continues = settled & (_difference(image, ground) < 0.6 * threshold)
+            rough, was_rough = _difference(image, ground), _difference(self._background, ground)
+            fits_better = likely_ground & (was_rough > 2 * threshold) & (rough < 0.7 * was_rough)
+            continues = (settled & (rough < 0.6 * threshold)) | fits_better
             found |= (weight > 0.2) & (continues | ground_coloured)
         return found
 
