@@ -70,6 +70,13 @@ class Fields:
             raise RigError(f"{self.where}.{key}: expected a number, found {value!r}{_exponent_hint(value)}")
         return float(value)
 
+    def flag(self, key: str) -> bool:
+        """A field that is true or false; false where it is missing."""
+        value = self._required(key) if self.has(key) else False
+        if not isinstance(value, bool):
+            raise RigError(f"{self.where}.{key}: expected true or false, found {value!r}")
+        return value
+
     def array(self, key: str, shape: tuple[int, ...] | None) -> NDArray[np.float64]:
         """A field that holds finite numbers of the given shape; None: a list of any length."""
         value = self._required(key)

@@ -47,6 +47,14 @@ class Board(Protocol):
     """A flat target whose corners a detector finds."""
 
     @property
+    def columns(self) -> int:
+        """Along x, in what the kind of board counts."""
+
+    @property
+    def rows(self) -> int:
+        """Along y."""
+
+    @property
     def points(self) -> Float64:
         """[P, 3] corners in the board's frame, metres, z = 0."""
 

@@ -249,7 +249,8 @@ def adjust(start: BundleState, sightings: Sequence[Sighting], options: BundleOpt
         x = _minimise(problem, x, noise)
         noise = _noise(problem.residuals(problem.unpack(x)), sightings, len(start.cameras))
     state = problem.unpack(x)
-    covariance = np.linalg.pinv(_information(problem.jacobian(x, noise)), hermitian=True)
+    information = _information(problem.jacobian(x, noise))
+    covariance = np.asarray(np.linalg.pinv(information, hermitian=True), np.float64)
     return BundleResult(state, problem.residuals(state), noise, covariance, problem.layout)
 
 

@@ -40,7 +40,7 @@ def board_pose(lens: Lens, points: Float64, pixels: Float64) -> Float64 | None:
     rotation, translation = cv2.solvePnPRefineLM(
         points[:, None], rays, np.eye(3), np.zeros(4), rotations[0], translations[0]
     )
-    return pose(cv2.Rodrigues(rotation)[0], np.asarray(translation, np.float64).ravel())
+    return pose(np.asarray(cv2.Rodrigues(rotation)[0], np.float64), np.asarray(translation, np.float64).ravel())
 
 
 def build_pose_graph(lenses: Sequence[Lens], points: Float64, sightings: Sequence[Sighting]) -> PoseGraph:

@@ -21,8 +21,8 @@ class MovingCorners:
     """Corners of a board at one time, and how they move."""
 
     corners: Corners
-    velocities: Float64
-    """[N, 2] pixels per second."""
+    velocities: Float64 | None
+    """[N, 2] pixels per second; None where nothing is known to move."""
 
 
 class CornerTracks:
@@ -60,3 +60,19 @@ class CornerTracks:
         breaks = np.flatnonzero(np.diff(seconds) > MAX_GAP * self._period) + 1
         pieces = zip(np.split(seconds, breaks), np.split(pixels, breaks), strict=True)
         return [CubicHermiteSpline(t, p, np.gradient(p, t, axis=0)) for t, p in pieces if len(t) > 1]
+
+
+class StillCorners:
+    """Corners of a board that stood still, or that all cameras took at once: no image tells of other times."""
+
+    def __init__(self, stamps: NDArray[np.int64], found: Sequence[Corners | None]) -> None:
+        """`stamps` [T] ns: equal for images of one set; `found`: what each image shows."""
+        self._found = dict(zip(stamps.tolist(), found, strict=True))
+
+    def at(self, stamp: int) -> MovingCorners | None:
+        """The corners at exactly this time, ns, without velocities; None where there is no image or no board in it."""
+        corners = self._found.get(stamp)
+        return None if corners is None else MovingCorners(corners, None)
+
+
+CornerSource = CornerTracks | StillCorners
