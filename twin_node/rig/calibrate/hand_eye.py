@@ -23,6 +23,8 @@ from twin_node.scene import Float64, RigCamera
 
 MIN_VIEWS = 4
 """Three motions are the least that tell the poses and leave something to check them by."""
+MIN_POINTS = 6
+"""What a pose can be found from with a point to spare in each direction."""
 MIN_TURN = np.radians(3)
 """Turns between views below this say more of noise than of an axis."""
 MIN_AXES_SPREAD = 0.02
@@ -62,7 +64,7 @@ class HandEyeView:
     T_base_flange: Float64
     """[4, 4] maps flange coordinates to the robot's base."""
     pixels: Float64
-    """[P, 2] raw pixels of the target's points, OpenCV convention, in the order of the target."""
+    """[P, 2] raw pixels of the target's points in its order, OpenCV convention; NaN for those not seen."""
 
 
 @dataclass(frozen=True)
@@ -81,24 +83,24 @@ class HandEyeResult:
     covariance: Float64
     """[6, 6] of `T_carrier_camera`: rotation vector (rad), then translation (m)."""
     residuals: Float64
-    """[N, P] reprojection error of every point of the views that were used, pixels."""
+    """[N, P] reprojection error of every point of the views that were used, pixels; NaN for points not seen."""
     dropped: tuple[str, ...]
     """Names of the views left out as outliers."""
 
     @property
     def mean_px(self) -> float:
         """Mean reprojection error, pixels."""
-        return float(self.residuals.mean())
+        return float(np.nanmean(self.residuals))
 
     @property
     def median_px(self) -> float:
         """Median reprojection error, pixels."""
-        return float(np.median(self.residuals))
+        return float(np.nanmedian(self.residuals))
 
     @property
     def rms_px(self) -> float:
         """Root mean square reprojection error, pixels."""
-        return float(np.sqrt((self.residuals**2).mean()))
+        return float(np.sqrt(np.nanmean(self.residuals**2)))
 
     @property
     def sigma_m(self) -> float:
@@ -126,7 +128,7 @@ def solve_hand_eye(
     G = [inverse_pose(v.T_base_flange) if mount is Mount.CAMERA else v.T_base_flange for v in views]
     stops = numbered_alike(camera, target, Stops(np.stack(G), np.stack([view.pixels for view in views])))
     solution = _Adjustment(camera, target, stops, parameters).solve()
-    worst = solution.errors.mean(1)
+    worst = np.nanmean(solution.errors, axis=1)
     kept = worst <= OUTLIER * np.median(worst)
     if not kept.all() and kept.sum() >= MIN_VIEWS:
         solution = _Adjustment(camera, target, stops.chosen(kept), parameters).solve()
@@ -153,6 +155,8 @@ def _check(target: Float64, views: Sequence[HandEyeView]) -> None:
             raise RigError(
                 f"hand-eye: view {view.name}: expected {len(target)} points of the target, found {len(view.pixels)}"
             )
+        if (seen := int(np.isfinite(view.pixels).all(1).sum())) < MIN_POINTS:
+            raise RigError(f"hand-eye: view {view.name}: expected {MIN_POINTS} points of the target, found {seen}")
     flanges = [view.T_base_flange[:3, :3] for view in views]
     turns = np.stack([Rotation.from_matrix(a.T @ b).as_rotvec() for a, b in combinations(flanges, 2)])
     angles = np.linalg.norm(turns, axis=1)
@@ -187,10 +191,12 @@ class _Adjustment:
 
     def solve(self) -> _Solution:
         """The best fit and how well it is known."""
-        solved = least_squares(self._residuals, np.zeros(12 + self._free.sum()), loss="soft_l1", x_scale="jac")
+        solved = least_squares(
+            self._residuals, np.zeros(12 + self._free.sum()), loss="soft_l1", tr_solver="lsmr", x_scale="jac"
+        )
         errors = self._offsets(solved.x)
-        spare = max(errors.size - len(solved.x), 1)
-        spread = float((errors**2).sum()) / spare
+        spare = max(int(np.isfinite(errors).sum()) - len(solved.x), 1)
+        spread = float(np.nansum(errors**2)) / spare
         covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * spread
         distances = np.linalg.norm(errors, axis=2)
         return _Solution(
@@ -199,7 +205,7 @@ class _Adjustment:
 
     def _residuals(self, x: Float64) -> Float64:
         priors = self._changes(x) / self._sigmas
-        return np.concatenate([self._offsets(x).ravel() / ROBUST_PX, priors])
+        return np.concatenate([np.nan_to_num(self._offsets(x).ravel()) / ROBUST_PX, priors])
 
     def _offsets(self, x: Float64) -> Float64:
         return offsets(self._lens(x), self._target * self._scale(x), self._stops, self._loop(x))

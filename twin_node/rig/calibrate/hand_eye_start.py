@@ -37,7 +37,7 @@ class Stops:
     carried: Float64
     """[N, 4, 4] the known G: what carries the target as seen from what carries the camera."""
     pixels: Float64
-    """[N, P, 2] raw pixels of the target's points, OpenCV convention."""
+    """[N, P, 2] raw pixels of the target's points, OpenCV convention; NaN for those not seen."""
 
     def chosen(self, rows: Bool) -> Stops:
         """The stops under this mask [N]."""
@@ -45,7 +45,7 @@ class Stops:
 
 
 def offsets(camera: RigCamera, target: Float64, stops: Stops, loop: Loop) -> Float64:
-    """[N, P, 2] pixels from where the target is seen to where the loop puts it; `target` [P, 3] m."""
+    """[N, P, 2] pixels from where the target [P, 3] (m) is seen to where the loop puts it; NaN where it is not seen."""
     poses = inverse_pose(loop.X) @ stops.carried @ loop.Y
     points = np.einsum("nij,pj->npi", poses[:, :3, :3], target) + poses[:, None, :3, 3]
     out: Float64 = raw_pixels(camera, points.reshape(-1, 3)).reshape(stops.pixels.shape) - stops.pixels
@@ -113,14 +113,15 @@ def closed_form(camera: RigCamera, target: Float64, stops: Stops) -> Loop:
             loops.append(Loop(X, Y))
     if not loops:
         raise RigError("hand-eye: expected motions that tell the camera's pose, found none that do; add stops")
-    return min(loops, key=lambda loop: float(np.median(np.abs(offsets(camera, target, stops, loop)))))
+    return min(loops, key=lambda loop: float(np.nanmedian(np.abs(offsets(camera, target, stops, loop)))))
 
 
 def _target_poses(camera: RigCamera, target: Float64, stops: Stops) -> Float64:
     """[N, 4, 4] `T_camera_target` of every stop from its own view."""
     out = []
     for pixels in stops.pixels:
-        _, rvec, tvec = cv2.solvePnP(target, pixel_rays(camera, pixels), np.eye(3), np.zeros(4))
+        seen = np.isfinite(pixels).all(1)
+        _, rvec, tvec = cv2.solvePnP(target[seen], pixel_rays(camera, pixels[seen]), np.eye(3), np.zeros(4))
         out.append(pose(Rotation.from_rotvec(rvec.ravel()).as_matrix(), np.asarray(tvec, np.float64).ravel()))
     return np.stack(out)
 
@@ -129,6 +130,10 @@ def _reordered(camera: RigCamera, target: Float64, stops: Stops, poses: Float64,
     """[n, P, 2] pixels of the stops `rows` in the order that the target's points have under `poses` [n, 4, 4]."""
     out = []
     for pixels, T in zip(stops.pixels[rows], poses, strict=True):
+        if not np.isfinite(pixels).all():
+            raise RigError(
+                "hand-eye: expected all points of a target that looks alike from several sides in every view"
+            )
         distance = np.linalg.norm(raw_pixels(camera, transform(T, target))[:, None] - pixels[None], axis=2)
         order = distance.argmin(1)
         out.append(pixels[order] if len(set(order)) == len(order) else pixels)

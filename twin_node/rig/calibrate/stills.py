@@ -49,8 +49,8 @@ def stills_of(rig: Rig, sets: Iterable[FrameSet]) -> tuple[Still, ...]:
 def _still(camera: RigCamera, images: list[UInt8]) -> Still:
     if len(images) < LEAST_IMAGES:
         raise RigError(
-            f"camera {camera.name}: expected at least {LEAST_IMAGES} images to see what stands still, found {len(images)}; "
-            "record for longer"
+            f"camera {camera.name}: expected at least {LEAST_IMAGES} images, found {len(images)}; "
+            "record for longer to see what stands still"
         )
     if images[0].shape[:2] != (camera.height, camera.width):
         raise RigError(

@@ -1,0 +1,140 @@
+"""The stops of a hand-eye session as files: a list of images with flange poses or joint angles.
+
+The layout is that of ROS-Industrial's `robot_cal_tools`: a list of `{image, pose}`, a pose being `{x, y, z, qx, qy, qz,
+qw}` (m) in the file itself or in one of its own. `joints: [...]` (rad) may stand for `pose` where the arm is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+from twin_node.geometry import pose, rotation_from_quat
+from twin_node.rig.calibrate.boards import Board
+from twin_node.rig.calibrate.hand_eye import HandEyeView
+from twin_node.rig.errors import RigError
+from twin_node.rig.yaml_fields import Fields
+from twin_node.robot import ArmModel, forward_kinematics
+from twin_node.scene import Float64, RigCamera, UInt8
+
+LIST_FILE, LENS_FILES, TARGET_FILE = "cal_data.yaml", ("camera_intr_calibrated.yaml", "camera_intr.yaml"), "target.yaml"
+"""What a folder holds: the list, the intrinsics (the first that is there) and the target."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One stop of the robot: a picture and where the flange was."""
+
+    image: Path
+    T_base_flange: Float64
+    """[4, 4]."""
+
+
+@dataclass(frozen=True)
+class CircleTarget:
+    """The grid of circles that a session's own target file describes."""
+
+    columns: int
+    rows: int
+    spacing: float
+    """m."""
+
+
+def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
+    """The stops that a list names, or that of a folder; paths are relative to it.
+
+    Raises `RigError` for a file that is missing or wrong, naming the field.
+    """
+    file = path / LIST_FILE if path.is_dir() else path
+    content = _yaml(file)
+    if not isinstance(content, list) or not content:
+        raise RigError(f"{file}: expected a list of {{image, pose}}, found {type(content).__name__}")
+    return tuple(_stop(Fields(f"{file}[{i}]", entry), file.parent, arm) for i, entry in enumerate(content))
+
+
+def detect_target(stops: Sequence[Stop], board: Board) -> tuple[HandEyeView, ...]:
+    """The stops whose picture shows the target, with its points' pixels.
+
+    Raises `RigError` for a picture that cannot be read.
+    """
+    views = []
+    for stop in stops:
+        found = board.detect(_grey(stop.image))
+        if found is not None:
+            pixels = np.full((len(board.points), 2), np.nan)
+            pixels[found.ids] = found.pixels
+            views.append(HandEyeView(stop.image.stem, stop.T_base_flange, pixels))
+    return tuple(views)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image in pixels. Raises `RigError` where it cannot be read."""
+    height, width = _grey(path).shape
+    return width, height
+
+
+def read_lens(folder: Path, size: tuple[int, int]) -> RigCamera:
+    """The camera of a session's folder, of images of `size` (width, height), without distortion.
+
+    Raises `RigError` where the folder has no intrinsics.
+    """
+    for name in LENS_FILES:
+        if (folder / name).is_file():
+            fields = Fields(str(folder / name), _yaml(folder / name)).table("intrinsics")
+            fx, fy, cx, cy = (fields.number(key) for key in ("fx", "fy", "cx", "cy"))
+            K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            return RigCamera("camera", size[0], size[1], K, np.eye(4))
+    raise RigError(f"{folder}: expected {' or '.join(LENS_FILES)}, found neither; give --rig RIG.yaml")
+
+
+def read_target(folder: Path) -> CircleTarget:
+    """The target of a session's folder. Raises `RigError` where it has none, or one that is no grid of circles."""
+    file = folder / TARGET_FILE
+    if not file.is_file():
+        raise RigError(f"{folder}: expected {TARGET_FILE}, found none; give --board")
+    fields = Fields(str(file), _yaml(file)).table("target_finder")
+    if "CircleGrid" not in fields.text("type"):
+        raise RigError(f"{fields.where}.type: expected a grid of circles, found {fields.text('type')}; give --board")
+    return CircleTarget(int(fields.number("cols")), int(fields.number("rows")), fields.number("spacing"))
+
+
+def _stop(fields: Fields, folder: Path, arm: ArmModel | None) -> Stop:
+    fields.only("image", "pose", "joints")
+    image = folder / fields.text("image")
+    if not image.is_file():
+        raise RigError(f"{fields.where}.image: expected a file at {image}, found none; check the path")
+    if fields.has("joints"):
+        if arm is None:
+            raise RigError(f"{fields.where}.joints: expected the arm to be known; give --arm (ur5e, ...)")
+        return Stop(image, forward_kinematics(arm, fields.array("joints", (arm.joints,)))[-1])
+    if fields.is_table("pose"):
+        return Stop(image, _pose(fields.table("pose")))
+    file = folder / fields.text("pose")
+    return Stop(image, _pose(Fields(str(file), _yaml(file))))
+
+
+def _pose(fields: Fields) -> Float64:
+    quat = np.array([fields.number(key) for key in ("qw", "qx", "qy", "qz")])
+    if abs(float(np.linalg.norm(quat)) - 1) > 1e-2:
+        raise RigError(f"{fields.where}: expected a quaternion of length 1, found {np.linalg.norm(quat):.4g}")
+    return pose(rotation_from_quat(quat), np.array([fields.number(key) for key in "xyz"]))
+
+
+def _grey(path: Path) -> UInt8:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise RigError(f"{path}: expected a picture, found a file that cannot be read as one; check the path")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _yaml(file: Path) -> object:
+    try:
+        content: object = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise RigError(f"{file}: expected a YAML file, found {' '.join(str(error).split())}") from error
+    return content
