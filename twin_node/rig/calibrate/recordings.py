@@ -1,0 +1,216 @@
+"""Finds a board in folders of videos and images, one camera each, with their stamps."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.rig.calibrate.boards import Board, Corners
+from twin_node.rig.calibrate.extrinsics import CameraRecording
+from twin_node.rig.calibrate.intrinsics import BoardView
+from twin_node.rig.errors import RigError
+from twin_node.rig.stamps import StampsFile, read_stamps
+from twin_node.scene import UInt8
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
+VIDEO_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v"}
+STAMP_SUFFIXES = (".json", ".csv", ".txt")
+"""Of a file beside a video that has the video's name: the capture times of its frames."""
+
+SHARED_STAMPS = "timestamps.csv"
+"""One file for all cameras, as caliscope writes it: columns cam_id, frame_time (s) and, in any order, others."""
+
+STILL_PERIOD_NS = 1_000_000_000
+"""Made-up time between stills, which have numbers and no stamps."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One image of a recording."""
+
+    name: str
+    grey: UInt8
+    """[H, W]."""
+
+
+@dataclass(frozen=True)
+class BoardSearch:
+    """What looking for a board in a camera's pictures gave."""
+
+    size: tuple[int, int]
+    """Width and height, pixels."""
+    images: tuple[str, ...]
+    found: tuple[Corners | None, ...]
+
+    @property
+    def views(self) -> tuple[BoardView, ...]:
+        """The pictures with a board."""
+        pairs = zip(self.images, self.found, strict=True)
+        return tuple(BoardView(name, corners) for name, corners in pairs if corners is not None)
+
+
+Progress = Callable[[], None]
+"""Called after each picture."""
+
+
+def find_in_pictures(
+    board: Board, pictures: Iterator[Picture], source: str, progress: Progress | None = None
+) -> BoardSearch:
+    """Looks for the board in every picture.
+
+    `source` is named in errors. Raises `RigError` where there is no picture or their sizes differ.
+    """
+    size: tuple[int, int] | None = None
+    images, found = [], []
+    for picture in pictures:
+        height, width = picture.grey.shape
+        size = size or (width, height)
+        if size != (width, height):
+            raise RigError(
+                f"{source}: expected pictures of one size, found {picture.name} of {width}x{height} after "
+                f"{size[0]}x{size[1]}; calibrate each size by itself"
+            )
+        images.append(picture.name)
+        found.append(board.detect(picture.grey))
+        if progress is not None:
+            progress()
+    if size is None:
+        raise RigError(f"{source}: expected at least one picture, found none")
+    return BoardSearch(size, tuple(images), tuple(found))
+
+
+def pictures_of(paths: Sequence[Path], every: int = 1) -> Iterator[Picture]:
+    """The pictures of images, videos and folders of them, every so many.
+
+    Raises `RigError` for what is none of these or cannot be read.
+    """
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES)
+            yield from pictures_of(inside, every)
+        elif path.suffix.lower() in VIDEO_SUFFIXES:
+            yield from _frames(path, every)
+        else:
+            yield _image(path)
+
+
+def load_cameras(folder: Path, board: Board, every: int = 1, progress: Progress | None = None) -> list[CameraRecording]:
+    """Looks for the board in a folder of recordings of one rig.
+
+    Either one video per camera, with stamps in `timestamps.csv` or in a file of the video's name; or one folder of
+    images per camera; or images whose names end in a number (`left01.png`): equal numbers were taken at once.
+
+    Raises `RigError` where the folder holds nothing of the kind, or stamps are missing.
+    """
+    if not folder.is_dir():
+        raise RigError(f"{folder}: expected a folder of videos or images, found none; check the path")
+    videos = sorted(p for p in folder.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)
+    if videos:
+        return [_video_camera(path, number, board, every, progress) for number, path in enumerate(videos)]
+    stills = _stills(folder)
+    if not stills:
+        raise RigError(
+            f"{folder}: expected one video per camera, one folder of images per camera, or images named like "
+            "left01.png and right01.png; found none of these"
+        )
+    return [_still_camera(name, numbered, board, progress) for name, numbered in stills.items()]
+
+
+def _video_camera(path: Path, number: int, board: Board, every: int, progress: Progress | None) -> CameraRecording:
+    stamps = _video_stamps(path, number)
+    search = find_in_pictures(board, _frames(path, every), str(path), progress)
+    stamps = stamps[::every]
+    if len(stamps) != len(search.images):
+        raise RigError(
+            f"{path}: expected one stamp for each of its {len(search.images)} frames, found {len(stamps)}; "
+            "these are the stamps of another video"
+        )
+    if (np.diff(stamps) <= 0).any():
+        raise RigError(f"{path}: expected rising stamps, found some that go back; sort them with their frames")
+    return CameraRecording(_name(path.stem), search.size, stamps, search.images, search.found)
+
+
+def _video_stamps(path: Path, number: int) -> NDArray[np.int64]:
+    """Stamps, ns, of a video's frames; `number`: its place among the folder's videos."""
+    for suffix in STAMP_SUFFIXES:
+        beside = path.with_suffix(suffix)
+        if beside.is_file():
+            return read_stamps(StampsFile(beside, key="timestamps" if suffix == ".json" else None))
+    shared = path.parent / SHARED_STAMPS
+    if not shared.is_file():
+        raise RigError(
+            f"{path}: expected stamps in {path.stem}{{{','.join(STAMP_SUFFIXES)}}} or {SHARED_STAMPS}, found neither; "
+            "cameras that run free cannot be paired without"
+        )
+    rows = list(csv.DictReader(shared.read_text(encoding="utf-8").splitlines()))
+    if not rows or not {"cam_id", "frame_time"} <= set(rows[0]):
+        raise RigError(
+            f"{shared}: expected the columns cam_id and frame_time, found {', '.join(rows[0]) if rows else 'none'}"
+        )
+    ending = re.search(r"\d+$", path.stem)
+    camera = int(ending.group()) if ending else number
+    own = [row["frame_time"] for row in rows if row["cam_id"].strip() == str(camera)]
+    if not own:
+        raise RigError(f"{shared}: expected rows with cam_id {camera} for {path.name}, found none")
+    try:
+        seconds = sorted(float(value) for value in own)
+    except ValueError as error:
+        raise RigError(f"{shared}: expected numbers under frame_time, found {error}") from error
+    return np.array([round(value * 1e9) for value in seconds], dtype=np.int64)
+
+
+def _stills(folder: Path) -> dict[str, dict[int, Path]]:
+    """Images by camera and number."""
+    cameras: dict[str, dict[int, Path]] = {}
+    inner = [path for path in sorted(folder.iterdir()) if path.is_dir()]
+    for path in sorted(folder.iterdir()):
+        match = re.fullmatch(r"(.*?)[_-]?(\d+)", path.stem)
+        if path.suffix.lower() in IMAGE_SUFFIXES and match and match.group(1):
+            cameras.setdefault(match.group(1), {})[int(match.group(2))] = path
+    for directory in inner:
+        for path in sorted(directory.iterdir()):
+            number = re.search(r"(\d+)$", path.stem)
+            if path.suffix.lower() in IMAGE_SUFFIXES and number:
+                cameras.setdefault(directory.name, {})[int(number.group())] = path
+    return cameras
+
+
+def _still_camera(name: str, numbered: dict[int, Path], board: Board, progress: Progress | None) -> CameraRecording:
+    numbers = sorted(numbered)
+    pictures = (_image(numbered[number]) for number in numbers)
+    search = find_in_pictures(board, pictures, f"camera {name}", progress)
+    stamps = np.array(numbers, dtype=np.int64) * STILL_PERIOD_NS
+    return CameraRecording(_name(name), search.size, stamps, search.images, search.found, moving=False)
+
+
+def _name(text: str) -> str:
+    """A camera's name as rig files want it."""
+    name = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return name if name[:1].isalpha() else f"cam_{name}"
+
+
+def _frames(path: Path, every: int) -> Iterator[Picture]:
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        raise RigError(f"{path}: expected a video, found nothing that can be read; check the file")
+    number = 0
+    while video.grab():
+        if number % every == 0:
+            _, image = video.retrieve()
+            yield Picture(f"{path.name} frame {number}", np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
+        number += 1
+    video.release()
+
+
+def _image(path: Path) -> Picture:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+    if image is None:
+        raise RigError(f"{path}: expected an image or a video, found nothing that can be read; check the path")
+    return Picture(path.name, np.asarray(image, np.uint8))
