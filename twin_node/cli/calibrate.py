@@ -2,10 +2,207 @@
 
 from __future__ import annotations
 
-from typing import Any
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import not_negative
+
+if TYPE_CHECKING:
+    from twin_node.rig.calibrate.boards import Board
+    from twin_node.rig.calibrate.extrinsics import RigSolution
+    from twin_node.rig.calibrate.intrinsics import DroppedView, LensCalibration
+
+MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
+BOARD_HELP = (
+    "file, or chessboard:9x6:0.025, charuco:5x7:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3, circles:10x10:0.02"
+)
 
 
 def add_calibrate(commands: Any) -> None:
     """Adds `calibrate` to the subcommands."""
     calibrate = commands.add_parser("calibrate", help="calibrate cameras and rigs, check and draw the result")
-    calibrate.add_subparsers(required=True, metavar="KIND")
+    kinds = calibrate.add_subparsers(required=True, metavar="KIND")
+    add_intrinsics(kinds)
+    add_rig(kinds)
+
+
+def add_intrinsics(kinds: Any) -> None:
+    """Adds `calibrate intrinsics`."""
+    parser = kinds.add_parser("intrinsics", help="one camera's lens, from pictures of a board")
+    parser.add_argument("pictures", type=Path, nargs="+", metavar="IMAGE|VIDEO|DIR")
+    parser.add_argument("--board", required=True, metavar="BOARD", help=BOARD_HELP)
+    parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth frame of a video")
+    parser.add_argument("-o", "--output", type=Path, metavar="CAMERA.yaml", help="as a ROS camera_info file")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=_intrinsics)
+
+
+def add_rig(kinds: Any) -> None:
+    """Adds `calibrate rig`."""
+    parser = kinds.add_parser("rig", help="several cameras together, from a board that they see at once")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="videos or images with stamps, and a board file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml")
+    parser.add_argument("--board", metavar="BOARD", help=f"where DIR holds none: {BOARD_HELP}")
+    parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
+    parser.add_argument("--lenses", type=Path, metavar="RIG.yaml", help="start from the lenses of this rig file")
+    parser.add_argument("--fixed-lenses", action="store_true", help="do not refine lenses with the poses")
+    parser.add_argument("--refine-board", action="store_true", help="the board may be stretched and bent")
+    parser.add_argument("--fixed-clocks", action="store_true", help="the stamps are right: cameras share a trigger")
+    parser.add_argument(
+        "--board-is-base-at",
+        type=not_negative,
+        metavar="S",
+        help="the board lies on the base S seconds after the start",
+    )
+    parser.add_argument("--partial", action="store_true", help="go on without cameras that share no views")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth frame of the videos")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=_rig)
+
+
+def _intrinsics(options: argparse.Namespace) -> None:
+    from twin_node.rig.calibrate.board_files import load_board
+    from twin_node.rig.calibrate.camera_info import save_camera_info
+    from twin_node.rig.calibrate.intrinsics import calibrate_lens
+    from twin_node.rig.calibrate.recordings import find_in_pictures, pictures_of
+
+    board = load_board(options.board)
+    source = ", ".join(str(path) for path in options.pictures[:3]) + (", ..." if len(options.pictures) > 3 else "")
+    with tqdm(unit="picture", desc="board", disable=None) as bar:
+        search = find_in_pictures(board, pictures_of(options.pictures, options.every), source, bar.update)
+    calibration = calibrate_lens(board, search.views, search.size, options.model, source)
+    if options.output is not None:
+        save_camera_info(calibration.lens, options.output)
+    if options.json:
+        print(json.dumps(_lens_figures(calibration, len(search.images))))
+        return
+    _show_lens(calibration, len(search.images))
+
+
+def _lens_figures(calibration: LensCalibration, pictures: int) -> dict[str, object]:
+    from twin_node.rig.calibrate.results import residuals_of_all
+
+    figures, lens = residuals_of_all(calibration.residuals), calibration.lens
+    return {
+        "rms_px": figures.rms_px,
+        "median_reprojection_px": figures.median_px,
+        "mean_reprojection_px": figures.mean_px,
+        "pictures": pictures,
+        "views": len(calibration.views),
+        "dropped": {view.name: view.reason for view in calibration.dropped},
+        "size": [lens.width, lens.height],
+        "K": lens.K.tolist(),
+        "distortion": {"model": lens.model, "coefficients": lens.D.tolist()},
+        "sigmas": None if calibration.sigmas is None else calibration.sigmas.tolist(),
+        "coverage": calibration.coverage.tolist(),
+    }
+
+
+def _show_lens(calibration: LensCalibration, pictures: int) -> None:
+    lens = calibration.lens
+    print(f"{len(calibration.views)} views of {pictures} pictures, rms {calibration.rms_px:.3f} px, {lens.model}")
+    sigmas = [""] * len(lens.parameters)
+    if calibration.sigmas is not None:
+        sigmas = [f" +- {sigma:.2g}" for sigma in calibration.sigmas]
+    names = ["fx", "fy", "cx", "cy", *(f"d{i}" for i in range(1, len(lens.D) + 1))]
+    for name, value, sigma in zip(names, lens.parameters, sigmas, strict=True):
+        print(f"  {name:>3} {value:12.5f}{sigma}")
+    print("coverage (corners per cell of the image):")
+    for row in calibration.coverage:
+        print("  " + " ".join(f"{count or '.':>5}" for count in row))
+    _show_dropped(calibration.dropped)
+
+
+def _rig(options: argparse.Namespace) -> None:
+    from twin_node.rig import save_rig
+    from twin_node.rig.calibrate.board_files import find_board, load_board
+    from twin_node.rig.calibrate.extrinsics import RigOptions, calibrate_rig
+    from twin_node.rig.calibrate.recordings import load_cameras, with_lenses
+    from twin_node.rig.calibrate.results import board_as_base, rig_file_of
+
+    board: Board = load_board(options.board) if options.board else find_board(options.folder)
+    with tqdm(unit="picture", desc="board", disable=None) as bar:
+        cameras = load_cameras(options.folder, board, options.every, bar.update)
+    if options.lenses is not None:
+        from twin_node.rig import load_rig
+
+        cameras = with_lenses(cameras, load_rig(options.lenses).rig)
+    rig_options = RigOptions(
+        options.model, not options.fixed_lenses, options.refine_board, not options.fixed_clocks, options.partial
+    )
+    solution = calibrate_rig(board, cameras, rig_options)
+    T_base_rig = None
+    if options.board_is_base_at is not None:
+        start = min(int(camera.stamps[0]) for camera in cameras)
+        T_base_rig = board_as_base(solution, start + round(options.board_is_base_at * 1e9))
+    save_rig(rig_file_of(solution, T_base_rig), options.output)
+    if options.json:
+        print(json.dumps(_rig_figures(solution)))
+    else:
+        _show_rig(solution, options.output)
+    for name in solution.unconnected:
+        print(f"twin_node: warning: camera {name} shares no view of the board: left out", file=sys.stderr)
+
+
+def _rig_figures(solution: RigSolution) -> dict[str, object]:
+    from twin_node.rig.calibrate.results import (
+        agreement_sigmas,
+        camera_poses,
+        camera_residuals,
+        residuals_of,
+        residuals_of_all,
+    )
+
+    all_cameras, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
+    poses, sigmas = camera_poses(state), agreement_sigmas(solution)
+    cameras = {}
+    for i, name in enumerate(solution.names):
+        own = residuals_of(camera_residuals(solution, i))
+        cameras[name] = {
+            "median_reprojection_px": own.median_px,
+            "mean_reprojection_px": own.mean_px,
+            "rms_px": own.rms_px,
+            "views": sum(sighting.camera == i for sighting in solution.sightings),
+            "K": state.lenses[i].K.tolist(),
+            "distortion": {"model": state.lenses[i].model, "coefficients": state.lenses[i].D.tolist()},
+            "T_rig_cam": poses[i].tolist(),
+            "sigma_m": float(sigmas[i]),
+            "time_offset_s": float(state.clocks[i]),
+        }
+    return {
+        "median_reprojection_px": all_cameras.median_px,
+        "mean_reprojection_px": all_cameras.mean_px,
+        "rms_px": all_cameras.rms_px,
+        "board": str(solution.board),
+        "sets": len(solution.set_stamps),
+        "dropped": {view.name: view.reason for view in solution.dropped},
+        "unconnected": list(solution.unconnected),
+        "cameras": cameras,
+    }
+
+
+def _show_rig(solution: RigSolution, output: Path) -> None:
+    from twin_node.rig.calibrate.results import agreement_sigmas, camera_residuals, residuals_of, residuals_of_all
+
+    figures, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
+    print(
+        f"{output}: {len(solution.names)} cameras, {len(solution.set_stamps)} sets, reprojection median "
+        f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
+    )
+    for i, (name, sigma) in enumerate(zip(solution.names, agreement_sigmas(solution), strict=True)):
+        own = residuals_of(camera_residuals(solution, i))
+        clock = f", clock {1e3 * state.clocks[i]:+.1f} ms" if solution.bundle.layout.clocks else ""
+        print(f"  {name}: median {own.median_px:.3f} px, rms {own.rms_px:.3f} px, sigma {1e3 * sigma:.2f} mm{clock}")
+    _show_dropped(solution.dropped)
+
+
+def _show_dropped(dropped: Sequence[DroppedView]) -> None:
+    for view in dropped:
+        print(f"dropped: {view.name} ({view.reason})")

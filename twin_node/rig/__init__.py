@@ -1,6 +1,7 @@
 """From cameras to synchronised, undistorted images."""
 
 from twin_node.rig.errors import RigError
+from twin_node.rig.evidence import CameraEvidence
 from twin_node.rig.frames import DecodedImage, FrameAssembler
 from twin_node.rig.rig_file import RigFile, VideoSource, load_rig, save_rig
 from twin_node.rig.stamps import StampsFile, read_stamps
@@ -16,6 +17,7 @@ from twin_node.rig.workspace import workspace_of
 
 __all__ = [
     "ApproximateTimeSynchronizer",
+    "CameraEvidence",
     "DecodedImage",
     "FrameAssembler",
     "InputCounts",

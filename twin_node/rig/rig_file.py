@@ -11,6 +11,7 @@ import yaml
 from twin_node.geometry import pose, rotation_from_quat
 from twin_node.resources import find
 from twin_node.rig.errors import RigError
+from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.stamps import UNITS_NS, StampsFile
 from twin_node.rig.yaml_fields import Fields
@@ -27,6 +28,7 @@ CAMERA_FIELDS = (
     "video",
     "stamps",
     "fps",
+    "evidence",
 )
 """What a camera of a rig file may have."""
 
@@ -54,6 +56,10 @@ class RigFile:
     """The frame that `T_base_cam` and `workspace` are in."""
     date: str = ""
     notes: str = ""
+    board: str = ""
+    """What it was calibrated with, in words."""
+    evidence: tuple[CameraEvidence | None, ...] = ()
+    """Per camera, in the rig's order: how well it is calibrated; None where the file does not say."""
 
     def videos(self) -> tuple[VideoSource, ...]:
         """The video of every camera.
@@ -89,7 +95,7 @@ def load_rig(path: str | Path) -> RigFile:
         reason = " ".join(str(error).split())
         raise RigError(f"{path}: expected a rig file (YAML), found {reason}") from error
     fields = Fields(str(path), data)
-    fields.only("cameras", "workspace", "frame", "date", "notes", "data")
+    fields.only("cameras", "workspace", "frame", "date", "notes", "board", "data")
     folder = path.parent / fields.text("data", ".")
     cameras = tuple(_camera(entry) for entry in fields.entries("cameras"))
     names = tuple(camera.name for camera in cameras)
@@ -104,6 +110,11 @@ def load_rig(path: str | Path) -> RigFile:
         frame=fields.text("frame", "base_link"),
         date=fields.text("date", ""),
         notes=fields.text("notes", ""),
+        board=fields.text("board", ""),
+        evidence=tuple(
+            read_evidence(entry.table("evidence")) if entry.has("evidence") else None
+            for entry in fields.entries("cameras")
+        ),
     )
 
 
@@ -111,15 +122,18 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
     """Writes a rig file that `load_rig` reads back to the same values; video paths are made relative to it."""
     path = Path(path)
     out: dict[str, object] = {"frame": rig_file.frame}
-    for key in ("date", "notes"):
+    for key in ("date", "board", "notes"):
         if text := getattr(rig_file, key):
             out[key] = text
     if rig_file.rig.workspace is not None:
         lower, upper = rig_file.rig.workspace.tolist()
         out["workspace"] = {"min": lower, "max": upper}
-    sources = rig_file.sources or (None,) * len(rig_file.rig.cameras)
+    unknown = (None,) * len(rig_file.rig.cameras)
     out["cameras"] = [
-        _camera_entry(camera, source, path.parent) for camera, source in zip(rig_file.rig.cameras, sources, strict=True)
+        _camera_entry(camera, source, path.parent) | ({"evidence": evidence_entry(evidence)} if evidence else {})
+        for camera, source, evidence in zip(
+            rig_file.rig.cameras, rig_file.sources or unknown, rig_file.evidence or unknown, strict=True
+        )
     ]
     text = yaml.dump(out, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
     path.write_text(text, encoding="utf-8")

@@ -67,6 +67,8 @@ class RigOptions:
     """Refine the places of the board's corners: prints stretch, boards bend. The size as a whole stays as stated."""
     clocks: bool = True
     """Estimate clock offsets, where the board moved."""
+    partial: bool = False
+    """Leave out cameras that share no set with the largest group, instead of refusing."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +91,9 @@ class RigSolution:
 def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: RigOptions | None = None) -> RigSolution:
     """The rig that explains all cameras' views of the board best.
 
-    Cameras that share no set, directly or through others, with the largest group are left out and named in
-    `unconnected`.
-
-    Raises `RigError` for fewer than two cameras, for a board that looks the same when turned, where no two cameras see
-    the board at once, or where a camera's views do not determine its lens.
+    Raises `RigError` for fewer than two cameras, for a board that looks the same when turned, where cameras share no
+    set, directly or through others, with the largest group (unless `options.partial`), or where a camera's views do not
+    determine its lens.
     """
     options = options or RigOptions()
     _check(board, cameras)
@@ -108,11 +108,17 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
             f"cameras {alone}: expected the board in images of two cameras at once, found it only in one at a time; "
             "check the stamps, or hold the board where several cameras see it"
         )
+    left_out = tuple(camera.name for i, camera in enumerate(cameras) if i not in group)
+    if left_out and not options.partial:
+        raise RigError(
+            f"cameras {', '.join(left_out)}: expected board views at the same time as of "
+            f"{', '.join(cameras[i].name for i in group)}, found none; hold the board where both see it, "
+            "or go on without them (--partial)"
+        )
     members = [cameras[i] for i in group]
     own = [Sighting(group.index(s.camera), s.board, s.corners) for s in first_look if s.camera in group]
     stamps = all_stamps[_spread(own, len(group))]
     solved = _solve(board, members, [lenses[i] for i in group], stamps, options)
-    left_out = tuple(camera.name for i, camera in enumerate(cameras) if i not in group)
     names = tuple(camera.name for camera in members)
     return RigSolution(board, names, solved.bundle, solved.sightings, solved.set_stamps, solved.dropped, left_out)
 

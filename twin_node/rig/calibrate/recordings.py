@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.extrinsics import CameraRecording
 from twin_node.rig.calibrate.intrinsics import BoardView
+from twin_node.rig.calibrate.lenses import lens_of
 from twin_node.rig.errors import RigError
 from twin_node.rig.stamps import StampsFile, read_stamps
-from twin_node.scene import UInt8
+from twin_node.scene import Rig, UInt8
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 VIDEO_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v"}
@@ -56,7 +57,7 @@ class BoardSearch:
         return tuple(BoardView(name, corners) for name, corners in pairs if corners is not None)
 
 
-Progress = Callable[[], None]
+Progress = Callable[[], object]
 """Called after each picture."""
 
 
@@ -121,6 +122,26 @@ def load_cameras(folder: Path, board: Board, every: int = 1, progress: Progress 
             "left01.png and right01.png; found none of these"
         )
     return [_still_camera(name, numbered, board, progress) for name, numbered in stills.items()]
+
+
+def with_lenses(cameras: Sequence[CameraRecording], rig: Rig) -> list[CameraRecording]:
+    """The recordings with the lenses of a rig's cameras of the same names.
+
+    Raises `RigError` where the rig has no such camera or its images are of another size.
+    """
+    known = {camera.name: camera for camera in rig.cameras}
+    out = []
+    for camera in cameras:
+        if camera.name not in known:
+            raise RigError(f"camera {camera.name}: expected its lens, found only those of {', '.join(known)}")
+        lens = lens_of(known[camera.name])
+        if (lens.width, lens.height) != camera.size:
+            raise RigError(
+                f"camera {camera.name}: expected a lens for {camera.size[0]}x{camera.size[1]}, found one for "
+                f"{lens.width}x{lens.height}; use the calibration of this resolution"
+            )
+        out.append(replace(camera, lens=lens))
+    return out
 
 
 def _video_camera(path: Path, number: int, board: Board, every: int, progress: Progress | None) -> CameraRecording:

@@ -1,0 +1,51 @@
+"""ROS camera calibration files (camera_calibration_parsers' YAML), written and read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from twin_node.rig.calibrate.lenses import Lens
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_checks import check_distortion, check_intrinsics
+from twin_node.rig.yaml_fields import Fields
+from twin_node.scene import Float64
+
+
+def save_camera_info(lens: Lens, path: Path) -> None:
+    """Writes a lens as `camera_info_manager` and `image_proc` read it; P is K, for images that are undistorted."""
+    P = np.concatenate([lens.K, np.zeros((3, 1))], axis=1)
+    out = {
+        "image_width": lens.width,
+        "image_height": lens.height,
+        "camera_name": path.stem,
+        "camera_matrix": _matrix(lens.K),
+        "distortion_model": lens.model,
+        "distortion_coefficients": _matrix(lens.D[None]),
+        "rectification_matrix": _matrix(np.eye(3)),
+        "projection_matrix": _matrix(P),
+    }
+    path.write_text(yaml.dump(out, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+
+
+def load_camera_info(path: Path) -> Lens:
+    """The lens of a ROS camera calibration file. Raises `RigError` where it is none or a value is wrong."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise RigError(f"{path}: expected a ROS camera calibration file, found {reason}") from error
+    fields = Fields(str(path), data)
+    width, height = int(fields.number("image_width")), int(fields.number("image_height"))
+    K = fields.table("camera_matrix").array("data", (9,)).reshape(3, 3)
+    D = fields.table("distortion_coefficients").array("data", None)
+    model = fields.text("distortion_model")
+    check_intrinsics(str(path), K, (width, height))
+    check_distortion(str(path), model, D)
+    return Lens(width, height, K, model, D)
+
+
+def _matrix(values: Float64) -> dict[str, object]:
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": values.ravel().tolist()}

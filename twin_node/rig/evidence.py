@@ -1,0 +1,65 @@
+"""How well a calibration determines a camera, as rig files keep it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.rig.errors import RigError
+from twin_node.rig.yaml_fields import Fields
+from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class CameraEvidence:
+    """What a calibration left over at one camera, and how sure it is of it."""
+
+    rms_px: float
+    """Root mean square distance between what was found and what is projected, pixels."""
+    median_px: float
+    views: int
+    """Images used."""
+    corners: int
+    """Points used in all of them."""
+    pose_covariance: Float64 | None = None
+    """[6, 6] of `T_base_cam`: x, y, z (m), then turns about the base's x, y, z (rad), as in
+    geometry_msgs/PoseWithCovariance; relative to the first camera. None where unknown."""
+    lens_sigmas: Float64 | None = None
+    """[4 + D] 1 sigma of fx, fy, cx, cy (pixels) and the distortion coefficients; None where unknown."""
+    time_offset_sigma: float | None = None
+    """1 sigma of the clock offset, s; None where it was not estimated."""
+
+
+def read_evidence(fields: Fields) -> CameraEvidence:
+    """The field `evidence` of a camera. Raises `RigError` for wrong values."""
+    fields.only("rms_px", "median_px", "views", "corners", "pose_covariance", "lens_sigmas", "time_offset_sigma")
+    covariance = fields.array("pose_covariance", (6, 6)) if fields.has("pose_covariance") else None
+    if covariance is not None and not np.allclose(covariance, covariance.T, rtol=1e-3, atol=1e-12):
+        raise RigError(f"{fields.where}.pose_covariance: expected a symmetric matrix, found another; copy it whole")
+    return CameraEvidence(
+        fields.number("rms_px"),
+        fields.number("median_px"),
+        int(fields.number("views")),
+        int(fields.number("corners")),
+        covariance,
+        fields.array("lens_sigmas", None) if fields.has("lens_sigmas") else None,
+        fields.number("time_offset_sigma") if fields.has("time_offset_sigma") else None,
+    )
+
+
+def evidence_entry(evidence: CameraEvidence) -> dict[str, object]:
+    """What `read_evidence` reads back."""
+    entry: dict[str, object] = {
+        "rms_px": evidence.rms_px,
+        "median_px": evidence.median_px,
+        "views": evidence.views,
+        "corners": evidence.corners,
+    }
+    if evidence.pose_covariance is not None:
+        entry["pose_covariance"] = evidence.pose_covariance.tolist()
+    if evidence.lens_sigmas is not None:
+        entry["lens_sigmas"] = evidence.lens_sigmas.tolist()
+    if evidence.time_offset_sigma is not None:
+        entry["time_offset_sigma"] = evidence.time_offset_sigma
+    return entry
