@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from twin_node.rig.calibrate.intrinsics import DroppedView, LensCalibration
 
 MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
+SHAPES = {"auto": None, "flat": False, "refined": True}
+"""What `--board-shape` says of refining the places of the board's corners."""
+
 BOARD_HELP = (
     "file, or chessboard:9x6:0.025, charuco:5x7:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3, circles:10x10:0.02"
 )
@@ -53,7 +56,9 @@ def add_rig(kinds: Any) -> None:
     parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
     parser.add_argument("--lenses", type=Path, metavar="RIG.yaml", help="start from the lenses of this rig file")
     parser.add_argument("--fixed-lenses", action="store_true", help="do not refine lenses with the poses")
-    parser.add_argument("--refine-board", action="store_true", help="the board may be stretched and bent")
+    parser.add_argument(
+        "--board-shape", choices=SHAPES, default="auto", help="whether the print may be stretched and bent"
+    )
     parser.add_argument("--fixed-clocks", action="store_true", help="the stamps are right: cameras share a trigger")
     parser.add_argument(
         "--board-is-base-at",
@@ -100,7 +105,7 @@ def _lens_figures(calibration: LensCalibration, pictures: int) -> dict[str, obje
         "size": [lens.width, lens.height],
         "K": lens.K.tolist(),
         "distortion": {"model": lens.model, "coefficients": lens.D.tolist()},
-        "sigmas": None if calibration.sigmas is None else calibration.sigmas.tolist(),
+        "sigmas": calibration.sigmas.tolist(),
         "coverage": calibration.coverage.tolist(),
     }
 
@@ -108,12 +113,9 @@ def _lens_figures(calibration: LensCalibration, pictures: int) -> dict[str, obje
 def _show_lens(calibration: LensCalibration, pictures: int) -> None:
     lens = calibration.lens
     print(f"{len(calibration.views)} views of {pictures} pictures, rms {calibration.rms_px:.3f} px, {lens.model}")
-    sigmas = [""] * len(lens.parameters)
-    if calibration.sigmas is not None:
-        sigmas = [f" +- {sigma:.2g}" for sigma in calibration.sigmas]
     names = ["fx", "fy", "cx", "cy", *(f"d{i}" for i in range(1, len(lens.D) + 1))]
-    for name, value, sigma in zip(names, lens.parameters, sigmas, strict=True):
-        print(f"  {name:>3} {value:12.5f}{sigma}")
+    for name, value, sigma in zip(names, lens.parameters, calibration.sigmas, strict=True):
+        print(f"  {name:>3} {value:12.5f} +- {sigma:.2g}")
     print("coverage (corners per cell of the image):")
     for row in calibration.coverage:
         print("  " + " ".join(f"{count or '.':>5}" for count in row))
@@ -135,7 +137,11 @@ def _rig(options: argparse.Namespace) -> None:
 
         cameras = with_lenses(cameras, load_rig(options.lenses).rig)
     rig_options = RigOptions(
-        options.model, not options.fixed_lenses, options.refine_board, not options.fixed_clocks, options.partial
+        options.model,
+        not options.fixed_lenses,
+        SHAPES[options.board_shape],
+        not options.fixed_clocks,
+        options.partial,
     )
     solution = calibrate_rig(board, cameras, rig_options)
     T_base_rig = None

@@ -21,9 +21,12 @@ from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.lenses import Lens, project_points
 from twin_node.scene import Float64
 
-BOARD_TOLERANCE = 0.002
-"""1 sigma of a corner's place as a share of the distance between corners, where the board is refined: assumed of office
-prints on a glued board, and weak against what the pictures say."""
+BOARD_TOLERANCE = 0.01
+"""1 sigma of a corner's place as a share of the distance between corners, where the board is refined: at first; from
+the second round on what was measured. Paper bends and printers stretch, but no print is off by several of these."""
+
+BOARD_TOLERANCE_FLOOR = 1e-4
+"""No print is better than this share of the distance between corners."""
 
 CLOCK_SIGMA = 0.1
 """1 sigma of a camera's clock offset, s: what a frame may wait in drivers and buffers (webcams: up to a few frames)."""
@@ -76,7 +79,7 @@ class BundleOptions:
     lenses: bool = True
     """Focal lengths, principal points and distortion."""
     board: bool = True
-    """The places of the board's corners, held by `BOARD_TOLERANCE` to where they should be."""
+    """The places of the board's corners, held by how far off boards are."""
     clocks: bool = True
     """Clock offsets, of cameras that saw the board move."""
 
@@ -145,7 +148,13 @@ class BundleProblem:
         moves = any(sighting.velocities is not None for sighting in sightings)
         clocks = len(start.cameras) - 1 if options.clocks and moves else 0
         self.layout = Layout(len(start.cameras), len(start.boards), lens_sizes, points, clocks)
-        self._tolerance = BOARD_TOLERANCE * _step(start.points)
+        self._step = _step(start.points)
+        self._tolerance = BOARD_TOLERANCE * self._step
+
+    def measure_board(self, state: BundleState) -> None:
+        """Sets what the board's corners may be off by to what they are off by."""
+        displacement = float(np.sqrt(np.mean((state.points - self._start.points) ** 2)))
+        self._tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
 
     def pack(self, state: BundleState) -> Float64:
         """The vector of unknowns of a state."""
@@ -248,10 +257,21 @@ def adjust(start: BundleState, sightings: Sequence[Sighting], options: BundleOpt
     for _ in range(ROUNDS):
         x = _minimise(problem, x, noise)
         noise = _noise(problem.residuals(problem.unpack(x)), sightings, len(start.cameras))
+        problem.measure_board(problem.unpack(x))
     state = problem.unpack(x)
     information = _information(problem.jacobian(x, noise))
     covariance = np.asarray(np.linalg.pinv(information, hermitian=True), np.float64)
     return BundleResult(state, problem.residuals(state), noise, covariance, problem.layout)
+
+
+def board_pays(rigid: BundleResult, bent: BundleResult, sightings: Sequence[Sighting]) -> bool:
+    """Whether a refined board explains enough for its unknowns (Bayesian information criterion, Schwarz 1978)."""
+    counts = np.zeros(len(rigid.noise_px))
+    for sighting in sightings:
+        counts[sighting.camera] += 2 * len(sighting.corners)
+    gain = float(counts @ np.log(rigid.noise_px / bent.noise_px))
+    unknowns = 3 * bent.layout.points - 6  # where the board as a whole is, its poses say
+    return bool(gain > unknowns / 2 * np.log(counts.sum()))
 
 
 def _minimise(problem: BundleProblem, x: Float64, noise: Float64) -> Float64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.boards import Board, Corners
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting, adjust
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting, adjust, board_pays
 from twin_node.rig.calibrate.intrinsics import BoardView, DroppedView, calibrate_lens, rms, usable
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.calibrate.pose_graph import PoseGraph, build_pose_graph, islands
@@ -63,8 +63,9 @@ class RigOptions:
     """Distortion model of cameras whose lens is not known."""
     lenses: bool = True
     """Refine lenses together with the poses."""
-    board: bool = False
-    """Refine the places of the board's corners: prints stretch, boards bend. The size as a whole stays as stated."""
+    board: bool | None = None
+    """Refine the places of the board's corners: prints stretch, boards bend (the size as a whole stays as stated).
+    None: where the pictures say so clearly."""
     clocks: bool = True
     """Estimate clock offsets, where the board moved."""
     partial: bool = False
@@ -140,7 +141,7 @@ def _solve(
 ) -> _Solved:
     """Adjusts, sets the clocks, interpolates the corners anew and drops what does not fit, until nothing changes."""
     sources = [_source(camera) for camera in cameras]
-    bundle_options = BundleOptions(options.lenses, options.board, options.clocks)
+    bundle_options = BundleOptions(options.lenses, bool(options.board), options.clocks)
     clocks, bad = np.zeros(len(cameras)), set[_Place]()
     dropped: list[DroppedView] = []
     for _ in range(CLOCK_ROUNDS):
@@ -151,7 +152,8 @@ def _solve(
         stamps = stamps[used]
         sightings = [Sighting(s.camera, used.index(s.board), s.corners, s.velocities) for s in sightings]
         graph = build_pose_graph(lenses, board.points, sightings)
-        bundle = adjust(_start(graph, lenses, board, clocks), sightings, bundle_options)
+        start = _start(graph, lenses, board, clocks)
+        bundle = adjust(start, sightings, bundle_options)
         moved = float(np.abs(bundle.state.clocks - clocks).max())
         clocks, lenses = bundle.state.clocks, bundle.state.lenses
         outliers = _outliers(bundle, sightings)
@@ -161,6 +163,9 @@ def _solve(
             camera, stamp = sightings[n].camera, int(stamps[sightings[n].board])
             bad.add(_Place(camera, stamp))
             dropped.append(DroppedView(_image_at(cameras[camera], stamp), f"rms {rms([bundle.residuals[n]]):.2f} px"))
+    if options.board is None:
+        bent = adjust(replace(bundle.state, clocks=start.clocks), sightings, replace(bundle_options, board=True))
+        bundle = bent if board_pays(bundle, bent, sightings) else bundle
     return _Solved(bundle, tuple(sightings), stamps, tuple(dropped))
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Board, Corners
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting, adjust, board_pays
 from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project_points
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
@@ -57,8 +58,8 @@ class LensCalibration:
     """A lens, and how well the pictures determine it."""
 
     lens: Lens
-    sigmas: Float64 | None
-    """[4 + D] 1 sigma of `lens.parameters`; None where the model's solver does not tell (equidistant)."""
+    sigmas: Float64
+    """[4 + D] 1 sigma of `lens.parameters`."""
     views: tuple[BoardView, ...]
     """The views that were used."""
     residuals: tuple[Float64, ...]
@@ -85,6 +86,7 @@ def calibrate_lens(
 ) -> LensCalibration:
     """The lens that explains the views best; views that do not fit are dropped and named.
 
+    The board's corners are refined with it where the views say clearly that the board is not flat or stretched.
     `size`: (width, height) pixels; `source`: named in errors. Raises `RigError` for an unknown model or where too few
     views are left.
     """
@@ -101,7 +103,7 @@ def calibrate_lens(
         residuals = _residuals(board, used, solution)
         bad = _outliers(residuals)
         if not bad.any():
-            return LensCalibration(solution.lens, solution.sigmas, tuple(used), residuals, tuple(dropped))
+            return _refined(board, used, solution, tuple(dropped))
         errors = [rms([r]) for r in residuals]
         dropped += [DroppedView(used[i].name, f"rms {errors[i]:.2f} px") for i in np.flatnonzero(bad)]
         used = [view for view, is_bad in zip(used, bad, strict=True) if not is_bad]
@@ -131,10 +133,22 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
     return np.asarray(counts, dtype=np.int64)
 
 
+def _refined(
+    board: Board, views: Sequence[BoardView], start: _Solution, dropped: tuple[DroppedView, ...]
+) -> LensCalibration:
+    """The lens by bundle adjustment, which also tells how sure it is, over a flat board or one that is not."""
+    sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
+    state = BundleState(np.zeros((1, 6)), start.poses, (start.lens,), board.points, np.zeros(1))
+    bundle = adjust(state, sightings, BundleOptions(board=False))
+    bent = adjust(replace(bundle.state, points=board.points), sightings, BundleOptions(board=True))
+    bundle = bent if board_pays(bundle, bent, sightings) else bundle
+    sigmas = np.sqrt(np.diag(bundle.covariance)[bundle.layout.lens(0)])
+    return LensCalibration(bundle.state.lenses[0], sigmas, tuple(views), bundle.residuals, dropped)
+
+
 @dataclass(frozen=True)
 class _Solution:
     lens: Lens
-    sigmas: Float64 | None
     poses: Float64
     """[V, 6] rotation vector and translation that map the board to the optical frame, per view."""
 
@@ -166,18 +180,12 @@ def _solve_pinhole(board: Board, views: Sequence[BoardView], size: tuple[int, in
     objects = [board.points[view.corners.ids].astype(np.float32)[:, None] for view in views]
     pixels = [view.corners.pixels.astype(np.float32)[:, None] for view in views]
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
-    _, K, D, rotations, translations, sigmas, _, _ = cv2.calibrateCameraExtended(
-        objects,
-        pixels,
-        size,
-        np.eye(3),
-        np.zeros(5),
-        flags=flags,
-        criteria=STOP,
+    _, K, D, rotations, translations = cv2.calibrateCamera(
+        objects, pixels, size, np.eye(3), np.zeros(5), flags=flags, criteria=STOP
     )
     count = COEFFICIENTS[model]
     lens = Lens(*size, np.asarray(K, np.float64), model, np.asarray(D, np.float64).ravel()[:count])
-    return _Solution(lens, np.asarray(sigmas, np.float64).ravel()[: 4 + count], _poses(rotations, translations))
+    return _Solution(lens, _poses(rotations, translations))
 
 
 def _solve_fisheye(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str) -> _Solution:
@@ -188,7 +196,7 @@ def _solve_fisheye(board: Board, views: Sequence[BoardView], size: tuple[int, in
         objects, pixels, size, np.eye(3), np.zeros(4), flags=flags, criteria=STOP
     )
     lens = Lens(*size, np.asarray(K, np.float64), model, np.asarray(D, np.float64).ravel())
-    return _Solution(lens, None, _poses(rotations, translations))
+    return _Solution(lens, _poses(rotations, translations))
 
 
 def _poses(rotations: Sequence[object], translations: Sequence[object]) -> Float64:
