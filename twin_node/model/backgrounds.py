@@ -107,10 +107,10 @@ class Backgrounds:
         self._changed = False
         self._age = 0
 
-    def near(self, backgrounds: Sequence[Background], active: Sequence[Bool]) -> Tensor:
-        """[k] those of `rows` that can show in the `active` pixels [H, W] of some view."""
+    def near(self, backgrounds: Sequence[Background], masks: Sequence[Bool]) -> Tensor:
+        """[k] those of `rows` that can show in the pixels of some view's mask [H, W]."""
         shown = np.zeros(len(self.rows), bool)
-        for background, mask in zip(backgrounds, active, strict=True):
+        for background, mask in zip(backgrounds, masks, strict=True):
             apart = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
             seen = background.static
             shown |= background.reach_px + 1 > apart[seen.rows, seen.columns]

@@ -32,10 +32,16 @@ RATES[RGB] = 1.5e-2
 
 REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
-CANONICAL_SHARE = 0.5
-"""Share of the mean's rate while things move: motion belongs to the nodes, and what is left over to the shape."""
+CANONICAL_SHARE = 1.5
+"""What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
+REVISED_SHARE = 0.3
+"""What the rates of STATIC Gaussians are multiplied by when they are revised: noise must not wear them down."""
 DEPTH_WEIGHT = 0.2
 """Weight of a metre of depth error beside the photometric loss."""
+
+
+SKIRT_PX = 5
+"""Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +120,12 @@ def fit_window(
     gaussians: Gaussians,
     motion: Motion,
     observed: Sequence[Observed],
+    masks: Sequence[Bool],
     near: Tensor,
     revised: Tensor,
     parameters: TrackParameters,
 ) -> list[Rendering]:
-    """A few steps on the Gaussians that move, inside the pixels that changed, and on `revised` [r] STATIC rows.
+    """A few steps on the Gaussians that move, inside `masks` [H, W], and on `revised` [r] STATIC rows.
 
     Each view is fitted at its own time. `near` are other rows that can show, which are not touched. Where a node is
     DEFORMABLE the field learns along. Returns what the views saw before the last step; empty where nothing learns.
@@ -128,13 +135,15 @@ def fit_window(
         return []
     offsets = [one.offset_s for one in observed]
     poses, stamps = motion.poses(offsets), motion.stamps(offsets)
-    goal = _goal(gaussians, observed, revised)
+    views = [one.view for one in observed]
+    goal = _Goal([view.camera for view in views], masks, targets_of(views, masks, gaussians.values.device))
     with torch.no_grad():
         static = motion.place(gaussians, near[~torch.isin(near, revised)], poses, stamps)
     carriage = carry(poses, gaussians.nodes[rows])
     descent = gaussians.descent(rows)
     rates = _rates(descent.values, parameters.learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE
+    rates[len(rows) - len(revised) :] *= REVISED_SHARE
     sheets: list[Sheet] = []
     for _ in range(parameters.steps):
         values = descent.values.detach().requires_grad_(motion.bends)
@@ -166,16 +175,6 @@ class _Goal:
     cameras: Sequence[Camera]
     masks: Sequence[Bool] | None
     targets: Sequence[Targets]
-
-
-def _goal(gaussians: Gaussians, observed: Sequence[Observed], revised: Tensor) -> _Goal:
-    """The active pixels, and those around the STATIC Gaussians `revised` [r]."""
-    masks = [one.active for one in observed]
-    if len(revised):
-        points = gaussians.values[revised, MEAN].cpu().numpy()
-        masks = [mask | (_footprint(one, points) & one.usable) for mask, one in zip(masks, observed, strict=True)]
-    views = [one.view for one in observed]
-    return _Goal([view.camera for view in views], masks, targets_of(views, masks, gaussians.values.device))
 
 
 @dataclass(frozen=True)
@@ -232,6 +231,19 @@ def _rates(values: Tensor, factor: float) -> Tensor:
     rates = (RATES.to(values.device) * factor).repeat(len(values), 1)
     rates[:, MEAN] *= values[:, LOG_SCALE].exp().mean(-1, keepdim=True)
     return rates
+
+
+def held_pixels(observed: Sequence[Observed], moving: Splats, revised: Tensor) -> list[Bool]:
+    """Per view [H, W] the pixels that a rendering is held to: where something changed, and where what learns shows.
+
+    `moving` are the Gaussians that move, at each view's time, `revised` [r, 3] the means of STATIC ones, m. Behind thin
+    or loose surfaces moving Gaussians shine through: a view in which nothing moves there must have its say too.
+    """
+    masks = []
+    for index, one in enumerate(observed):
+        means = torch.cat([moving.means[index], revised]).cpu().numpy()
+        masks.append((grow(one.active, SKIRT_PX) | _footprint(one, means)) & one.usable)
+    return masks
 
 
 def _footprint(one: Observed, points: NDArray[np.floating]) -> Bool:

@@ -13,7 +13,7 @@ from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.fitting import fit_window
+from twin_node.model.fitting import fit_window, held_pixels
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -122,8 +122,9 @@ class Tracker:
         """
         chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
         revised = self._living(self._backgrounds.rows[chosen])
-        near = self._near(observed)
-        seen = fit_window(self._gaussians, self._motion, observed, near, revised, self._parameters.track)
+        masks = held_pixels(observed, self._moving(observed), self._gaussians.means[revised])
+        near = self._near(observed, masks)
+        seen = fit_window(self._gaussians, self._motion, observed, masks, near, revised, self._parameters.track)
         if len(revised):
             self._backgrounds.mark()
         return seen
@@ -176,9 +177,9 @@ class Tracker:
         self._gaussians.doubts[rows] = doubts
         return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]
 
-    def _near(self, observed: Sequence[Observed]) -> Tensor:
-        """Rows that nothing is learned about and that can show: STATIC ones near active pixels, and the arm."""
-        near = self._backgrounds.near([one.background for one in observed], [one.active for one in observed])
+    def _near(self, observed: Sequence[Observed], masks: Sequence[Bool]) -> Tensor:
+        """Rows that nothing is learned about and that can show in `masks` [H, W]: STATIC ones, and the arm."""
+        near = self._backgrounds.near([one.background for one in observed], masks)
         return torch.cat([self._living(near), self._gaussians.robot_rows])
 
     def _living(self, rows: Tensor) -> Tensor:
@@ -199,7 +200,7 @@ class Tracker:
 
     def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
         """What the views would see, in their active pixels, of the model with `moving` in it."""
-        static = self._place(self._near(observed), observed)
+        masks = [one.active for one in observed]
+        static = self._place(self._near(observed, masks), observed)
         with torch.no_grad():
-            cameras, masks = [one.view.camera for one in observed], [one.active for one in observed]
-            return render(join(static, moving), cameras, masks)
+            return render(join(static, moving), [one.view.camera for one in observed], masks)
