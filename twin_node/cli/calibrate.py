@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative
+from twin_node.cli.calibrate_motion import add_hand_eye, add_refine
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.boards import Board
@@ -33,6 +34,8 @@ def add_calibrate(commands: Any) -> None:
     kinds = calibrate.add_subparsers(required=True, metavar="KIND")
     add_intrinsics(kinds)
     add_rig(kinds)
+    add_hand_eye(kinds)
+    add_refine(kinds)
 
 
 def add_intrinsics(kinds: Any) -> None:

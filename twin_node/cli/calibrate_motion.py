@@ -1,0 +1,229 @@
+"""`twin_node calibrate hand-eye | refine`: calibration from the robot's and the scene's own motion."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import add_source_options
+
+if TYPE_CHECKING:
+    from twin_node.nodes.log_source import LogSession
+    from twin_node.rig import RigFile
+    from twin_node.rig.calibrate.boards import Board
+    from twin_node.rig.calibrate.hand_eye import HandEyeResult
+    from twin_node.rig.calibrate.refine import PairFigures, RefineResult
+    from twin_node.rig.calibrate.stills import Still
+    from twin_node.scene import Float64, Rig, RigCamera
+
+STILLS_RATE_HZ = 4.0
+"""Image sets per second that what stands still is taken from."""
+PLANE_WIDTH = 320
+"""Width in pixels at which the common plane is sought: its pattern needs no more."""
+
+
+def add_hand_eye(kinds: Any) -> None:
+    """Adds `calibrate hand-eye`."""
+    parser = kinds.add_parser("hand-eye", help="camera to robot, from pictures of a board at known flange poses")
+    parser.add_argument("views", type=Path, metavar="DIR|VIEWS.yaml", help="list of {image, pose} or {image, joints}")
+    parser.add_argument("--mount", choices=("camera", "target"), default="camera", help="what the flange carries")
+    parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="intrinsics; without it the folder's own")
+    parser.add_argument("--camera", metavar="NAME", help="which camera of the rig file took the pictures")
+    parser.add_argument("--board", metavar="BOARD", help="the target; without it the folder's own")
+    parser.add_argument("--arm", metavar="ARM", help="turns joints into flange poses: ur5e, or a URDF or MJCF file")
+    parser.add_argument("--fixed-intrinsics", action="store_true", help="take the intrinsics as they are")
+    parser.add_argument("--fixed-scale", action="store_true", help="take the board's size as it is")
+    parser.add_argument("-o", "--output", type=Path, metavar="RIG.yaml")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=_hand_eye)
+
+
+def add_refine(kinds: Any) -> None:
+    """Adds `calibrate refine`."""
+    parser = kinds.add_parser("refine", help="better extrinsics from an ordinary recording, without a board")
+    parser.add_argument("log", type=Path, metavar="LOG")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml")
+    parser.add_argument("--plane", choices=("auto", "none"), default="auto", help="use the plane that most views show")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_source_options(parser)
+    parser.set_defaults(run=_refine)
+
+
+def _hand_eye(options: argparse.Namespace) -> None:
+    from twin_node.rig.calibrate.hand_eye import HandEyeParameters, Mount, solve_hand_eye
+    from twin_node.rig.calibrate.hand_eye_files import detect_target, read_stops
+    from twin_node.robot import arm_model
+
+    stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)
+    board = _board(options)
+    views = detect_target(stops, board)
+    parameters = HandEyeParameters(not options.fixed_intrinsics, not options.fixed_scale)
+    result = solve_hand_eye(_camera(options, stops[0].image), board.points, views, Mount(options.mount), parameters)
+    if options.output:
+        _save_hand_eye(result, options.output)
+    if options.json:
+        print(json.dumps(_hand_eye_figures(result)))
+        return
+    carrier, other = ("flange", "base") if result.mount is Mount.CAMERA else ("base", "flange")
+    print(f"reprojection: mean {result.mean_px:.3f}, median {result.median_px:.3f}, rms {result.rms_px:.3f} px")
+    print(f"views: {len(views) - len(result.dropped)} used, dropped {', '.join(result.dropped) or 'none'}")
+    print(f"target: {100 * result.target_scale:.2f} % of the size given")
+    print(f"camera in the {carrier} (+- {1000 * result.sigma_m:.1f} mm):\n{result.T_carrier_camera.round(6)}")
+    print(f"target in the {other}:\n{result.T_carrier_target.round(6)}")
+
+
+def _board(options: argparse.Namespace) -> Board:
+    from twin_node.rig.calibrate.board_files import load_board
+    from twin_node.rig.calibrate.boards import CircleGrid
+    from twin_node.rig.calibrate.hand_eye_files import read_target
+
+    if options.board:
+        return load_board(options.board)
+    grid = read_target(_folder(options.views))
+    return CircleGrid(grid.columns, grid.rows, grid.spacing)
+
+
+def _camera(options: argparse.Namespace, image: Path) -> RigCamera:
+    from twin_node.rig import RigError, load_rig
+    from twin_node.rig.calibrate.hand_eye_files import image_size, read_lens
+
+    if options.rig is None:
+        return read_lens(_folder(options.views), image_size(image))
+    cameras = load_rig(options.rig).rig.cameras
+    names = ", ".join(camera.name for camera in cameras)
+    wanted = [camera for camera in cameras if options.camera in (None, camera.name)]
+    if len(wanted) != 1:
+        raise RigError(f"{options.rig}: expected one camera to be chosen, found {names}; give --camera NAME")
+    return wanted[0]
+
+
+def _folder(views: Path) -> Path:
+    return views if views.is_dir() else views.parent
+
+
+def _save_hand_eye(result: HandEyeResult, path: Path) -> None:
+    """A rig file whose frame is what carries the camera."""
+    from twin_node.rig import RigFile, save_rig
+    from twin_node.rig.calibrate.hand_eye import Mount
+    from twin_node.scene import Rig
+
+    camera = replace(result.camera, T_base_cam=result.T_carrier_camera, sigma_m=result.sigma_m)
+    notes = (
+        f"Hand-eye calibration: mean reprojection {result.mean_px:.3f} px, median {result.median_px:.3f} px, target at "
+        f"{100 * result.target_scale:.2f} % of the size given, views dropped: {', '.join(result.dropped) or 'none'}."
+    )
+    frame = "tool0" if result.mount is Mount.CAMERA else "base_link"
+    save_rig(RigFile(Rig((camera,)), frame=frame, date=_today(), notes=notes), path)
+
+
+def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
+    """What `--json` prints."""
+    return {
+        "median_reprojection_px": result.median_px,
+        "mean_reprojection_px": result.mean_px,
+        "rms_px": result.rms_px,
+        "target_scale": result.target_scale,
+        "dropped": list(result.dropped),
+        "cameras": {
+            result.camera.name: {
+                "T_carrier_camera": result.T_carrier_camera.tolist(),
+                "T_carrier_target": result.T_carrier_target.tolist(),
+                "sigma_m": result.sigma_m,
+                "K": result.camera.K.tolist(),
+                "D": result.camera.D.tolist(),
+            }
+        },
+    }
+
+
+def _refine(options: argparse.Namespace) -> None:
+    from twin_node.rig import save_rig
+    from twin_node.rig.calibrate.refine import refine_rig
+
+    with _session(options) as session:
+        rig = session.rig
+        stills = _stills(session, options.max_rate or STILLS_RATE_HZ)
+    result = refine_rig(rig, stills, _plane(stills) if options.plane == "auto" else None)
+    given = _given(options, rig)
+    lines = [
+        f"{pair.a} and {pair.b}: epipolar {pair.epipolar_before_px:.2f} to {pair.epipolar_after_px:.2f} px{_gap(pair)}"
+        for pair in result.pairs
+    ]
+    notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
+    save_rig(replace(given, rig=result.rig, date=_today(), notes=notes), options.output)
+    for reason in result.skipped:
+        print(f"twin_node: warning: {reason}", file=sys.stderr)
+    print(json.dumps(_refine_figures(result)) if options.json else "\n".join([*lines, str(options.output)]))
+
+
+def _session(options: argparse.Namespace) -> LogSession:
+    from twin_node.nodes.log_source import LogSession
+    from twin_node.nodes.topics import parse_remaps
+
+    return LogSession(options.log, options.rig, parse_remaps(options.remap), options.start_offset, options.duration)
+
+
+def _given(options: argparse.Namespace, rig: Rig) -> RigFile:
+    """The rig file to write anew: the one given, else one for the log's own rig."""
+    from twin_node.rig import RigFile, load_rig
+
+    return load_rig(options.rig) if options.rig else RigFile(rig)
+
+
+def _gap(pair: PairFigures) -> str:
+    if pair.plane_before_m is None or pair.plane_after_m is None:
+        return ""
+    return f", on the plane {1000 * pair.plane_before_m:.1f} to {1000 * pair.plane_after_m:.1f} mm"
+
+
+def _stills(session: LogSession, rate_hz: float) -> tuple[Still, ...]:
+    """What stands still in a log, in raw pixels: the session's rig is taken without its distortion for that."""
+    from twin_node.nodes.log_source import LogSource
+    from twin_node.nodes.synchronizer import SynchronizerParameters
+    from twin_node.rig.calibrate.stills import stills_of
+
+    rig = session.rig
+    session.rig = replace(rig, cameras=tuple(replace(camera, D=0 * camera.D) for camera in rig.cameras))
+    sets = LogSource(session, SynchronizerParameters(max_rate_hz=rate_hz))
+    return stills_of(rig, tqdm(sets, unit="set", desc="read", disable=None))
+
+
+def _plane(stills: Sequence[Still]) -> Float64 | None:
+    """[4] the plane that most views show, as the rig given has it."""
+    import numpy as np
+
+    from twin_node.model.plane import dominant_plane
+    from twin_node.rig import Undistorter
+
+    views = [Undistorter(s.camera, min(s.camera.width, PLANE_WIDTH)).view(0, s.rgb) for s in stills]
+    plane = dominant_plane(views, np.zeros((0, 3)))
+    return None if plane is None else np.array([*plane.normal, plane.offset])
+
+
+def _refine_figures(result: RefineResult) -> dict[str, object]:
+    """What `--json` prints."""
+    pairs = result.pairs
+    before = [1000 * pair.plane_before_m for pair in pairs if pair.plane_before_m is not None]
+    after = [1000 * pair.plane_after_m for pair in pairs if pair.plane_after_m is not None]
+    return {
+        "median_epipolar_before_px": median(pair.epipolar_before_px for pair in pairs),
+        "median_epipolar_px": median(pair.epipolar_after_px for pair in pairs),
+        "plane_before_mm": max(before, default=None),
+        "plane_mm": max(after, default=None),
+        "pairs": [asdict(pair) for pair in pairs],
+        "skipped": list(result.skipped),
+        "cameras": {camera.name: {"sigma_m": camera.sigma_m} for camera in result.rig.cameras},
+    }
+
+
+def _today() -> str:
+    return datetime.now(UTC).date().isoformat()
