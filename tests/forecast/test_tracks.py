@@ -1,27 +1,39 @@
-"""Tracks keep their forecasts beside the samples they were made at, however long they run and however slow."""
+"""Tracks judge what was forecast for them, and their records follow the parts."""
+
+from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from twin_node.forecast.tracks import KEPT, Tracks
+from twin_node.forecast.tracks import Tracks
 
-VELOCITY = np.array([[0.5, 0.0, 0.0]])
+PERIOD = 1 / 30
+HORIZON = 0.2
+VELOCITY = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
+START = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-@pytest.mark.parametrize(("period", "within"), [(1 / 60, 0.01), (1 / 30, 0.01), (0.17, 0.03)])
-def test_a_long_straight_path_is_foreseen_at_any_rate(period: float, within: float) -> None:
-    """At 6 Hz the time that was foreseen falls between two samples, so the experts are judged less sharply."""
+def followed(samples: int) -> Tracks:
+    """A part that stands and one that goes straight on."""
     tracks = Tracks()
-    for k in range(3 * KEPT):
-        tracks.advance(k * period, VELOCITY * k * period, VELOCITY, 0.233)
-    assert np.isfinite(tracks.mean_weights).all()
-    np.testing.assert_allclose(tracks.displacements(np.array([0.2]))[0], VELOCITY * 0.2, atol=within)
-    assert tracks.own_errors[0] < 0.05
+    for sample in range(samples):
+        tracks.advance(sample * PERIOD, START + VELOCITY * sample * PERIOD, VELOCITY, HORIZON)
+    return tracks
 
 
-def test_every_forecast_stands_beside_its_sample() -> None:
-    tracks = Tracks()
-    for k in range(2 * KEPT):
-        tracks.advance(0.1 * k, VELOCITY * 0.1 * k, VELOCITY, 0.2)
-    assert len(tracks.times) == len(tracks.valid_at) == len(tracks.forecasts) == len(tracks.positions) == KEPT
-    np.testing.assert_allclose(tracks.valid_at, tracks.times + 0.2)
+def test_the_first_judgement_replaces_what_was_ascribed_to_the_untried() -> None:
+    assert np.all(followed(6).own_errors == 0.1)
+    assert np.all(followed(9).own_errors < 0.02)
+
+
+def test_a_surprise_shows_in_the_record_of_its_part_alone() -> None:
+    tracks = followed(15)
+    for sample in range(15, 20):
+        stopped = START + VELOCITY * 14 * PERIOD
+        tracks.advance(sample * PERIOD, stopped, np.zeros((2, 3)), HORIZON)
+    assert tracks.own_errors[1] > 0.03
+    assert tracks.own_errors[0] < 0.01
+
+
+def test_what_goes_straight_on_is_forecast_to_go_straight_on() -> None:
+    ahead = followed(15).displacements(np.array([0.1, 0.2]))
+    assert np.allclose(ahead, VELOCITY * np.array([0.1, 0.2])[:, None, None], atol=0.01)

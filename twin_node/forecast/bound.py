@@ -22,8 +22,8 @@ class BoundParameters:
     """Relative growth of the radius per unit of coverage missed, per horizon: misses show one horizon late."""
     shrink: float = 0.15
     """Relative shrinkage per horizon while the target is kept: a surprise is remembered for about a second."""
-    resolution: float = 0.03
-    """Part of the radius at the last horizon that no record takes away, m: the hull's looseness."""
+    resolution: float = 0.015
+    """Part of the radius at the last horizon that no record takes away, m: three quarters of a voxel."""
     error_share: float = 0.5
     """Weight of a part's own recent error in its scale."""
     speed_share: float = 0.3

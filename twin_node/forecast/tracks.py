@@ -41,6 +41,8 @@ class Tracks:
     """[E, M] recent errors of the experts, m."""
     own_errors: Float64 = field(default_factory=lambda: np.zeros(0))
     """[M] recent error of the mixture, m: quick to grow, slow to shrink."""
+    judgements: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """[M] forecasts that have entered the records of errors."""
     valid_at: Float64 = field(default_factory=lambda: np.zeros(0))
     """[T] s that each sample's forecasts were made for."""
     autoregression: Autoregression = field(default_factory=lambda: Autoregression(NOMINAL_HORIZON_S))
@@ -107,6 +109,7 @@ class Tracks:
         self.forecasts = _taken(self.forecasts, parents, 2, np.nan)
         self.errors = _taken(self.errors, kin, 1, UNTRIED_ERROR)
         self.own_errors = _taken(self.own_errors, kin, 0, UNTRIED_ERROR)
+        self.judgements = np.append(self.judgements, 0)[kin]
         self.ages = np.where(kin == len(self.velocities), 0, np.append(self.ages, 0)[kin] + 1)
         self.born = _taken(self.born, parents, 0, time)
         self.positions[:, born] = (centers - moved)[born]
@@ -129,10 +132,13 @@ class Tracks:
             return
         wrong = np.linalg.norm(self.forecasts[due] - self.positions[-1], axis=-1)
         judged = np.isfinite(wrong).all(axis=0)
-        self.errors = np.where(judged, self.errors + 0.15 * (wrong - self.errors), self.errors)
+        first = 1 / (1 + self.judgements)  # an average of what there is, until there is more than the records hold
+        self.judgements = self.judgements + judged
+        rate = np.maximum(0.15, first)
+        self.errors = np.where(judged, self.errors + rate * (wrong - self.errors), self.errors)
         mixed = np.einsum("em,emc->mc", mix(self.errors), self.forecasts[due])
         own = np.linalg.norm(mixed - self.positions[-1], axis=-1)
-        rate = np.where(own > self.own_errors, 0.5, 0.08)
+        rate = np.maximum(np.where(own > self.own_errors, 0.5, 0.08), first)
         self.own_errors = np.where(judged, self.own_errors + rate * (own - self.own_errors), self.own_errors)
         then = History(self.times[: due + 1], self.positions[: due + 1][:, judged])
         came_true = (self.positions[-1] - self.positions[due])[judged]
