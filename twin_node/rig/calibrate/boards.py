@@ -16,7 +16,7 @@ from twin_node.scene import Float64, UInt8
 REFINE_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 """Sub-pixel refinement ends after 60 rounds or below 1e-4 pixels: far under the 0.05 that corners are good for."""
 
-REFINE_SHARE = 0.3
+REFINE_SHARE = 0.35
 """Half of the refinement window as a share of the distance to the next corner: a window that reaches the neighbours'
 edges is biased (on 640x480 pictures of a chessboard 11 pixels gave twice the residual of 5)."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,17 @@ from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_distortion, check_intrinsics
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What a calibration file says (sensor_msgs/CameraInfo)."""
+
+    lens: Lens
+    R: Float64
+    """[3, 3] rectification."""
+    P: Float64
+    """[3, 4] projection of rectified points, pixels."""
 
 
 def save_camera_info(lens: Lens, path: Path) -> None:
@@ -30,8 +42,8 @@ def save_camera_info(lens: Lens, path: Path) -> None:
     path.write_text(yaml.dump(out, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
-def load_camera_info(path: Path) -> Lens:
-    """The lens of a ROS camera calibration file. Raises `RigError` where it is none or a value is wrong."""
+def load_camera_info(path: Path) -> CameraInfo:
+    """The content of a ROS camera calibration file. Raises `RigError` where it is none or a value is wrong."""
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -44,7 +56,12 @@ def load_camera_info(path: Path) -> Lens:
     model = fields.text("distortion_model")
     check_intrinsics(str(path), K, (width, height))
     check_distortion(str(path), model, D)
-    return Lens(width, height, K, model, D)
+    R, P = np.eye(3), np.concatenate([K, np.zeros((3, 1))], axis=1)
+    if fields.has("rectification_matrix"):
+        R = fields.table("rectification_matrix").array("data", (9,)).reshape(3, 3)
+    if fields.has("projection_matrix"):
+        P = fields.table("projection_matrix").array("data", (12,)).reshape(3, 4)
+    return CameraInfo(Lens(width, height, K, model, D), R, P)
 
 
 def _matrix(values: Float64) -> dict[str, object]:

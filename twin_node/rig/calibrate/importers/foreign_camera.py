@@ -1,0 +1,51 @@
+"""What every importer does at the end: from numbers of another tool to a checked camera of a rig."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin_node.geometry import inverse_pose, pose
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
+from twin_node.rig.rig_file import RigFile
+from twin_node.scene import Float64, Rig, RigCamera
+
+
+def pinhole(fx: float, fy: float, cx: float, cy: float) -> Float64:
+    """`K` [3, 3], pixels."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def from_world_to_camera(R: Float64, t: Float64) -> Float64:
+    """`T_base_cam` [4, 4] of extrinsics x_cam = R x_world + t."""
+    return inverse_pose(pose(R, t))
+
+
+def foreign_camera(
+    where: str, name: str, size: tuple[int, int], K: Float64, T_base_cam: Float64, model: str, D: Float64
+) -> RigCamera:
+    """A camera of a rig; its name is made fit for topics. Raises `RigError` for values that no camera has."""
+    clean = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
+    clean = clean if clean[:1].isalpha() else f"cam_{clean}"
+    if not len(D):
+        model, D = "plumb_bob", np.zeros(5)
+    check_intrinsics(where, K, size)
+    check_distortion(where, model, D)
+    check_pose(where, T_base_cam)
+    return RigCamera(clean, *size, K, T_base_cam, model, D)
+
+
+def foreign_rig(where: str, cameras: Sequence[RigCamera], frame: str, notes: str) -> RigFile:
+    """A rig file of imported cameras. Raises `RigError` where there are none, or they do not look at one volume."""
+    if not cameras:
+        raise RigError(f"{where}: expected at least one camera, found none; is this the right format?")
+    names = tuple(camera.name for camera in cameras)
+    for name in names:
+        if names.count(name) > 1:
+            raise RigError(f"{where}: expected cameras with distinct names, found {name!r} {names.count(name)} times")
+    if len(cameras) > 1:
+        check_facing(where, names, np.stack([camera.T_base_cam for camera in cameras]))
+    return RigFile(Rig(tuple(cameras)), frame=frame, notes=notes)

@@ -1,0 +1,53 @@
+"""Kalibr's camera chains (`camchain.yaml`; github.com/ethz-asl/kalibr/wiki/yaml-formats)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from twin_node.geometry import inverse_pose
+from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_file import RigFile
+from twin_node.rig.yaml_fields import Fields
+from twin_node.scene import Float64, RigCamera
+
+MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
+
+
+def import_kalibr(path: Path, unit: float = 1.0) -> RigFile:
+    """A rig in the optical frame of cam0. Raises `RigError` for models other than pinhole-radtan and pinhole-equi."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise RigError(f"{path}: expected a camchain of Kalibr (YAML), found {reason}") from error
+    chain = Fields(str(path), data)
+    cameras: list[RigCamera] = []
+    T_rig_cam = np.eye(4)
+    while chain.has(f"cam{len(cameras)}"):
+        fields = chain.table(f"cam{len(cameras)}")
+        if cameras:
+            T_next_last = fields.array("T_cn_cnm1", (4, 4))
+            T_next_last[:3, 3] *= unit
+            T_rig_cam = T_rig_cam @ inverse_pose(T_next_last)
+        camera = _camera(fields, f"cam{len(cameras)}", T_rig_cam)
+        offset = fields.number("timeshift_cam_imu", 0.0)
+        cameras.append(replace(camera, time_offset_ns=round(offset * 1e9)))
+    return foreign_rig(str(path), cameras, "cam0_optical_frame", "From Kalibr; poses in the optical frame of cam0.")
+
+
+def _camera(fields: Fields, name: str, T_rig_cam: Float64) -> RigCamera:
+    model, lens = fields.text("camera_model"), fields.text("distortion_model")
+    if model != "pinhole" or lens not in MODELS:
+        raise RigError(
+            f"{fields.where}: expected pinhole with {', '.join(MODELS)}, found {model} with {lens}; calibrate with "
+            "pinhole-radtan or pinhole-equi"
+        )
+    width, height = fields.array("resolution", (2,)).astype(int).tolist()
+    K = pinhole(*fields.array("intrinsics", (4,)).tolist())
+    D = np.zeros(0) if lens == "none" else fields.array("distortion_coeffs", (4,))
+    return foreign_camera(fields.where, name, (width, height), K, T_rig_cam, MODELS[lens], D)

@@ -1,0 +1,77 @@
+"""OpenCV: JSON lists of cameras with K, dist, R, t, and the files of its calibration samples (FileStorage)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, from_world_to_camera
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_file import RigFile
+from twin_node.rig.yaml_fields import Fields
+from twin_node.scene import Float64, RigCamera
+
+NOTES = "From OpenCV; its R, t map world to camera and are inverted here."
+
+
+def import_opencv(path: Path, unit: float = 1.0) -> RigFile:
+    """JSON `{"cameras": [{name, size, K, dist, R, t}]}`, or a FileStorage with one camera or a stereo pair.
+
+    FileStorage: `camera_matrix, distortion_coefficients, image_width, image_height` (one camera), or `M1, D1, M2, D2,
+    R, T, size` (a pair).
+    """
+    if path.suffix.lower() == ".json":
+        return foreign_rig(str(path), _json_cameras(path, unit), "world", NOTES)
+    cameras = _storage_cameras(path, unit)
+    return foreign_rig(str(path), cameras, f"{cameras[0].name}_optical_frame", NOTES)
+
+
+def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise RigError(f"{path}: expected cameras in JSON, found {error}") from error
+    cameras = []
+    for fields in Fields(str(path), data).entries("cameras"):
+        width, height = fields.array("size", (2,)).astype(int).tolist()
+        D = fields.array("dist", None)
+        T = from_world_to_camera(fields.array("R", (3, 3)), fields.array("t", (3,)) * unit)
+        cameras.append(
+            foreign_camera(
+                fields.where, fields.text("name"), (width, height), fields.array("K", (3, 3)), T, _model(D), D
+            )
+        )
+    return cameras
+
+
+def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as error:
+        raise RigError(f"{path}: expected a FileStorage of OpenCV (YAML or XML), found something else") from error
+    if storage.getNode("M1").empty():
+        width, height = (int(storage.getNode(f"image_{side}").real()) for side in ("width", "height"))
+        K, D = _matrix(path, storage, "camera_matrix"), _matrix(path, storage, "distortion_coefficients").ravel()
+        return [foreign_camera(str(path), path.stem, (width, height), K, np.eye(4), _model(D), D)]
+    width, height = _matrix(path, storage, "size").ravel().astype(int).tolist()
+    T = from_world_to_camera(_matrix(path, storage, "R"), _matrix(path, storage, "T").ravel() * unit)
+    cameras = []
+    for name, number, pose in (("left", 1, np.eye(4)), ("right", 2, T)):
+        K, D = _matrix(path, storage, f"M{number}"), _matrix(path, storage, f"D{number}").ravel()
+        cameras.append(foreign_camera(f"{path}: {name}", name, (width, height), K, pose, _model(D), D))
+    return cameras
+
+
+def _matrix(path: Path, storage: cv2.FileStorage, key: str) -> Float64:
+    node = storage.getNode(key)
+    value = None if node.empty() else node.mat()
+    if value is None:
+        raise RigError(f"{path}: expected the matrix {key!r}, found none; is this a calibration of OpenCV's samples?")
+    return np.asarray(value, dtype=np.float64)
+
+
+def _model(D: Float64) -> str:
+    return "plumb_bob" if len(D) <= 5 else "rational_polynomial"

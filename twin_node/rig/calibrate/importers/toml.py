@@ -1,0 +1,59 @@
+"""TOML of anipose, caliscope and Pose2Sim: a table per camera with matrix, distortions, rotation and translation."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, from_world_to_camera
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_file import RigFile
+from twin_node.rig.yaml_fields import Fields
+from twin_node.scene import Float64, RigCamera
+
+
+def import_toml(path: Path, unit: float = 1.0) -> RigFile:
+    """Tables `[cam_0]` (anipose, Pose2Sim) or `[cameras.0]` (caliscope); `rotation` is a vector or a matrix."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RigError(f"{path}: expected a calibration in TOML, found {' '.join(str(error).split())}") from error
+    tables = {**data, **{f"cam_{key}": value for key, value in _table(data.get("cameras")).items()}}
+    cameras = [
+        _camera(Fields(f"{path}: {key}", value), key, unit)
+        for key, value in tables.items()
+        if "matrix" in _table(value) and not _table(value).get("ignore", False)
+    ]
+    return foreign_rig(str(path), cameras, "world", "From TOML; poses in that file's world.")
+
+
+def _table(value: object) -> dict[str, object]:
+    return value if isinstance(value, dict) else {}
+
+
+def _camera(fields: Fields, key: str, unit: float) -> RigCamera:
+    width, height = fields.array("size", (2,)).astype(int).tolist()
+    translation = fields.array("translation", (3,)) * unit
+    fisheye = fields.flag("fisheye")
+    D = fields.array("distortions", None)
+    return foreign_camera(
+        fields.where,
+        fields.text("name", key),
+        (width, height),
+        fields.array("matrix", (3, 3)),
+        from_world_to_camera(_rotation(fields), translation),
+        "equidistant" if fisheye else "plumb_bob" if len(D) <= 5 else "rational_polynomial",
+        D,
+    )
+
+
+def _rotation(fields: Fields) -> Float64:
+    """[3, 3] of a Rodrigues vector or a matrix."""
+    try:
+        vector = fields.array("rotation", (3,))
+    except RigError:
+        return fields.array("rotation", (3, 3))
+    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
