@@ -12,6 +12,18 @@ from twin_node.model.rotations import left_product, rotation_matrix
 
 
 @dataclass(frozen=True)
+class Bend:
+    """What the field adds to those of n Gaussians that it bends, in the nodes' frames at each of T times."""
+
+    chosen: Tensor
+    """[c] which of the n."""
+    offsets: Tensor
+    """[T, c, 3] m, added to the means."""
+    turns: Tensor
+    """[T, c, 4] rotations that the quaternions are multiplied by from the left."""
+
+
+@dataclass(frozen=True)
 class Carriage:
     """What the poses of their nodes do to n Gaussians at each of T times."""
 
@@ -21,6 +33,16 @@ class Carriage:
     """[T, n, 3] m, position of the node."""
     products: Tensor
     """[T, n, 4, 4] the quaternion product with the node's rotation."""
+
+    def bent(self, bend: Bend) -> Carriage:
+        """The same with `bend` before it."""
+        offsets = _apply(self.turns[:, bend.chosen], bend.offsets)
+        products = self.products[:, bend.chosen] @ left_product(bend.turns)
+        return Carriage(
+            self.turns,
+            self.shifts.index_add(1, bend.chosen, offsets),
+            self.products.index_copy(1, bend.chosen, products),
+        )
 
     def means(self, local: Tensor) -> Tensor:
         """[T, n, 3] m in `base_link` of means [n, 3] or [T, n, 3] in the nodes' frames."""

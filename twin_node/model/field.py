@@ -119,12 +119,12 @@ class HexPlane(nn.Module):
         space = F.grid_sample(self.space, planes, align_corners=True).prod(0)[:, 0].T
         still = self._decode(space)
         lines = torch.stack([torch.stack([unit[:, i], torch.zeros_like(unit[:, i])], -1) for i in range(3)])[:, None]
-        moved = []
-        for stamp in stamps:
+        moved = {}
+        for stamp in dict.fromkeys(stamps):
             column = self._column(stamp)[:, :, None]
             time = F.grid_sample(column, lines, align_corners=True).prod(0)[:, 0].T
-            moved.append(self._decode(space * time) - still)
-        both = torch.stack(moved)
+            moved[stamp] = self._decode(space * time) - still
+        both = torch.stack([moved[stamp] for stamp in stamps])
         return Deformation(both[..., :3], both[..., 3:])
 
     def regularity(self) -> Tensor:

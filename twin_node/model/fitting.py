@@ -12,13 +12,14 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.backgrounds import grow
-from twin_node.model.carriage import carry
+from twin_node.model.carriage import Bend, Carriage, carry
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH, Gaussians, activated
 from twin_node.model.motion import Motion
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Sheet, Splats, by_size, draw, join, split
+from twin_node.model.rotations import quat_product
 from twin_node.scene import Bool, Camera, Float32, View
 
 RATES = torch.zeros(WIDTH)
@@ -128,7 +129,8 @@ def fit_window(
     """A few steps on the Gaussians that move, inside `masks` [H, W], and on `revised` [r] STATIC rows.
 
     Each view is fitted at its own time. `near` are other rows that can show, which are not touched. Where a node is
-    DEFORMABLE the field learns along. Returns what the views saw before the last step; empty where nothing learns.
+    DEFORMABLE the field learns along, from the last step. Returns what the views saw before that step; empty where
+    nothing learns.
     """
     rows = torch.cat([gaussians.moving_rows, revised])
     if not len(rows) or not parameters.steps:
@@ -139,17 +141,14 @@ def fit_window(
     goal = _Goal([view.camera for view in views], masks, targets_of(views, masks, gaussians.values.device))
     with torch.no_grad():
         static = motion.place(gaussians, near[~torch.isin(near, revised)], poses, stamps)
-    carriage = carry(poses, gaussians.nodes[rows])
     descent = gaussians.descent(rows)
-    rates = _rates(descent.values, parameters.learning_rate)
-    rates[:, MEAN] *= CANONICAL_SHARE
-    rates[len(rows) - len(revised) :] *= REVISED_SHARE
+    rates = _window_rates(descent.values, len(revised), parameters.learning_rate)
+    rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(descent.values, gaussians, rows, stamps)
+    carriage = rigid if bend is None else _detached(rigid.bent(bend))
     sheets: list[Sheet] = []
-    for _ in range(parameters.steps):
-        values = descent.values.detach().requires_grad_(motion.bends)
-        means, quats = motion.canonical(values, gaussians, rows, stamps)
-        with torch.no_grad():
-            moving = activated(values, carriage.means(means), carriage.quats(quats))
+    for step in range(parameters.steps):
+        values = descent.values
+        moving = activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
         seen = _differentiate(join(static, moving), goal)
         sheets = seen.sheets
         gradient = _tail(seen.gradient, len(rows))
@@ -158,12 +157,9 @@ def fit_window(
             means=carriage.means_gradient(gradient.means),
             quats=carriage.quats_gradient(gradient.quats),
         )
-        columns = _to_columns(moving, local)
-        if motion.bends:
-            _learn_field(motion, means, quats, local)
-            assert values.grad is not None
-            columns[:, : LOG_SCALE.start] = values.grad[:, : LOG_SCALE.start]
-        descent.step(columns, rates)
+        descent.step(_to_columns(moving, local), rates)
+        if bend is not None and step == parameters.steps - 1:
+            _learn_field(motion, bend, values, local.means, rigid.quats_gradient(gradient.quats))
     descent.end()
     return split(sheets)
 
@@ -205,10 +201,14 @@ def _tail(splats: Splats, count: int) -> Splats:
     )
 
 
-def _learn_field(motion: Motion, means: Tensor, quats: Tensor, gradient: Splats) -> None:
-    """Sends `gradient` with respect to bent `means` and `quats` on to what they were bent from, and steps the field."""
-    shaped = [gradient.means, gradient.quats] if means.ndim == 3 else [gradient.means.sum(0), gradient.quats.sum(0)]
-    torch.autograd.backward([means, quats], shaped)
+def _detached(carriage: Carriage) -> Carriage:
+    return Carriage(*(field.detach() for field in vars(carriage).values()))
+
+
+def _learn_field(motion: Motion, bend: Bend, values: Tensor, of_means: Tensor, of_quats: Tensor) -> None:
+    """One step of the field, from the gradients [T, n, ...] with respect to bent means and quaternions."""
+    turned = quat_product(bend.turns, values[bend.chosen, QUAT])
+    torch.autograd.backward([bend.offsets, turned], [of_means[:, bend.chosen], of_quats[:, bend.chosen]])
     torch.autograd.backward(REGULARITY * motion.field.regularity())
     motion.descend()
 
@@ -230,6 +230,14 @@ def _rates(values: Tensor, factor: float) -> Tensor:
     """[n, 14] Adam's rates of Gaussians `values` [n, 14]."""
     rates = (RATES.to(values.device) * factor).repeat(len(values), 1)
     rates[:, MEAN] *= values[:, LOG_SCALE].exp().mean(-1, keepdim=True)
+    return rates
+
+
+def _window_rates(values: Tensor, revised: int, factor: float) -> Tensor:
+    """[n, 14] the same while things move; the last `revised` of the Gaussians are STATIC."""
+    rates = _rates(values, factor)
+    rates[:, MEAN] *= CANONICAL_SHARE
+    rates[len(rates) - revised :] *= REVISED_SHARE
     return rates
 
 

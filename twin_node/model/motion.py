@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from twin_node.model.carriage import carry
+from twin_node.model.carriage import Bend, carry
 from twin_node.model.field import HexPlane
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians, activated
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rendering import Splats
-from twin_node.model.rotations import quat_from_vector, quat_product
+from twin_node.model.rotations import quat_from_vector
 from twin_node.scene import Tier
 
 GRID_RATE, DECODER_RATE = 1.6e-3, 1.6e-4
@@ -51,31 +51,26 @@ class Motion:
         self, values: Tensor, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]
     ) -> Splats:
         """The same with attributes `values` [n, 14] in place of those stored: where a gradient is wanted."""
-        means, quats = self.canonical(values, gaussians, rows, stamps)
         carriers = gaussians.nodes[rows]
-        if bool((carriers >= 0).any()):
-            carriage = carry(poses, carriers)
-            means, quats = carriage.means(means), carriage.quats(quats)
-        else:
-            means, quats = means.expand(len(stamps), -1, -1), quats.expand(len(stamps), -1, -1)
-        return activated(values, means, quats)
+        if not bool((carriers >= 0).any()):
+            times = len(stamps)
+            return activated(values, values[:, MEAN].expand(times, -1, -1), values[:, QUAT].expand(times, -1, -1))
+        carriage, bend = carry(poses, carriers), self.bend(values, gaussians, rows, stamps)
+        if bend is not None:
+            carriage = carriage.bent(bend)
+        return activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
 
-    def canonical(self, values: Tensor, gaussians: Gaussians, rows: Tensor, stamps: list[int]) -> tuple[Tensor, Tensor]:
-        """Means [n, 3] and quaternions [n, 4] in the nodes' frames; [T, n, ...] where the field bends some of them."""
-        means, quats = values[:, MEAN], values[:, QUAT]
+    def bend(self, values: Tensor, gaussians: Gaussians, rows: Tensor, stamps: list[int]) -> Bend | None:
+        """What the field does to the DEFORMABLE among `rows` [n] with attributes `values` [n, 14]; None without one."""
         if not self.bends:
-            return means, quats
+            return None
         chosen = torch.nonzero(gaussians.tiers[rows] == int(Tier.DEFORMABLE))[:, 0]
         if not len(chosen):
-            return means, quats
+            return None
+        means = values[chosen, MEAN]
         anchors = self.nodes.anchors[gaussians.nodes[rows[chosen]].cpu()].to(means)
-        residual = self.field.residual(means[chosen] + anchors, stamps)
-        turned = quat_product(quat_from_vector(residual.rotations), quats[chosen])
-        times = len(stamps)
-        return (
-            means.expand(times, -1, -1).clone().index_add(1, chosen, residual.offsets),
-            quats.expand(times, -1, -1).clone().index_copy(1, chosen, turned),
-        )
+        residual = self.field.residual(means + anchors, stamps)
+        return Bend(chosen, residual.offsets, quat_from_vector(residual.rotations))
 
     def slide(self, stamp: int) -> None:
         """The window now ends at `stamp` (ns)."""
