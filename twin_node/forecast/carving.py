@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
-from twin_node.forecast.tables import REACHES, VOXELS, CameraTable, RigTables
+from twin_node.forecast.tables import REACHES, CameraTable, RigTables
 from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
 _NEVER = np.float32(0)
@@ -98,24 +98,25 @@ class Carver:
 
     def _decide(self, blocks: NDArray[np.int64], sights: list[_Sight]) -> Carved:
         """Every voxel of these blocks against every camera."""
-        shape = (len(blocks), VOXELS)
+        seen = [sight.table.of_blocks(blocks) for sight in sights]
         freed = self._blocks.outside_grid(blocks)
-        moving_views, robot_views, seen_views = np.zeros((3, *shape), np.uint8)
-        surface_views = np.zeros(shape, np.bool_)
-        for sight in sights:
-            seen = sight.table.of_blocks(blocks)
-            freed |= seen.depth < sight.free_until[seen.pixels]
-            flags = sight.flags[seen.pixels]
+        for sight, at in zip(sights, seen, strict=True):
+            freed |= at.depth < sight.free_until[at.pixels]
+        left = np.flatnonzero(~freed)
+        moving_views, robot_views, seen_views = np.zeros((3, len(left)), np.uint8)
+        surface_views = np.zeros(len(left), np.bool_)
+        for sight, at in zip(sights, seen, strict=True):
+            pixels = at.pixels.ravel()[left]
+            flags = sight.flags[pixels]
             moving_views += flags & _MOVING
             robot_views += (flags & _ROBOT) // _ROBOT
             seen_views += (flags & _SEEN) // _SEEN
             if sight.moving_until is not None:
-                surface_views |= seen.depth < sight.moving_until[seen.pixels]
-        moving = ~freed & ((moving_views >= 2) | surface_views)
+                surface_views |= at.depth.ravel()[left] < sight.moving_until[pixels]
+        moving = (moving_views >= 2) | surface_views
         robot_itself = (robot_views >= 2) & (robot_views == seen_views)
-        unknown = ~freed & ~moving & ~robot_itself
-        indices = self._blocks.indices(blocks)
-        return Carved(np.sort(indices[moving]), np.sort(indices[unknown]))
+        indices = self._blocks.indices(blocks).ravel()[left]
+        return Carved(np.sort(indices[moving]), np.sort(indices[~moving & ~robot_itself]))
 
 
 class _Sight:

@@ -55,23 +55,30 @@ def decode_runs(runs: UInt32, size: int) -> Bool:
 def pack(dense: Bool) -> Words:
     """Bits [nx, ny, w] of a dense mask [nx, ny, nz], 64 voxels along z per word, lowest bit first."""
     nx, ny, nz = dense.shape
-    packed = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
-    bits = np.packbits(dense, axis=2, bitorder="little")
-    packed[:, :, : bits.shape[2]] = bits
-    words: Words = packed.view(np.uint64)
-    return words
+    width = -(-nz // 64)
+    if nz % 64:
+        padded = np.zeros((nx, ny, width * 64), np.bool_)
+        padded[:, :, :nz] = dense
+        dense = padded
+    words: Words = np.packbits(dense.reshape(-1), bitorder="little").view(np.uint64)
+    return words.reshape(nx, ny, width)
 
 
 def unpack(words: Words, nz: int) -> Bool:
     """Dense mask [nx, ny, nz] of packed bits [nx, ny, w]."""
-    return np.unpackbits(words.view(np.uint8), axis=2, count=nz, bitorder="little").view(np.bool_)
+    nx, ny, width = words.shape
+    bits = np.unpackbits(words.view(np.uint8).reshape(-1), bitorder="little").view(np.bool_)
+    return bits.reshape(nx, ny, width * 64)[:, :, :nz]
 
 
 def grow(words: Words, diagonal: bool) -> Words:
     """Packed bits grown by one voxel: to the 6 face neighbours, or to the 18 face and edge neighbours."""
-    along_z = words | (words << np.uint64(1)) | (words >> np.uint64(1))
-    along_z[:, :, 1:] |= words[:, :, :-1] >> np.uint64(63)
-    along_z[:, :, :-1] |= words[:, :, 1:] << np.uint64(63)
+    along_z: Words = words << np.uint64(1)
+    along_z |= words
+    along_z |= words >> np.uint64(1)
+    if words.shape[2] > 1:
+        along_z[:, :, 1:] |= words[:, :, :-1] >> np.uint64(63)
+        along_z[:, :, :-1] |= words[:, :, 1:] << np.uint64(63)
     spread = along_z if diagonal else words
     grown: Words = along_z.copy()
     grown[1:] |= spread[:-1]
@@ -79,10 +86,11 @@ def grow(words: Words, diagonal: bool) -> Words:
     grown[:, 1:] |= spread[:, :-1]
     grown[:, :-1] |= spread[:, 1:]
     if diagonal:
-        grown[1:, 1:] |= words[:-1, :-1]
-        grown[1:, :-1] |= words[:-1, 1:]
-        grown[:-1, 1:] |= words[1:, :-1]
-        grown[:-1, :-1] |= words[1:, 1:]
+        beside = words.copy()
+        beside[:, 1:] |= words[:, :-1]
+        beside[:, :-1] |= words[:, 1:]
+        grown[1:] |= beside[:-1]
+        grown[:-1] |= beside[1:]
     return grown
 
 
@@ -97,11 +105,22 @@ def grow_by(levels: NDArray[np.uint8], present: NDArray[np.integer]) -> Bool:
     occurring = set(present.tolist())
     most = max(occurring, default=1)
     words = pack(levels == most)
+    highest = levels.max(axis=2)
     for level in range(most - 1, 0, -1):
-        words = grow(words, diagonal=(level % 4) != 0)
+        grown = _window(highest > level, margin=most - level)
+        words[grown] = grow(words[grown], diagonal=(level % 4) != 0)
         if level in occurring:
             words |= pack(levels == level)
     return unpack(words, levels.shape[2])
+
+
+def _window(mask: Bool, margin: int) -> tuple[slice, slice]:
+    """Rows and columns of the rectangle about the True entries of a mask, and `margin` more on every side."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return (
+        slice(max(0, int(rows[0]) - margin), int(rows[-1]) + margin + 1),
+        slice(max(0, int(columns[0]) - margin), int(columns[-1]) + margin + 1),
+    )
 
 
 @dataclass(frozen=True)
@@ -132,6 +151,7 @@ def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8]) -> S
         return Spread(np.zeros(0, np.int64), np.zeros(0, np.bool_))
     low = places.min(axis=1) - most
     dims = places.max(axis=1) + most + 1 - low
+    dims[2] += -dims[2] % 64  # whole words: packing need not copy
     levels = np.zeros(dims, np.uint8)
     order = np.argsort(reach, kind="stable")
     local = ((places[0] - low[0]) * dims[1] + (places[1] - low[1])) * dims[2] + (places[2] - low[2])
