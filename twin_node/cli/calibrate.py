@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative
+from twin_node.cli.calibrate_files import add_check, add_import_calibration, add_report
 from twin_node.cli.calibrate_motion import add_hand_eye, add_refine
 
 if TYPE_CHECKING:
@@ -34,6 +35,9 @@ def add_calibrate(commands: Any) -> None:
     kinds = calibrate.add_subparsers(required=True, metavar="KIND")
     add_intrinsics(kinds)
     add_rig(kinds)
+    add_check(kinds)
+    add_import_calibration(kinds)
+    add_report(kinds)
     add_hand_eye(kinds)
     add_refine(kinds)
 

@@ -8,7 +8,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.boards import Board, Corners
@@ -16,6 +15,7 @@ from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleSt
 from twin_node.rig.calibrate.intrinsics import BoardView, DroppedView, calibrate_lens, rms, usable
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.calibrate.pose_graph import PoseGraph, build_pose_graph, islands
+from twin_node.rig.calibrate.rotations import as_vector
 from twin_node.rig.calibrate.tracks import CornerSource, CornerTracks, StillCorners
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
@@ -122,6 +122,11 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     solved = _solve(board, members, [lenses[i] for i in group], stamps, options)
     names = tuple(camera.name for camera in members)
     return RigSolution(board, names, solved.bundle, solved.sightings, solved.set_stamps, solved.dropped, left_out)
+
+
+def simultaneous(board: Board, cameras: Sequence[CameraRecording], clocks: Float64) -> list[Sighting]:
+    """What the cameras saw of the board at the same times; `clocks` [C]: seconds to add to their stamps."""
+    return _sightings(board, [_source(camera) for camera in cameras], _set_stamps(cameras), clocks)
 
 
 @dataclass(frozen=True)
@@ -252,14 +257,9 @@ def _evenly(count: int, limit: int) -> list[int]:
 
 
 def _start(graph: PoseGraph, lenses: Sequence[Lens], board: Board, clocks: Float64) -> BundleState:
-    cameras = np.stack([_as_vector(inverse_pose(graph.T_rig_cam[i])) for i in range(len(lenses))])
-    boards = np.stack([_as_vector(graph.T_rig_board[i]) for i in range(len(graph.T_rig_board))])
+    cameras = np.stack([as_vector(inverse_pose(graph.T_rig_cam[i])) for i in range(len(lenses))])
+    boards = np.stack([as_vector(graph.T_rig_board[i]) for i in range(len(graph.T_rig_board))])
     return BundleState(cameras, boards, tuple(lenses), board.points, clocks)
-
-
-def _as_vector(T: Float64) -> Float64:
-    """Rotation vector and translation [6] of a pose [4, 4]."""
-    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
 
 
 def _outliers(bundle: BundleResult, sightings: Sequence[Sighting]) -> list[int]:

@@ -6,13 +6,13 @@ import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.bundle import BundleState
 from twin_node.rig.calibrate.extrinsics import RigSolution
 from twin_node.rig.calibrate.lenses import project_points
+from twin_node.rig.calibrate.rotations import as_pose, cross_matrix, right_jacobian
 from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence
 from twin_node.rig.rig_file import RigFile
@@ -50,7 +50,7 @@ def camera_residuals(solution: RigSolution, camera: int) -> Float64:
 
 def camera_poses(state: BundleState) -> Float64:
     """`T_rig_cam` [C, 4, 4]."""
-    return inverse_pose(np.stack([_pose(vector) for vector in state.cameras]))
+    return inverse_pose(np.stack([as_pose(vector) for vector in state.cameras]))
 
 
 def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> RigFile:
@@ -113,7 +113,7 @@ def board_as_base(solution: RigSolution, stamp: int) -> Float64:
             f"base: expected the board to be seen at {stamp / 1e9:.3f} s, found it at {nearest / 1e9:.3f} s at the "
             "nearest; name a time at which it lies on the base in sight of a camera"
         )
-    T_rig_board = _pose(solution.bundle.state.boards[number])
+    T_rig_board = as_pose(solution.bundle.state.boards[number])
     seen_from = transform(inverse_pose(T_rig_board), camera_poses(solution.bundle.state)[:, :3, 3])
     if seen_from[:, 2].mean() < 0:  # rows of most boards run down the page: their z points into it
         T_rig_board = T_rig_board @ np.diag([1.0, -1.0, -1.0, 1.0])
@@ -126,11 +126,11 @@ def pose_covariance(solution: RigSolution, camera: int, T_base_rig: Float64) -> 
     if camera == 0:
         return np.zeros((6, 6))
     vector = solution.bundle.state.cameras[camera]
-    R_rig_cam = inverse_pose(_pose(vector))[:3, :3]
+    R_rig_cam = inverse_pose(as_pose(vector))[:3, :3]
     centre = -R_rig_cam @ vector[3:]
-    turn = _right_jacobian(vector[:3])
+    turn = right_jacobian(vector[:3])
     # Where the world-to-camera vector changes by (dr, dt), the camera turns by -turn dr about the rig's axes.
-    J = np.block([[_cross(centre) @ turn, -R_rig_cam], [-turn, np.zeros((3, 3))]])
+    J = np.block([[cross_matrix(centre) @ turn, -R_rig_cam], [-turn, np.zeros((3, 3))]])
     J = np.kron(np.eye(2), T_base_rig[:3, :3]) @ J
     return np.asarray(J @ solution.bundle.covariance[columns, columns] @ J.T)
 
@@ -147,15 +147,15 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
     for i in range(cameras):
         vector, lens = bundle.state.cameras[i], bundle.state.lenses[i]
         projection = project_points(lens, vector[:3], vector[3:], witnesses)
-        depth = transform(_pose(vector), witnesses)[:, 2]
+        depth = transform(as_pose(vector), witnesses)[:, 2]
         to_metres = (depth / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
         if i > 0:
             by_pose = np.concatenate([projection.by_rotation, projection.by_translation], axis=2)
             moves[i, ..., bundle.layout.camera(i)] = by_pose * to_metres
         if bundle.layout.lens_sizes:
             moves[i, ..., bundle.layout.lens(i)] = projection.by_lens * to_metres
-        by_point = projection.by_translation @ _pose(vector)[:3, :3] * to_metres
-        turns = -np.stack([_cross(witness) for witness in witnesses])
+        by_point = projection.by_translation @ as_pose(vector)[:3, :3] * to_metres
+        turns = -np.stack([cross_matrix(witness) for witness in witnesses])
         rigid[i] = np.concatenate([by_point, by_point @ turns], axis=2)
     A, G = moves.reshape(-1, moves.shape[-1]), rigid.reshape(-1, 6)
     A = A - G @ np.linalg.lstsq(G, A, rcond=None)[0]
@@ -165,26 +165,5 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
 
 def _witnesses(state: BundleState) -> Float64:
     """[W, 3] corners of the boards in the rig's frame, spread over all sets."""
-    places = np.concatenate([transform(_pose(board), state.points) for board in state.boards])
+    places = np.concatenate([transform(as_pose(board), state.points) for board in state.boards])
     return np.asarray(places[np.linspace(0, len(places) - 1, WITNESSES).round().astype(int)])
-
-
-def _pose(vector: Float64) -> Float64:
-    """[4, 4] of a rotation vector and translation [6]."""
-    return pose(np.asarray(cv2.Rodrigues(vector[:3])[0], np.float64), vector[3:])
-
-
-def _cross(v: Float64) -> Float64:
-    """[3, 3] matrix of the cross product with v."""
-    x, y, z = v
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-
-
-def _right_jacobian(rotation: Float64) -> Float64:
-    """[3, 3] turn, right of a rotation vector's rotation, by a change of the vector (Sola et al. 2018, eq. 143)."""
-    angle, cross = float(np.linalg.norm(rotation)), _cross(rotation)
-    if angle < 1e-6:
-        return np.eye(3) - cross / 2
-    return np.asarray(
-        np.eye(3) - (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )

@@ -1,0 +1,100 @@
+"""How well a given rig explains sightings of a board, nothing of the rig being changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.geometry import inverse_pose, transform
+from twin_node.rig.calibrate.boards import Board
+from twin_node.rig.calibrate.bundle import Sighting
+from twin_node.rig.calibrate.extrinsics import CameraRecording, simultaneous
+from twin_node.rig.calibrate.lenses import lens_of, project_points
+from twin_node.rig.calibrate.pose_graph import board_pose
+from twin_node.rig.calibrate.rotations import as_vector
+from twin_node.rig.errors import RigError
+from twin_node.scene import Float64, Rig
+
+BEHIND_PX = 1e4
+"""What a corner counts that a camera would have to see behind itself: more than any image is wide."""
+
+
+@dataclass(frozen=True)
+class RigFit:
+    """Residuals of a rig."""
+
+    sightings: tuple[Sighting, ...]
+    residuals: tuple[Float64, ...]
+    """Per sighting: [N, 2] found minus projected, pixels."""
+
+    @property
+    def median_px(self) -> float:
+        """Median distance between found and projected corners, pixels."""
+        return float(np.median(np.linalg.norm(np.concatenate(self.residuals), axis=1)))
+
+
+def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecording]) -> tuple[Sighting, ...]:
+    """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied.
+
+    Raises `RigError` where a recording is of a camera that the rig does not have, or no two saw the board at once.
+    """
+    names = [camera.name for camera in rig.cameras]
+    for recording in recordings:
+        if recording.name not in names:
+            raise RigError(
+                f"camera {recording.name}: expected one of the rig file ({', '.join(names)}), found another; rename "
+                "the recording or give this rig's file"
+            )
+    order = [names.index(recording.name) for recording in recordings]
+    clocks = np.array([rig.cameras[i].time_offset_ns for i in order]) / 1e9
+    seen = [Sighting(order[s.camera], s.board, s.corners) for s in simultaneous(board, recordings, clocks)]
+    counts = np.bincount([s.board for s in seen]) if seen else np.zeros(1)
+    shared = tuple(s for s in seen if counts[s.board] > 1)
+    if not shared:
+        raise RigError("recordings: expected the board in images of two cameras at once, found none; check the stamps")
+    return shared
+
+
+def fit(board: Board, rig: Rig, sightings: Sequence[Sighting]) -> RigFit:
+    """Residuals of sightings, each board placed by the camera that makes all others' residuals least."""
+    by_set: dict[int, list[Sighting]] = {}
+    for sighting in sightings:
+        by_set.setdefault(sighting.board, []).append(sighting)
+    ordered: list[Sighting] = []
+    residuals: list[Float64] = []
+    for group in by_set.values():
+        candidates = [_residuals(board, rig, group, T) for T in _places(board, rig, group)]
+        if candidates:
+            ordered += group
+            residuals += min(candidates, key=_mean_length)
+    return RigFit(tuple(ordered), tuple(residuals))
+
+
+def _mean_length(residuals: list[Float64]) -> float:
+    return float(np.linalg.norm(np.concatenate(residuals), axis=1).mean())
+
+
+def _places(board: Board, rig: Rig, group: Sequence[Sighting]) -> list[Float64]:
+    """`T_base_board` as each camera of a set sees it."""
+    places = []
+    for sighting in group:
+        camera = rig.cameras[sighting.camera]
+        T = board_pose(lens_of(camera), board.points[sighting.corners.ids], sighting.corners.pixels)
+        if T is not None:
+            places.append(camera.T_base_cam @ T)
+    return places
+
+
+def _residuals(board: Board, rig: Rig, group: Sequence[Sighting], T_base_board: Float64) -> list[Float64]:
+    residuals = []
+    for sighting in group:
+        camera = rig.cameras[sighting.camera]
+        T, points = inverse_pose(camera.T_base_cam) @ T_base_board, board.points[sighting.corners.ids]
+        vector = as_vector(T)
+        projected = project_points(lens_of(camera), vector[:3], vector[3:], points).pixels
+        behind = transform(T, points)[:, 2] <= 0
+        offset = np.where(behind[:, None], BEHIND_PX, sighting.corners.pixels - projected)
+        residuals.append(np.nan_to_num(np.clip(offset, -BEHIND_PX, BEHIND_PX), nan=BEHIND_PX))
+    return residuals
