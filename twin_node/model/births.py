@@ -17,6 +17,8 @@ from twin_node.scene import Bool, Float32, Float64
 
 BLOCK = 2
 """Side in pixels of the block that one newborn stands for."""
+SPREAD = 0.4
+"""1 sigma of a newborn in sides of its block: smaller leaves gaps, larger smears over what is beside the block."""
 SOLID = 0.5
 """Opacity of the background from which it can be learnt anew by colour alone; under it Gaussians are missing."""
 COLOUR_SIGMA = 0.12
@@ -109,7 +111,7 @@ def _lift(
     else:
         depth, on_background = _agreed(observed, rendering, index, pixels, rays, far, samples)
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
-    radii = 0.5 * BLOCK * depth / camera.K[0, 0]
+    radii = SPREAD * BLOCK * depth / camera.K[0, 0]
     lasting = on_background & (one.background.alpha[rows, columns] < SOLID)
     kept = ~(on_background & ~lasting & _contradicted(observed, index, means, threshold))
     return Births(

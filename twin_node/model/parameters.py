@@ -33,7 +33,7 @@ class TrackParameters:
     """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
     steps: int = 3
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
-    learning_rate: float = 5.0
+    learning_rate: float = 4.0
     """Multiplies all rates of `fitting.RATES`."""
     velocity_damping: float = 0.9
     """Share of a node's velocity that the prediction of the next set keeps (damped constant velocity)."""
