@@ -83,9 +83,9 @@ def _row(rig_file: RigFile, number: int, fit: RigFit | None) -> CameraRow:
     views, median, rms = ("-", "-", "-")
     if evidence is not None:
         views, median, rms = str(evidence.views), f"{evidence.median_px:.3f}", f"{evidence.rms_px:.3f}"
-    if fit is not None and (own := _residuals(fit, number)):
-        figures = residuals_of(np.concatenate(own))
-        views, median, rms = str(len(own)), f"{figures.median_px:.3f}", f"{figures.rms_px:.3f}"
+    if fit is not None and (own := fit.of_camera(number)) is not None:
+        figures = residuals_of(own)
+        views, median, rms = str(len(_pixels(fit, number))), f"{figures.median_px:.3f}", f"{figures.rms_px:.3f}"
     return CameraRow(
         camera.name,
         f"{camera.width}x{camera.height}",
@@ -97,11 +97,6 @@ def _row(rig_file: RigFile, number: int, fit: RigFit | None) -> CameraRow:
         median,
         rms,
     )
-
-
-def _residuals(fit: RigFit, camera: int) -> list[Float64]:
-    pairs = zip(fit.sightings, fit.residuals, strict=True)
-    return [residual for sighting, residual in pairs if sighting.camera == camera]
 
 
 def _pixels(fit: RigFit, camera: int) -> list[Float64]:
@@ -146,8 +141,8 @@ def _draw_residuals(rig: Rig, fit: RigFit) -> Picture:
     for number, camera in enumerate(rig.cameras):
         where = _image_axes(figure, camera, (len(rig.cameras), 2, 2 * number + 1))
         how = figure.add_subplot(len(rig.cameras), 2, 2 * number + 2)
-        if own := _residuals(fit, number):
-            pixels, vectors = np.concatenate(_pixels(fit, number)), np.concatenate(own)
+        if (vectors := fit.of_camera(number)) is not None:
+            pixels = np.concatenate(_pixels(fit, number))
             where.quiver(*pixels.T, *(ARROW_SCALE * vectors).T, angles="xy", scale_units="xy", scale=1, width=0.002)
             how.plot(*vectors.T, ".", markersize=2, alpha=0.4)
             reach = float(np.percentile(np.abs(vectors), 99)) * 1.2

@@ -29,10 +29,11 @@ class RigFit:
     residuals: tuple[Float64, ...]
     """Per sighting: [N, 2] found minus projected, pixels."""
 
-    @property
-    def median_px(self) -> float:
-        """Median distance between found and projected corners, pixels."""
-        return float(np.median(np.linalg.norm(np.concatenate(self.residuals), axis=1)))
+    def of_camera(self, camera: int) -> Float64 | None:
+        """[N, 2] residuals of one camera, pixels; None where it has none."""
+        pairs = zip(self.sightings, self.residuals, strict=True)
+        own = [residual for sighting, residual in pairs if sighting.camera == camera]
+        return np.concatenate(own) if own else None
 
 
 def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecording]) -> tuple[Sighting, ...]:
@@ -67,13 +68,10 @@ def fit(board: Board, rig: Rig, sightings: Sequence[Sighting]) -> RigFit:
     for group in by_set.values():
         candidates = [_residuals(board, rig, group, T) for T in _places(board, rig, group)]
         if candidates:
+            lengths = [float(np.linalg.norm(np.concatenate(residual), axis=1).mean()) for residual in candidates]
             ordered += group
-            residuals += min(candidates, key=_mean_length)
+            residuals += candidates[int(np.argmin(lengths))]
     return RigFit(tuple(ordered), tuple(residuals))
-
-
-def _mean_length(residuals: list[Float64]) -> float:
-    return float(np.linalg.norm(np.concatenate(residuals), axis=1).mean())
 
 
 def _places(board: Board, rig: Rig, group: Sequence[Sighting]) -> list[Float64]:
