@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative
 from twin_node.cli.calibrate_files import add_check, add_import_calibration, add_report
-from twin_node.cli.calibrate_motion import add_hand_eye, add_refine
+from twin_node.cli.calibrate_motion import add_hand_eye, add_refine, add_time
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.boards import Board
@@ -40,6 +40,7 @@ def add_calibrate(commands: Any) -> None:
     add_report(kinds)
     add_hand_eye(kinds)
     add_refine(kinds)
+    add_time(kinds)
 
 
 def add_intrinsics(kinds: Any) -> None:

@@ -1,4 +1,4 @@
-"""`twin_node calibrate hand-eye | refine`: calibration from the robot's and the scene's own motion."""
+"""`twin_node calibrate hand-eye | refine | time`: calibration from the robot's and the scene's own motion."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options
+from twin_node.cli.arguments import add_source_options, positive
 
 if TYPE_CHECKING:
     from twin_node.nodes.log_source import LogSession
     from twin_node.rig import RigFile
     from twin_node.rig.calibrate.boards import Board
+    from twin_node.rig.calibrate.clocks import CameraClock
     from twin_node.rig.calibrate.hand_eye import HandEyeResult
     from twin_node.rig.calibrate.refine import PairFigures, RefineResult
     from twin_node.rig.calibrate.stills import Still
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 STILLS_RATE_HZ = 4.0
 """Image sets per second that what stands still is taken from."""
+TIME_WIDTH = 320
+"""Width in pixels of the images whose motion is timed where `--width` says nothing: flow is good to a tenth of one."""
 PLANE_WIDTH = 320
 """Width in pixels at which the common plane is sought: its pattern needs no more."""
 
@@ -56,6 +59,18 @@ def add_refine(kinds: Any) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(parser)
     parser.set_defaults(run=_refine)
+
+
+def add_time(kinds: Any) -> None:
+    """Adds `calibrate time`."""
+    parser = kinds.add_parser("time", help="clock offset and rate of every camera, from what moves")
+    parser.add_argument("log", type=Path, metavar="LOG")
+    parser.add_argument("-o", "--output", type=Path, metavar="RIG.yaml", help="rig with the offsets")
+    parser.add_argument("--max-offset", type=positive, default=0.15, metavar="S", help="largest offset sought, seconds")
+    parser.add_argument("--arm", metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_source_options(parser)
+    parser.set_defaults(run=_time)
 
 
 def _hand_eye(options: argparse.Namespace) -> None:
@@ -163,6 +178,39 @@ def _refine(options: argparse.Namespace) -> None:
     for reason in result.skipped:
         print(f"twin_node: warning: {reason}", file=sys.stderr)
     print(json.dumps(_refine_figures(result)) if options.json else "\n".join([*lines, str(options.output)]))
+
+
+def _time(options: argparse.Namespace) -> None:
+    from twin_node.nodes.log_source import LogSource
+    from twin_node.nodes.synchronizer import SynchronizerParameters
+    from twin_node.rig import save_rig
+    from twin_node.rig.calibrate.clocks import ClockParameters, calibrate_clocks
+    from twin_node.robot import arm_model
+
+    with _session(options) as session:
+        rig = session.rig
+        source = LogSource(session, SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate))
+        sets = tqdm(source, unit="set", desc="read", disable=None)
+        arm = arm_model(options.arm) if options.arm else None
+        result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
+    lines = [
+        f"{clock.name}: add {clock.offset_ns / 1e6:+.1f} ms (+- {clock.sigma_ns / 1e6:.1f} ms){_rate(clock)}"
+        for clock in result.cameras
+    ]
+    if options.output:
+        given = _given(options, rig)
+        notes = f"Clocks timed from {options.log.name} against {result.reference} ({'; '.join(lines)}). {given.notes}"
+        cameras = tuple(
+            replace(camera, time_offset_ns=camera.time_offset_ns + clock.offset_ns)
+            for camera, clock in zip(rig.cameras, result.cameras, strict=True)
+        )
+        save_rig(replace(given, rig=replace(rig, cameras=cameras), date=_today(), notes=notes.strip()), options.output)
+    figures = {"reference": result.reference, "cameras": {clock.name: asdict(clock) for clock in result.cameras}}
+    print(json.dumps(figures) if options.json else "\n".join(lines))
+
+
+def _rate(clock: CameraClock) -> str:
+    return "" if clock.rate_ppm is None else f", {clock.rate_ppm:+.0f} ppm"
 
 
 def _session(options: argparse.Namespace) -> LogSession:
