@@ -150,3 +150,13 @@ def test_colour_that_changes_on_a_measured_surface_does_not_move() -> None:
     shadow[HEIGHT // 2 :, WIDTH // 3 : WIDTH // 2] = True
     carved = carver.carve(replace(still, stamp=33_000_000, moving_masks=(shadow,) * len(RIG)), 0.0)
     assert len(carved.moving) == 0
+
+
+def test_likely_voxels_look_like_the_ball_and_rims_do_not_count() -> None:
+    rough: tuple[Camera, ...] = tuple(replace(cam, sigma_m=0.02) for cam in RIG)
+    for cameras in (RIG, rough):
+        carved = carve(state_of(0, CENTER, cameras=cameras))
+        likely, ball = carved.moving[carved.likely], ball_voxels(CENTER)
+        assert np.isin(ball_voxels(CENTER, 0.1), likely).all()
+        assert len(likely) < 1.5 * len(ball)
+    assert np.array_equal(likely, carve(state_of(0, CENTER)).moving[carve(state_of(0, CENTER)).likely])

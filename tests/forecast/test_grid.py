@@ -86,7 +86,7 @@ def test_spread_holds_every_ball_inside_the_grid(seed: int, radius: float) -> No
     grid = Grid(np.array([1.0, -2.0, 0.5]), 0.05, (20, 17, 70))
     places = rng.integers(-5, 75, (3, 5)).astype(np.int32)
     radii = rng.uniform(0, radius, 5)
-    reached = spread(grid, places, reach_of(grid, radii))
+    reached = spread(grid, places, reach_of(grid, radii), np.ones(places.shape[1], np.bool_))
     centers = grid.centers(np.arange(grid.size))
     for place, reach in zip(grid.origin + (places.T + 0.5) * grid.voxel_size, radii, strict=True):
         inside = np.flatnonzero(np.linalg.norm(centers - place, axis=1) <= reach + 1e-9)
@@ -98,5 +98,5 @@ def test_spread_holds_every_ball_inside_the_grid(seed: int, radius: float) -> No
 
 def test_spread_of_nothing_and_of_places_far_outside() -> None:
     grid = Grid(np.zeros(3), 0.1, (5, 5, 5))
-    assert len(spread(grid, np.zeros((3, 0), np.int32), np.zeros(0, np.uint8)).indices) == 0
-    assert len(spread(grid, np.full((3, 3), 90, np.int32), np.full(3, 2, np.uint8)).indices) == 0
+    assert len(spread(grid, np.zeros((3, 0), np.int32), np.zeros(0, np.uint8), np.zeros(0, np.bool_)).indices) == 0
+    assert len(spread(grid, np.full((3, 3), 90, np.int32), np.full(3, 2, np.uint8), np.ones(3, np.bool_)).indices) == 0

@@ -14,6 +14,8 @@ from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLaye
 
 PERSON_SPEED = 1.6
 """Speed of approach of a person, m/s (ISO 13855)."""
+RIM_PROBABILITY = 90
+"""Of voxels that only the errors of the carving add."""
 AHEAD_S = 0.2
 """Horizon that the worst case is grown for, s."""
 
@@ -59,8 +61,8 @@ class BaselineForecaster:
             if layers and seconds == travelled_s[0]:
                 layers.append(OccupancyLayer(horizon, layers[0].indices, layers[0].probability))
                 continue
-            reached = spread(self.grid, parts.moved(self.grid, evidence.velocities * seconds), reach)
-            probability = np.where(reached.core, 255, 128).astype(np.uint8)
+            reached = spread(self.grid, parts.moved(self.grid, evidence.velocities * seconds), reach, parts.likely)
+            probability = np.where(reached.core, 255, 128 if radius else RIM_PROBABILITY).astype(np.uint8)
             layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
         return Occupancy(
             stamp=evidence.stamp,

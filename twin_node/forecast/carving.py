@@ -17,7 +17,7 @@ _NEVER = np.float32(0)
 _ALWAYS = np.float32(1e6)
 _PIXEL_ERROR = 0.5
 """A mask is no sharper than its pixels."""
-_MOVING, _ROBOT, _SEEN = np.uint8(1), np.uint8(2), np.uint8(4)
+_MOVING, _ROBOT, _SEEN, _BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Carved:
 
     moving: NDArray[np.int64]
     """[n] flat indices of what may move, strictly increasing."""
+    likely: Bool
+    """[n] of these, where no camera sees past the moving thing: the rims that errors add are left out."""
     unknown: NDArray[np.int64]
     """[m] flat indices that nothing frees and nothing explains, strictly increasing."""
 
@@ -104,19 +106,22 @@ class Carver:
             freed |= at.depth < sight.free_until[at.pixels]
         left = np.flatnonzero(~freed)
         moving_views, robot_views, seen_views = np.zeros((3, len(left)), np.uint8)
-        surface_views = np.zeros(len(left), np.bool_)
+        surface_views, beside = np.zeros((2, len(left)), np.bool_)
         for sight, at in zip(sights, seen, strict=True):
             pixels = at.pixels.ravel()[left]
             flags = sight.flags[pixels]
             moving_views += flags & _MOVING
             robot_views += (flags & _ROBOT) // _ROBOT
             seen_views += (flags & _SEEN) // _SEEN
+            beside |= flags >= _BESIDE
             if sight.moving_until is not None:
                 surface_views |= at.depth.ravel()[left] < sight.moving_until[pixels]
         moving = (moving_views >= 2) | surface_views
         robot_itself = (robot_views >= 2) & (robot_views == seen_views)
         indices = self._blocks.indices(blocks).ravel()[left]
-        return Carved(np.sort(indices[moving]), np.sort(indices[~moving & ~robot_itself]))
+        chosen = np.flatnonzero(moving)
+        chosen = chosen[np.argsort(indices[chosen])]
+        return Carved(indices[chosen], ~beside[chosen], np.sort(indices[~moving & ~robot_itself]))
 
 
 class _Sight:
@@ -140,7 +145,7 @@ class _Sight:
         self.free_image = _free_until(view, widened | blind, blind, error_pixels, parameters)
         self.free_until = np.append(self.free_image, _NEVER)
         blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
-        flags = blunt * _MOVING + seen * _SEEN
+        flags = blunt * _MOVING + seen * _SEEN + (seen & ~moving & ~blind) * _BESIDE
         if robot is not None:
             flags += (robot & seen) * _ROBOT
         self.flags = np.append(flags, np.uint8(0))

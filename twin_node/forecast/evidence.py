@@ -46,7 +46,7 @@ class Observer:
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
         carved = self._carver.carve(state, self._speed())
-        parts = split(self.grid, carved.moving)
+        parts = split(self.grid, carved.moving, carved.likely)
         velocities = self._velocities.update(state, parts, self._expected(parts.centers))
         self._last_centers, self._last_velocities = parts.centers, velocities
         static = self._static.update(state, self._carver)

@@ -130,7 +130,7 @@ class Spread:
     indices: NDArray[np.int64]
     """[n] flat indices, strictly increasing."""
     core: Bool
-    """[n] True for voxels that hold a point themselves."""
+    """[n] True for voxels that hold a core point themselves."""
 
 
 def reach_of(grid: Grid, radii: Float64) -> NDArray[np.uint8]:
@@ -140,13 +140,16 @@ def reach_of(grid: Grid, radii: Float64) -> NDArray[np.uint8]:
     return np.minimum(even, 200).astype(np.uint8)
 
 
-def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8]) -> Spread:
-    """Voxels of `grid` within `reach` [n] voxels of the voxels (i, j, k) `places` [3, n], which may lie outside it."""
+def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8], core_points: Bool) -> Spread:
+    """Voxels of `grid` within `reach` [n] voxels of the voxels (i, j, k) `places` [3, n], which may lie outside it.
+
+    `core_points` [n] says which of the points make their voxel a core.
+    """
     most = int(reach.max(initial=0))
     upper = np.array(grid.dims, np.int32)[:, None] + most
     near = ((places >= -most) & (places < upper)).all(axis=0)
     if not near.all():
-        places, reach = places[:, near], reach[near]
+        places, reach, core_points = places[:, near], reach[near], core_points[near]
     if len(reach) == 0:
         return Spread(np.zeros(0, np.int64), np.zeros(0, np.bool_))
     low = places.min(axis=1) - most
@@ -157,11 +160,13 @@ def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8]) -> S
     local = ((places[0] - low[0]) * dims[1] + (places[1] - low[1])) * dims[2] + (places[2] - low[2])
     levels.ravel()[local[order]] = reach[order] + 1
     present = np.flatnonzero(np.bincount(reach)) + 1
+    cores = np.zeros(dims, np.bool_)
+    cores.ravel()[local[core_points]] = True
     start, stop = np.maximum(low, 0), np.minimum(low + dims, grid.dims)
     inner = tuple(slice(a, b) for a, b in zip(start - low, stop - low, strict=True))
     outer = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
     reached, core = np.zeros((2, *grid.dims), np.bool_)
     reached[outer] = grow_by(levels, present)[inner]
-    core[outer] = levels[inner] > 0
+    core[outer] = cores[inner]
     indices = np.flatnonzero(reached)
     return Spread(indices, core.ravel()[indices])

@@ -18,9 +18,9 @@ from twin_node.forecast.tracks import Tracks
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
 CORE_PROBABILITY = 230
-"""Of voxels where the parts themselves are forecast."""
+"""Of voxels where the likely voxels of the parts are forecast."""
 BOUND_PROBABILITY = 90
-"""Of voxels that only the error bound adds."""
+"""Of voxels that only the errors of the carving and the error bound add."""
 
 JUDGED_EVERY_NS = 50_000_000
 """Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
@@ -142,7 +142,7 @@ class Forecaster:
         layers = []
         for horizon, displacement, radius in zip(HORIZONS_NS, moved, self._radii, strict=True):
             reach = reach_of(self.grid, radius)[parts.labels]
-            reached = spread(self.grid, parts.moved(self.grid, displacement), reach)
+            reached = spread(self.grid, parts.moved(self.grid, displacement), reach, parts.likely)
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
             layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
         return tuple(layers)

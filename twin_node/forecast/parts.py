@@ -26,6 +26,8 @@ class Parts:
     """[3, n] voxel coordinates (i, j, k)."""
     labels: NDArray[np.int64]
     """[n] part of each voxel."""
+    likely: Bool
+    """[n] voxels that are occupied more likely than not; the others are rims that errors add."""
     centers: Float64
     """[M, 3] mean of each part's voxels, m."""
 
@@ -40,8 +42,8 @@ class Parts:
         return len(self.centers)
 
 
-def split(grid: Grid, indices: NDArray[np.int64]) -> Parts:
-    """Parts of the voxels `indices` [n]: one per occupied cell of a coarser lattice."""
+def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
+    """Parts of the voxels `indices` [n], `likely` [n] occupied: one per occupied cell of a coarser lattice."""
     side = max(1, round(PART_SIZE / grid.voxel_size))
     lattice = tuple(-(-n // side) for n in grid.dims)
     places = np.stack(np.unravel_index(indices, grid.dims)).astype(np.int32)
@@ -52,7 +54,7 @@ def split(grid: Grid, indices: NDArray[np.int64]) -> Parts:
     numbers[occupied] = np.arange(len(occupied))
     sums = np.stack([np.bincount(cells, axis, len(counts))[occupied] for axis in places], axis=1)
     centers = grid.origin + (sums / counts[occupied, None] + 0.5) * grid.voxel_size
-    return Parts(indices, places, numbers[cells], centers)
+    return Parts(indices, places, numbers[cells], likely, centers)
 
 
 class PartVelocities:
