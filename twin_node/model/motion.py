@@ -51,14 +51,17 @@ class Motion:
         self, values: Tensor, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]
     ) -> Splats:
         """The same with attributes `values` [n, 14] in place of those stored: where a gradient is wanted."""
-        carriers = gaussians.nodes[rows]
-        if not bool((carriers >= 0).any()):
-            times = len(stamps)
-            return activated(values, values[:, MEAN].expand(times, -1, -1), values[:, QUAT].expand(times, -1, -1))
-        carriage, bend = carry(poses, carriers), self.bend(values, gaussians, rows, stamps)
-        if bend is not None:
-            carriage = carriage.bent(bend)
-        return activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
+        times = len(stamps)
+        means, quats = values[:, MEAN].expand(times, -1, -1), values[:, QUAT].expand(times, -1, -1)
+        carried = torch.nonzero(gaussians.nodes[rows] >= 0)[:, 0]
+        if len(carried):
+            own, among = values[carried], rows[carried]
+            carriage, bend = carry(poses, gaussians.nodes[among]), self.bend(own, gaussians, among, stamps)
+            if bend is not None:
+                carriage = carriage.bent(bend)
+            means = means.index_copy(1, carried, carriage.means(own[:, MEAN]))
+            quats = quats.index_copy(1, carried, carriage.quats(own[:, QUAT]))
+        return activated(values, means, quats)
 
     def bend(self, values: Tensor, gaussians: Gaussians, rows: Tensor, stamps: list[int]) -> Bend | None:
         """What the field does to the DEFORMABLE among `rows` [n] with attributes `values` [n, 14]; None without one."""

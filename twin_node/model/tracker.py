@@ -55,23 +55,26 @@ class Tracker:
             self._links.drive(frames.joints, dt_s)
         renderings = self._align(observed, dt_s)
         self._judge_static(observed, renderings)
-        self._bury_moving(observed)
+        moving_now = self._moving(observed)
+        self._bury_moving(observed, moving_now)
         g = self._gaussians
         self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
-        born = self._bear(observed, self._fit(observed) or renderings)
+        born = self._bear(observed, self._fit(observed, moving_now) or renderings)
         self._nodes.remember()
         return born
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> list[Rendering]:
         """Node poses from the flow between the predicted rendering and the images; returns the last rendering."""
-        renderings = self._look(observed, self._moving(observed))
+        splats = self._moving(observed)
+        renderings = self._look(observed, splats)
         for step in range(self._parameters.track.alignments):
             rows = self._gaussians.moving_rows
             nodes = self._gaussians.nodes[rows].cpu()
             if not bool((nodes >= 0).any()):
                 break
-            splats = self._moving(observed)
-            renderings = renderings if step == 0 else self._look(observed, splats)
+            if step:
+                splats = self._moving(observed)
+                renderings = self._look(observed, splats)
             flows = [self._flow.flow(seen, one) for seen, one in zip(renderings, observed, strict=True)]
             origins = self._poses(observed).positions
             sigma_px = self._parameters.track.flow_sigma_px
@@ -115,25 +118,24 @@ class Tracker:
         housed = carriers >= 0
         self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
 
-    def _fit(self, observed: Sequence[Observed]) -> list[Rendering]:
+    def _fit(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
         """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps.
 
         Returns what the views saw before the last of them; empty where nothing learns.
         """
         chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
         revised = self._living(self._backgrounds.rows[chosen])
-        masks = held_pixels(observed, self._moving(observed), self._gaussians.means[revised])
+        masks = held_pixels(observed, moving, self._gaussians.means[revised])
         near = self._near(observed, masks)
         seen = fit_window(self._gaussians, self._motion, observed, masks, near, revised, self._parameters.track)
         if len(revised):
             self._backgrounds.mark()
         return seen
 
-    def _bury_moving(self, observed: Sequence[Observed]) -> None:
+    def _bury_moving(self, observed: Sequence[Observed], splats: Splats) -> None:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
         g = self._gaussians
         rows = g.moving_rows
-        splats = self._moving(observed)
         radii = splats.scales.mean(-1).cpu().numpy()
         carried = (g.nodes[rows] >= 0).cpu().numpy()
         gone = refuted_moving(observed, list(splats.means.cpu().numpy()), radii, carried)
