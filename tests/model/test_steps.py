@@ -10,10 +10,11 @@ import torch
 from model_scenes import block, frames, joined, rig, table
 
 from twin_node.model.alignment import FlowSolver, solve_twists
-from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
+from twin_node.model.fitting import SKIRT_PX, held_pixels
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import BirthParameters
@@ -149,3 +150,36 @@ def test_evidence_needs_more_than_the_extra_parameters_are_worth() -> None:
         bent, stiff = accumulate(bent, fits(100, 50, 100)), accumulate(stiff, fits(100, 99, 100))
     assert bent > PROMOTE
     assert stiff < DEMOTE
+
+
+def test_a_rendering_is_held_to_every_pixel_that_a_moving_gaussian_shows_in() -> None:
+    observed = observe(table(), 0.1)
+    outside = np.argwhere(~grow(observed[0].active, 2 * SKIRT_PX))
+    row, column = outside[len(outside) // 2]
+    one = observed[0]
+    point = (
+        one.view.camera.T_base_cam[:3, 3] + 1.5 * one.background.depth[row, column] * one.background.rays[row, column]
+    )
+    floater = replace(block(0.1), means=torch.from_numpy(point).float().expand(3, 1, 3))
+    masks = held_pixels(observed, floater, torch.zeros(0, 3))
+    assert masks[0][row, column] and not one.active[row, column]
+    for mask, view in zip(masks, observed, strict=True):
+        assert mask[grow(view.active, SKIRT_PX) & view.usable].all()
+    assert masks[0].mean() < 0.9
+
+
+def test_only_static_gaussians_that_reach_a_mask_are_near_it() -> None:
+    store, backgrounds = world(table())
+    known = backgrounds.of(store, CAMERAS)
+    mask = np.zeros((90, 120), bool)
+    mask[40:50, 50:70] = True
+    nothing = np.zeros_like(mask)
+    near = set(backgrounds.near(known, [mask, *[nothing] * (len(CAMERAS) - 1)]).tolist())
+    assert 0 < len(near) < len(store)
+    far = torch.tensor([row for row in range(len(store)) if row not in near])
+    everything, without = (
+        render(store.standing(store.values[rows]), CAMERAS[:1], [mask])[0]
+        for rows in (torch.arange(len(store)), torch.tensor(sorted(near)))
+    )
+    assert len(far) and torch.allclose(everything.rgb, without.rgb, atol=0.02)
+    assert not len(backgrounds.near(known, [nothing] * len(CAMERAS)))
