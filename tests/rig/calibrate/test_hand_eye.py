@@ -1,0 +1,165 @@
+"""Hand-eye calibration: both mounts from made-up stops, and a real robot's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.rig import RigError
+from twin_node.rig.calibrate.boards import CircleGrid
+from twin_node.rig.calibrate.hand_eye import HandEyeParameters, HandEyeView, Mount, solve_hand_eye
+from twin_node.rig.calibrate.hand_eye_files import detect_target, read_lens, read_stops, read_target
+from twin_node.rig.calibrate.hand_eye_start import target_symmetries
+from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.scene import Float64, RigCamera
+
+CAMERA = RigCamera(
+    "wrist",
+    640,
+    480,
+    np.array([[600.0, 0, 322], [0, 601.0, 238], [0, 0, 1]]),
+    np.eye(4),
+    D=np.array([0.05, -0.1, 0.001, 0, 0]),
+)
+SQUARE = np.stack([*np.meshgrid(np.arange(7) * 0.02, np.arange(7) * 0.02), np.zeros((7, 7))], -1).reshape(-1, 3)
+OBLONG = np.stack([*np.meshgrid(np.arange(7) * 0.02, np.arange(5) * 0.02), np.zeros((5, 7))], -1).reshape(-1, 3)
+FIXED = HandEyeParameters(refine_intrinsics=False, refine_scale=False)
+
+
+def rigid(rng: np.random.Generator, turn: float, move: float) -> Float64:
+    return pose(Rotation.from_rotvec(rng.normal(0, turn, 3)).as_matrix(), rng.normal(0, move, 3))
+
+
+def session(
+    rng: np.random.Generator, target: Float64, mount: Mount, noise_px: float = 0.0, stops: int = 10
+) -> tuple[Float64, list[HandEyeView]]:
+    """The camera's true pose in what carries it, and stops that see the target about half a metre away."""
+    X, Y = rigid(rng, 0.8, 0.1), rigid(rng, 0.8, 0.3)
+    views = []
+    for i in range(stops):
+        facing = pose(Rotation.from_euler("x", np.pi).as_matrix(), np.array([-0.06, 0.06, 0.5]))
+        T_camera_target = facing @ rigid(rng, 0.25, 0.03)
+        G = X @ T_camera_target @ inverse_pose(Y)
+        pixels = raw_pixels(CAMERA, transform(T_camera_target, target)) + rng.normal(0, noise_px, (len(target), 2))
+        views.append(HandEyeView(f"stop {i}", inverse_pose(G) if mount is Mount.CAMERA else G, pixels))
+    return X, views
+
+
+@given(seed=st.integers(0, 10_000), mount=st.sampled_from(Mount))
+@settings(max_examples=8, deadline=None)
+def test_both_mounts_are_solved(seed: int, mount: Mount) -> None:
+    rng = np.random.default_rng(seed)
+    X, views = session(rng, OBLONG, mount)
+    result = solve_hand_eye(CAMERA, OBLONG, views, mount, FIXED)
+    assert result.mean_px < 1e-3
+    np.testing.assert_allclose(result.T_carrier_camera, X, atol=1e-5)
+
+
+def test_the_stated_error_covers_the_true_one() -> None:
+    ratios = []
+    for seed in range(8):
+        X, views = session(np.random.default_rng(seed), OBLONG, Mount.CAMERA, noise_px=0.3)
+        result = solve_hand_eye(CAMERA, OBLONG, views, Mount.CAMERA, FIXED)
+        ratios.append(np.linalg.norm(result.T_carrier_camera[:3, 3] - X[:3, 3]) / result.sigma_m)
+    assert max(ratios) < 4
+    assert np.median(ratios) > 0.2
+
+
+def test_a_square_grid_may_be_numbered_from_any_corner() -> None:
+    rng = np.random.default_rng(5)
+    X, views = session(rng, SQUARE, Mount.CAMERA)
+    grid = np.arange(49).reshape(7, 7)
+    turned = [replace(view, pixels=view.pixels[np.rot90(grid, int(rng.integers(4))).ravel()]) for view in views]
+    turned[0] = views[0]
+    result = solve_hand_eye(CAMERA, SQUARE, turned, Mount.CAMERA, FIXED)
+    assert result.mean_px < 1e-3
+    np.testing.assert_allclose(result.T_carrier_camera, X, atol=1e-5)
+
+
+def test_only_turns_that_leave_the_target_alike_are_symmetries() -> None:
+    assert len(target_symmetries(SQUARE)) == 4
+    assert len(target_symmetries(OBLONG)) == 2
+    assert len(target_symmetries(OBLONG[:-1])) == 1
+
+
+def test_a_target_printed_too_small_is_measured_by_the_robot() -> None:
+    X, views = session(np.random.default_rng(2), OBLONG, Mount.CAMERA)
+    result = solve_hand_eye(CAMERA, OBLONG / 0.97, views, Mount.CAMERA, HandEyeParameters(refine_intrinsics=False))
+    assert result.target_scale == pytest.approx(0.97, abs=1e-3)
+    np.testing.assert_allclose(result.T_carrier_camera, X, atol=1e-3)
+
+
+def test_a_view_that_disagrees_is_dropped_and_named() -> None:
+    X, views = session(np.random.default_rng(3), OBLONG, Mount.CAMERA, noise_px=0.1)
+    views[4] = replace(views[4], T_base_flange=views[4].T_base_flange @ pose(np.eye(3), np.array([0.02, 0, 0])))
+    result = solve_hand_eye(CAMERA, OBLONG, views, Mount.CAMERA, FIXED)
+    assert result.dropped == ("stop 4",)
+    np.testing.assert_allclose(result.T_carrier_camera, X, atol=2e-3)
+
+
+def test_points_that_are_not_seen_are_left_out() -> None:
+    X, views = session(np.random.default_rng(4), OBLONG[:-1], Mount.CAMERA)
+    hidden = views[2].pixels.copy()
+    hidden[:10] = np.nan
+    views[2] = replace(views[2], pixels=hidden)
+    result = solve_hand_eye(CAMERA, OBLONG[:-1], views, Mount.CAMERA, FIXED)
+    np.testing.assert_allclose(result.T_carrier_camera, X, atol=1e-5)
+
+
+def test_turns_about_one_axis_are_refused() -> None:
+    _, views = session(np.random.default_rng(0), OBLONG, Mount.CAMERA)
+    about_z = [
+        replace(v, T_base_flange=pose(Rotation.from_euler("z", 0.2 * i).as_matrix(), np.zeros(3)))
+        for i, v in enumerate(views)
+    ]
+    with pytest.raises(RigError, match="two axes, found one"):
+        solve_hand_eye(CAMERA, OBLONG, about_z, Mount.CAMERA)
+    with pytest.raises(RigError, match="at least 4 views"):
+        solve_hand_eye(CAMERA, OBLONG, views[:3], Mount.CAMERA)
+
+
+@given(
+    model=st.sampled_from([("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)]),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=20, deadline=None)
+def test_rays_and_pixels_are_inverse(model: tuple[str, int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    camera = replace(CAMERA, distortion_model=model[0], D=rng.uniform(-0.01, 0.01, model[1]))
+    rays = rng.uniform(-0.4, 0.4, (20, 2))
+    pixels = raw_pixels(camera, np.column_stack([rays, np.ones(20)]) * rng.uniform(0.3, 3, (20, 1)))
+    np.testing.assert_allclose(pixel_rays(camera, pixels), rays, atol=1e-6)
+
+
+def test_a_real_robot_reprojects_within_half_a_pixel(recordings: Path) -> None:
+    folder = recordings / "hand_eye"
+    grid = read_target(folder)
+    board = CircleGrid(grid.columns, grid.rows, grid.spacing)
+    views = detect_target(read_stops(folder), board)
+    assert len(views) == 15
+    result = solve_hand_eye(read_lens(folder, (640, 480)), board.points, views, Mount.CAMERA)
+    assert result.mean_px <= 0.5
+    assert len(result.dropped) <= 1
+
+
+def test_a_list_that_is_wrong_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "cal_data.yaml"
+    file.write_text("- {image: there.png, pose: p.yaml}\n")
+    with pytest.raises(RigError, match=r"cal_data.yaml\[0\].image: expected a file at"):
+        read_stops(tmp_path)
+    (tmp_path / "there.png").touch()
+    (tmp_path / "p.yaml").write_text("{x: 0, y: 0, z: 0, qw: 2, qx: 0, qy: 0, qz: 0}\n")
+    with pytest.raises(RigError, match="quaternion of length 1, found 2"):
+        read_stops(tmp_path)
+    file.write_text("- {image: there.png, joints: [0, 0, 0, 0, 0, 0]}\n")
+    with pytest.raises(RigError, match="give --arm"):
+        read_stops(tmp_path)
+    with pytest.raises(RigError, match=r"camera_intr.yaml, found neither"):
+        read_lens(tmp_path, (640, 480))
