@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -9,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver
-from twin_node.geometry import transform
-from twin_node.scene import Float64, Grid, OccupancyLayer, Tier, TwinState, View
+from twin_node.scene import Float32, Grid, OccupancyLayer, Tier, TwinState, View
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class StaticParameters:
     opacity: float = 0.5
     """A STATIC Gaussian at least this opaque occupies the voxels within one standard deviation of its centre."""
     period_ns: int = 500_000_000
-    """The static layer is made anew this often: what stands does not change faster."""
+    """Each camera is looked at anew this often, one after the other: what stands does not change faster."""
 
 
 class StaticSpace:
@@ -32,25 +32,30 @@ class StaticSpace:
         self._surfaces = np.zeros(grid.size, np.bool_)
         self._layer = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
         self._made_at: int | None = None
+        self._turn = 0
 
     def update(self, state: TwinState, carver: Carver) -> OccupancyLayer:
         """The static layer as of this state."""
-        if self._made_at is None or state.stamp - self._made_at >= self.parameters.period_ns:
+        count = len(state.frames.views)
+        if self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns:
+            chosen = range(count) if self._made_at is None else (self._turn % count,)
             self._made_at = state.stamp
-            self._remember_surfaces(state, carver)
+            self._turn += 1
+            self._remember_surfaces(state, carver, chosen)
             occupied = self._surfaces.copy()
             occupied[self._gaussian_voxels(state)] = True
             indices = np.flatnonzero(occupied).astype(np.uint32)
             self._layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
         return self._layer
 
-    def _remember_surfaces(self, state: TwinState, carver: Carver) -> None:
-        """Adds surfaces measured off the moving and robot masks; forgets those that a camera sees through."""
+    def _remember_surfaces(self, state: TwinState, carver: Carver, chosen: Iterable[int]) -> None:
+        """Forgets surfaces that a camera sees through; adds those that the chosen views measure off their masks."""
         if not any(view.depth is not None for view in state.frames.views):
             return
         known = np.flatnonzero(self._surfaces)
         self._surfaces[known[carver.frees(state, known)]] = False
-        for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
+        for number in chosen:
+            view, moving, robot = state.frames.views[number], state.moving_masks[number], state.robot_masks[number]
             if view.depth is None:
                 continue
             still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
@@ -66,16 +71,16 @@ class StaticSpace:
         return found[found >= 0]
 
 
-def _unproject(view: View, where: NDArray[np.bool_]) -> Float64:
+def _unproject(view: View, where: NDArray[np.bool_]) -> Float32:
     """Base-frame points [n, 3] all over the pixels in `where` [H, W]."""
     assert view.depth is not None
     fine = cv2.resize(where.astype(np.uint8), None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_NEAREST)
     rows, columns = np.nonzero(fine)
-    z = view.depth[rows // _FINER, columns // _FINER].astype(np.float64)
-    u, v = (columns + 0.5) / _FINER, (rows + 0.5) / _FINER
-    K = view.camera.K
-    points = np.stack([(u - K[0, 2]) * z / K[0, 0], (v - K[1, 2]) * z / K[1, 1], z], axis=1)
-    return transform(view.camera.T_base_cam, points)
+    z = view.depth[rows // _FINER, columns // _FINER]
+    K, T = view.camera.K, view.camera.T_base_cam
+    x = ((columns + 0.5) / _FINER - K[0, 2]).astype(np.float32) * z / np.float32(K[0, 0])
+    y = ((rows + 0.5) / _FINER - K[1, 2]).astype(np.float32) * z / np.float32(K[1, 1])
+    return np.stack([R[0] * x + R[1] * y + R[2] * z + R[3] for R in T[:3].astype(np.float32)], axis=1)
 
 
 _FINER = 3
