@@ -1,0 +1,75 @@
+"""Boards in pictures: every kind's corners are found where they are, in the order that the board has once."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from simulated_boards import a_lens, picture, seen_corners
+
+from twin_node.geometry import pose
+from twin_node.rig import RigError
+from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid
+from twin_node.scene import Float64
+
+BOARDS: dict[str, Board] = {
+    "chessboard": Chessboard(8, 5, 0.03),
+    "charuco": CharucoBoard(7, 5, 0.04, 0.03, "DICT_5X5_100"),
+    "inverted charuco": CharucoBoard(7, 5, 0.04, 0.03, "DICT_5X5_100", inverted=True),
+    "aprilgrid": AprilGrid(4, 3, 0.06, 0.3),
+    "circles": CircleGrid(7, 6, 0.03),
+    "asymmetric circles": CircleGrid(4, 11, 0.02, asymmetric=True),
+}
+
+
+def before_camera(board: Board, turn: float = 0.0) -> Float64:
+    """`T_cam_board` that shows the whole board, tilted, `turn` rad about the axis of the camera."""
+    up = np.diag([1.0, -1.0, -1.0]) if isinstance(board, AprilGrid) else np.eye(3)
+    tilt = Rotation.from_euler("zyx", [turn, 0.35, -0.25]).as_matrix() @ up
+    middle = (board.points.max(axis=0) + board.points.min(axis=0)) / 2
+    distance = 1.9 * float(np.ptp(board.points[:, :2], axis=0).max())
+    return pose(tilt, np.array([0.01, -0.01, distance]) - tilt @ middle)
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_corners_are_found_where_they_are(kind: str) -> None:
+    board, lens = BOARDS[kind], a_lens()
+    T = before_camera(board)
+    found, truth = board.detect(picture(board, lens, T)), seen_corners(board, lens, T)
+    assert found is not None and truth is not None
+    assert len(found) == len(board.points) == len(truth)
+    expected = truth.pixels[found.ids]
+    assert np.abs(found.pixels - expected).max() < 0.35  # centres of dots move with perspective and distortion
+    assert np.abs(found.pixels - expected).mean() < 0.12
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco", "aprilgrid"])
+def test_a_turned_board_keeps_its_numbers(kind: str) -> None:
+    board, lens = BOARDS[kind], a_lens()
+    assert board.turns == 1
+    for turn in (np.pi / 2, np.pi, 3.0 * np.pi / 2):
+        T = before_camera(board, turn)
+        found, truth = board.detect(picture(board, lens, T)), seen_corners(board, lens, T)
+        assert found is not None and truth is not None
+        place = {int(i): pixel for i, pixel in zip(truth.ids, truth.pixels, strict=True)}
+        errors = [np.linalg.norm(p - place[int(i)]) for i, p in zip(found.ids, found.pixels, strict=True)]
+        assert len(errors) >= 0.7 * len(board.points)
+        assert max(errors) < 0.5
+
+
+def test_boards_that_look_the_same_when_turned_say_so() -> None:
+    assert Chessboard(8, 6, 0.03).turns == 2
+    assert CircleGrid(7, 6, 0.03).turns == 2
+    assert CircleGrid(4, 10, 0.02, asymmetric=True).turns == 1
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_a_picture_without_a_board_has_no_corners(kind: str) -> None:
+    noise = np.random.default_rng(1).integers(0, 255, (240, 320)).astype(np.uint8)
+    assert BOARDS[kind].detect(cv2.GaussianBlur(noise, (0, 0), 3).astype(np.uint8)) is None
+
+
+def test_an_unknown_dictionary_is_refused() -> None:
+    with pytest.raises(RigError, match="DICT_9X9"):
+        CharucoBoard(5, 4, 0.04, 0.03, "DICT_9X9").detect(np.zeros((100, 100), np.uint8))
