@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -105,7 +106,8 @@ def grow_by(levels: NDArray[np.uint8], present: NDArray[np.integer]) -> Bool:
     occurring = set(present.tolist())
     most = max(occurring, default=1)
     words = pack(levels == most)
-    highest = levels.max(axis=2)
+    nx, ny, nz = levels.shape
+    highest = cv2.reduce(levels.reshape(nx * ny, nz), 1, cv2.REDUCE_MAX).reshape(nx, ny)
     for level in range(most - 1, 0, -1):
         grown = _window(highest > level, margin=most - level)
         words[grown] = grow(words[grown], diagonal=(level % 4) != 0)
