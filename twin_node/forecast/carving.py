@@ -100,25 +100,24 @@ class Carver:
 
     def _decide(self, blocks: NDArray[np.int64], sights: list[_Sight]) -> Carved:
         """Every voxel of these blocks against every camera."""
-        seen = [sight.table.of_blocks(blocks) for sight in sights]
-        freed = self._blocks.outside_grid(blocks)
-        for sight, at in zip(sights, seen, strict=True):
-            freed |= at.depth < sight.free_until[at.pixels]
-        left = np.flatnonzero(~freed)
+        left = self._blocks.places(blocks)
+        for sight in sights:
+            seen = sight.table.at(left)
+            left = left[seen.depth >= sight.free_until[seen.pixels]]
         moving_views, robot_views, seen_views = np.zeros((3, len(left)), np.uint8)
         surface_views, beside = np.zeros((2, len(left)), np.bool_)
-        for sight, at in zip(sights, seen, strict=True):
-            pixels = at.pixels.ravel()[left]
-            flags = sight.flags[pixels]
+        for sight in sights:
+            seen = sight.table.at(left)
+            flags = sight.flags[seen.pixels]
             moving_views += flags & _MOVING
             robot_views += (flags & _ROBOT) // _ROBOT
             seen_views += (flags & _SEEN) // _SEEN
             beside |= flags >= _BESIDE
             if sight.moving_until is not None:
-                surface_views |= at.depth.ravel()[left] < sight.moving_until[pixels]
+                surface_views |= seen.depth < sight.moving_until[seen.pixels]
         moving = (moving_views >= 2) | surface_views
         robot_itself = (robot_views >= 2) & (robot_views == seen_views)
-        indices = self._blocks.indices(blocks).ravel()[left]
+        indices = self._blocks.indices(left)
         chosen = np.flatnonzero(moving)
         chosen = chosen[np.argsort(indices[chosen])]
         return Carved(indices[chosen], ~beside[chosen], np.sort(indices[~moving & ~robot_itself]))

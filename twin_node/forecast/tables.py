@@ -33,11 +33,17 @@ class Blocks:
         """First voxel (i, j, k) [n, 3] of blocks [n]."""
         return np.stack(np.unravel_index(blocks, tuple(self.dims)), axis=1) * BLOCK
 
-    def indices(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Flat voxel indices [n, VOXELS]; meaningless where `outside_grid`."""
+    def places(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Places of the voxels of blocks [n] in tables of `count * VOXELS` entries; padding is left out."""
+        places: NDArray[np.int64] = (blocks[:, None] * VOXELS + np.arange(VOXELS)).ravel()
+        return places[self._inside[places]]
+
+    def indices(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Flat voxel indices [n] of places [n]: what `locate` undoes."""
         _, ny, nz = self.grid.dims
         strides = np.array([ny * nz, nz, 1])
-        indices: NDArray[np.int64] = (self.corners(blocks) @ strides)[:, None] + self._offsets @ strides
+        blocks, offsets = np.divmod(places, VOXELS)
+        indices: NDArray[np.int64] = self.corners(blocks) @ strides + (self._offsets @ strides)[offsets]
         return indices
 
     def locate(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -46,13 +52,11 @@ class Blocks:
         block = np.ravel_multi_index(tuple(axis // BLOCK for axis in ijk), tuple(self.dims))
         return np.asarray(block * VOXELS + np.ravel_multi_index(tuple(axis % BLOCK for axis in ijk), (BLOCK,) * 3))
 
-    def outside_grid(self, blocks: NDArray[np.int64]) -> Bool:
-        """[n, VOXELS] True for the padding beyond the grid's upper ends."""
-        corners = self.corners(blocks)
-        outside = np.zeros((len(blocks), VOXELS), np.bool_)
-        for axis, size in enumerate(self.grid.dims):
-            outside |= corners[:, axis : axis + 1] + self._offsets[:, axis] >= size
-        return outside
+    @cached_property
+    def _inside(self) -> Bool:
+        """[count * VOXELS] False for the padding beyond the grid's upper ends."""
+        ijk = self.corners(np.arange(self.count))[:, None] + self._offsets
+        return np.asarray((ijk < np.array(self.grid.dims)).all(axis=2).ravel())
 
     @cached_property
     def voxel_centers(self) -> Float64:
@@ -101,11 +105,6 @@ class CameraTable:
         same_image = (mine.width, mine.height) == (camera.width, camera.height)
         same_pose = np.array_equal(mine.K, camera.K) and np.array_equal(mine.T_base_cam, camera.T_base_cam)
         return mine is camera or (same_image and same_pose)
-
-    def of_blocks(self, blocks: NDArray[np.int64]) -> Sighting:
-        """The voxels [n, VOXELS] of blocks [n]."""
-        shape = (self._blocks.count, VOXELS)
-        return Sighting(self.voxels.pixels.reshape(shape)[blocks], self.voxels.depth.reshape(shape)[blocks])
 
     def at(self, places: NDArray[np.int64]) -> Sighting:
         """The voxels at `places` [n] (`Blocks.locate`)."""
