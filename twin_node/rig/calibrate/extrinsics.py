@@ -6,21 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting, adjust, board_pays
-from twin_node.rig.calibrate.intrinsics import BoardView, DroppedView, calibrate_lens, rms, usable
-from twin_node.rig.calibrate.lenses import Lens
+from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, rms, usable
+from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import PoseGraph, build_pose_graph, islands
 from twin_node.rig.calibrate.rotations import as_vector
 from twin_node.rig.calibrate.tracks import CornerSource, CornerTracks, StillCorners
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
 
-SETS_PER_PAIR = 40
+SETS_PER_PAIR = 25
 """Sets used of each pair of cameras (and of each camera alone), evenly spread: more of a recording add nothing new."""
 
 CLOCK_ROUNDS = 4
@@ -28,6 +29,12 @@ CLOCK_ROUNDS = 4
 
 CLOCK_SETTLED_S = 1e-4
 """Clocks that move by less than this in a round are settled."""
+
+MISREAD_PX = 2.0
+"""A corner further than this from the plane of its board is misread: sub-pixel corners and a first lens err by less."""
+
+MOST = 0.6
+"""Share of a view's corners that must lie on one plane, else the view is left out."""
 
 OUTLIER_FACTOR = 4.0
 """A sighting whose rms is more than this times its camera's noise is dropped: a misread board, a stamp that is off."""
@@ -99,6 +106,11 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     options = options or RigOptions()
     _check(board, cameras)
     lenses = [_lens(board, camera, options.model) for camera in cameras]
+    given = cameras
+    cameras = [
+        replace(camera, found=tuple(_cleaned(board, lens, corners) for corners in camera.found))
+        for camera, lens in zip(given, lenses, strict=True)
+    ]
     sources = [_source(camera) for camera in cameras]
     all_stamps = _set_stamps(cameras)
     first_look = _sightings(board, sources, all_stamps, np.zeros(len(cameras)))
@@ -121,7 +133,15 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     stamps = all_stamps[_spread(own, len(group))]
     solved = _solve(board, members, [lenses[i] for i in group], stamps, options)
     names = tuple(camera.name for camera in members)
-    return RigSolution(board, names, solved.bundle, solved.sightings, solved.set_stamps, solved.dropped, left_out)
+    return RigSolution(
+        board,
+        names,
+        solved.bundle,
+        solved.sightings,
+        solved.set_stamps,
+        (*_misread(given, cameras), *solved.dropped),
+        left_out,
+    )
 
 
 def simultaneous(board: Board, cameras: Sequence[CameraRecording], clocks: Float64) -> list[Sighting]:
@@ -205,6 +225,28 @@ def _lens(board: Board, camera: CameraRecording, model: str) -> Lens:
     return calibrate_lens(board, chosen, camera.size, model, source=f"camera {camera.name}").lens
 
 
+def _cleaned(board: Board, lens: Lens, corners: Corners | None) -> Corners | None:
+    """The corners that lie on one plane (RANSAC); None where most do not: interpolation would spread what is wrong."""
+    if corners is None or len(corners) < MIN_CORNERS:
+        return None
+    flat = rays_of(lens, corners.pixels) * lens.K[0, 0]
+    _, mask = cv2.findHomography(board.points[corners.ids, :2], flat, cv2.RANSAC, MISREAD_PX)
+    good = np.zeros(len(corners), dtype=bool) if mask is None else np.asarray(mask).ravel() > 0
+    if good.mean() < MOST:
+        return None
+    return Corners(corners.ids[good], corners.pixels[good])
+
+
+def _misread(given: Sequence[CameraRecording], cleaned: Sequence[CameraRecording]) -> list[DroppedView]:
+    """The images in which cleaning left too little of a board."""
+    return [
+        DroppedView(f"{camera.name}: {name}", "corners that lie on no plane")
+        for camera, clean in zip(given, cleaned, strict=True)
+        for name, corners, rest in zip(camera.images, camera.found, clean.found, strict=True)
+        if corners is not None and len(corners) >= MIN_CORNERS and rest is None
+    ]
+
+
 def _source(camera: CameraRecording) -> CornerSource:
     if camera.moving:
         return CornerTracks(camera.stamps, camera.found)
@@ -212,13 +254,16 @@ def _source(camera: CameraRecording) -> CornerSource:
 
 
 def _set_stamps(cameras: Sequence[CameraRecording]) -> NDArray[np.int64]:
-    """Times, ns, at which the board is looked at: where some camera saw it, no two closer than half a frame."""
+    """Times, ns, at which the board is looked at: where some camera saw it, no two closer than frames are.
+
+    More would use the same images twice and claim certainty that is not there.
+    """
     seen = np.unique(
         [t for camera in cameras for t, corners in zip(camera.stamps, camera.found, strict=True) if corners is not None]
     )
     if not all(camera.moving for camera in cameras):
         return np.asarray(seen, np.int64)
-    apart = min(float(np.median(np.diff(camera.stamps))) for camera in cameras if len(camera.stamps) > 1) / 2
+    apart = 0.9 * min(float(np.median(np.diff(camera.stamps))) for camera in cameras if len(camera.stamps) > 1)
     chosen: list[int] = []
     for stamp in seen.tolist():
         if not chosen or stamp - chosen[-1] >= apart:

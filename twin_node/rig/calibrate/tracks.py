@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicSpline
 
 from twin_node.rig.calibrate.boards import Corners
 from twin_node.scene import Float64
@@ -26,14 +26,14 @@ class MovingCorners:
 
 
 class CornerTracks:
-    """Places of the corners over time, of one camera: cubic through what was found (Catmull and Rom, 1974)."""
+    """Places of the corners over time, of one camera: cubic splines through what was found."""
 
     def __init__(self, stamps: NDArray[np.int64], found: Sequence[Corners | None]) -> None:
         """`stamps` [T] ns, increasing; `found`: what each image shows."""
         seconds = (stamps - stamps[0]) / 1e9
         self._origin = int(stamps[0])
         self._period = float(np.median(np.diff(seconds))) if len(stamps) > 1 else 0.0
-        self._pieces: dict[int, list[CubicHermiteSpline]] = {}
+        self._pieces: dict[int, list[CubicSpline]] = {}
         seen: dict[int, list[tuple[float, Float64]]] = {}
         for second, corners in zip(seconds.tolist(), found, strict=True):
             if corners is not None:
@@ -56,10 +56,10 @@ class CornerTracks:
             return None
         return MovingCorners(Corners(np.array(ids), np.stack(pixels)), np.stack(velocities))
 
-    def _splines(self, seconds: Float64, pixels: Float64) -> list[CubicHermiteSpline]:
+    def _splines(self, seconds: Float64, pixels: Float64) -> list[CubicSpline]:
         breaks = np.flatnonzero(np.diff(seconds) > MAX_GAP * self._period) + 1
         pieces = zip(np.split(seconds, breaks), np.split(pixels, breaks), strict=True)
-        return [CubicHermiteSpline(t, p, np.gradient(p, t, axis=0)) for t, p in pieces if len(t) > 1]
+        return [CubicSpline(t, p) for t, p in pieces if len(t) > 1]
 
 
 class StillCorners:

@@ -1,0 +1,158 @@
+"""Simulated rigs: what is found against what is true, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from simulated_boards import Spoiled, a_lens, around, record
+
+from twin_node.geometry import inverse_pose
+from twin_node.rig import RigError, load_rig, save_rig
+from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, Corners
+from twin_node.rig.calibrate.extrinsics import CameraRecording, RigOptions, RigSolution, calibrate_rig
+from twin_node.rig.calibrate.results import board_as_base, camera_poses, pose_covariance, rig_file_of
+from twin_node.scene import Float64
+
+BOARD: Board = CharucoBoard(6, 5, 0.08, 0.06)
+SECONDS = 6.0
+CLOCKS_S = (0.0, 0.05, -0.03)
+
+
+def a_rig(seed: int, cameras: int = 3, outliers: float = 0.2) -> list[CameraRecording]:
+    rng = np.random.default_rng(seed)
+    lenses = [a_lens(focal=rng.uniform(450, 700)) for _ in range(cameras)]
+    spoiled = [Spoiled(0.2, outliers, CLOCKS_S[i % 3]) for i in range(cameras)]
+    made = [
+        record(BOARD, lens, T, f"cam{i}", rng, spoiled[i], seconds=SECONDS)
+        for i, (lens, T) in enumerate(zip(lenses, around(cameras), strict=True))
+    ]
+    return [replace(camera, lens=lens) for camera, lens in zip(made, lenses, strict=True)]
+
+
+def errors_of(solution: RigSolution) -> Float64:
+    """[C - 1, 6] position (m) and turn (rad) of the cameras, in the first one's frame."""
+    truth = around(len(solution.names))
+    out = []
+    for i, T in enumerate(camera_poses(solution.bundle.state)[1:], start=1):
+        true = inverse_pose(truth[0]) @ truth[i]
+        turn = Rotation.from_matrix(T[:3, :3] @ true[:3, :3].T).as_rotvec()
+        out.append(np.concatenate([T[:3, 3] - true[:3, 3], turn]))
+    return np.stack(out)
+
+
+@pytest.fixture(scope="module")
+def solution() -> RigSolution:
+    return calibrate_rig(BOARD, a_rig(0), RigOptions(lenses=False, board=False))
+
+
+def test_poses_and_clocks_are_found_among_outliers(solution: RigSolution) -> None:
+    errors = errors_of(solution)
+    assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.002
+    assert np.degrees(np.linalg.norm(errors[:, 3:], axis=1)).max() < 0.1
+    clocks = solution.bundle.state.clocks
+    np.testing.assert_allclose(clocks, np.array(CLOCKS_S) - CLOCKS_S[0], atol=0.001)
+    assert solution.dropped  # the images whose corners were moved
+    assert all(view.name.startswith("cam") for view in solution.dropped)
+
+
+def test_the_stated_covariance_covers_the_truth(solution: RigSolution) -> None:
+    for i, error in enumerate(errors_of(solution), start=1):
+        covariance = pose_covariance(solution, i, np.eye(4))
+        assert error @ np.linalg.solve(covariance, error) < chi2.ppf(0.9999, 6)
+        assert np.sqrt(np.trace(covariance[:3, :3])) < 0.01
+
+
+def test_unknown_lenses_are_found_with_the_poses() -> None:
+    truth = a_rig(6, cameras=2, outliers=0.0)
+    solution = calibrate_rig(BOARD, [replace(camera, lens=None) for camera in truth], RigOptions(board=False))
+    for i, camera in enumerate(truth):
+        found, sigmas = solution.bundle.state.lenses[i], np.sqrt(np.diag(solution.bundle.covariance))
+        assert camera.lens is not None
+        errors = (found.parameters - camera.lens.parameters)[:4] / sigmas[solution.bundle.layout.lens(i)][:4]
+        assert np.abs(errors).max() < 4
+        assert abs(found.K[0, 0] / camera.lens.K[0, 0] - 1) < 0.02
+
+
+def test_the_rig_file_keeps_what_was_found(solution: RigSolution, tmp_path: Path) -> None:
+    rig_file = rig_file_of(solution)
+    save_rig(rig_file, tmp_path / "rig.yaml")
+    again = load_rig(tmp_path / "rig.yaml")
+    assert (again.frame, again.board, again.date) == ("cam0_optical_frame", str(BOARD), rig_file.date)
+    for camera, evidence, read in zip(rig_file.rig.cameras, again.evidence, again.rig.cameras, strict=True):
+        np.testing.assert_allclose(read.T_base_cam, camera.T_base_cam)
+        assert read.time_offset_ns == camera.time_offset_ns
+        assert evidence is not None and evidence.pose_covariance is not None
+        assert 0 < evidence.median_px < 1
+        assert 0 < camera.sigma_m < 0.005
+    np.testing.assert_allclose(again.evidence[1].pose_covariance, pose_covariance(solution, 1, np.eye(4)))  # type: ignore[union-attr]
+
+
+def test_the_board_can_be_the_base(solution: RigSolution) -> None:
+    stamp = int(solution.set_stamps[len(solution.set_stamps) // 2])
+    poses = [camera.T_base_cam for camera in rig_file_of(solution, board_as_base(solution, stamp)).rig.cameras]
+    assert all(T[2, 3] > 0.3 for T in poses)  # the cameras are on the side that the board's z points to
+    relative = inverse_pose(poses[0]) @ poses[1]
+    np.testing.assert_allclose(relative, camera_poses(solution.bundle.state)[1], atol=1e-9)
+    with pytest.raises(RigError, match="base"):
+        board_as_base(solution, stamp + 10**11)
+
+
+def test_cameras_that_share_no_view_are_named() -> None:
+    cameras = a_rig(1, cameras=4, outliers=0.0)
+    late = replace(cameras[3], stamps=cameras[3].stamps + 10**12)
+    with pytest.raises(RigError, match="cam3"):
+        calibrate_rig(BOARD, [*cameras[:3], late])
+    partial = calibrate_rig(BOARD, [*cameras[:3], late], RigOptions(partial=True, lenses=False, board=False))
+    assert partial.unconnected == ("cam3",)
+    assert partial.names == ("cam0", "cam1", "cam2")
+
+
+def test_cameras_chained_by_pairs_are_one_rig() -> None:
+    cameras = a_rig(2, cameras=3, outliers=0.0)
+    half = len(cameras[0].found) // 2
+    first = replace(cameras[0], found=(*cameras[0].found[:half], *(None for _ in cameras[0].found[half:])))
+    last = replace(cameras[2], found=(*(None for _ in cameras[2].found[:half]), *cameras[2].found[half:]))
+    solution = calibrate_rig(BOARD, [first, cameras[1], last], RigOptions(lenses=False, board=False))
+    assert not solution.unconnected
+    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.015
+
+
+def test_stills_taken_at_once_need_no_clocks() -> None:
+    board = Chessboard(6, 5, 0.08)
+    rng = np.random.default_rng(5)
+    numbers = np.arange(30)
+    cameras = []
+    for i, T in enumerate(around(2)):
+        video = record(board, a_lens(), T, f"cam{i}", np.random.default_rng(7), Spoiled(0.1), seconds=60, rate_hz=0.5)
+        found = tuple(
+            None if c is None or len(c) < len(board.points) or rng.uniform() < 0.1 else c for c in video.found
+        )
+        cameras.append(replace(video, stamps=numbers * 10**9, found=found, moving=False))
+    solution = calibrate_rig(board, cameras, RigOptions(board=False))
+    assert not solution.bundle.layout.clocks
+    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.015
+
+
+@pytest.mark.parametrize(
+    ("cameras", "board", "message"),
+    [
+        (a_rig(0)[:1], BOARD, "at least two cameras"),
+        (a_rig(0)[:2], Chessboard(6, 4, 0.05), "turned by 180 degrees"),
+        ([replace(a_rig(0)[0], found=(None,) * 60, lens=None), a_rig(0)[1]], BOARD, "camera cam0"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_refused(cameras: list[CameraRecording], board: Board, message: str) -> None:
+    with pytest.raises(RigError, match=message):
+        calibrate_rig(board, cameras)
+
+
+def test_corners_on_a_line_are_no_view() -> None:
+    cameras = a_rig(3, cameras=2, outliers=0.0)
+    line = tuple(None if c is None else Corners(c.ids[:5], c.pixels[:5]) for c in cameras[0].found)
+    with pytest.raises(RigError, match="at least 3 views"):
+        calibrate_rig(BOARD, [replace(cameras[0], found=line, lens=None), cameras[1]])
