@@ -13,6 +13,8 @@ from twin_node.geometry import pose
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, transfer_px
 from twin_node.scene import Float64, RigCamera
 
+PLANE_SIGMA = 0.02
+"""1 sigma of a plane seen by a rough rig: tilts in rad, height in m."""
 POSE, LENS = 6, 3
 """Numbers per camera: rotation vector and translation; focal length and principal point."""
 
@@ -42,6 +44,8 @@ class Adjusted:
     cameras: tuple[RigCamera, ...]
     plane: Float64 | None
     """[4] unit normal, offset in m."""
+    strain: float = 0.0
+    """Largest change of any number, in its own sigmas."""
 
 
 def adjust(
@@ -53,7 +57,7 @@ def adjust(
     solved = least_squares(
         problem.residuals, np.zeros(problem.size), loss="soft_l1", tr_solver="lsmr", ftol=1e-4, xtol=1e-4, max_nfev=40
     )
-    return problem.state(solved.x)
+    return replace(problem.state(solved.x), strain=float(np.abs(solved.x).max()))
 
 
 class _Problem:
@@ -79,7 +83,9 @@ class _Problem:
             _changed(camera, x[start : start + len(sigmas)] * sigmas)
             for camera, sigmas, start in zip(self._cameras, self._sigmas, self._starts[:-1], strict=True)
         )
-        return Adjusted(cameras, None if self._plane is None else _tilted(self._plane, x[-3:] * 0.02, self._cameras))
+        return Adjusted(
+            cameras, None if self._plane is None else _tilted(self._plane, x[-3:] * PLANE_SIGMA, self._cameras)
+        )
 
     def residuals(self, x: Float64) -> Float64:
         """Matches in units of their noise, then the prior."""

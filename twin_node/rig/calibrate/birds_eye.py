@@ -16,6 +16,8 @@ from twin_node.scene import Bool, Float32, Float64, RigCamera
 
 LARGEST_SHEET_PX = 600
 """Longest side of a sheet: more costs time and finds little that is not already seen."""
+MARGIN = 0.2
+"""Share of the workspace that the ground may reach beyond it: what stands about it tells as much."""
 RIM_PX = 2
 """Raw pixels next to the image's rim that are not used."""
 FINEST_PX, COARSEST_PX = 1.5, 8.0
@@ -74,14 +76,16 @@ def plane_hits(camera: RigCamera, plane: Float64, pixels: Float64) -> Float64:
     return out
 
 
-def ground_of(cameras: Sequence[RigCamera], plane: Float64) -> Ground:
-    """The part of a plane [4] that at least two cameras see, at about the resolution of their images.
+def ground_of(cameras: Sequence[RigCamera], plane: Float64, workspace: Float64) -> Ground:
+    """The part of a plane [4] in and about a workspace [2, 3] that two cameras see, at about their images' resolution.
 
     Raises `RigError` where no two see a common part.
     """
     hits = [plane_hits(camera, plane, _pixel_grid(camera)) for camera in cameras]
-    footprints = [_footprint(camera, plane) for camera in cameras]
-    shared = [hits[i][_seen_elsewhere(hits[i], cameras, i)] for i in range(len(cameras))]
+    margin = MARGIN * np.ptp(workspace, axis=0)
+    near = [((points > workspace[0] - margin) & (points < workspace[1] + margin)).all(1) for points in hits]
+    footprints = [_footprint(camera, plane, near[i]) for i, camera in enumerate(cameras)]
+    shared = [hits[i][near[i] & _seen_elsewhere(hits[i], cameras, i)] for i in range(len(cameras))]
     points = np.concatenate(shared)
     if len(points) < 9:
         names = ", ".join(camera.name for camera in cameras)
@@ -121,13 +125,13 @@ def _pixel_grid(camera: RigCamera) -> Float64:
     return np.stack([u.ravel(), v.ravel()], -1)
 
 
-def _footprint(camera: RigCamera, plane: Float64) -> float:
-    """Median side in m of what a pixel covers on the plane."""
+def _footprint(camera: RigCamera, plane: Float64, near: Bool) -> float:
+    """Median side in m of what a pixel covers on the plane, over the pixel grid where it is near; NaN for none."""
     grid = _pixel_grid(camera)
     right, down = (plane_hits(camera, plane, grid + step) for step in ([1.0, 0.0], [0.0, 1.0]))
     here = plane_hits(camera, plane, grid)
     area = np.linalg.norm(np.cross(right - here, down - here), axis=1)
-    return float(np.sqrt(np.nanmedian(area)))
+    return float(np.sqrt(np.median(area[near]))) if near.any() else float("nan")
 
 
 def _seen_elsewhere(points: Float64, cameras: Sequence[RigCamera], own: int) -> Bool:

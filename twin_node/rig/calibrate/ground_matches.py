@@ -48,6 +48,11 @@ class GroundMap:
     rival: float
     """The same of the best map that is another one."""
 
+    @property
+    def distinctness(self) -> float:
+        """The rival's misfit as a multiple of the best map's; 1 where they fit alike."""
+        return (1 - self.rival) / max(1 - self.agreement, 1e-6)
+
 
 @dataclass(frozen=True)
 class SheetMatches:
@@ -157,7 +162,7 @@ def _climb(offsets: Float64, surfaces: Float32, unit: float, rng: np.random.Gene
 
 def _scores(maps: Float64, offsets: Float64, surfaces: Float32) -> Float64:
     """[H] mean correlation of all patches under maps [H, 6]."""
-    shifts = maps[:, None, :2] + np.einsum("hij,pj->hpi", maps[:, 2:].reshape(-1, 2, 2), offsets)
+    shifts = maps[:, None, :2] + offsets @ maps[:, 2:].reshape(-1, 2, 2).swapaxes(1, 2)
     cells = np.rint(shifts + MAX_SHIFT_PX).astype(np.int64)
     inside = ((cells >= 0) & (cells <= 2 * MAX_SHIFT_PX)).all(-1)
     cells = cells.clip(0, 2 * MAX_SHIFT_PX)

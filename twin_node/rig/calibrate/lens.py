@@ -14,6 +14,8 @@ BEHIND_M = 1e-3
 
 def pixel_rays(camera: RigCamera, pixels: Float64) -> Float64:
     """Rays (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2] (OpenCV convention); undoes `distort`."""
+    if not len(pixels):  # OpenCV gives nothing of the shape asked for
+        return np.zeros((0, 2))
     shaped = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
     if camera.distortion_model == "equidistant":
         rays = cv2.fisheye.undistortPoints(shaped, camera.K, camera.D)
@@ -26,4 +28,6 @@ def pixel_rays(camera: RigCamera, pixels: Float64) -> Float64:
 
 def raw_pixels(camera: RigCamera, points: Float64) -> Float64:
     """Raw pixels [N, 2] (OpenCV convention) of points [N, 3] m in the optical frame."""
+    if not len(points):
+        return np.zeros((0, 2))
     return distort(camera, points[:, :2] / np.maximum(points[:, 2:], BEHIND_M))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -17,6 +18,8 @@ from twin_node.scene import Bool, Float64, RigCamera
 
 RATIO = 0.8
 """Best to second-best descriptor distance of a match worth keeping (Lowe, 2004, section 7.1)."""
+MOST_FEATURES = 2000
+"""Features per camera, the strongest: matching time grows with the square."""
 LARGEST_PX = 960
 """Longest side of the image that features are sought in."""
 SMALLEST_PX = 640
@@ -45,10 +48,15 @@ class Matches:
         return len(self.pixels_a)
 
 
-def feature_matches(stills: Sequence[Still], a: int, b: int) -> Matches:
-    """Mutual best SIFT matches of what stands still, not yet held to any geometry."""
-    found = [_described(stills[i]) for i in (a, b)]
-    (at_a, des_a), (at_b, des_b) = ((f.pixels, f.descriptors) for f in found)
+def feature_matches(stills: Sequence[Still]) -> list[Matches]:
+    """Mutual best SIFT matches of what stands still, of every pair of cameras; not yet held to any geometry."""
+    features = [_described(still) for still in stills]
+    return [_matched(features, a, b) for a, b in combinations(range(len(stills)), 2)]
+
+
+def _matched(features: Sequence[_Features], a: int, b: int) -> Matches:
+    at_a, des_a = features[a].pixels, features[a].descriptors
+    at_b, des_b = features[b].pixels, features[b].descriptors
     empty = np.zeros((0, 2))
     if min(len(at_a), len(at_b)) < 2:
         return Matches(a, b, empty, empty, False)
@@ -109,7 +117,9 @@ def _described(still: Still) -> _Features:
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     resized = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=method)
     mask = cv2.resize(still.still.astype(np.uint8) * 255, resized.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    points, descriptors = cv2.SIFT.create(contrastThreshold=0.01).detectAndCompute(resized, mask)
+    points, descriptors = cv2.SIFT.create(nfeatures=MOST_FEATURES, contrastThreshold=0.01).detectAndCompute(
+        resized, mask
+    )
     if descriptors is None:
         return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     pixels = (np.array([point.pt for point in points], dtype=np.float64) + 0.5) / scale - 0.5

@@ -14,10 +14,12 @@ from twin_node.rig.calibrate.ground_matches import agreed_map, measured
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
+from twin_node.rig.undistort import Undistorter
+from twin_node.rig.workspace import workspace_of
 from twin_node.scene import Float64, Rig, RigCamera
 
-Pair = tuple[int, int]
-"""Indices of two cameras."""
+MOST_MATCHES = 150
+"""Matches on the plane that a pair is fitted to: neighbours err together, more of them only take time."""
 LEAST_SIGMA_M = 0.001
 """No rig is stated to be better than this: what medians of video leave."""
 
@@ -29,9 +31,13 @@ class RefineParameters:
     adjust: AdjustParameters = field(default_factory=AdjustParameters)
     """What may change, and by how much."""
     distinct: float = 1.08
-    """By how much the best map of the ground must beat its rival; below it the pattern repeats and tells nothing."""
+    """How many times the misfit of the best map of the ground its rival's must be: below it the pattern repeats."""
     least_matches: int = 24
     """Matches that a pair of cameras must share to count as connected."""
+    most_strain: float = 3.5
+    """A fit that changes any number by so many of its sigmas is not believed: a thing was taken for another."""
+    most_gap: float = 0.75
+    """Nor one that leaves cameras so far apart on the plane, in pixels of the ground: it was no plane, or another."""
     gates_px: tuple[float, ...] = (16.0, 3.0)
     """Epipolar distance up to which features are taken for matches, one per round: a better rig
     shows the ground better."""
@@ -75,46 +81,59 @@ def refine_rig(
     Raises `RigError` where the geometry cannot tell: it names the cameras and what was lacking.
     """
     parameters = parameters or RefineParameters()
-    features = [feature_matches(stills, a, b) for a, b in combinations(range(len(rig.cameras)), 2)]
+    features = feature_matches(stills)
     now = Adjusted(rig.cameras, plane)
-    matches: list[Matches] = []
-    skipped: list[str] = []
+    seen = _Seen((), (), 0.0)
     for i, gate in enumerate(parameters.gates_px):
-        known = None if i == 0 else [(pair.a, pair.b) for pair in matches if pair.on_plane]
-        on_plane, lost = _on_plane(stills, now, parameters, known)
-        skipped = skipped or lost
-        matches = on_plane + [_gated(pair, now.cameras, gate) for pair in features]
-        _check_connected(rig.cameras, matches, parameters, skipped)
+        seen = _on_plane(stills, now, rig.workspace, parameters, None if i == 0 else seen)
+        matches = [*seen.matches, *(_gated(pair, now.cameras, gate) for pair in features)]
+        _check_connected(rig.cameras, matches, parameters, seen.skipped)
         now = adjust(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
     figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
-    return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, tuple(skipped))
+    _check_believable(now, figures, parameters, seen.pixel_m)
+    return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, seen.skipped)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What was found on the plane."""
+
+    matches: tuple[Matches, ...]
+    skipped: tuple[str, ...]
+    """Pairs that told nothing, and why."""
+    pixel_m: float
+    """Side of the ground's pixels."""
 
 
 def _on_plane(
-    stills: Sequence[Still], now: Adjusted, parameters: RefineParameters, known: Sequence[Pair] | None
-) -> tuple[list[Matches], list[str]]:
-    """Matches on the plane of every pair that shows it, and why others do not.
-
-    `known`: the pairs whose maps an earlier fit has brought to the identity; None: all are sought.
-    """
+    stills: Sequence[Still],
+    now: Adjusted,
+    workspace: Float64 | None,
+    parameters: RefineParameters,
+    earlier: _Seen | None,
+) -> _Seen:
+    """Matches on the plane of every pair that shows it; where `earlier` ones were fitted, of the same pairs."""
     if now.plane is None:
-        return [], []
-    ground = ground_of(now.cameras, now.plane)
+        return _Seen((), (), 0.0)
+    if workspace is None:
+        workspace = workspace_of([Undistorter(camera).camera for camera in now.cameras])
+    ground = ground_of(now.cameras, now.plane, workspace)
     sheets = [lay_flat(replace(s, camera=c), ground) for s, c in zip(stills, now.cameras, strict=True)]
     found: list[Matches] = []
-    skipped: list[str] = []
-    for a, b in known if known is not None else combinations(range(len(sheets)), 2):
-        agreed = None if known is not None else agreed_map(sheets[a], sheets[b])
-        names = f"{now.cameras[a].name} and {now.cameras[b].name}"
-        if known is None and agreed is None:
-            skipped.append(f"{names} share too little of the plane")
-        elif agreed is not None and agreed.agreement < parameters.distinct * agreed.rival:
-            skipped.append(f"{names} see a pattern that fits in several places")
-        else:
-            points = measured(sheets[a], sheets[b], np.eye(2, 3) if agreed is None else agreed.affine)
-            pixels_a, pixels_b = ground.pixels(now.cameras[a], points.a), ground.pixels(now.cameras[b], points.b)
-            found.append(Matches(a, b, pixels_a, pixels_b, True))
-    return found, skipped
+    skipped = [] if earlier is None else list(earlier.skipped)
+    for a, b in combinations(range(len(sheets)), 2) if earlier is None else [(p.a, p.b) for p in earlier.matches]:
+        affine = np.eye(2, 3)
+        if earlier is None:
+            agreed = agreed_map(sheets[a], sheets[b])
+            if agreed is None or agreed.distinctness < parameters.distinct:
+                why = "share too little of the plane" if agreed is None else "see a pattern that fits in several places"
+                skipped.append(f"{now.cameras[a].name} and {now.cameras[b].name} {why}")
+                continue
+            affine = agreed.affine
+        points = measured(sheets[a], sheets[b], affine)
+        pixels_a, pixels_b = ground.pixels(now.cameras[a], points.a), ground.pixels(now.cameras[b], points.b)
+        found.append(Matches(a, b, pixels_a, pixels_b, True))
+    return _Seen(tuple(found), tuple(skipped), ground.pixel_m)
 
 
 def _gated(matches: Matches, cameras: Sequence[RigCamera], gate_px: float) -> Matches:
@@ -123,10 +142,11 @@ def _gated(matches: Matches, cameras: Sequence[RigCamera], gate_px: float) -> Ma
 
 
 def _half(matches: Matches, part: int) -> Matches:
-    """Every second match on the plane; of the few others all are fitted and judge too."""
+    """Every second match on the plane, thinned where more do not help; of the few others all take both parts."""
     if not matches.on_plane:
         return matches
-    return matches.where(np.arange(len(matches)) % 2 == part)
+    step = 2 * max(len(matches) // (2 * MOST_MATCHES), 1)
+    return matches.where(np.arange(len(matches)) % step == part)
 
 
 def _check_connected(
@@ -148,6 +168,23 @@ def _check_connected(
         raise RigError(
             f"refine: camera {lost[0]}: expected at least {parameters.least_matches} points shared with another "
             f"camera, found fewer{reason}; record a scene with more texture, or calibrate with a board"
+        )
+
+
+def _check_believable(
+    now: Adjusted, figures: Sequence[PairFigures], parameters: RefineParameters, pixel_m: float
+) -> None:
+    advice = "is much of the scene on one plane, and are the poses given right to a degree or two? Else use a board"
+    if now.strain > parameters.most_strain:
+        raise RigError(
+            f"refine: expected a rig near the one given, at most {parameters.most_strain:g} sigma away, found one at "
+            f"{now.strain:.1f}; {advice}"
+        )
+    gap = max((f.plane_after_m for f in figures if f.plane_after_m is not None), default=0.0)
+    if gap > parameters.most_gap * pixel_m:
+        raise RigError(
+            f"refine: expected cameras that agree on the plane to {1000 * parameters.most_gap * pixel_m:.1f} mm, found "
+            f"{1000 * gap:.1f} mm; {advice}"
         )
 
 

@@ -1,0 +1,93 @@
+"""Clocks told from motion: stamps edited by a known amount are found out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin_node.cell import CellSource, load_scenario
+from twin_node.rig import RigError
+from twin_node.rig.calibrate.clocks import ClockParameters, calibrate_clocks
+from twin_node.rig.calibrate.shifts import Costs, best_shift
+from twin_node.robot import arm_model
+from twin_node.scene import Camera, FrameSet
+
+SHIFTS = np.arange(-25, 26) * 0.004
+
+
+def costs(offset_s: float, ppm: float = 0.0, noise: float = 0.0, seconds: float = 60.0) -> Costs:
+    """Parabolas about a clock's true offset, one every 0.1 s."""
+    stamps = np.arange(0, int(seconds * 1e9), 100_000_000)
+    truth = offset_s + (stamps - stamps.mean()) / 1e9 * ppm * 1e-6
+    rng = np.random.default_rng(0)
+    truth = truth + rng.normal(0, noise, len(stamps))
+    return Costs(stamps, SHIFTS, (SHIFTS - truth[:, None]) ** 2)
+
+
+@given(offset_ms=st.floats(-80, 80), ppm=st.floats(-100, 100))
+@settings(max_examples=30, deadline=None)
+def test_the_lowest_cost_is_found_between_the_steps(offset_ms: float, ppm: float) -> None:
+    shift = best_shift(costs(offset_ms / 1e3, ppm), window_s=5.0)
+    assert shift is not None
+    assert shift.offset_ns == pytest.approx(offset_ms * 1e6, abs=2e4)
+    assert shift.rate_ppm == pytest.approx(ppm, abs=1)
+
+
+def test_the_stated_error_grows_with_the_noise() -> None:
+    quiet, noisy = (best_shift(costs(0.01, noise=noise), window_s=5.0) for noise in (0.001, 0.02))
+    assert quiet is not None
+    assert noisy is not None
+    assert quiet.sigma_ns < 200_000 < noisy.sigma_ns
+    assert abs(noisy.offset_ns - 10_000_000) < 4 * noisy.sigma_ns
+
+
+def test_an_offset_beyond_what_was_tried_is_not_told() -> None:
+    assert best_shift(costs(0.2), window_s=5.0) is None
+
+
+def test_a_short_recording_tells_no_rate() -> None:
+    shift = best_shift(costs(0.0, seconds=12.0), window_s=5.0)
+    assert shift is not None
+    assert shift.rate_ppm is None
+
+
+@pytest.fixture(scope="module")
+def recording() -> tuple[FrameSet, ...]:
+    """Four seconds of one camera of the demo's cell, in which the arm moves."""
+    sets = CellSource(replace(load_scenario("demo"), duration_s=4.0))
+    return tuple(replace(frames, views=frames.views[:1]) for frames in sets)
+
+
+def edited(recording: tuple[FrameSet, ...], late_ms: float) -> list[FrameSet]:
+    """The recording with the camera's stamps too late."""
+    late = int(late_ms * 1e6)
+    return [replace(f, views=tuple(replace(v, stamp=v.stamp + late) for v in f.views)) for f in recording]
+
+
+def cameras(recording: tuple[FrameSet, ...]) -> tuple[Camera, ...]:
+    return tuple(view.camera for view in recording[0].views)
+
+
+def test_a_camera_is_timed_against_the_arm(recording: tuple[FrameSet, ...]) -> None:
+    found = []
+    for late_ms in (0.0, 37.0):
+        result = calibrate_clocks(
+            cameras(recording), edited(recording, late_ms), arm_model("ur5e"), ClockParameters(max_offset_s=0.06)
+        )
+        clock = result.cameras[0]
+        assert abs(clock.offset_ns / 1e6 + late_ms) < 8
+        found.append(clock.offset_ns / 1e6)
+    assert found[0] - found[1] == pytest.approx(37.0, abs=2.5)
+
+
+def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) -> None:
+    first = recording[0].views[0].rgb
+    frozen = [replace(f, views=tuple(replace(v, rgb=first) for v in f.views)) for f in recording]
+    with pytest.raises(RigError, match=rf"camera {recording[0].views[0].camera.name}: expected"):
+        calibrate_clocks(cameras(recording), frozen, arm_model("ur5e"), ClockParameters(max_offset_s=0.06))
+    with pytest.raises(RigError, match="expected at least 20 images"):
+        calibrate_clocks(cameras(recording), recording[:5], arm_model("ur5e"))

@@ -1,0 +1,205 @@
+"""Rigs refined from recordings without a board: a simulated cell whose truth is known, and a real perforated table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from twin_node.cell import CellSource, load_scenario
+from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.rig import RigError, Undistorter, load_rig
+from twin_node.rig.calibrate.birds_eye import Sheet, plane_hits
+from twin_node.rig.calibrate.ground_matches import DISTINCT_PX, agreed_map, measured
+from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.matches import epipolar_px
+from twin_node.rig.calibrate.refine import RefineParameters, RefineResult, refine_rig
+from twin_node.rig.calibrate.stills import Still, stills_of
+from twin_node.scene import Float64, FrameSet, Rig, RigCamera, View
+
+TABLE = np.array([0.0, 0.0, 1.0, 0.0])
+"""z = 0, the top of the simulated table."""
+
+
+def sees(rig: Rig, camera: int, points: Float64) -> Float64:
+    """[N, 2] raw pixels of base-frame points."""
+    return raw_pixels(rig.cameras[camera], transform(inverse_pose(rig.cameras[camera].T_base_cam), points))
+
+
+def epipolar_error(rig: Rig, truth: Rig, points: Float64) -> float:
+    """Largest median over pairs of how far `rig` is off where the true cameras see points [N, 3] m."""
+    errors = []
+    for a, b in combinations(range(len(truth.cameras)), 2):
+        off = epipolar_px(rig.cameras[a], rig.cameras[b], sees(truth, a, points), sees(truth, b, points))
+        errors.append(float(np.median(np.abs(off))))
+    return max(errors)
+
+
+def jolted(rig: Rig, rng: np.random.Generator) -> Rig:
+    """The rig with every camera turned by half a degree and moved by 5 mm (1 sigma per axis)."""
+    cameras = []
+    for camera in rig.cameras:
+        turn = Rotation.from_rotvec(rng.normal(0, np.radians(0.5), 3)).as_matrix()
+        T = pose(turn @ camera.T_base_cam[:3, :3], camera.T_base_cam[:3, 3] + rng.normal(0, 0.005, 3))
+        cameras.append(replace(camera, T_base_cam=T))
+    return replace(rig, cameras=tuple(cameras))
+
+
+@pytest.fixture(scope="module")
+def cell() -> tuple[Rig, tuple[Still, ...]]:
+    """The demo's cell: its true rig and what stands still in a tenth of its images."""
+    source = CellSource(replace(load_scenario("demo"), duration_s=3.0))
+    rendered = source.simulated
+    wanted = [e for e in rendered.exposures() if e.tick % 10 == 0]
+    sets = []
+    for tick in sorted({e.tick for e in wanted}):
+        views = [
+            View(source.cameras[e.camera], e.stamp, rendered.take(e).rgb)
+            for e in sorted(wanted, key=lambda e: e.camera)
+            if e.tick == tick
+        ]
+        sets.append(FrameSet(views[-1].stamp, tuple(views)))
+    return source.rig, stills_of(source.rig, sets)
+
+
+def test_a_crowded_striped_cell_is_refused(cell: tuple[Rig, tuple[Still, ...]]) -> None:
+    given, stills = cell
+    with pytest.raises(RigError, match="is much of the scene on one plane"):
+        refine_rig(given, stills, TABLE)
+
+
+def blotches(rng: np.random.Generator) -> np.ndarray:
+    """[1200, 1200] a texture of one metre and a fifth, 1 mm per pixel."""
+    noise = sum(s * cv2.GaussianBlur(rng.normal(size=(1200, 1200)).astype(np.float32), (0, 0), s) for s in (4, 9, 20))
+    return np.clip(128 + 30 * noise / noise.std(), 1, 255).astype(np.uint8)
+
+
+def over_a_table(rng: np.random.Generator) -> tuple[Rig, tuple[Still, ...]]:
+    """Three distorted cameras over a textured table, and what they see of it."""
+    cameras, stills, texture = [], [], blotches(rng)
+    for i, angle in enumerate(np.radians([10, 120, 260]) + rng.normal(0, 0.2, 3)):
+        eye = np.array([0.6 + 0.6 * np.cos(angle), 0.6 + 0.6 * np.sin(angle), 0.7])
+        forward = np.array([0.6, 0.6, 0.0]) - eye
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        T = pose(np.stack([right, np.cross(forward, right), forward], 1), eye)
+        K = np.array([[400.0, 0, 239.5], [0, 400.0, 179.5], [0, 0, 1]])
+        camera = RigCamera(f"cam_{i}", 480, 360, K, T, D=np.array([*rng.normal(0, [0.04, 0.02, 5e-4, 5e-4]), 0.0]))
+        u, v = np.meshgrid(np.arange(480.0), np.arange(360.0))
+        at = plane_hits(camera, TABLE, np.stack([u.ravel(), v.ravel()], -1)).reshape(360, 480, 3) * 1000
+        grey = cv2.remap(texture, at[..., 0].astype(np.float32), at[..., 1].astype(np.float32), cv2.INTER_LINEAR)
+        cameras.append(camera)
+        stills.append(Still(camera, np.repeat(grey[..., None], 3, axis=2), grey > 0))
+    return Rig(tuple(cameras), np.array([[0.1, 0.1, -0.05], [1.1, 1.1, 0.3]])), tuple(stills)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_jolted_rig_over_a_table_comes_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth, stills = over_a_table(rng)
+    jolt = jolted(truth, rng)
+    given = replace(jolt, cameras=tuple(replace(camera, D=np.zeros(5)) for camera in jolt.cameras))
+    result = refine_rig(given, tuple(replace(s, camera=c) for s, c in zip(stills, given.cameras, strict=True)), TABLE)
+    table = rng.uniform([0.4, 0.4, 0.0], [0.8, 0.8, 0.0], (300, 3))
+    above = table + np.array([0.0, 0.0, 0.1])
+    assert epipolar_error(given, truth, table) > 1.5
+    assert epipolar_error(result.rig, truth, table) < 0.5
+    assert epipolar_error(result.rig, truth, above) < epipolar_error(given, truth, above)
+    assert all(pair.plane_after_m is not None and pair.plane_after_m < 0.001 for pair in result.pairs)
+
+
+def test_cameras_that_see_nothing_alike_are_refused(cell: tuple[Rig, tuple[Still, ...]]) -> None:
+    truth, stills = cell
+    blank = replace(stills[1], rgb=np.full_like(stills[1].rgb, 127))
+    with pytest.raises(RigError, match=rf"camera {truth.cameras[1].name}: expected at least 24 points"):
+        refine_rig(truth, (stills[0], blank, stills[2]), TABLE)
+
+
+def holes(odd: bool, size: int = 300, pitch: int = 11) -> np.ndarray:
+    """A sheet with holes at every lattice point; with `odd`, some of them larger."""
+    image = np.zeros((size, size), np.float32)
+    rng = np.random.default_rng(3)
+    for y in range(pitch, size, pitch):
+        for x in range(pitch, size, pitch):
+            cv2.circle(image, (x, y), 3 if odd and rng.random() < 0.06 else 2, -0.4, -1, cv2.LINE_AA)
+    return cv2.GaussianBlur(image, (0, 0), 1.0)
+
+
+def shifted(image: np.ndarray, dx: float, dy: float) -> Sheet:
+    moved = cv2.warpAffine(image, np.array([[1.0, 0, dx], [0, 1.0, dy]]), image.shape[::-1])
+    noise = np.random.default_rng(4).normal(0, 0.01, image.shape)
+    return Sheet((moved + noise).astype(np.float32), np.ones(image.shape, bool))
+
+
+def test_the_odd_holes_tell_where_a_perforated_table_fits() -> None:
+    image = holes(odd=True)
+    agreed = agreed_map(shifted(image, 0, 0), shifted(image, 14.3, -9.6))
+    assert agreed is not None
+    assert agreed.distinctness > RefineParameters().distinct
+    found = measured(shifted(image, 0, 0), shifted(image, 14.3, -9.6), agreed.affine)
+    assert len(found.a) > 100
+    np.testing.assert_allclose(np.median(found.b - found.a, axis=0), [14.3, -9.6], atol=0.1)
+
+
+def test_holes_that_are_all_alike_tell_nothing() -> None:
+    image = holes(odd=False)
+    agreed = agreed_map(shifted(image, 0, 0), shifted(image, 14.3, -9.6))
+    assert agreed is not None
+    assert agreed.distinctness < RefineParameters().distinct
+    assert DISTINCT_PX < 11  # one pitch away is another place
+
+
+def raw_sets(folder: Path, rig: Rig, every: int) -> Iterator[FrameSet]:
+    """Raw images of the recording of a perforated table, as sets; nobody reads their stamps here."""
+    films = []
+    for camera in rig.cameras:
+        serial = camera.name.removeprefix("cam_")
+        count = len(json.loads((folder / "videos" / f"{serial}.json").read_text())["timestamps"])
+        video, images = cv2.VideoCapture(str(folder / "videos" / f"{serial}.mp4")), []
+        for i in range(count):
+            if not video.grab():
+                break
+            if i % every == 0:
+                images.append(cv2.cvtColor(video.retrieve()[1], cv2.COLOR_BGR2RGB))
+        films.append(images)
+    pinholes = [Undistorter(replace(camera, D=np.zeros(5))).camera for camera in rig.cameras]
+    for stamp, images in enumerate(zip(*films, strict=False)):
+        yield FrameSet(stamp, tuple(View(c, stamp, image) for c, image in zip(pinholes, images, strict=True)))
+
+
+@pytest.fixture(scope="module")
+def table() -> RefineResult:
+    data = Path(__file__).resolve().parents[4] / "shared" / "data" / "pusht_3cam"
+    if not data.is_dir():
+        pytest.skip(f"the recording of a perforated table is not at hand (looked in {data})")
+    rig = load_rig("calibration/pusht_3cam.yaml").rig
+    plane = np.array([*json.loads((data / "ground_plane.json").read_text())["plane"]])
+    return refine_rig(rig, stills_of(rig, raw_sets(data, rig, every=20)), plane)
+
+
+def test_a_real_table_agrees_to_a_fraction_of_a_pixel(table: RefineResult) -> None:
+    assert table.skipped == ()
+    assert max(pair.epipolar_before_px for pair in table.pairs) > 5
+    for pair in table.pairs:
+        assert pair.epipolar_after_px <= 0.5
+        assert pair.plane_after_m is not None
+        assert pair.plane_after_m <= 0.002
+
+
+def test_a_real_table_agrees_with_a_rig_found_from_the_lattice_of_its_holes(table: RefineResult) -> None:
+    truth = load_rig("calibration/pusht_3cam_refined.yaml").rig
+    points = np.random.default_rng(0).uniform([0.3, 0.0, 0.0], [0.7, 0.5, 0.05], (300, 3))
+    inside = np.all(
+        [((sees(truth, i, points) > 0) & (sees(truth, i, points) < [480, 270])).all(1) for i in range(3)], 0
+    )
+    given = load_rig("calibration/pusht_3cam.yaml").rig
+    assert epipolar_error(given, truth, points[inside]) > 5
+    assert epipolar_error(table.rig, truth, points[inside]) < 1
