@@ -57,8 +57,8 @@ def test_a_short_recording_tells_no_rate() -> None:
 
 @pytest.fixture(scope="module")
 def recording() -> tuple[FrameSet, ...]:
-    """Four seconds of one camera of the demo's cell, in which the arm moves."""
-    sets = CellSource(replace(load_scenario("demo"), duration_s=4.0))
+    """Three seconds of one camera of the demo's cell, in which the arm moves."""
+    sets = CellSource(replace(load_scenario("demo"), duration_s=3.0))
     return tuple(replace(frames, views=frames.views[:1]) for frames in sets)
 
 
@@ -76,7 +76,7 @@ def test_a_camera_is_timed_against_the_arm(recording: tuple[FrameSet, ...]) -> N
     found = []
     for late_ms in (0.0, 37.0):
         result = calibrate_clocks(
-            cameras(recording), edited(recording, late_ms), arm_model("ur5e"), ClockParameters(max_offset_s=0.06)
+            cameras(recording), edited(recording, late_ms), arm_model("ur5e"), ClockParameters(max_offset_s=0.05)
         )
         clock = result.cameras[0]
         assert abs(clock.offset_ns / 1e6 + late_ms) < 8
@@ -88,6 +88,6 @@ def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) 
     first = recording[0].views[0].rgb
     frozen = [replace(f, views=tuple(replace(v, rgb=first) for v in f.views)) for f in recording]
     with pytest.raises(RigError, match=rf"camera {recording[0].views[0].camera.name}: expected"):
-        calibrate_clocks(cameras(recording), frozen, arm_model("ur5e"), ClockParameters(max_offset_s=0.06))
+        calibrate_clocks(cameras(recording), frozen, arm_model("ur5e"), ClockParameters(max_offset_s=0.05))
     with pytest.raises(RigError, match="expected at least 20 images"):
         calibrate_clocks(cameras(recording), recording[:5], arm_model("ur5e"))

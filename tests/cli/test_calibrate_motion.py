@@ -1,0 +1,38 @@
+"""`calibrate hand-eye`, `refine` and `time` from the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twin_node.cli import main
+from twin_node.rig import load_rig
+
+
+def test_hand_eye_of_a_folder(recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "wrist.yaml"
+    assert main(["calibrate", "hand-eye", str(recordings / "hand_eye"), "-o", str(out), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["mean_reprojection_px"] <= 0.5
+    assert figures["cameras"]["camera"]["sigma_m"] < 0.005
+    written = load_rig(out)
+    assert written.frame == "tool0"
+    assert written.rig.cameras[0].T_base_cam.tolist() == figures["cameras"]["camera"]["T_carrier_camera"]
+
+
+def test_refine_refuses_in_one_line_and_writes_nothing(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "refined.yaml"
+    assert main(["calibrate", "refine", str(cell_log(1.0)), "-o", str(out)]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
+    assert len(lines) == 1
+    assert not out.exists()
+
+
+def test_time_says_what_is_missing(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "time", str(cell_log(1.0)), "--duration", "0.3"]) == 2
+    assert "expected at least 20 images to time its motion by, found" in capsys.readouterr().err
