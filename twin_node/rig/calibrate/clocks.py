@@ -3,7 +3,7 @@
 Against the arm: `arm_motion`. Against each other: every image is summed up as how much of each epipolar plane shows
 something that is not in the median image; how these sums change agrees between two cameras, plane by plane, when their
 clocks do (after Kasten, Ben-Artzi, Peleg and Werman, "Fundamental matrices from moving objects using line motion
-barcodes", ECCV 2016). The two see different sides of a thing, so this is good to several milliseconds only.
+barcodes", ECCV 2016). The two see different sides of a thing, so this is good to one or two hundredths of a second only.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FOREGROUND_LEVELS = 24.0
 MOST_MEDIAN_IMAGES = 60
 LEAST_IMAGES = 20
 """Images per camera below which motion tells no time."""
-BARCODE_SIGMA_NS = 8_000_000
+BARCODE_SIGMA_NS = 15_000_000
 """1 sigma of what outlines seen from different sides are off by, however long the recording: measured on simulated
 cells with known clocks."""
 
@@ -104,6 +104,10 @@ def _against_arm(course: ArmCourse, films: Sequence[Film], parameters: ClockPara
 
 
 def _against_each_other(films: Sequence[Film], parameters: ClockParameters) -> tuple[CameraClock, ...]:
+    if len(films) < 2:
+        raise RigError(
+            f"camera {films[0].camera.name}: expected another camera or the arm to time it by, found neither"
+        )
     moving = [_moving(film) for film in films]
     edges = []
     for a, b in combinations(range(len(films)), 2):
