@@ -37,7 +37,7 @@ ROBUST_SIGMAS = 2.0
 ROUNDS = 3
 """Solutions with noise levels estimated anew from the residuals of the one before; the third moves nothing."""
 
-INTERPOLATED_VARIANCE = 0.77
+INTERPOLATED_VARIANCE = 0.87
 """Variance of a corner interpolated by a cubic spline over that of the found ones, on average over the time between two
 images: what is missing comes back as correlation between neighbouring sets, which the covariance must not ignore."""
 
@@ -59,6 +59,8 @@ class Sighting:
     """As they would be at the set's time if the camera's clock were right."""
     velocities: Float64 | None = None
     """[N, 2] of the corners, pixels per second; None where the board stands still or images are taken at once."""
+    jitter_px: float = 0.0
+    """1 sigma of what the corners are off by because their stamps jitter and they move."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ class BundleProblem:
         """[m] residuals over the camera's noise, then lenses and corners over what they may be off by."""
         state = self.unpack(x)
         parts = [
-            (residual / noise_px[sighting.camera]).ravel()
+            (residual / np.hypot(noise_px[sighting.camera], sighting.jitter_px)).ravel()
             for sighting, residual in zip(self._sightings, self.residuals(state), strict=True)
         ]
         if self.layout.lens_sizes:
@@ -218,7 +220,9 @@ class BundleProblem:
         state, blocks = self.unpack(x), _Blocks()
         for sighting in self._sightings:
             blocks.start_rows(2 * len(sighting.corners))
-            self._add_sighting(blocks, state, sighting, -1 / float(noise_px[sighting.camera]))
+            self._add_sighting(
+                blocks, state, sighting, -1 / float(np.hypot(noise_px[sighting.camera], sighting.jitter_px))
+            )
         for i, _ in enumerate(self.layout.lens_sizes):
             block = state.lenses[i].priors_jacobian()
             blocks.start_rows(len(block))

@@ -175,7 +175,7 @@ def _solve(
         ]
         used = sorted({s.board for s in sightings})
         stamps = stamps[used]
-        sightings = [Sighting(s.camera, used.index(s.board), s.corners, s.velocities) for s in sightings]
+        sightings = [replace(s, board=used.index(s.board)) for s in sightings]
         graph = build_pose_graph(lenses, board.points, sightings)
         start = _start(graph, lenses, board, clocks)
         bundle = adjust(start, sightings, bundle_options)
@@ -280,7 +280,7 @@ def _sightings(
         for camera, source in enumerate(sources):
             seen = source.at(stamp - round(float(clocks[camera]) * 1e9))
             if seen is not None and usable(board, seen.corners):
-                sightings.append(Sighting(camera, number, seen.corners, seen.velocities))
+                sightings.append(Sighting(camera, number, seen.corners, seen.velocities, seen.jitter_px))
     return sightings
 
 

@@ -23,6 +23,8 @@ class MovingCorners:
     corners: Corners
     velocities: Float64 | None
     """[N, 2] pixels per second; None where nothing is known to move."""
+    jitter_px: float = 0.0
+    """1 sigma of what the corners are off by because stamps jitter and they move."""
 
 
 class CornerTracks:
@@ -32,7 +34,10 @@ class CornerTracks:
         """`stamps` [T] ns, increasing; `found`: what each image shows."""
         seconds = (stamps - stamps[0]) / 1e9
         self._origin = int(stamps[0])
-        self._period = float(np.median(np.diff(seconds))) if len(stamps) > 1 else 0.0
+        periods = np.diff(seconds) if len(stamps) > 1 else np.zeros(1)
+        self._period = float(np.median(periods))
+        # A period has the jitter of two stamps; its median absolute deviation knows nothing of lost images.
+        self._jitter = 1.4826 * float(np.median(np.abs(periods - self._period))) / np.sqrt(2)
         self._pieces: dict[int, list[CubicSpline]] = {}
         seen: dict[int, list[tuple[float, Float64]]] = {}
         for second, corners in zip(seconds.tolist(), found, strict=True):
@@ -54,7 +59,8 @@ class CornerTracks:
                     velocities.append(spline(second, 1))
         if not ids:
             return None
-        return MovingCorners(Corners(np.array(ids), np.stack(pixels)), np.stack(velocities))
+        speed = float(np.median(np.linalg.norm(velocities, axis=1)))
+        return MovingCorners(Corners(np.array(ids), np.stack(pixels)), np.stack(velocities), speed * self._jitter)
 
     def _splines(self, seconds: Float64, pixels: Float64) -> list[CubicSpline]:
         breaks = np.flatnonzero(np.diff(seconds) > MAX_GAP * self._period) + 1
