@@ -195,13 +195,14 @@ def _time(options: argparse.Namespace) -> None:
         result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.1f} ms (+- {clock.sigma_ns / 1e6:.1f} ms){_rate(clock)}"
+        + ("" if clock.certain else ", not more than it may be wrong by: left as it is")
         for clock in result.cameras
     ]
     if options.output:
         given = _given(options, rig)
         notes = f"Clocks timed from {options.log.name} against {result.reference} ({'; '.join(lines)}). {given.notes}"
         cameras = tuple(
-            replace(camera, time_offset_ns=camera.time_offset_ns + clock.offset_ns)
+            replace(camera, time_offset_ns=camera.time_offset_ns + clock.offset_ns) if clock.certain else camera
             for camera, clock in zip(rig.cameras, result.cameras, strict=True)
         )
         save_rig(replace(given, rig=replace(rig, cameras=cameras), date=_today(), notes=notes.strip()), options.output)

@@ -3,7 +3,7 @@
 Against the arm: `arm_motion`. Against each other: every image is summed up as how much of each epipolar plane shows
 something that is not in the median image; how these sums change agrees between two cameras, plane by plane, when their
 clocks do (after Kasten, Ben-Artzi, Peleg and Werman, "Fundamental matrices from moving objects using line motion
-barcodes", ECCV 2016). The two see different sides of a thing, so this is good to one or two hundredths of a second only.
+barcodes", ECCV 2016). The two see different sides of a thing, so this is good to 10 or 20 ms only.
 """
 
 from __future__ import annotations
@@ -60,6 +60,11 @@ class CameraClock:
     """1 sigma of `offset_ns`."""
     rate_ppm: float | None
     """How fast the offset grows, parts per million; None where the recording is too short to tell."""
+
+    @property
+    def certain(self) -> bool:
+        """Whether the offset is more than what it may be wrong by (2 sigma)."""
+        return abs(self.offset_ns) > 2 * self.sigma_ns
 
 
 @dataclass(frozen=True)

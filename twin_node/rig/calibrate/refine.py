@@ -20,6 +20,8 @@ from twin_node.scene import Float64, Rig, RigCamera
 
 MOST_MATCHES = 150
 """Matches on the plane that a pair is fitted to: neighbours err together, more of them only take time."""
+LEAST_JUDGES = 8
+"""Matches below which a pair of cameras is given no figures."""
 LEAST_SIGMA_M = 0.001
 """No rig is stated to be better than this: what medians of video leave."""
 
@@ -34,7 +36,7 @@ class RefineParameters:
     """How many times the misfit of the best map of the ground its rival's must be: below it the pattern repeats."""
     least_matches: int = 24
     """Matches that a pair of cameras must share to count as connected."""
-    most_strain: float = 3.5
+    most_strain: float = 3.0
     """A fit that changes any number by so many of its sigmas is not believed: a thing was taken for another."""
     most_gap: float = 0.75
     """Nor one that leaves cameras so far apart on the plane, in pixels of the ground: it was no plane, or another."""
@@ -85,7 +87,7 @@ def refine_rig(
     now = Adjusted(rig.cameras, plane)
     seen = _Seen((), (), 0.0)
     for i, gate in enumerate(parameters.gates_px):
-        seen = _on_plane(stills, now, rig.workspace, parameters, None if i == 0 else seen)
+        seen = _on_plane(stills, now, rig.workspace, parameters, aligned=i > 0)
         matches = [*seen.matches, *(_gated(pair, now.cameras, gate) for pair in features)]
         _check_connected(rig.cameras, matches, parameters, seen.skipped)
         now = adjust(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
@@ -110,9 +112,12 @@ def _on_plane(
     now: Adjusted,
     workspace: Float64 | None,
     parameters: RefineParameters,
-    earlier: _Seen | None,
+    aligned: bool,
 ) -> _Seen:
-    """Matches on the plane of every pair that shows it; where `earlier` ones were fitted, of the same pairs."""
+    """Matches on the plane of every pair that shows it.
+
+    Where a fit has `aligned` the cameras, a pair whose pattern alone could not tell is told by the others.
+    """
     if now.plane is None:
         return _Seen((), (), 0.0)
     if workspace is None:
@@ -120,10 +125,10 @@ def _on_plane(
     ground = ground_of(now.cameras, now.plane, workspace)
     sheets = [lay_flat(replace(s, camera=c), ground) for s, c in zip(stills, now.cameras, strict=True)]
     found: list[Matches] = []
-    skipped = [] if earlier is None else list(earlier.skipped)
-    for a, b in combinations(range(len(sheets)), 2) if earlier is None else [(p.a, p.b) for p in earlier.matches]:
+    skipped: list[str] = []
+    for a, b in combinations(range(len(sheets)), 2):
         affine = np.eye(2, 3)
-        if earlier is None:
+        if not aligned:
             agreed = agreed_map(sheets[a], sheets[b])
             if agreed is None or agreed.distinctness < parameters.distinct:
                 why = "share too little of the plane" if agreed is None else "see a pattern that fits in several places"
@@ -132,6 +137,9 @@ def _on_plane(
             affine = agreed.affine
         points = measured(sheets[a], sheets[b], affine)
         pixels_a, pixels_b = ground.pixels(now.cameras[a], points.a), ground.pixels(now.cameras[b], points.b)
+        if len(points.a) < parameters.least_matches:
+            skipped.append(f"{now.cameras[a].name} and {now.cameras[b].name} share too little of the plane")
+            continue
         found.append(Matches(a, b, pixels_a, pixels_b, True))
     return _Seen(tuple(found), tuple(skipped), ground.pixel_m)
 
@@ -178,7 +186,7 @@ def _check_believable(
     if now.strain > parameters.most_strain:
         raise RigError(
             f"refine: expected a rig near the one given, at most {parameters.most_strain:g} sigma away, found one at "
-            f"{now.strain:.1f}; {advice}"
+            f"{now.strain:.2f}; {advice}"
         )
     gap = max((f.plane_after_m for f in figures if f.plane_after_m is not None), default=0.0)
     if gap > parameters.most_gap * pixel_m:
@@ -192,7 +200,7 @@ def _figures(rig: Rig, plane: Float64 | None, now: Adjusted, judging: Sequence[M
     out = []
     for a, b in combinations(range(len(rig.cameras)), 2):
         pairs = [pair for pair in judging if (pair.a, pair.b) == (a, b) and len(pair)]
-        if not pairs:
+        if sum(map(len, pairs)) < LEAST_JUDGES:
             continue
         on_plane = [pair for pair in pairs if pair.on_plane]
         out.append(
