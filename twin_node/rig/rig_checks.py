@@ -89,12 +89,15 @@ def check_facing(where: str, names: tuple[str, ...], poses: Float) -> None:
     """Raises `RigError` where cameras with poses [N, 4, 4] see nothing together unless read in another convention.
 
     Cameras of a rig look at one volume: the point nearest to all optical axes lies in front of them. Where it lies out
-    of sight, and undoing a customary mistake (world-to-camera poses, OpenGL axes) puts it into the middle of every
-    image, that is named. Axes nearer to parallel than `TELLING_SPREAD` tell nothing.
+    of sight, and undoing a customary mistake (world-to-camera poses, OpenGL axes, transposed rotations) puts it into
+    the middle of every image, that is named. Axes nearer to parallel than `TELLING_SPREAD` tell nothing.
     """
     if axes_spread(poses) < TELLING_SPREAD or _aims_off(poses) < OUT_OF_SIGHT:
         return
+    transposed = poses.copy()
+    transposed[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
     readings = {
+        "the rotations are transposed: transpose each and keep its translation": transposed,
         "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": inverse_pose(poses),
         "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": poses * [1.0, -1.0, -1.0, 1.0],
     }

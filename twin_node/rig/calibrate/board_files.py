@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, marker_dictionary
@@ -25,6 +26,9 @@ NAMES = ("board.yaml", "board.yml", "board.toml", "charuco.toml", "target.yaml",
 """What a board file in a folder of recordings may be called."""
 
 INCH = 0.0254
+
+MOST_CELLS = 10_000
+"""No board has more corners: larger numbers are mistyped."""
 
 
 def load_board(text: str) -> Board:
@@ -169,15 +173,15 @@ def _whole(fields: Fields, key: str) -> int:
 
 def _checked(where: str, board: Board) -> Board:
     """The board, if there can be one. Raises `RigError` for lengths that no board has."""
-    points = board.points
     smallest = 3 if isinstance(board, CharucoBoard) else 2
     if min(board.columns, board.rows) < smallest:
         raise RigError(f"{where}: expected at least {smallest} columns and rows, found {board}")
+    if board.columns * board.rows > MOST_CELLS:
+        raise RigError(f"{where}: expected at most {MOST_CELLS} cells, found {board}")
     if isinstance(board, CharucoBoard):
         marker_dictionary(board.dictionary)
         if not 0 < board.marker < board.square:
             raise RigError(f"{where}: expected markers smaller than squares, found {board}")
-    extent = float(points.max())
-    if not extent > 0:
+    if not 0 < float(board.points.max()) < np.inf:
         raise RigError(f"{where}: expected lengths above 0, found {board}")
     return board

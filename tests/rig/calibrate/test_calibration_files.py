@@ -1,0 +1,138 @@
+"""Boards, recordings and other tools' calibrations as files: what is read, and what every mistake is called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated_boards import a_lens, around
+
+from twin_node.errors import TwinError
+from twin_node.geometry import inverse_pose, quat_from_rotation
+from twin_node.rig import RigError, load_rig
+from twin_node.rig.calibrate.board_files import find_board, load_board
+from twin_node.rig.calibrate.boards import AprilGrid, CharucoBoard, Chessboard, CircleGrid
+from twin_node.rig.calibrate.camera_info import load_camera_info, save_camera_info
+from twin_node.rig.calibrate.importers import IMPORTERS
+from twin_node.rig.calibrate.recordings import load_cameras
+
+
+@pytest.mark.parametrize(
+    ("text", "board"),
+    [
+        ("chessboard:9x6:0.025", Chessboard(9, 6, 0.025)),
+        ("charuco:5x7:0.04:0.03:DICT_5X5_100", CharucoBoard(5, 7, 0.04, 0.03, "DICT_5X5_100")),
+        ("aprilgrid:6x6:0.088:0.3", AprilGrid(6, 6, 0.088, 0.3)),
+        ("acircles:4x11:0.02", CircleGrid(4, 11, 0.02, asymmetric=True)),
+    ],
+)
+def test_boards_as_text(text: str, board: object) -> None:
+    assert load_board(text) == board
+
+
+@given(st.text(max_size=40))
+def test_no_text_breaks_the_parser(text: str) -> None:
+    for kind in ("chessboard:", "charuco:", "aprilgrid:", ""):
+        try:
+            load_board(kind + text)
+        except TwinError as error:
+            assert "\n" not in str(error)
+        except (OSError, ValueError) as error:
+            pytest.fail(f"{kind + text!r}: {error!r}")
+
+
+def test_board_files_of_other_tools(tmp_path: Path) -> None:
+    kalibr = {"target_type": "aprilgrid", "tagCols": 6, "tagRows": 5, "tagSize": 0.08, "tagSpacing": 0.3}
+    (tmp_path / "april.yaml").write_text(yaml.safe_dump(kalibr))
+    assert find_board(tmp_path) == AprilGrid(6, 5, 0.08, 0.3)
+    (tmp_path / "board.yaml").write_text("kind: charuco\ncolumns: 6\nrows: 5\nsquare: 0.08\nmarker: 0.09\n")
+    with pytest.raises(RigError, match="markers smaller than squares"):
+        find_board(tmp_path)
+
+
+def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
+    board = Chessboard(9, 6, 0.025)
+    with pytest.raises(RigError, match="one video per camera"):
+        load_cameras(tmp_path, board)
+    (tmp_path / "left.mp4").write_bytes(b"no video")
+    with pytest.raises(RigError, match="stamps"):
+        load_cameras(tmp_path, board)
+    (tmp_path / "left.txt").write_text("0.0\n0.1\n")
+    with pytest.raises(RigError, match="expected a video"):
+        load_cameras(tmp_path, board)
+
+
+def test_pictures_of_different_sizes_are_refused(tmp_path: Path) -> None:
+    for number, width in ((1, 64), (2, 80)):
+        cv2.imwrite(str(tmp_path / f"left{number}.png"), np.zeros((48, width), np.uint8))
+    with pytest.raises(RigError, match="one size"):
+        load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+
+
+def test_camera_info_is_read_back(tmp_path: Path) -> None:
+    lens = a_lens("equidistant")
+    save_camera_info(lens, tmp_path / "left.yaml")
+    again = load_camera_info(tmp_path / "left.yaml").lens
+    np.testing.assert_array_equal(again.parameters, lens.parameters)
+    assert (again.width, again.height, again.model) == (640, 480, "equidistant")
+
+
+def test_a_kalibr_chain_becomes_a_rig(tmp_path: Path) -> None:
+    poses, chain = around(3), {}
+    for i, T in enumerate(poses):
+        camera = {
+            "camera_model": "pinhole",
+            "intrinsics": [500.0, 501.0, 320.0, 240.0],
+            "distortion_model": "radtan",
+            "distortion_coeffs": [0.1, -0.05, 0.001, 0.002],
+            "resolution": [640, 480],
+        }
+        if i:
+            camera["T_cn_cnm1"] = (inverse_pose(T) @ poses[i - 1]).tolist()
+        chain[f"cam{i}"] = camera
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
+    cameras = IMPORTERS["kalibr"](tmp_path / "camchain.yaml", 1.0).rig.cameras
+    for camera, T in zip(cameras, poses, strict=True):
+        np.testing.assert_allclose(camera.T_base_cam, inverse_pose(poses[0]) @ T, atol=1e-12)
+
+
+def test_a_colmap_model_becomes_a_rig(tmp_path: Path) -> None:
+    (tmp_path / "cameras.txt").write_text("# cameras\n1 OPENCV 640 480 500 501 320.5 240.5 0.1 -0.05 0.001 0.002\n")
+    lines = ["# images"]
+    for i, T in enumerate(around(3)):
+        world_to_camera = inverse_pose(T)
+        numbers = [*quat_from_rotation(world_to_camera[:3, :3]), *world_to_camera[:3, 3]]
+        lines += [f"{i + 1} {' '.join(map(str, numbers))} 1 view{i}.png", ""]
+    (tmp_path / "images.txt").write_text("\n".join(lines) + "\n")
+    cameras = IMPORTERS["colmap"](tmp_path, 0.5).rig.cameras
+    for camera, T in zip(cameras, around(3), strict=True):
+        np.testing.assert_allclose(camera.T_base_cam[:3, :3], T[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(camera.T_base_cam[:3, 3], 0.5 * T[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(camera.K[:2, 2], [320, 240])  # COLMAP's pixel centres are at halves
+
+
+@pytest.mark.parametrize("kind", sorted(IMPORTERS))
+def test_wrong_files_get_one_clear_line(kind: str, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.txt"
+    wrong.write_text("neither this: [nor that")
+    for path in (wrong, tmp_path / "missing.json"):
+        with pytest.raises(TwinError, match="expected") as caught:
+            IMPORTERS[kind](path, 1.0)
+        assert "\n" not in str(caught.value)
+
+
+def test_transposed_rotations_are_named_by_the_file_alone(tmp_path: Path) -> None:
+    cameras = []
+    for i, T in enumerate(around(3)):
+        wrong = T.copy()
+        wrong[:3, :3] = T[:3, :3].T
+        K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
+        cameras.append({"name": f"cam{i}", "size": [640, 480], "K": K, "T_base_cam": wrong.tolist()})
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump({"cameras": cameras}))
+    with pytest.raises(RigError, match="transpose each"):
+        load_rig(tmp_path / "rig.yaml")
