@@ -125,3 +125,9 @@ def test_a_gradient_reaches_canonical_means_and_the_field() -> None:
     before = motion.field.time.detach().clone()
     motion.descend()
     assert not torch.equal(motion.field.time.detach(), before)
+
+
+def test_a_row_named_twice_is_refused() -> None:
+    store = Gaussians(4, torch.device("cpu"))
+    with pytest.raises(ValueError, match="found 1 twice"):
+        store.descent(torch.tensor([0, 2, 0]))

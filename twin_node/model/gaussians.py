@@ -153,7 +153,12 @@ class Gaussians:
         self.steps[rows] = 0
 
     def descent(self, rows: Tensor) -> Descent:
-        """Adam steps on `rows` [n] only; what they lead to is stored by `Descent.end`."""
+        """Adam steps on `rows` [n] only; what they lead to is stored by `Descent.end`.
+
+        Raises `ValueError` where a row is named twice: which of its two results stayed would be left to chance.
+        """
+        if len(rows) != len(torch.unique(rows)):
+            raise ValueError(f"descent: expected every row once, found {len(rows) - len(torch.unique(rows))} twice")
         return Descent(self, rows)
 
 

@@ -124,7 +124,7 @@ class Tracker:
         Returns what the views saw before the last of them; empty where nothing learns.
         """
         chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
-        revised = self._living(self._backgrounds.rows[chosen])
+        revised = self._standing(self._backgrounds.rows[chosen])
         masks = held_pixels(observed, moving, self._gaussians.means[revised])
         near = self._near(observed, masks)
         seen = fit_window(self._gaussians, self._motion, observed, masks, near, revised, self._parameters.track)
@@ -182,10 +182,12 @@ class Tracker:
     def _near(self, observed: Sequence[Observed], masks: Sequence[Bool]) -> Tensor:
         """Rows that nothing is learned about and that can show in `masks` [H, W]: STATIC ones, and the arm."""
         near = self._backgrounds.near([one.background for one in observed], masks)
-        return torch.cat([self._living(near), self._gaussians.robot_rows])
+        return torch.cat([self._standing(near), self._gaussians.robot_rows])
 
-    def _living(self, rows: Tensor) -> Tensor:
-        return rows[self._gaussians.alive[rows]]
+    def _standing(self, rows: Tensor) -> Tensor:
+        """Those of the background's rows that still live and stand: others have boarded a node in this very set."""
+        g = self._gaussians
+        return rows[g.alive[rows] & (g.tiers[rows] == int(Tier.STATIC))]
 
     def _poses(self, observed: Sequence[Observed]) -> Poses:
         """The nodes at each view's own time."""
