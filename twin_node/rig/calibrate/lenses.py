@@ -14,7 +14,7 @@ COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.ite
 """Distortion models and how many coefficients are calibrated of each."""
 
 ASPECT_SIGMA = 0.003
-"""1 sigma of fy / fx: pixels of sensors in use are square; scaling by a video driver rounds to a pixel in 300 or more."""
+"""1 sigma of fy / fx: pixels of sensors are square; scaling by a video driver rounds to a pixel in 300 or more."""
 
 CENTRE_SIGMA = 0.03
 """1 sigma of the principal point's distance from the middle of the image, as a share of its width: assumed; published
@@ -25,8 +25,8 @@ DISTORTION_SIGMAS = {
     "rational_polynomial": (5.0, 5.0, 0.005, 0.005, 5.0, 5.0, 5.0, 5.0),
     "equidistant": (0.5, 0.5, 0.5, 0.5),
 }
-"""1 sigma of each coefficient about 0: wide for any lens on sale, but no room for the values of hundreds that corners in
-the middle of the image leave open."""
+"""1 sigma of each coefficient about 0 (assumed): wide for any lens on sale, but no room for the values of hundreds that
+corners in the middle of the image leave open."""
 
 
 @dataclass(frozen=True)
