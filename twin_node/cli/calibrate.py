@@ -49,7 +49,7 @@ def add_intrinsics(kinds: Any) -> None:
     parser.add_argument("pictures", type=Path, nargs="+", metavar="IMAGE|VIDEO|DIR")
     parser.add_argument("--board", required=True, metavar="BOARD", help=BOARD_HELP)
     parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth frame of a video")
+    parser.add_argument("--every", type=_every, default=1, metavar="N", help="take every Nth frame of a video")
     parser.add_argument("-o", "--output", type=Path, metavar="CAMERA.yaml", help="as a ROS camera_info file")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_intrinsics)
@@ -75,9 +75,16 @@ def add_rig(kinds: Any) -> None:
         help="the board lies on the base S seconds after the start",
     )
     parser.add_argument("--partial", action="store_true", help="go on without cameras that share no views")
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth frame of the videos")
+    parser.add_argument("--every", type=_every, default=1, metavar="N", help="take every Nth frame of the videos")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_rig)
+
+
+def _every(text: str) -> int:
+    """A whole number of 1 or more."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of 1 or more")
+    return int(text)
 
 
 def _intrinsics(options: argparse.Namespace) -> None:
