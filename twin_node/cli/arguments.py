@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +16,15 @@ def add_source_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-rate", type=positive, metavar="HZ", help="take at most so many image sets per second")
     parser.add_argument("--width", type=width, metavar="PX", help="working width of the images")
     parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     parser.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
+
+
+def with_source_options(parameters: Any, options: argparse.Namespace) -> Any:
+    """Chain parameters with the command line's width and rate in place of the file's."""
+    given = {"width": options.width, "max_rate_hz": options.max_rate}
+    changed = {name: value for name, value in given.items() if value is not None}
+    return replace(parameters, synchronizer=replace(parameters.synchronizer, **changed))
 
 
 def positive(text: str) -> float:

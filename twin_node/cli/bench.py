@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options
+from twin_node.cli.arguments import add_source_options, with_source_options
 
 
 def add_bench(commands: Any) -> None:
@@ -31,16 +31,18 @@ def add_bench(commands: Any) -> None:
 def _bench_occupancy(options: argparse.Namespace) -> None:
     from twin_node.bench.occupancy import OccupancyBenchParameters, run
     from twin_node.bench.truth import ColourOf
-    from twin_node.nodes.log_source import DEFAULT_WIDTH
+    from twin_node.nodes.chain import load_parameters
     from twin_node.nodes.topics import parse_remaps
 
+    chain = with_source_options(load_parameters(options.params), options)
     parameters = OccupancyBenchParameters(
-        width=options.width or DEFAULT_WIDTH,
-        max_rate_hz=options.max_rate,
+        width=chain.synchronizer.width,
+        max_rate_hz=chain.synchronizer.max_rate_hz,
         rig=options.rig,
         remaps=parse_remaps(options.remap),
         start_offset_s=options.start_offset,
         duration_s=options.duration,
+        chain=chain,
     )
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, positive
+from twin_node.cli.arguments import add_source_options, positive, with_source_options
 from twin_node.errors import TwinError
 
 
@@ -24,7 +23,6 @@ def add_replay(commands: Any) -> None:
     pace.add_argument("--rate", type=positive, default=1.0, metavar="R", help="speed of the clock (default 1)")
     pace.add_argument("--lockstep", action="store_true", help="every set in turn, repeatable to the byte")
     add_source_options(replay)
-    replay.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file")
     replay.set_defaults(run=_replay)
 
 
@@ -39,7 +37,7 @@ def _replay(options: argparse.Namespace) -> None:
     from twin_node.nodes.chain import load_parameters
     from twin_node.nodes.topics import parse_remaps
 
-    parameters = _with_source_options(load_parameters(options.params), options)
+    parameters = with_source_options(load_parameters(options.params), options)
     _check_output(options.output, options.log)
     session = _open_session(options, parse_remaps(options.remap))
     _run(session, parameters, None if options.lockstep else options.rate, options.output, options.report)
@@ -91,13 +89,6 @@ def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> Any:
     from twin_node.nodes.log_source import LogSession
 
     return LogSession(options.log, options.rig, remaps, options.start_offset, options.duration)
-
-
-def _with_source_options(parameters: Any, options: argparse.Namespace) -> Any:
-    """Chain parameters with the command line's width and rate in place of the file's."""
-    given = {"width": options.width, "max_rate_hz": options.max_rate}
-    changed = {name: value for name, value in given.items() if value is not None}
-    return replace(parameters, synchronizer=replace(parameters.synchronizer, **changed))
 
 
 def _check_output(output: Path | None, log: Path) -> None:
