@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, rays, state_of
 
-from twin_node.forecast import BaselineForecaster, Forecaster
+from twin_node.forecast import BaselineForecaster, Forecaster, cover
 from twin_node.forecast.grid import decode_runs
 from twin_node.scene import HORIZONS_NS, GaussianCloud, Occupancy, Tier, TwinState
 
@@ -149,3 +149,22 @@ def test_static_gaussians_stand() -> None:
     )
     occupancy = run([replace(state_of(0, None), gaussians=cloud)])
     assert np.array_equal(occupancy.static.indices, GRID.indices(means[:1].astype(np.float64)))
+
+
+def test_what_is_no_longer_finite_is_forecast_as_the_worst_case_and_said() -> None:
+    forecaster = Forecaster(GRID)
+    states = moving_ball(16)
+    for state in states[:14]:
+        forecaster.update(state, state.stamp + LATENCY_NS)
+        assert forecaster.quality.warnings == ()
+    forecaster._tracks.autoregression._moment[:] = np.nan
+    spoilt = forecaster.update(states[14], states[14].stamp + LATENCY_NS)
+    assert recall(spoilt, -1) == 1.0
+    assert "non-finite" in forecaster.quality.warnings[0]
+    obstacles = cover(spoilt, motion=forecaster.motion)
+    assert np.isfinite(obstacles.velocities).all()
+    assert np.isfinite(obstacles.bounds).all()
+    mended = forecaster.update(states[15], states[15].stamp + LATENCY_NS)
+    assert recall(mended, -1) == 1.0
+    assert forecaster.quality.warnings == ()
+    assert np.isfinite(forecaster.quality.bound_radius)

@@ -50,6 +50,8 @@ class ForecastQuality:
     """What the parts' scales are multiplied by to reach the target."""
     expert_weights: Float64
     """[E] mean weights of persistence, constant velocity, damped, constant acceleration, autoregression."""
+    warnings: tuple[str, ...] = ()
+    """What went wrong with the last forecast, and what was forecast instead."""
 
 
 class Forecaster:
@@ -64,12 +66,7 @@ class Forecaster:
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._radii = np.zeros((len(HORIZONS_NS), 0))
-        self._evidence: Evidence | None = None
-
-    @property
-    def evidence(self) -> Evidence | None:
-        """What the last update's state showed; None before the first."""
-        return self._evidence
+        self._warnings: tuple[str, ...] = ()
 
     @property
     def quality(self) -> ForecastQuality:
@@ -80,6 +77,7 @@ class Forecaster:
             bound_radius=float(np.median(self._radii[-1])) if self._radii.shape[1] else 0.0,
             factor=self._bound.factor,
             expert_weights=self._tracks.mean_weights,
+            warnings=self._warnings,
         )
 
     @property
@@ -92,7 +90,7 @@ class Forecaster:
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
-        evidence = self._evidence = self._observer.observe(state)
+        evidence = self._observer.observe(state)
         self._tracks.advance(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities, float(horizons[-1]))
         self._judge(state, evidence)
         layers = self._layers(evidence, horizons)
@@ -139,6 +137,15 @@ class Forecaster:
         moved = tracks.displacements(horizons)
         speeds = np.linalg.norm(tracks.velocities, axis=1)
         self._radii = self._bound.radii(tracks.own_errors, speeds, tracks.ages_s, horizons)
+        lost = ~(np.isfinite(moved).all(axis=(0, 2)) & np.isfinite(self._radii).all(axis=0))
+        self._warnings = ()
+        if lost.any():
+            moved[:, lost] = 0
+            self._radii[:, lost] = self.parameters.bound.largest_speed * horizons[:, None]
+            self._warnings = (
+                f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
+            )
+            self._tracks = Tracks()
         layers = []
         for horizon, displacement, radius in zip(HORIZONS_NS, moved, self._radii, strict=True):
             reach = reach_of(self.grid, radius)[parts.labels]

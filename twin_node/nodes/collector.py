@@ -63,12 +63,16 @@ class CollectorNode(Node):
 
     def _on_state(self, state: TwinState) -> None:
         self.newest_state = state
-        for warning in state.warnings:
-            self.warnings[warning] = self.warnings.get(warning, 0) + 1
+        self._count(state.warnings)
 
     def _on_forecast(self, forecast: Forecast) -> None:
         self._forecast = forecast
         self.quality = forecast.quality
+        self._count(forecast.quality.warnings)
+
+    def _count(self, warnings: tuple[str, ...]) -> None:
+        for warning in warnings:
+            self.warnings[warning] = self.warnings.get(warning, 0) + 1
 
     def _on_separation(self, message: Any) -> None:
         frames, state, forecast = self._frames, self.newest_state, self._forecast

@@ -74,6 +74,6 @@ class StatusNode(Node):
             latency_p99_ms=self._latency.percentile_ms(99),
             coverage=forecast.quality.coverage,
             coverage_target=forecast.quality.target,
-            warnings=state.warnings,
+            warnings=state.warnings + forecast.quality.warnings,
         )
         self.bus.publish(STATUS, convert.status_to_message(status))
