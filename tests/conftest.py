@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from twin_node.cell import load_scenario, write_log
 from twin_node.cell.scenario import Fault
+
+# In CI the same examples every time: a new one belongs to whoever searches, not to a merge. No test asserts a time.
+settings.register_profile("twin_node", derandomize=bool(os.environ.get("CI")), deadline=None)
+settings.load_profile("twin_node")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

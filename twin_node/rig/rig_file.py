@@ -135,7 +135,7 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
             rig_file.rig.cameras, rig_file.sources or unknown, rig_file.evidence or unknown, strict=True
         )
     ]
-    text = yaml.dump(out, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    text = yaml.dump(out, sort_keys=False, default_flow_style=None, width=120)
     path.write_text(text, encoding="utf-8")
 
 
