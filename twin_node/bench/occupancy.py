@@ -103,7 +103,9 @@ def score_states(
     states: Iterable[TwinState], grid: Grid, truth: AnyTruth, parameters: OccupancyBenchParameters
 ) -> OccupancyBench:
     """Forecasts states in rising order of stamps, ours and the baselines, and scores them against the truth."""
-    forecaster, baselines, comparison = Forecaster(grid), BaselineForecaster(grid), Comparison(truth, "persistence")
+    chosen = parameters.chain.forecast
+    forecaster, baselines = Forecaster(grid, chosen), BaselineForecaster(grid, chosen.carving, chosen.static)
+    comparison = Comparison(truth, "persistence")
     sets, begin = 0, None
     for state in states:
         begin = state.stamp if begin is None else begin
