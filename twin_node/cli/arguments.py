@@ -43,6 +43,14 @@ def not_negative(text: str) -> float:
     return value
 
 
+def whole(text: str) -> int:
+    """A whole number of 1 or more."""
+    value = _number(text)
+    if value != int(value) or value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number, 1 or more")
+    return int(value)
+
+
 def width(text: str) -> int:
     """A width in pixels."""
     value = _number(text)

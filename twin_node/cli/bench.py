@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, with_source_options
+from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
 
 
 def add_bench(commands: Any) -> None:
@@ -23,6 +23,16 @@ def add_bench(commands: Any) -> None:
     occupancy.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(occupancy)
     occupancy.set_defaults(run=_bench_occupancy)
+    track = benches.add_parser("track", help="how well and how fast the model follows a log")
+    track.add_argument("log", type=Path, metavar="LOG")
+    track.add_argument("--rate", type=positive, metavar="R", help="follow in real time at R times the log's pace")
+    track.add_argument(
+        "--leave-out", metavar="CAMERA", help="score a model that never sees this camera, or all in turn"
+    )
+    track.add_argument("--bounce", type=whole, default=0, metavar="N", help="N passes, forward and backward in turn")
+    track.add_argument("--json", action="store_true", help="print one JSON object")
+    add_source_options(track)
+    track.set_defaults(run=_bench_track)
     raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
     raster.add_argument("--json", action="store_true", help="print one JSON object")
     raster.set_defaults(run=_bench_raster)
@@ -47,6 +57,31 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
     figures = bench.as_json()
+    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+
+
+def _bench_track(options: argparse.Namespace) -> None:
+    from twin_node.bench.track import TrackBenchParameters, run
+    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.topics import parse_remaps
+
+    parameters = TrackBenchParameters(
+        rate=options.rate,
+        leave_out=options.leave_out,
+        bounce=options.bounce,
+        rig=options.rig,
+        remaps=parse_remaps(options.remap),
+        start_offset_s=options.start_offset,
+        duration_s=options.duration,
+        chain=with_source_options(load_parameters(options.params), options),
+    )
+    with tqdm(unit="s", disable=None, bar_format="{desc}{n:.1f} s [{elapsed}]") as bar:
+
+        def show(seconds: float) -> None:
+            bar.n = seconds
+            bar.refresh()
+
+        figures = run(options.log, parameters, show).as_json()
     print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
 
 

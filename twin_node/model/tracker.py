@@ -22,6 +22,7 @@ from twin_node.model.parameters import ModelParameters
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
+from twin_node.model.stages import OnStage, unwatched
 from twin_node.scene import Bool, FrameSet, Tier
 
 
@@ -45,21 +46,34 @@ class Tracker:
         self._flow = FlowSolver()
         self._links = links
 
-    def track(self, frames: FrameSet, moving: Sequence[Bool], robots: Sequence[Bool | None], dt_s: float) -> int:
+    def track(
+        self,
+        frames: FrameSet,
+        moving: Sequence[Bool],
+        robots: Sequence[Bool | None],
+        dt_s: float,
+        on_stage: OnStage = unwatched,
+    ) -> int:
         """Follows `frames`, taken `dt_s` after the set before; returns how many Gaussians were born."""
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
+        on_stage("observe")
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
         self._motion.slide(frames.stamp)
         if self._links is not None and frames.joints is not None:
             self._links.drive(frames.joints, dt_s)
         renderings = self._align(observed, dt_s)
+        on_stage("align")
         self._judge_static(observed, renderings)
         moving_now = self._moving(observed)
         self._bury_moving(observed, moving_now)
         g = self._gaussians
         self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
-        born = self._bear(observed, self._fit(observed, moving_now) or renderings)
+        on_stage("judge")
+        fitted = self._fit(observed, moving_now) or renderings
+        on_stage("fit")
+        born = self._bear(observed, fitted)
+        on_stage("bear")
         self._nodes.remember()
         return born
 

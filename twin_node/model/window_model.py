@@ -19,6 +19,7 @@ from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
+from twin_node.model.stages import OnStage, unwatched
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_mask
@@ -59,11 +60,23 @@ class WindowModel:
         self._motion: Motion | None = None
         self._tracker: Tracker | None = None
         self._bytes_per_frame = 0
+        self.on_stage: OnStage = unwatched
+        """Told of every stage of an update that has ended, for measurements."""
 
     @property
     def tier_counts(self) -> Mapping[Tier, int]:
         """Living Gaussians per tier."""
         return {tier: self._gaussians.count(tier) for tier in Tier}
+
+    @property
+    def capacity(self) -> int:
+        """Gaussians that there is room for; fixed by the first set."""
+        return self._gaussians.capacity
+
+    @property
+    def nodes_count(self) -> int:
+        """Living motion nodes, the arm's links among them."""
+        return len(self._nodes.rows)
 
     @property
     def parameters_count(self) -> int:
@@ -83,13 +96,14 @@ class WindowModel:
         self._check(frames)
         robots = self._robot_masks(frames)
         moving = self._mask.update(frames, robots)
+        self.on_stage("mask")
         warnings: tuple[str, ...] = ()
         if self._tracker is None:
             self._begin(frames, robots)
         else:
             warnings = self._follow(frames, moving, robots)
         assert self._motion is not None
-        return TwinState(
+        state = TwinState(
             frames.stamp,
             frames,
             cloud_of(self._gaussians, self._motion),
@@ -98,6 +112,8 @@ class WindowModel:
             robots,
             warnings,
         )
+        self.on_stage("publish")
+        return state
 
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
         """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""
@@ -180,7 +196,7 @@ class WindowModel:
         assert self._tracker is not None
         refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
-        born = self._tracker.track(frames, moving, robots, dt_s)
+        born = self._tracker.track(frames, moving, robots, dt_s, self.on_stage)
         self._bytes_per_frame = 4 * (14 * (born + len(self._gaussians.moving_rows)) + 7 * len(self._nodes.rows))
         refused = self._gaussians.refused - refused_before
         if refused:

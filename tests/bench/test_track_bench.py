@@ -1,0 +1,78 @@
+"""`bench track`: what is followed is scored against what came, and wrong requests are named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.track import TrackBenchParameters, run
+from twin_node.bench.track_runs import to_and_fro
+from twin_node.bench.track_scores import score_renderings
+from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.report.quality import Renderings
+from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.scene import Camera, FrameSet, View
+
+SMALL = ChainParameters(synchronizer=SynchronizerParameters(width=64, max_rate_hz=20))
+CAMERA = Camera("one", 16, 12, np.eye(3), np.eye(4))
+
+
+def stamped(*stamps: int) -> FrameSet:
+    """A set whose views have these stamps."""
+    views = tuple(View(CAMERA, stamp, np.zeros((12, 16, 3), np.uint8)) for stamp in stamps)
+    return FrameSet(max(stamps), views)
+
+
+def test_passes_to_and_fro_have_rising_stamps_and_the_same_images() -> None:
+    sets = [stamped(100, 110), stamped(200, 190), stamped(300, 310)]
+    passes = [list(one) for one in to_and_fro(sets, 4)]
+    stamps = [frames.stamp for one in passes for frames in one]
+    assert stamps == sorted(set(stamps))
+    assert [frames.views[0].rgb is sets[2].views[0].rgb for frames in passes[1]] == [True, False, False]
+    apart = {a.views[0].stamp - a.views[1].stamp for a in passes[1]}
+    assert apart == {-10, 10}
+
+
+def shown(ours: float, image: float, first: float, stamp: int) -> Renderings:
+    """Even images of one camera."""
+    planes = [np.full((12, 16, 3), value, np.float32) for value in (image, first, ours)]
+    view = View(CAMERA, stamp, (planes[0] * 255).astype(np.uint8))
+    return Renderings(stamp, view, None, *planes, planes[1], None)
+
+
+def test_kinds_of_pixels_and_flicker_are_told_apart() -> None:
+    scores = score_renderings([shown(0.5, 0.5, 0.1, 0), shown(0.5, 0.6, 0.1, 1)])
+    assert scores.methods["ours"].unchanged is None and scores.flicker is None
+    assert scores.methods["ours"].moving == pytest.approx((100 + 20) / 2, abs=0.01)
+    assert scores.methods["frozen"].moving == pytest.approx(
+        -10 * np.log10(0.4**2) / 2 - 10 * np.log10(0.5**2) / 2, 1e-4
+    )
+    still = score_renderings([shown(0.5, 0.5, 0.5, 0), shown(0.52, 0.5, 0.5, 1)])
+    assert still.flicker == pytest.approx(2.0, rel=1e-4)
+    assert still.images_flicker == 0
+
+
+def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Path]) -> None:
+    log = cell_log(1.5)
+    names = ("all", "moving", "unchanged")
+    live = run(log, TrackBenchParameters(rate=1.0, chain=SMALL)).as_json()
+    assert json.loads(json.dumps(live))["mode"] == "real time"
+    assert live["latency_ms"]["p99"] > 0  # type: ignore[index]
+    camera = run(log, TrackBenchParameters(duration_s=0.1, chain=SMALL)).followed.model
+    assert camera.capacity > 0
+    bounced = run(log, TrackBenchParameters(bounce=3, duration_s=0.3, leave_out="all", chain=SMALL)).as_json()
+    assert set(bounced["last_less_second_db"]) == set(names)  # type: ignore[call-overload]
+    assert len(bounced["left_out"]) == 3  # type: ignore[arg-type]
+
+
+def test_unknown_cameras_are_named(cell_log: Callable[..., Path]) -> None:
+    with pytest.raises(BenchError, match="no such camera; expected all or"):
+        run(cell_log(1.5), TrackBenchParameters(leave_out="nobody", chain=SMALL))
+    with pytest.raises(BenchError, match="longer --duration"):
+        run(cell_log(1.5), TrackBenchParameters(duration_s=1e-6, chain=replace(SMALL)))

@@ -1,0 +1,208 @@
+"""Follows a log with a window model: in lockstep, at the log's pace, to and fro, or without one of its cameras."""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twin_node.model import WindowModel
+from twin_node.nodes.bridge import Bridge
+from twin_node.nodes.chain import ChainParameters, make_model
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.model import ModelNode
+from twin_node.nodes.player import Player
+from twin_node.nodes.report.quality import Renderings, render_cloud, unit
+from twin_node.nodes.spool import Spool, Tick
+from twin_node.nodes.synchronizer import SynchronizerNode
+from twin_node.nodes.topics import FRAMES, GAUSSIANS_MOVING, JOINT_STATES, STATE
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import PacedClock
+from twin_node.scene import FrameSet, Tier, TwinState
+
+
+@dataclass
+class Watch:
+    """Wall-clock times of the stages of every update, ms."""
+
+    stages: dict[str, list[float]] = field(default_factory=dict)
+    _last: float = 0.0
+
+    def begin(self) -> None:
+        """An update begins."""
+        self._last = time.perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        """A stage has ended; a `model.stages.OnStage`."""
+        now = time.perf_counter()
+        self.stages.setdefault(stage, []).append((now - self._last) * 1e3)
+        self._last = now
+
+
+@dataclass
+class Followed:
+    """What following a log has cost, set by set."""
+
+    model: WindowModel
+    watch: Watch
+    sets: int = 0
+    dropped: int = 0
+    seconds: float = 0.0
+    """Length of the span in real time, wall-clock time in lockstep."""
+    latencies_ms: list[float] = field(default_factory=list)
+    """From the newest image's stamp to the published cloud, by the run's clock; empty in lockstep."""
+    waits_ms: list[float] = field(default_factory=list)
+    """From the newest image's stamp to the model's having the set."""
+    updates_ms: list[float] = field(default_factory=list)
+    tiers: list[tuple[int, ...]] = field(default_factory=list)
+    """Living Gaussians per tier, in the order of `Tier`."""
+    bytes_per_frame: list[int] = field(default_factory=list)
+    warnings: dict[str, int] = field(default_factory=dict)
+    memory_bytes: list[int] = field(default_factory=list)
+    """What the process holds after each set."""
+
+    def count(self, state: TwinState) -> None:
+        """Takes in what an update has led to."""
+        self.sets += 1
+        counts = self.model.tier_counts
+        self.tiers.append(tuple(counts[tier] for tier in Tier))
+        self.bytes_per_frame.append(self.model.bytes_per_frame)
+        for warning in state.warnings:
+            self.warnings[warning] = self.warnings.get(warning, 0) + 1
+        self.memory_bytes.append(resident_bytes())
+
+
+def resident_bytes() -> int:
+    """Memory that this process has now; the largest it has had where the system does not tell."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def start(chain: ChainParameters) -> Followed:
+    """A fresh model of the chain's, watched."""
+    watch = Watch()
+    model = make_model(chain)
+    model.on_stage = watch
+    return Followed(model, watch)
+
+
+def follow(followed: Followed, sets: Iterable[FrameSet]) -> Iterator[Tick]:
+    """Every set in turn, and the state that it led to."""
+    for frames in sets:
+        begun = time.perf_counter()
+        followed.watch.begin()
+        state = followed.model.update(frames)
+        followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
+        followed.seconds += followed.updates_ms[-1] / 1e3
+        followed.count(state)
+        yield Tick(frames, state)
+
+
+def to_and_fro(sets: Sequence[FrameSet], passes: int) -> Iterator[Iterator[FrameSet]]:
+    """`passes` over the same sets, every other one backward; stamps always rise."""
+    gap = (sets[-1].stamp - sets[0].stamp) // max(len(sets) - 1, 1)
+    length = sets[-1].stamp - min(view.stamp for view in sets[0].views) + gap
+    for index in range(passes):
+        yield _passed(sets, index * length, backward=index % 2 == 1)
+
+
+def _passed(sets: Sequence[FrameSet], shift_ns: int, backward: bool) -> Iterator[FrameSet]:
+    """The sets `shift_ns` later; backward, their times mirrored between the first and the last."""
+    low, high = min(view.stamp for view in sets[0].views), sets[-1].stamp
+    for frames in reversed(sets) if backward else sets:
+        views = tuple(
+            dataclasses.replace(view, stamp=(low + high - view.stamp if backward else view.stamp) + shift_ns)
+            for view in frames.views
+        )
+        yield dataclasses.replace(frames, stamp=max(view.stamp for view in views), views=views)
+
+
+def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator[Renderings]:
+    """A model that never sees camera `name` follows the others, and is shown from where that camera stands."""
+    first = still = previous = None
+    for frames in sets:
+        kept = tuple(view for view in frames.views if view.camera.name != name)
+        hidden = next((view for view in frames.views if view.camera.name == name), None)
+        if not kept:
+            continue
+        state = model.update(dataclasses.replace(frames, stamp=max(v.stamp for v in kept), views=kept))
+        if hidden is None:
+            continue
+        image = unit(hidden)
+        if first is None or still is None:
+            first, still = image, model.render_frozen(hidden.camera).rgb
+        ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
+        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, previous)
+        previous = image
+
+
+def follow_live(
+    followed: Followed, session: LogSession, chain: ChainParameters, rate: float, spool: Spool
+) -> Iterator[float]:
+    """Follows the log at its pace times `rate`, the newest set first; yields the seconds played.
+
+    One thread reads, decodes and groups, this one works. As a twin that goes live does, the model is built from the
+    first set before the clock starts.
+    """
+    clock = PacedClock(session.span.start_ns, rate)
+    reading, working = LocalBus(), LocalBus()
+    synchronizer = SynchronizerNode(reading, clock, session.cameras, session.rig, chain.synchronizer)
+    node = ModelNode(working, clock, followed.model)
+    for one in (synchronizer, node):
+        one.configure()
+        one.activate()
+    states: list[TwinState] = []
+    working.subscribe(STATE, states.append)
+    published: list[int] = []
+    working.subscribe(GAUSSIANS_MOVING, lambda _: published.append(clock.now()))
+    bridge = Bridge(lambda frames: _keep(spool, Tick(frames)))
+    first = next(iter(LogSource(session, chain.synchronizer)), None)
+    if first is None:
+        return
+    working.publish(FRAMES, first)
+    followed.count(states[-1])
+    _keep(spool, Tick(first, states[-1]))
+    reading.subscribe(FRAMES, lambda frames: bridge.put_frames(frames) if frames.stamp > first.stamp else None)
+    reading.subscribe(JOINT_STATES, lambda message: bridge.put(JOINT_STATES, message))
+    reader = threading.Thread(target=_read, args=(session, reading, clock, bridge), name="reader", daemon=True)
+    clock.start()
+    reader.start()
+    try:
+        for _, frames in bridge.batches():
+            followed.waits_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
+            begun = time.perf_counter()
+            followed.watch.begin()
+            working.publish(FRAMES, frames)
+            followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
+            followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
+            followed.count(states[-1])
+            _keep(spool, Tick(frames, states[-1]))
+            states.clear()
+            yield (frames.stamp - session.span.start_ns) * 1e-9
+    finally:
+        bridge.close()
+        reader.join()
+    followed.dropped = bridge.dropped
+    followed.seconds = session.span.seconds / rate
+
+
+def _keep(spool: Spool, tick: Tick) -> None:
+    if spool.keeps(tick.stamp):
+        spool.add(tick)
+
+
+def _read(session: LogSession, bus: LocalBus, clock: PacedClock, bridge: Bridge) -> None:
+    try:
+        for _ in Player(session.log, bus, session.topics, session.span).steps(clock):
+            if bridge.is_closed:
+                return
+    except BaseException as error:  # the working thread raises it, whatever it is
+        bridge.close(error)
+    else:
+        bridge.close()

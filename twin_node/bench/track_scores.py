@@ -1,0 +1,151 @@
+"""What renderings of a followed scene are worth: PSNR by kind of pixel and by method, flicker, and foresight."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, squared_error
+from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Renderings, render_cloud, unit
+from twin_node.nodes.spool import Tick
+from twin_node.scene import HORIZONS_NS, Bool, FrameSet, GaussianCloud, View
+
+KINDS = ("all", "moving", "unchanged")
+"""Kinds of pixels: all; those that differ from the camera's first image; the others."""
+
+
+@dataclass
+class Mean:
+    """A running mean of the finite ones among the values added."""
+
+    total: float = 0.0
+    count: int = 0
+
+    def add(self, value: float) -> None:
+        """Takes in a value; one that is not finite does not count."""
+        if math.isfinite(value):
+            self.total += value
+            self.count += 1
+
+    @property
+    def value(self) -> float | None:
+        """None as long as nothing was added."""
+        return self.total / self.count if self.count else None
+
+
+@dataclass(frozen=True)
+class MethodScore:
+    """Mean PSNR over images, dB; None where no image had enough pixels of the kind."""
+
+    all: float | None
+    moving: float | None
+    unchanged: float | None
+
+
+class _Psnr:
+    """Running means of one method's PSNR per kind of pixel."""
+
+    def __init__(self) -> None:
+        self._means = {kind: Mean() for kind in KINDS}
+
+    def add(self, rendered: Image, image: Image, moving: Bool) -> None:
+        error = squared_error(rendered, image)
+        for kind, chosen in zip(KINDS, (np.ones_like(moving), moving, ~moving), strict=True):
+            if chosen.sum() >= FEWEST_PIXELS:
+                self._means[kind].add(psnr(float(error[chosen].mean())))
+
+    def score(self) -> MethodScore:
+        return MethodScore(*(self._means[kind].value for kind in KINDS))
+
+
+@dataclass
+class _Flicker:
+    """Mean absolute change of a sequence of images where the scene does not change, x 100."""
+
+    mean: Mean = field(default_factory=Mean)
+    last: dict[str, Image] = field(default_factory=dict)
+
+    def add(self, camera: str, rendered: Image, still: Bool) -> None:
+        before = self.last.get(camera)
+        if before is not None and before.shape == rendered.shape and still.any():
+            self.mean.add(100 * float(np.abs(rendered - before)[still].mean()))
+        self.last[camera] = rendered
+
+
+@dataclass(frozen=True)
+class TrackScores:
+    """What a run's renderings are worth against its images."""
+
+    methods: Mapping[str, MethodScore]
+    """ours, frozen (the model as fitted to the first set) and previous (the camera's image before)."""
+    flicker: float | None
+    """Mean absolute change of our rendering from set to set where the images show no change, x 100."""
+    images_flicker: float | None
+    """The same of the images themselves: their noise."""
+
+
+def score_renderings(renderings: Iterable[Renderings]) -> TrackScores:
+    """Scores ours, the frozen first set and the previous image against the same images."""
+    methods = {name: _Psnr() for name in ("ours", "frozen", "previous")}
+    ours, images = _Flicker(), _Flicker()
+    still: dict[str, Bool] = {}
+    for shown in renderings:
+        moving = moving_pixels(shown.image, shown.first)
+        methods["ours"].add(shown.ours, shown.image, moving)
+        methods["frozen"].add(shown.frozen, shown.image, moving)
+        if shown.previous is not None:
+            methods["previous"].add(shown.previous, shown.image, moving)
+        camera = shown.view.camera.name
+        both = ~moving & still.get(camera, ~moving)
+        ours.add(camera, shown.ours, both)
+        images.add(camera, shown.image, both)
+        still[camera] = ~moving
+    return TrackScores({name: one.score() for name, one in methods.items()}, ours.mean.value, images.mean.value)
+
+
+@dataclass(frozen=True)
+class ForesightScore:
+    """Renderings made 200 ms before, on the pixels that changed in between; mean PSNR, dB."""
+
+    forecast: float | None
+    """Of the cloud moved on by its velocities."""
+    present: float | None
+    """Of the cloud as it was."""
+
+
+def score_foresight(ticks: Iterable[Tick]) -> ForesightScore:
+    """Renders each published cloud 200 ms ahead and as it is, and scores both when the time has come."""
+    horizon = HORIZONS_NS[-1]
+    forecast, present = Mean(), Mean()
+    waiting: deque[Tick] = deque()
+    for tick in ticks:
+        due: Tick | None = None
+        while waiting and waiting[0].stamp + horizon <= tick.stamp:
+            due = waiting.popleft()
+        if due is not None and due.state is not None and tick.stamp - due.stamp < 1.5 * horizon:
+            for then, now in _pairs(due.frames, tick.frames):
+                _score_pair(due.state.gaussians, due.stamp, then, now, forecast, present)
+        if tick.state is not None:
+            waiting.append(tick)
+    return ForesightScore(forecast.value, present.value)
+
+
+def _pairs(then: FrameSet, now: FrameSet) -> Iterator[tuple[View, View]]:
+    later = {view.camera.name: view for view in now.views}
+    for view in then.views:
+        if view.camera.name in later:
+            yield view, later[view.camera.name]
+
+
+def _score_pair(cloud: GaussianCloud, stamp: int, then: View, now: View, forecast: Mean, present: Mean) -> None:
+    image = unit(now)
+    changed = np.abs(image - unit(then)).max(-1) > MOVING_THRESHOLD
+    if changed.sum() < FEWEST_PIXELS:
+        return
+    for mean, seconds in ((forecast, (now.stamp - stamp) * 1e-9), (present, 0.0)):
+        error = squared_error(render_cloud(cloud, now.camera, seconds), image)
+        mean.add(psnr(float(error[changed].mean())))
