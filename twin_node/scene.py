@@ -66,7 +66,16 @@ class RigCamera:
     sigma_m: float = 0.0
     """Error of the extrinsics seen at the working distance, 1 sigma, metres; 0 where unknown."""
     time_offset_ns: int = 0
-    """Added to the camera's stamps to give the rig's clock."""
+    """Added to the camera's stamps to give the rig's clock, at `time_reference_ns`."""
+    time_rate_ppm: float = 0.0
+    """How fast the offset grows, parts per million of the camera's own time."""
+    time_reference_ns: int = 0
+    """Stamp of the camera at which the offset is `time_offset_ns`; of no matter where the rate is 0."""
+
+    def rig_time(self, stamp: int) -> int:
+        """The rig's time, ns, of a stamp of the camera's own clock, ns."""
+        grown = self.time_rate_ppm * 1e-6 * (stamp - self.time_reference_ns) if self.time_rate_ppm else 0.0
+        return stamp + self.time_offset_ns + round(grown)
 
 
 @dataclass(frozen=True)

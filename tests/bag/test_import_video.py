@@ -43,7 +43,11 @@ def stamps(start: int, step: int, count: int = FRAMES) -> np.ndarray:
 
 def test_cameras_are_interleaved_by_their_corrected_stamps(tmp_path: Path, video: Path) -> None:
     sources = [
-        VideoCamera(camera("left", time_offset_ns=5), video, stamps=stamps(1000, 100)),
+        VideoCamera(
+            camera("left", time_offset_ns=5, time_rate_ppm=20_000.0, time_reference_ns=1000),
+            video,
+            stamps=stamps(1000, 100),
+        ),
         VideoCamera(camera("right"), video, fps=1e7),
     ]
     calls: list[tuple[int, int]] = []
@@ -52,7 +56,8 @@ def test_cameras_are_interleaved_by_their_corrected_stamps(tmp_path: Path, video
     assert calls == [(i + 1, 2 * FRAMES) for i in range(2 * FRAMES)]
     with open_log(tmp_path / "log.mcap") as log:
         images = {name: list(log.messages([f"/{name}/image_raw/compressed"])) for name in ("left", "right")}
-        assert [m.stamp for m in images["left"]] == [1005 + 100 * i for i in range(FRAMES)]
+        assert [m.stamp for m in images["left"]] == [1005 + 102 * i for i in range(FRAMES)]
+        assert not read_rig_record(log).clocks  # the stamps are on the rig's clock already
         assert [m.stamp for m in images["right"]] == [100 * i for i in range(FRAMES)]
         for items in images.values():
             for i, item in enumerate(items):

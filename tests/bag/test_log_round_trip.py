@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
 from twin_node.bag import BagError, LogWriter, open_log, read_rig_record, write_rig
+from twin_node.bag.rig import RecordedClock
 from twin_node.messages import Message, MessageError, definition, message_type, serialize
 from twin_node.messages.convert import camera_info
 from twin_node.scene import Rig, RigCamera
@@ -28,7 +29,8 @@ def text(data: str) -> Message:
 
 
 def camera(sigma_m: float = 0.01) -> RigCamera:
-    return RigCamera("front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4), sigma_m=sigma_m)
+    K, clock = np.diag([50.0, 50.0, 1.0]), (-7, 12.5, START)
+    return RigCamera("front", 64, 48, K, np.eye(4), "plumb_bob", np.zeros(5), sigma_m, *clock)
 
 
 def write_example(path: Path, **options: str) -> None:
@@ -81,6 +83,7 @@ def test_rig_and_metadata_come_back(tmp_path: Path, name: str) -> None:
         record = read_rig_record(log)
         np.testing.assert_array_equal(record.workspace, [[-1.0, -1.5, 0.0], [1.0, 1.25, 2.0]])
         assert record.sigmas_m == {"front": 0.01}
+        assert record.clocks == {"front": RecordedClock(-7, 12.5, START)}
         [tf] = log.messages(["/tf_static"])
         assert tf.message.transforms[0].child_frame_id == "front_optical_frame"
 

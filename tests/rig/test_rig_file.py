@@ -73,6 +73,8 @@ def test_every_field(tmp_path: Path) -> None:
         "distortion": {"model": "equidistant", "coefficients": [0.1, 0.2, 0.3, 0.4]},
         "sigma_m": 0.01,
         "time_offset": -0.0125,
+        "time_rate_ppm": 40.0,
+        "time_reference": 1767312000,
         "video": "left.mp4",
         "fps": 30,
     }
@@ -82,6 +84,7 @@ def test_every_field(tmp_path: Path) -> None:
     np.testing.assert_allclose(left.T_base_cam, pose(rotation_from_quat(np.array(quat)), np.array([1.0, 2.0, 3.0])))
     assert (left.distortion_model, left.D.tolist()) == ("equidistant", [0.1, 0.2, 0.3, 0.4])
     assert (left.sigma_m, left.time_offset_ns) == (0.01, -12_500_000)
+    assert (left.time_rate_ppm, left.time_reference_ns) == (40.0, 1_767_312_000_000_000_000)
     assert rig_file.rig.workspace is not None
     assert rig_file.rig.workspace.tolist() == [[0, 0, 0], [1, 2, 3]]
     films = tmp_path / "films"
@@ -157,6 +160,8 @@ MISTAKES = {
         r"left.*unit: expected one of s, ms, us, ns, found 'min'",
     ),
     "sigma in mm": (lambda d, c: c.update(sigma_m=16), r"left.*sigma_m: expected metres from 0 to 1, found 16"),
+    "rate in shares": (lambda d, c: c.update(time_rate_ppm=2e4), r"left.*time_rate_ppm: .*found 20000"),
+    "rate without reference": (lambda d, c: c.update(time_rate_ppm=20.0), r"left.*expected `time_reference`"),
     "exponent that YAML takes for text": (lambda d, c: c.update(sigma_m="1e-3"), r"left.*sigma_m: .*1\.0e-3"),
 }
 
@@ -226,6 +231,8 @@ finite = st.floats(-50, 50, allow_nan=False)
     D=st.lists(finite, min_size=8, max_size=8),
     sigma_m=st.floats(0, 0.5),
     offset_ns=st.integers(-(10**12), 10**12),
+    rate_ppm=st.floats(-1e4, 1e4),
+    reference_s=st.integers(0, 4 * 10**9),
     notes=st.text(max_size=40),
 )
 def test_what_is_saved_is_read_back(
@@ -235,11 +242,14 @@ def test_what_is_saved_is_read_back(
     D: list[float],
     sigma_m: float,
     offset_ns: int,
+    rate_ppm: float,
+    reference_s: int,
     notes: str,
 ) -> None:
     folder = tmp_path_factory.mktemp("rig")
     T = pose(rotation_from_quat(np.array(quat)), np.array(centre))
-    camera = RigCamera("only", 320, 240, np.array(K), T, "rational_polynomial", np.array(D), sigma_m, offset_ns)
+    clock = (offset_ns, rate_ppm, reference_s * 10**9 if rate_ppm else 0)
+    camera = RigCamera("only", 320, 240, np.array(K), T, "rational_polynomial", np.array(D), sigma_m, *clock)
     source = VideoSource("only", folder / "films" / "a.mp4", StampsFile(folder / "b.json", "t", "ns"))
     saved = RigFile(Rig((camera,), np.array([[0.0, 0, 0], [1, 1, 1]])), (source,), "world", "today", notes)
     save_rig(saved, folder / "rig.yaml")
@@ -249,6 +259,7 @@ def test_what_is_saved_is_read_back(
     np.testing.assert_array_equal(read.D, D)
     assert (read.sigma_m, read.distortion_model) == (sigma_m, "rational_polynomial")
     assert abs(read.time_offset_ns - offset_ns) <= 1
+    assert (read.time_rate_ppm, read.time_reference_ns) == clock[1:]
     assert (loaded.frame, loaded.date, loaded.notes) == ("world", "today", notes)
     (video,) = loaded.sources
     assert video is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -57,8 +57,8 @@ def import_video(
     """Streams videos in the order of their stamps into a log at `out` (see `LogWriter` for its forms).
 
     Per camera `/<name>/image_raw/compressed` (JPEG) and `/<name>/camera_info`; once `/tf_static` and, with the
-    `workspace` [2, 3] in metres, the rig's metadata record. Stamps in the log are the camera's plus its
-    `time_offset_ns`. `progress(done, total)` is called per frame; the total is what the containers claim.
+    `workspace` [2, 3] in metres, the rig's metadata record. Stamps in the log are on the rig's clock
+    (`RigCamera.rig_time`). `progress(done, total)` is called per frame; the total is what the containers claim.
 
     Raises `BagError` for a missing or unreadable video, a size that the calibration does not fit, fewer stamps than
     frames, and stamps that do not rise; nothing is left at `out` then.
@@ -69,7 +69,9 @@ def import_video(
     clips = [_Clip(source) for source in cameras]
     total = sum(clip.claimed_frames for clip in clips)
     with LogWriter(out) as log:
-        rig = Rig(cameras=tuple(clip.camera for clip in clips), workspace=workspace)
+        # The log's stamps are on the rig's clock: whoever reads it must not correct them once more.
+        timed = (replace(clip.camera, time_offset_ns=0, time_rate_ppm=0.0, time_reference_ns=0) for clip in clips)
+        rig = Rig(cameras=tuple(timed), workspace=workspace)
         write_rig(log, rig, min(clip.first_stamp for clip in clips))
         for done, frame in enumerate(heapq.merge(*clips, key=lambda frame: frame.stamp), start=1):
             _write_frame(log, frame, quality)
@@ -161,7 +163,7 @@ class _Clip:
                 f"camera {source.camera.name}: frame {index} has no stamp ({len(source.stamps)} stamps in all); give "
                 "one per frame"
             )
-        return own + source.camera.time_offset_ns
+        return source.camera.rig_time(own)
 
 
 def _check_times(source: VideoCamera) -> None:

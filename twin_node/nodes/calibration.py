@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,15 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
                 "record it, or give --rig RIG.yaml"
             )
         T_base_cam = tree.lookup(info.header.frame_id.lstrip("/"))
-        calibrated.append(rig_camera(info, camera.name, T_base_cam, record.sigmas_m.get(camera.name, 0.0)))
+        found = rig_camera(info, camera.name, T_base_cam, record.sigmas_m.get(camera.name, 0.0))
+        if clock := record.clocks.get(camera.name):
+            found = replace(
+                found,
+                time_offset_ns=clock.offset_ns,
+                time_rate_ppm=clock.rate_ppm,
+                time_reference_ns=clock.reference_ns,
+            )
+        calibrated.append(found)
     return Rig(tuple(calibrated), record.workspace)
 
 

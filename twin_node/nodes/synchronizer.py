@@ -52,13 +52,13 @@ class SynchronizerNode(Node):
         super().__init__("synchronizer", bus, clock)
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
         self._topics = {camera.name: camera for camera in cameras}
-        self._offsets = {camera.name: camera.time_offset_ns for camera in rig.cameras}
+        self._rig_cameras = {camera.name: camera for camera in rig.cameras}
         self._parameters = parameters
         self._synchronizer: ApproximateTimeSynchronizer[EncodedView] = ApproximateTimeSynchronizer(
-            list(self._offsets), parameters.grouping
+            list(self._rig_cameras), parameters.grouping
         )
         self._unpaired: dict[str, Any] = {}
-        self._depths: dict[str, deque[Any]] = {name: deque(maxlen=DEPTHS_KEPT) for name in self._offsets}
+        self._depths: dict[str, deque[Any]] = {name: deque(maxlen=DEPTHS_KEPT) for name in self._rig_cameras}
         self._last_stamp: dict[str, int] = {}
         self._next_due: int | None = None
 
@@ -68,7 +68,7 @@ class SynchronizerNode(Node):
         return self._assembler.cameras
 
     def on_configure(self) -> None:
-        for name in self._offsets:
+        for name in self._rig_cameras:
             topics = self._topics[name]
             self.bus.subscribe(topics.image, partial(self._on_colour, name))
             if topics.depth:
@@ -115,7 +115,7 @@ class SynchronizerNode(Node):
         self._last_stamp[name] = stamp
 
     def _add(self, name: str, view: EncodedView) -> None:
-        stamp = from_time(view.colour.header.stamp) + self._offsets[name]
+        stamp = self._rig_cameras[name].rig_time(from_time(view.colour.header.stamp))
         for grouped in self._synchronizer.add(name, stamp, view, max(self.clock.now(), stamp)):
             if self._is_wanted(grouped.stamp):
                 self._publish(grouped)
@@ -133,7 +133,7 @@ class SynchronizerNode(Node):
 
     def _publish(self, grouped: SyncSet[EncodedView]) -> None:
         images = {}
-        for name, member in zip(self._offsets, grouped.members, strict=True):
+        for name, member in zip(self._rig_cameras, grouped.members, strict=True):
             if member is not None:
                 view = member.payload
                 depth = None if view.depth is None else convert.depth_from_message(view.depth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,11 +30,13 @@ class CameraEvidence:
     """[4 + D] 1 sigma of fx, fy, cx, cy (pixels) and the distortion coefficients; None where unknown."""
     time_offset_sigma: float | None = None
     """1 sigma of the clock offset, s; None where it was not estimated."""
+    time_rate_sigma_ppm: float | None = None
+    """1 sigma of the clock's rate, parts per million; None where it was not estimated."""
 
 
 def read_evidence(fields: Fields) -> CameraEvidence:
     """The field `evidence` of a camera. Raises `RigError` for wrong values."""
-    fields.only("rms_px", "median_px", "views", "corners", "pose_covariance", "lens_sigmas", "time_offset_sigma")
+    fields.only(*(field.name for field in dataclasses.fields(CameraEvidence)))
     covariance = fields.array("pose_covariance", (6, 6)) if fields.has("pose_covariance") else None
     if covariance is not None and not np.allclose(covariance, covariance.T, rtol=1e-3, atol=1e-12):
         raise RigError(f"{fields.where}.pose_covariance: expected a symmetric matrix, found another; copy it whole")
@@ -45,6 +48,7 @@ def read_evidence(fields: Fields) -> CameraEvidence:
         covariance,
         fields.array("lens_sigmas", None) if fields.has("lens_sigmas") else None,
         fields.number("time_offset_sigma") if fields.has("time_offset_sigma") else None,
+        fields.number("time_rate_sigma_ppm") if fields.has("time_rate_sigma_ppm") else None,
     )
 
 
@@ -62,4 +66,6 @@ def evidence_entry(evidence: CameraEvidence) -> dict[str, object]:
         entry["lens_sigmas"] = evidence.lens_sigmas.tolist()
     if evidence.time_offset_sigma is not None:
         entry["time_offset_sigma"] = evidence.time_offset_sigma
+    if evidence.time_rate_sigma_ppm is not None:
+        entry["time_rate_sigma_ppm"] = evidence.time_rate_sigma_ppm
     return entry

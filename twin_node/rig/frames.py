@@ -19,7 +19,7 @@ class DecodedImage:
     """One camera's raw image as decoded."""
 
     stamp: int
-    """Mid-exposure on the rig's clock (the camera's `time_offset_ns` added), ns."""
+    """Mid-exposure on the rig's clock (`RigCamera.rig_time` of the camera's stamp), ns."""
     rgb: UInt8
     """[H, W, 3]."""
     depth: Float32 | None = None

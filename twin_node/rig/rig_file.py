@@ -25,12 +25,17 @@ CAMERA_FIELDS = (
     "T_base_cam",
     "sigma_m",
     "time_offset",
+    "time_rate_ppm",
+    "time_reference",
     "video",
     "stamps",
     "fps",
     "evidence",
 )
 """What a camera of a rig file may have."""
+
+MOST_RATE_PPM = 10_000.0
+"""Crystals are good to 100 ppm and driver clocks to some 1000; what is beyond 1 % is a mistake of units."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +164,30 @@ def _camera(fields: Fields) -> RigCamera:
     sigma_m = fields.number("sigma_m", 0.0)
     if not 0 <= sigma_m < 1:
         raise RigError(f"{fields.where}.sigma_m: expected metres from 0 to 1, found {sigma_m:g}")
-    offset_ns = round(fields.number("time_offset", 0.0) * 1e9)
-    return RigCamera(name, width, height, K, T, model, D, sigma_m, offset_ns)
+    return RigCamera(name, width, height, K, T, model, D, sigma_m, *_clock(fields))
+
+
+def _clock(fields: Fields) -> tuple[int, float, int]:
+    """Offset (ns), rate (ppm) and the stamp (ns) at which the offset holds."""
+    rate_ppm = fields.number("time_rate_ppm", 0.0)
+    if abs(rate_ppm) > MOST_RATE_PPM:
+        raise RigError(
+            f"{fields.where}.time_rate_ppm: expected parts per million within +-{MOST_RATE_PPM:g}, found {rate_ppm:g}; "
+            "a rate of 1 % is 10000"
+        )
+    if rate_ppm and not fields.has("time_reference"):
+        raise RigError(
+            f"{fields.where}: expected `time_reference` with `time_rate_ppm`, found none; add the camera's stamp (s) "
+            "at which `time_offset` holds"
+        )
+    offset, reference = fields.number("time_offset", 0.0), fields.number("time_reference", 0.0)
+    return round(offset * 1e9), rate_ppm, _nanoseconds(reference)
+
+
+def _nanoseconds(seconds: float) -> int:
+    """Whole seconds since 1970 stay exact: as nanoseconds they do not fit a float."""
+    whole = int(seconds)
+    return whole * 1_000_000_000 + round((seconds - whole) * 1e9)
 
 
 def _pose(fields: Fields) -> Float64:
@@ -224,6 +251,9 @@ def _camera_entry(camera: RigCamera, source: VideoSource | None, folder: Path) -
         "sigma_m": camera.sigma_m,
         "time_offset": camera.time_offset_ns / 1e9,
     }
+    if camera.time_rate_ppm:
+        entry["time_rate_ppm"] = camera.time_rate_ppm
+        entry["time_reference"] = camera.time_reference_ns / 1e9
     if source is not None:
         entry["video"] = _relative(source.video, folder)
         if source.stamps is None:
