@@ -1,0 +1,98 @@
+"""The collision benchmark: its figures' names, its references against arithmetic, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bench import collision
+from twin_node.bench.arm_reference import ArmReference
+from twin_node.bench.errors import BenchError
+from twin_node.cli import main
+from twin_node.robot import UR_NAMES
+
+SMALL = collision.CollisionBench(arm="ur5e", obstacles=20, steps=4, repetitions=1, poses=200, probes=2)
+URDF = """<robot name="one"><link name="base"/><link name="arm"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><collision><origin xyz="0.5 0 0"/>
+<geometry><mesh filename="meshes/far/cube.stl"/></geometry></collision></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>
+</joint></robot>"""
+SPHERES = "robot_cfg: {kinematics: {collision_spheres: {arm: [{center: [0.5, 0, 0], radius: 0.2}]}}}"
+
+
+def cube_stl(half: float) -> bytes:
+    """A cube about the origin as binary STL, its faces outward."""
+    triangles = []
+    for axis in range(3):
+        u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+        for side in (-1, 1):
+            corner = [
+                half * (side * np.eye(3)[axis] + a * side * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+            ]
+            triangles += [(corner[0], corner[1], corner[2]), (corner[0], corner[2], corner[3])]
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *np.concatenate(t), 0) for t in triangles)
+    return bytes(80) + struct.pack("<I", len(triangles)) + body
+
+
+@pytest.fixture
+def reference(tmp_path: Path) -> Path:
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "cube.stl").write_bytes(cube_stl(0.1))
+    (tmp_path / "one.urdf").write_text(URDF)
+    (tmp_path / "one.yml").write_text(SPHERES)
+    return tmp_path
+
+
+def test_report_holds_every_figure() -> None:
+    report = json.loads(json.dumps(collision.run(None, SMALL)))
+    times = {"update_ms", "distance_ms", "check_ms", "decide_ms", "self_distance_ms"}
+    assert times < set(report)
+    assert all(report[name] > 0 for name in times)
+    assert report["fk_dh_m"] < 1e-9
+    assert "clearance" not in report
+    assert "check_ms" in collision.table(report)
+
+
+@pytest.mark.parametrize("name", UR_NAMES)
+def test_kinematics_are_those_of_the_dh_parameters(name: str) -> None:
+    assert collision.fk_error_against_dh(name, seed=4, poses=50) < 1e-9
+
+
+def test_reference_distances_are_those_of_its_shapes(reference: Path) -> None:
+    arm = ArmReference(reference)
+    pose = np.eye(4)
+    pose[:3, 3] = [0.0, 0.0, 1.0]
+    poses = np.stack([np.eye(4), pose])[None]
+    points = np.array([[[0.5, 0.0, 1.3], [0.5, 0.0, 1.05], [0.9, 0.0, 1.0]]])
+    links = ("base", "arm")
+    np.testing.assert_allclose(arm.mesh_distances(poses, links, points), [[0.2, -0.05, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(arm.sphere_distances(poses, links, points), [[0.1, -0.15, 0.2]], atol=1e-12)
+    np.testing.assert_allclose(arm.link_positions(np.array([[0.3]]), ("arm",)), [[[0.0, 0.0, 1.0]]])
+
+
+def test_ur10e_capsules_enclose_its_meshes(recordings: Path) -> None:
+    bench = collision.CollisionBench(poses=300)
+    arm = ArmReference(recordings / "ur10e_model")
+    found = collision.compare_clearances(arm, bench)
+    assert found.poses > 290
+    assert found.larger_than_mesh == 0
+    assert 0 < found.mesh_minus_capsules.mean_mm < 40
+    assert found.spheres_minus_capsules is not None
+    assert collision.fk_error_against(arm, bench, poses=20) < 1e-4
+
+
+def test_wrong_references_are_refused(reference: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (reference / "one.yml").write_text("robot_cfg: {kinematics: {}}")
+    with pytest.raises(BenchError, match=r"one\.yml: expected cuRobo's .*collision_spheres"):
+        ArmReference(reference)
+    (reference / "one.yml").unlink()
+    (reference / "one.urdf").write_text(URDF[:100])
+    with pytest.raises(BenchError, match=r"one\.urdf: expected an arm's URDF"):
+        ArmReference(reference)
+    (reference / "one.urdf").unlink()
+    assert main(["bench", "collision", "--reference", str(reference)]) == 2
+    assert "expected a *.urdf file" in capsys.readouterr().err

@@ -1,0 +1,153 @@
+"""An arm as others describe it: URDF with collision meshes, and cuRobo's collision spheres."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from twin_node.bench.errors import BenchError
+from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class LinkMesh:
+    """A link's collision mesh in the link's own frame."""
+
+    vertices: NDArray[np.float32]
+    """[V, 3] m."""
+    faces: NDArray[np.uint32]
+    """[F, 3] rows of `vertices`."""
+
+
+@dataclass(frozen=True)
+class LinkSpheres:
+    """A link's collision spheres in the link's own frame."""
+
+    centers: Float64
+    """[n, 3] m."""
+    radii: Float64
+    """[n] m."""
+
+
+class ArmReference:
+    """One arm's folder: `*.urdf`, the STL files it names below `meshes/`, and cuRobo's `*.yml` where there is one."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises `BenchError` for a folder without a readable URDF or with a sphere model that makes no sense."""
+        urdf = next(iter(sorted(folder.glob("*.urdf"))), None)
+        if urdf is None:
+            raise BenchError(f"{folder}: expected a *.urdf file and meshes/*.stl, found none; give the arm's folder")
+        self._engine = _load(urdf)
+        self._data = mujoco.MjData(self._engine)
+        self._meshes = self._read_meshes()
+        models = sorted(folder.glob("*.yml"))
+        self._spheres = _read_spheres(models[0]) if models else None
+
+    def link_positions(self, q: Float64, links: tuple[str, ...]) -> Float64:
+        """Origins [T, L, 3] (m) of the named links in the URDF's root frame at joint angles [T, J] (rad)."""
+        bodies = [self._engine.body(name).id for name in links]
+        found = np.empty((len(q), len(links), 3))
+        for row, angles in enumerate(q):
+            self._data.qpos[:] = angles
+            mujoco.mj_kinematics(self._engine, self._data)
+            found[row] = self._data.xpos[bodies]
+        return found
+
+    def mesh_distances(self, poses: Float64, links: tuple[str, ...], points: Float64) -> Float64:
+        """Exact signed distances [T, P] (m) of points [T, P, 3] to the meshes of all links but the first.
+
+        `poses` [T, L, 4, 4] places the links. Open3D's `RaycastingScene` finds the nearest point of the nearest
+        triangle; negative is inside the mesh.
+        """
+        import open3d.core as o3c
+        from open3d.t.geometry import RaycastingScene
+
+        device = o3c.Device("CPU:0")
+
+        nearest = np.full(points.shape[:2], np.inf)
+        for row, name in enumerate(links):
+            if row == 0 or name not in self._meshes:
+                continue
+            scene = RaycastingScene(nthreads=1)
+            mesh = self._meshes[name]
+            scene.add_triangles(
+                o3c.Tensor(mesh.vertices, o3c.float32, device), o3c.Tensor(mesh.faces, o3c.uint32, device)
+            )
+            local = np.ascontiguousarray(_seen_from(poses[:, row], points), np.float32)
+            distances = scene.compute_signed_distance(o3c.Tensor(local, o3c.float32, device)).numpy()
+            nearest = np.minimum(nearest, distances)
+        return nearest
+
+    def sphere_distances(self, poses: Float64, links: tuple[str, ...], points: Float64) -> Float64 | None:
+        """Distances [T, P] (m) of points [T, P, 3] to the peer's spheres on all links but the first; None without."""
+        if self._spheres is None:
+            return None
+        nearest = np.full(points.shape[:2], np.inf)
+        for row, name in enumerate(links):
+            if row == 0 or name not in self._spheres:
+                continue
+            spheres = self._spheres[name]
+            local = _seen_from(poses[:, row], points)
+            gaps = np.linalg.norm(local[:, :, None] - spheres.centers, axis=-1) - spheres.radii
+            nearest = np.minimum(nearest, gaps.min(axis=2))
+        return nearest
+
+    def _read_meshes(self) -> dict[str, LinkMesh]:
+        """The mesh geoms, moved from MuJoCo's own frames to their links'."""
+        engine, data = self._engine, self._data
+        mujoco.mj_kinematics(engine, data)
+        found = {}
+        for geom in np.flatnonzero(engine.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+            mesh, body = int(engine.geom_dataid[geom]), int(engine.geom_bodyid[geom])
+            first, count = int(engine.mesh_vertadr[mesh]), int(engine.mesh_vertnum[mesh])
+            corners = engine.mesh_vert[first : first + count].astype(np.float64)
+            placed = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+            local = (placed - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
+            first, count = int(engine.mesh_faceadr[mesh]), int(engine.mesh_facenum[mesh])
+            faces = engine.mesh_face[first : first + count].astype(np.uint32)
+            found[engine.body(body).name] = LinkMesh(np.ascontiguousarray(local, np.float32), faces)
+        return found
+
+
+def _load(urdf: Path) -> Any:
+    """The URDF's collision geometry as MuJoCo reads it, mesh files found by their names below `meshes/`."""
+    try:
+        text = re.sub(r"<visual>.*?</visual>", "", urdf.read_text(encoding="utf-8"), flags=re.S)
+        text = re.sub(r'filename="[^"]*?([^"/]+)"', rf'filename="{urdf.parent.resolve()}/meshes/\1"', text)
+        options = '<mujoco><compiler strippath="false" fusestatic="false"/></mujoco>'
+        return mujoco.MjModel.from_xml_string(text.replace("<link name", f"{options}<link name", 1))
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise BenchError(f"{urdf}: expected an arm's URDF with STL meshes, {reason}; check the folder") from error
+
+
+def _seen_from(poses: Float64, points: Float64) -> Float64:
+    """Points [T, P, 3] in the frames of poses [T, 4, 4]."""
+    local: Float64 = (points - poses[:, None, :3, 3]) @ poses[:, :3, :3]
+    return local
+
+
+def _read_spheres(path: Path) -> dict[str, LinkSpheres]:
+    """Link name -> spheres of cuRobo's robot file."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        table = content["robot_cfg"]["kinematics"]["collision_spheres"]
+        return {
+            link: LinkSpheres(
+                np.array([row["center"] for row in rows], dtype=np.float64).reshape(-1, 3),
+                np.array([row["radius"] for row in rows], dtype=np.float64),
+            )
+            for link, rows in table.items()
+        }
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BenchError(
+            f"{path}: expected cuRobo's robot_cfg/kinematics/collision_spheres with center and radius, "
+            f"found {type(error).__name__} {error}; remove the file or correct it"
+        ) from error
