@@ -193,6 +193,14 @@ class GaussianCloud:
     nodes: NDArray[np.int32]
     """[N] row in `NodeStates` of the node that carries it, -1 for none."""
 
+    def only(self, chosen: Bool | NDArray[np.integer]) -> GaussianCloud:
+        """The chosen Gaussians: a mask [N], or rows in the order wanted."""
+        return GaussianCloud(**{name: values[chosen] for name, values in vars(self).items()})
+
+    def joined(self, other: GaussianCloud) -> GaussianCloud:
+        """These Gaussians and then the other's, whose `nodes` must be rows of the same `NodeStates`."""
+        return GaussianCloud(**{name: np.concatenate([own, vars(other)[name]]) for name, own in vars(self).items()})
+
 
 @dataclass(frozen=True)
 class NodeStates:
