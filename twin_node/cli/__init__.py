@@ -11,6 +11,7 @@ from twin_node.cli.bench import add_bench
 from twin_node.cli.calibrate import add_calibrate
 from twin_node.cli.imports import add_import
 from twin_node.cli.replay import add_demo, add_replay
+from twin_node.cli.ur_sim import add_ur_sim
 from twin_node.errors import TwinError
 
 
@@ -38,4 +39,5 @@ def _parser() -> argparse.ArgumentParser:
     add_demo(commands)
     add_bench(commands)
     add_calibrate(commands)
+    add_ur_sim(commands)
     return parser

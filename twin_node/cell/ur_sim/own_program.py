@@ -1,0 +1,30 @@
+"""The program that the stand-in has of its own: what an integrator's URScript does beside the twin."""
+
+from __future__ import annotations
+
+from twin_node.cell.ur_sim.controller import Controller
+from twin_node.cell.ur_sim.motions import FollowCycle, MoveJ
+
+_APPROACH_SPEED = 0.5
+"""rad/s of the first move to the cycle's start: half of moveJ's default."""
+_APPROACH_ACCELERATION = 1.4
+"""rad/s^2: moveJ's default."""
+
+
+class OwnProgram:
+    """`rtde_set_watchdog(...)`, a move to the cycle's start, then the cycle for ever at the speed slider's share."""
+
+    name = "/programs/twin_cell.urp"
+
+    def __init__(self) -> None:
+        self._approach: MoveJ | None = None
+
+    def tick(self, controller: Controller) -> None:
+        """One period."""
+        if self._approach is None:
+            controller.watchdogs.set(controller.parameters.watchdog, controller.clock)
+            start = controller.cycle.at(0)
+            self._approach = MoveJ(controller.target.q, start, _APPROACH_SPEED, _APPROACH_ACCELERATION)
+            controller.motion = self._approach
+        elif self._approach is controller.motion and self._approach.is_done:
+            controller.motion = FollowCycle(controller.cycle)

@@ -1,0 +1,236 @@
+"""The stand-in as a whole: a controller, its ports, its clock, and the port by which faults are switched."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import ipaddress
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+
+from twin_node.cell.errors import CellError
+from twin_node.cell.ur_sim.connections import Connection, RtdeConnection, ScriptConnection
+from twin_node.cell.ur_sim.controller import PERIOD_S, Controller, ControllerParameters
+from twin_node.cell.ur_sim.dashboard import DashboardConnection
+from twin_node.cell.ur_sim.faults import Faults, switch
+from twin_node.cell.ur_sim.own_program import OwnProgram
+from twin_node.cell.ur_sim.rtde_types import INPUTS
+
+DASHBOARD_PORT = 29999
+SCRIPT_PORTS = (30001, 30002, 30003)
+"""Primary, secondary and real-time interface."""
+RTDE_PORT = 30004
+ADMIN_PORT = 29800
+"""The stand-in's own: no controller has it."""
+_MOST_LATE_S = 0.02
+"""A computer that is busy elsewhere holds up the stand-in's clock by what goes beyond this: a real controller's periods
+do not wait, so a watchdog must not count them."""
+
+
+@dataclass(frozen=True)
+class TimedFault:
+    """A fault switched some time after the start."""
+
+    line: str
+    after_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class StandInParameters:
+    """Where the stand-in listens and what it pretends to be."""
+
+    host: str = "127.0.0.1"
+    """A loopback address: nobody is asked for a password here."""
+    version: tuple[int, int, int] = (5, 12, 0)
+    """PolyScope."""
+    admin_port: int | None = ADMIN_PORT
+    """None: faults cannot be switched while it runs."""
+    is_playing: bool = False
+    """Whether its own program runs from the start."""
+    faults: tuple[TimedFault, ...] = ()
+    controller: ControllerParameters = field(default_factory=ControllerParameters)
+
+    def __post_init__(self) -> None:
+        """Raises `CellError` for an address that other machines can reach."""
+        try:
+            is_loopback = self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            is_loopback = False
+        if not is_loopback:
+            raise CellError(
+                f"--host {self.host}: expected a loopback address such as 127.0.0.1 or 127.0.0.2, because the stand-in "
+                "obeys whoever connects; to reach it from elsewhere, forward its ports yourself"
+            )
+
+
+class StandIn:
+    """Runs until its task is cancelled; see `faults.Faulty` for what can be done to it."""
+
+    def __init__(self, parameters: StandInParameters) -> None:
+        self.parameters = parameters
+        self.version = parameters.version
+        self.controller = Controller(parameters.controller)
+        self.faults = Faults()
+        self.connections: set[Connection] = set()
+        self._servers: list[asyncio.Server] = []
+        self._restart_s: float | None = None
+        self._timers: list[asyncio.TimerHandle] = []
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Listen and tick for ever; `ready()` is called when every port is open.
+
+        Raises `CellError` where a port is taken.
+        """
+        async with contextlib.AsyncExitStack() as stack:
+            if self.parameters.admin_port is not None:
+                admin = await self._listen(self.parameters.admin_port, lambda: AdminConnection(self))
+                stack.callback(admin.close)
+            await self._open()
+            stack.callback(self._close)
+            if self.parameters.is_playing:
+                self.controller.play(OwnProgram())
+            loop = asyncio.get_running_loop()
+            for fault in self.parameters.faults:
+                self._timers.append(loop.call_later(fault.after_s, switch, self, fault.line))
+            ready()
+            await self._tick_for_ever()
+
+    def refresh(self) -> None:
+        """Let bytes pass, or not, as the faults now say."""
+        for connection in self.connections:
+            connection.refresh()
+
+    def drop_connections(self) -> None:
+        """Close every client's RTDE connection."""
+        for connection in list(self.connections):
+            if isinstance(connection, RtdeConnection):
+                connection.close()
+
+    def restart(self, after_s: float) -> None:
+        """End the controller with all its connections, and begin anew after a time."""
+        self._restart_s = after_s
+
+    def claim(self, variable: str) -> None:
+        """Take an input variable as another client would."""
+        if variable not in INPUTS:
+            raise CellError(f"fault claim: expected an RTDE input such as speed_slider_mask, found {variable!r}")
+        if not self.controller.inputs.claim(variable, self):
+            raise CellError(f"fault claim: {variable} is in use by a client already; switch it before one connects")
+
+    def release(self, variable: str) -> None:
+        """Give an input variable free that was claimed."""
+        self.controller.inputs.release(self, variable)
+
+    def protective_stop(self) -> None:
+        """As if the arm had hit something."""
+        self.controller.protective_stop("fault switch")
+
+    def press_emergency_stop(self) -> None:
+        """Press the button."""
+        self.controller.emergency_stop()
+
+    def release_emergency_stop(self) -> None:
+        """Pull the button."""
+        self.controller.release_emergency_stop()
+
+    def status(self) -> str:
+        """What the admin port tells: one JSON object."""
+        controller = self.controller
+        return json.dumps(
+            {
+                "clock": controller.clock,
+                "runtime_state": controller.runtime_state.name,
+                "safety_mode": controller.safety_mode.name,
+                "robot_mode": controller.robot_mode.name,
+                "program": controller.program.name if controller.program is not None else None,
+                "speed_slider": controller.slider,
+                "speed_scaling": controller.outputs.speed_scaling,
+                "q": controller.arm.q.tolist(),
+                "qd": controller.arm.qd.tolist(),
+                "is_standing": controller.target.is_standing,
+                "connections": len(self.connections),
+                "faults": asdict(self.faults),
+                "events": [asdict(event) for event in controller.events],
+            }
+        )
+
+    async def _tick_for_ever(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            if self._restart_s is not None:
+                await self._begin_anew(self._restart_s)
+                due = loop.time()
+            if not self.faults.is_frozen:
+                self.controller.tick()
+                for connection in list(self.connections):
+                    if isinstance(connection, RtdeConnection):
+                        connection.push()
+            due = max(due + PERIOD_S * self.faults.slowness, loop.time() - _MOST_LATE_S)
+            await asyncio.sleep(max(due - loop.time(), 0.0))
+
+    async def _begin_anew(self, after_s: float) -> None:
+        self._restart_s = None
+        self._close()
+        await asyncio.sleep(after_s)
+        self.controller = Controller(self.parameters.controller)
+        self.faults = Faults()
+        await self._open()
+
+    async def _open(self) -> None:
+        """Listen on the controller's own ports."""
+        makers: list[tuple[int, Callable[[], Connection]]] = [
+            (RTDE_PORT, lambda: RtdeConnection(self)),
+            (DASHBOARD_PORT, lambda: DashboardConnection(self)),
+            *((port, lambda: ScriptConnection(self)) for port in SCRIPT_PORTS),
+        ]
+        for port, make in makers:
+            self._servers.append(await self._listen(port, make))
+
+    async def _listen(self, port: int, make: Callable[[], asyncio.Protocol]) -> asyncio.Server:
+        host = self.parameters.host
+        try:
+            return await asyncio.get_running_loop().create_server(make, host, port, reuse_address=True)
+        except OSError as error:
+            reason = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror})"
+            self._close()
+            raise CellError(
+                f"{host}:{port} {reason}; stop the other stand-in, or choose another loopback address, for example "
+                "--host 127.0.0.2"
+            ) from error
+
+    def _close(self) -> None:
+        for server in self._servers:
+            server.close()
+        self._servers.clear()
+        for connection in list(self.connections):
+            connection.close()
+
+
+class AdminConnection(asyncio.Protocol):
+    """Switches faults and tells the state, a line for a line; goes on whatever the controller's faults are."""
+
+    def __init__(self, stand_in: StandIn) -> None:
+        self._stand_in = stand_in
+        self._transport: asyncio.WriteTransport | None = None
+        self._text = b""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport if isinstance(transport, asyncio.WriteTransport) else None
+
+    def data_received(self, data: bytes) -> None:
+        *lines, self._text = (self._text + data).split(b"\n")
+        for line in lines:
+            if self._transport is not None:
+                self._transport.write(f"{self._answer(line.decode(errors='replace').strip())}\n".encode())
+
+    def _answer(self, line: str) -> str:
+        if line == "status":
+            return self._stand_in.status()
+        try:
+            switch(self._stand_in, line)
+        except CellError as error:
+            return f"error: {error}"
+        return "ok"
