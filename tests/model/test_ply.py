@@ -1,0 +1,155 @@
+"""PLY files of Gaussians: what is written is read again to the bit, by this reader and by another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from plyfile import PlyData, PlyElement
+
+from twin_node.model import ModelError
+from twin_node.model.ply import SH_C0, StoredGaussians, read_ply, stored_from_cloud, write_ply
+from twin_node.scene import GaussianCloud
+
+
+def stored(count: int, degree: int, seed: int = 0) -> StoredGaussians:
+    rng = np.random.default_rng(seed)
+
+    def drawn(*shape: int) -> np.ndarray:
+        return rng.normal(size=shape).astype(np.float32)
+
+    return StoredGaussians(
+        drawn(count, 3), drawn(count, 4), drawn(count, 3), drawn(count), drawn(count, (degree + 1) ** 2, 3)
+    )
+
+
+def assert_same(a: StoredGaussians, b: StoredGaussians) -> None:
+    for name, value in vars(a).items():
+        np.testing.assert_array_equal(value, getattr(b, name), err_msg=name)
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(count=st.integers(0, 40), degree=st.integers(0, 3), seed=st.integers(0, 2**16))
+def test_round_trip_is_exact(tmp_path: Path, count: int, degree: int, seed: int) -> None:
+    gaussians = stored(count, degree, seed)
+    path = tmp_path / "cloud.ply"
+    write_ply(gaussians, path)
+    assert_same(gaussians, read_ply(path))
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_another_reader_finds_the_columns_of_3dgs(tmp_path: Path) -> None:
+    gaussians = stored(7, 2)
+    path = tmp_path / "cloud.ply"
+    write_ply(gaussians, path)
+    vertex = PlyData.read(str(path))["vertex"]
+    np.testing.assert_array_equal(vertex["y"], gaussians.means[:, 1])
+    np.testing.assert_array_equal(vertex["opacity"], gaussians.logits)
+    np.testing.assert_array_equal(vertex["scale_2"], gaussians.log_scales[:, 2])
+    np.testing.assert_array_equal(vertex["rot_0"], gaussians.quats[:, 0])
+    np.testing.assert_array_equal(vertex["f_dc_1"], gaussians.sh[:, 0, 1])
+    # f_rest runs through all coefficients of red before those of green
+    np.testing.assert_array_equal(vertex["f_rest_0"], gaussians.sh[:, 1, 0])
+    np.testing.assert_array_equal(vertex["f_rest_8"], gaussians.sh[:, 1, 1])
+    np.testing.assert_array_equal(vertex["nx"], np.zeros(7))
+
+
+@pytest.mark.parametrize("byte_order", ["<", ">"])
+def test_files_of_other_writers_are_read(tmp_path: Path, byte_order: str) -> None:
+    gaussians = stored(5, 1)
+    names = ["opacity", *(f"rot_{i}" for i in range(4)), "z", "y", "x", *(f"scale_{i}" for i in range(3)), "label"]
+    names += [*(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(9))]
+    table = np.zeros(5, [(name, "i4" if name == "label" else "f8") for name in names])
+    for i, axis in enumerate("xyz"):
+        table[axis], table[f"scale_{i}"] = gaussians.means[:, i], gaussians.log_scales[:, i]
+        table[f"f_dc_{i}"] = gaussians.sh[:, 0, i]
+    for i in range(4):
+        table[f"rot_{i}"] = gaussians.quats[:, i]
+    for i in range(9):
+        table[f"f_rest_{i}"] = gaussians.sh[:, 1 + i % 3, i // 3]
+    table["opacity"] = gaussians.logits
+    path = tmp_path / "other.ply"
+    PlyData([PlyElement.describe(table, "vertex")], byte_order=byte_order, comments=["by another"]).write(str(path))
+    assert_same(gaussians, read_ply(path))
+
+
+def test_a_cloud_keeps_its_looks(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    cloud = GaussianCloud(
+        rng.normal(size=(6, 3)).astype(np.float32),
+        rng.normal(size=(6, 4)).astype(np.float32),
+        np.array([[0.01, 0.02, 0.0]] * 6, np.float32),
+        np.array([0.0, 1.0, 0.5, 0.2, 0.9, 0.1], np.float32),
+        rng.random((6, 3)).astype(np.float32),
+        np.zeros((6, 3), np.float32),
+        np.zeros(6, np.uint8),
+        np.arange(6, dtype=np.uint32),
+        np.full(6, -1, np.int32),
+    )
+    write_ply(stored_from_cloud(cloud), tmp_path / "cloud.ply")
+    back = read_ply(tmp_path / "cloud.ply")
+    assert np.isfinite(back.logits).all() and np.isfinite(back.log_scales).all()
+    np.testing.assert_allclose(1 / (1 + np.exp(-back.logits)), cloud.opacities, atol=2e-6)
+    np.testing.assert_allclose(np.exp(back.log_scales), cloud.scales, atol=1e-8, rtol=1e-5)
+    np.testing.assert_allclose(back.sh[:, 0] * SH_C0 + 0.5, cloud.rgb, atol=1e-6)
+    assert back.degree == 0
+
+
+def _ascii(path: Path) -> None:
+    PlyData([PlyElement.describe(np.zeros(1, [("x", "f4")]), "vertex")], text=True).write(str(path))
+
+
+def _points_only(path: Path) -> None:
+    PlyData([PlyElement.describe(np.zeros(3, [(n, "f4") for n in "xyz"]), "vertex")]).write(str(path))
+
+
+def _cut_short(path: Path) -> None:
+    write_ply(stored(4, 0), path)
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def _uneven_rest(path: Path) -> None:
+    write_ply(stored(2, 1), path)
+    path.write_bytes(path.read_bytes().replace(b"property float f_rest_8\n", b"property float extra_88\n"))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda path: None, "cannot read"),
+        (lambda path: path.write_bytes(b"not a ply"), "header"),
+        (_ascii, "binary"),
+        (_points_only, "f_dc_0"),
+        (_cut_short, "cut short"),
+        (_uneven_rest, "f_rest"),
+    ],
+)
+def test_wrong_files_are_named(tmp_path: Path, spoil: object, says: str) -> None:
+    path = tmp_path / "wrong.ply"
+    spoil(path)  # type: ignore[operator]
+    with pytest.raises(ModelError, match=says) as caught:
+        read_ply(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_headers_never_escape_as_other_errors(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "damaged.ply"
+    write_ply(stored(2, 0), path)
+    content = bytearray(path.read_bytes())
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at : at + data.draw(st.integers(0, 6))] = data.draw(st.binary(max_size=6))
+    path.write_bytes(bytes(content))
+    try:
+        read_ply(path)
+    except ModelError as error:
+        assert str(path) in str(error)
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="cannot write"):
+        write_ply(stored(1, 0), tmp_path / "missing" / "cloud.ply")
