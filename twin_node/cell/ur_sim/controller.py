@@ -59,7 +59,7 @@ class Controller:
         self.cycle = parameters.cycle or default_path(parameters.model)
         start = self.cycle.at(0)
         self.arm = SimulatedArm(parameters.model, start, PERIOD_S)
-        self.clock = 0.0
+        self._periods = 0
         self.inputs = Inputs()
         self.outputs = Outputs(self.arm.tool_pose)
         self.watchdogs = Watchdogs()
@@ -75,13 +75,18 @@ class Controller:
         self._stopped_at = 0.0
         self._tell()
 
+    @property
+    def clock(self) -> float:
+        """The controller's own time since its start, s."""
+        return self._periods * PERIOD_S
+
     def note(self, text: str) -> None:
         """Remember an event."""
         self.events.append(Event(self.clock, text))
 
     def tick(self) -> None:
         """One period: inputs, watchdogs, program, motion, arm, outputs."""
-        self.clock += PERIOD_S
+        self._periods += 1
         if self.inputs.number("speed_slider_mask") != 0:
             self.slider = float(np.clip(self.inputs.number("speed_slider_fraction"), 0.0, 1.0))
         if self.runtime_state is RuntimeState.PLAYING:
