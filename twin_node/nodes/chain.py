@@ -1,4 +1,4 @@
-"""The chain behind the synchroniser: window model, forecast, arm and status on one bus."""
+"""The chain behind the synchroniser: drift watch, window model, forecast, arm and status on one bus."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from twin_node.arm import ArmCollisionChecker, default_path
 from twin_node.forecast import CoverParameters, Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, WindowModel
 from twin_node.nodes.arm import ArmNode, ArmParameters
+from twin_node.nodes.drift import DriftNode
 from twin_node.nodes.forecast import ForecastNode
 from twin_node.nodes.latency import Latency
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.status import StatusNode
 from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.rig.drift import DriftParameters
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
@@ -40,6 +42,7 @@ class ChainParameters:
     """Parameters of every node of the chain; a parameter file has one section per field."""
 
     synchronizer: SynchronizerParameters = field(default_factory=SynchronizerParameters)
+    drift: DriftParameters = field(default_factory=DriftParameters)
     model: ModelParameters = field(default_factory=ModelParameters)
     grid: GridParameters = field(default_factory=GridParameters)
     forecast: ForecastParameters = field(default_factory=ForecastParameters)
@@ -86,6 +89,7 @@ class Chain:
         checker = ArmCollisionChecker(arm)
         self.nodes: Sequence[Node] = (
             self.status,
+            DriftNode(bus, clock, parameters.drift),
             ModelNode(bus, clock, self.model),
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
             ArmNode(bus, clock, checker, default_path(arm, workspace), parameters.arm),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from twin_node.forecast import ForecastQuality
 from twin_node.messages import convert
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.spool import Spool, Tick
-from twin_node.nodes.topics import FORECAST, FRAMES, SEPARATION, STATE
+from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEPARATION, STATE, TRUSTED_FRAMES
+from twin_node.rig.drift import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
@@ -28,7 +30,7 @@ class CollectorNode(Node):
         self.latencies_ms: list[float] = []
         """From the newest image's stamp to the speed decision, by the run's clock."""
         self.work_ms: list[float] = []
-        """From a set's arrival at the model to the speed decision, by the wall clock."""
+        """From a set's arrival at the chain to the speed decision, by the wall clock."""
         self.tier_counts: list[list[int]] = []
         self.separations: list[Separation] = []
         self.quality: ForecastQuality | None = None
@@ -36,13 +38,20 @@ class CollectorNode(Node):
         self.newest_state: TwinState | None = None
         self.warnings: dict[str, int] = {}
         """Warning -> number of sets it was given with."""
+        self.drift: list[DriftReport] = []
+        """The first of the drift watch, and every one in which a verdict changed."""
+        self.withheld: dict[str, int] = {}
+        """Camera -> number of sets that it was left out of because it had moved."""
+        self._distrusted: tuple[str, ...] = ()
         self._spool = spool
         self._frames: FrameSet | None = None
         self._forecast: Forecast | None = None
         self._begun = 0.0
 
     def on_configure(self) -> None:
-        self.bus.subscribe(FRAMES, self._on_frames)
+        self.bus.subscribe(FRAMES, self._on_arrival)
+        self.bus.subscribe(DRIFT, self._on_drift)
+        self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
         self.bus.subscribe(STATE, self._on_state)
         self.bus.subscribe(FORECAST, self._on_forecast)
         self.bus.subscribe(SEPARATION, self._on_separation)
@@ -55,11 +64,22 @@ class CollectorNode(Node):
     def keep_dropped(self, frames: FrameSet) -> None:
         """Spool a set that the twin had no time for; may be called from another thread."""
         if self._spool is not None and self._spool.keeps(frames.stamp):
-            self._spool.add(Tick(frames))
+            views = tuple(view for view in frames.views if view.camera.name not in self._distrusted)
+            self._spool.add(Tick(replace(frames, views=views)))
+
+    def _on_arrival(self, frames: FrameSet) -> None:
+        self._begun = time.perf_counter()
 
     def _on_frames(self, frames: FrameSet) -> None:
-        self._begun = time.perf_counter()
         self._frames = frames
+
+    def _on_drift(self, report: DriftReport) -> None:
+        self._count(report.warnings)
+        if not self.drift or self.drift[-1].verdicts != report.verdicts:
+            self.drift.append(report)
+        self._distrusted = report.distrusted
+        for camera in report.distrusted:
+            self.withheld[camera] = self.withheld.get(camera, 0) + 1
 
     def _on_state(self, state: TwinState) -> None:
         self.newest_state = state

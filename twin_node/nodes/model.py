@@ -6,7 +6,7 @@ import numpy as np
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
-from twin_node.nodes.topics import FRAMES, GAUSSIANS, GAUSSIANS_MOVING, STATE
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
@@ -25,7 +25,7 @@ class ModelNode(Node):
         self._next_whole = 0
 
     def on_configure(self) -> None:
-        self.bus.subscribe(FRAMES, self._on_frames)
+        self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
 
     def _on_frames(self, frames: FrameSet) -> None:
         state = self.model.update(frames)

@@ -11,7 +11,8 @@ import numpy as np
 from twin_node.messages import convert, serialize
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.latency import Latency
-from twin_node.nodes.topics import FORECAST, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, STATE, STATUS
+from twin_node.nodes.topics import DRIFT, FORECAST, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, STATE, STATUS
+from twin_node.rig.drift import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
@@ -36,6 +37,8 @@ class StatusNode(Node):
         self._parameters = parameters
         self._dropped = dropped
         self._state: TwinState | None = None
+        self._forecast: Forecast | None = None
+        self._drift: DriftReport | None = None
         self._newest: dict[str, Any] = {}
         self._sizes: list[int] = []
         self._next = 0
@@ -46,6 +49,7 @@ class StatusNode(Node):
         return float(np.mean(self._sizes)) if self._sizes else float("nan")
 
     def on_configure(self) -> None:
+        self.bus.subscribe(DRIFT, self._on_drift)
         self.bus.subscribe(STATE, self._on_state)
         for topic in PER_SET:
             self.bus.subscribe(topic, partial(self._newest.__setitem__, topic))
@@ -56,10 +60,22 @@ class StatusNode(Node):
         self._state = state
 
     def _on_forecast(self, forecast: Forecast) -> None:
-        state = self._state
-        if state is None or state.stamp < self._next:
+        self._forecast = forecast
+        if self._state is not None:
+            self._tell(self._state.stamp)
+
+    def _on_drift(self, report: DriftReport) -> None:
+        """Where no camera may be used no forecast comes, and its status neither: why is said nevertheless."""
+        self._drift = report
+        if len(report.distrusted) == len(report.drifts):
+            self._tell(report.stamp)
+
+    def _tell(self, stamp: int) -> None:
+        """Publishes the status where it is due at a stamp."""
+        state, forecast = self._state, self._forecast
+        if state is None or forecast is None or stamp < self._next:
             return
-        self._next = state.stamp + PERIOD_NS
+        self._next = stamp + PERIOD_NS
         if len(self._newest) == len(PER_SET):
             self._sizes.append(sum(len(serialize(message)) for message in self._newest.values()))
         status = convert.Status(
@@ -74,6 +90,6 @@ class StatusNode(Node):
             latency_p99_ms=self._latency.percentile_ms(99),
             coverage=forecast.quality.coverage,
             coverage_target=forecast.quality.target,
-            warnings=state.warnings + forecast.quality.warnings,
+            warnings=(self._drift.warnings if self._drift else ()) + state.warnings + forecast.quality.warnings,
         )
         self.bus.publish(STATUS, convert.status_to_message(status))

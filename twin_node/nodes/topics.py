@@ -9,6 +9,10 @@ from twin_node.errors import TwinError
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
+TRUSTED_FRAMES = "/twin/frames/trusted"
+"""`scene.FrameSet` without the cameras that have moved, inside a process only."""
+DRIFT = "/twin/drift"
+"""`rig.drift.DriftReport`, inside a process only."""
 STATE = "/twin/state"
 """`scene.TwinState`, inside a process only."""
 FORECAST = "/twin/forecast"
@@ -19,7 +23,8 @@ OCCUPANCY = "/twin/occupancy"
 OBSTACLES = "/twin/obstacles"
 SEPARATION = "/twin/separation"
 STATUS = "/twin/status"
-RECORDED = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, SEPARATION, STATUS)
+DIAGNOSTICS = "/diagnostics"
+RECORDED = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, SEPARATION, STATUS, DIAGNOSTICS)
 """What a twin publishes to the world, and what its log holds."""
 
 JOINT_STATES = "/joint_states"

@@ -2,41 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, UInt8, View
+from twin_node.rig.landmarks import INLIER_PX, CommonMotion, Landmarks, contrast, features_of, found, tracked
+from twin_node.scene import Bool, Camera, Float64, FrameSet, UInt8
 
-LK_WINDOW, LK_LEVELS = (15, 15), 3
-"""Patches that are tracked, pixels, and pyramid levels: displacements up to a tenth of a small image."""
-MOST_FEATURES, FEATURE_QUALITY, FEATURE_DISTANCE_PX = 200, 0.01, 5.0
-BACK_PX = 0.5
-"""A feature tracked there and back must come home within this."""
-INLIER_PX = 0.75
-"""Features within this of the common motion follow it."""
-STRAYS = 3
-"""A feature that strays so often while the others stand still is on something that moves: it is dropped."""
+STANDING_PART = 0.5
+"""Share of an image's features that stand from check to check where the scene does: people and the arm are the rest."""
 
 
 @dataclass(frozen=True)
 class DriftParameters:
-    """When a camera counts as bumped."""
+    """When a camera counts as bumped, as drifting, as lost."""
 
     angle_deg: float = 0.3
     """Turn from which a camera is named: at 1 m it puts things 5 mm off."""
     least_px: float = 0.35
     """The same in pixels of the images watched: below it tracking noise rules."""
-    confirm: int = 4
+    confirm: int = 3
     """Checks in a row that must agree before a camera is named, or cleared again."""
-    period_ms: float = 100.0
+    period_ms: float = 200.0
     """Time between two checks of a camera."""
     least_features: int = 15
-    """Features that must be seen for a verdict."""
-    least_share: float = 0.5
-    """Share of the features seen that must move as one: otherwise too much is in the way, and nothing is said."""
+    """Landmarks that must be found for a verdict."""
+    least_share: float = 0.6
+    """Share of the image that must stand still, or move as one: otherwise too much is in the way for a verdict."""
+    slow_deg: float = 0.06
+    """Turn, averaged over `average_s`, from which a camera that was not bumped counts as drifting."""
+    slow_px: float = 0.1
+    """The same in pixels of the images watched: averaged tracking noise and compression stay below it."""
+    average_s: float = 10.0
+    """Time constant of that average, s."""
+    drifting_s: float = 30.0
+    """A camera drifts when the average stayed beyond `slow_deg` for so long, s."""
+    lost_s: float = 3.0
+    """A camera is lost when it showed another, standing scene for so long, s: people do not stand so still."""
+
+
+class Verdict(IntEnum):
+    """What is known of a camera's place."""
+
+    STEADY = 0
+    """Where it was calibrated."""
+    UNSURE = 1
+    """Too little of what stands is in sight to tell."""
+    DRIFTING = 2
+    """Off by less than a bump, for a while: still used."""
+    BUMPED = 3
+    """Not where it was calibrated: its images must not be used."""
+    LOST = 4
+    """Nothing that stood is in sight, what is stands as well: turned away or covered. Its images must not be used."""
 
 
 @dataclass(frozen=True)
@@ -44,40 +63,107 @@ class Drift:
     """What the last check of a camera found."""
 
     camera: str
+    verdict: Verdict
     residual_px: float
-    """Root mean square displacement of static features from where they were, pixels of the images watched."""
+    """Root mean square displacement of landmarks from where they were, pixels of the images watched."""
     angle_deg: float
     """The turn that would explain it."""
     features: int
-    """Static features that it is judged by; 0 where too few were found."""
-    bumped: bool
+    """Landmarks that it is judged by; 0 where too few were found."""
+    since: int
+    """When the verdict's cause began, ns; of a drift, when it was last at half its size or less."""
+    slow: bool = False
+    """Whether it came little by little: heat and loosening mounts creep, knocks do not."""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the camera's images may be used."""
+        return self.verdict not in (Verdict.BUMPED, Verdict.LOST)
+
+    @property
+    def message(self) -> str:
+        """The verdict and what to do about it, to follow the camera's name."""
+        return _CREPT if self.slow and self.verdict == Verdict.BUMPED else _MESSAGES[self.verdict]
+
+
+@dataclass(frozen=True)
+class DriftReport:
+    """What is known of all cameras of a rig."""
+
+    stamp: int
+    """ns."""
+    drifts: tuple[Drift, ...]
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Of the cameras, in their order."""
+        return tuple(drift.verdict for drift in self.drifts)
+
+    @property
+    def distrusted(self) -> tuple[str, ...]:
+        """Names of the cameras whose images must not be used."""
+        return tuple(drift.camera for drift in self.drifts if not drift.trusted)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know, one line per matter; stable as long as nothing changes."""
+        if self.drifts and len(self.distrusted) == len(self.drifts):
+            return (_none_left(self.drifts),)
+        lines = [f"camera {drift.camera} {drift.message}" for drift in self.drifts if drift.verdict != Verdict.STEADY]
+        left = [drift.camera for drift in self.drifts if drift.trusted]
+        if len(left) == 1 < len(self.drifts):
+            lines.append(
+                f"camera {left[0]} is the only one left: what it alone sees has no depth, most space is unknown"
+            )
+        return tuple(lines)
+
+
+_CREPT = "has crept out of place: its images are left out; run `twin_node calibrate refine` on a recording of today"
+_MESSAGES = {
+    Verdict.STEADY: "stands where it was calibrated",
+    Verdict.UNSURE: "sees too little of what stands still to tell whether it has moved",
+    Verdict.DRIFTING: "creeps out of place: run `twin_node calibrate refine` on a recording of today",
+    Verdict.BUMPED: "has moved: its images are left out; put it back, or calibrate it anew",
+    Verdict.LOST: "sees nothing of what stood before it, turned away or covered: its images are left out; free it",
+}
+
+
+def _none_left(drifts: Sequence[Drift]) -> str:
+    """What to say where no camera may be used."""
+    if len(drifts) == 1:
+        return f"camera {drifts[0].camera} {drifts[0].message}; nothing is published, for it is the only one"
+    if all(drift.verdict == Verdict.BUMPED for drift in drifts):
+        return (
+            "all cameras seem to have moved: what carries them has, or all that they look at; nothing is published; "
+            "put it back, or calibrate anew and restart"
+        )
+    return (
+        "no camera is to be trusted: each has moved, is covered or turned away; nothing is published; free their views"
+    )
 
 
 class DriftWatch:
     """Names cameras that are no longer where they were when the watch began.
 
-    A textured image in which the static features are gone altogether counts as one of a bumped camera: nothing vouches
-    for it. A covered or dark one gives no verdict. Call `reset` after a calibration, or when the cell was rearranged.
+    Light, people and the arm move no camera: brightness is taken out, and the parts of the image vote. A camera that
+    nothing can be said of stays off where it was off, else it becomes UNSURE. Call `reset` after a calibration, or
+    when the cell was rearranged.
     """
 
     def __init__(self, parameters: DriftParameters | None = None) -> None:
         self._parameters = parameters or DriftParameters()
         self._cameras: dict[str, _Watched] = {}
 
-    def update(self, frames: FrameSet) -> tuple[str, ...]:
-        """Takes a set of undistorted images in the order of their stamps; returns the names of bumped cameras."""
+    def update(self, frames: FrameSet) -> DriftReport:
+        """Takes a set of undistorted images in the order of their stamps."""
         for view in frames.views:
             watched = self._cameras.get(view.camera.name)
             if watched is None:
-                self._cameras[view.camera.name] = _Watched(view.camera, _grey(view), view.stamp, view.valid)
+                watched = _Watched(view.camera, Landmarks(contrast(view.rgb), view.valid, view.camera.K), view.stamp)
+                self._cameras[view.camera.name] = watched
             elif view.stamp - watched.checked >= self._parameters.period_ms * 1e6:
-                watched.check(_grey(view), view.stamp, self._parameters)
-        return tuple(name for name, watched in self._cameras.items() if watched.drift.bumped)
-
-    @property
-    def drifts(self) -> tuple[Drift, ...]:
-        """What the last check of every camera found, for diagnostics."""
-        return tuple(watched.drift for watched in self._cameras.values())
+                watched.check(contrast(view.rgb), view.valid, view.stamp, self._parameters)
+        return DriftReport(frames.stamp, tuple(watched.drift for watched in self._cameras.values()))
 
     def reset(self) -> None:
         """Forgets everything: where the cameras stand now becomes where they belong."""
@@ -86,88 +172,143 @@ class DriftWatch:
 
 @dataclass
 class _Watched:
-    """One camera's reference and what became of it."""
+    """One camera's landmarks and what became of them."""
 
     camera: Camera
-    reference: UInt8
+    landmarks: Landmarks
     checked: int
-    valid: Bool | None
-    home: Float32 = field(init=False)
-    """[n, 2] where features belong."""
-    strays: NDArray[np.int64] = field(init=False)
+    """When it was last looked at, ns."""
     drift: Drift = field(init=False)
+    turn: Float64 = field(default_factory=lambda: np.zeros(3))
+    """[3] rotation vector by which the camera was off when its landmarks were last found, rad."""
+    suspected: Verdict = Verdict.STEADY
+    """What the last checks in a row said."""
     suspicions: int = 0
+    suspected_since: int = 0
+    creep: _Creep = field(init=False)
+    still: _Stillness = field(init=False)
 
     def __post_init__(self) -> None:
-        self.home = _features(self.reference, self.valid)
-        self.strays = np.zeros(len(self.home), dtype=np.int64)
-        self.drift = Drift(self.camera.name, 0.0, 0.0, len(self.home), False)
+        self.drift = Drift(self.camera.name, Verdict.STEADY, 0.0, 0.0, len(self.landmarks), self.checked)
+        self.creep = _Creep(self.checked)
+        self.still = _Stillness(self.checked)
 
-    def check(self, image: UInt8, stamp: int, parameters: DriftParameters) -> None:
-        """Compares an image with the reference and remembers the verdict."""
-        self.checked = stamp
-        tracked = _tracked(self.reference, image, self.home)
-        seen = np.asarray(np.isfinite(tracked).all(axis=1))
-        motion = _common_motion(self.home[seen], tracked[seen], parameters)
+    def check(self, image: UInt8, valid: Bool | None, stamp: int, parameters: DriftParameters) -> None:
+        """Compares an image with the landmarks and remembers the verdict."""
+        seconds, self.checked = (stamp - self.checked) / 1e9, stamp
+        now = self.landmarks.found_in(image)
+        motion = self.landmarks.motion(now, parameters.least_features, parameters.least_share)
         if motion is None:
-            gone = seen.sum() < parameters.least_features <= len(_features(image, self.valid))
-            self._judge(self.drift.residual_px, self.drift.angle_deg, 0, gone, parameters)
-            return
-        moved = self.home @ motion[:, :2].T + motion[:, 2] - self.home
-        residual = float(np.sqrt((moved**2).sum(1).mean()))
-        angle = float(np.degrees(residual / self.camera.K[0, 0]))
-        off = angle > parameters.angle_deg and residual > parameters.least_px
-        self._judge(residual, angle, int(seen.sum()), off, parameters)
+            self._judge_blind(image, valid, stamp, parameters, int(found(now).sum()))
+        else:
+            self.still.forget()
+            self._judge_motion(motion, stamp, seconds, parameters)
+        if self.suspected != Verdict.BUMPED and self.drift.trusted:
+            self.landmarks.drop_strays(now)
+            self._renew(image, valid, parameters)
+
+    def _judge_motion(self, motion: CommonMotion, stamp: int, seconds: float, parameters: DriftParameters) -> None:
+        off = _degrees(motion.turn) > parameters.angle_deg and motion.residual_px > parameters.least_px
         if not off:
-            self._drop_strays(tracked, seen)
+            share = 1 - np.exp(-seconds / parameters.average_s)
+            self.creep.turn = self.creep.turn + share * (motion.turn - self.creep.turn)
+            self.creep.watch(self._excess(parameters), stamp)
+        creeps = self.creep.lasts_s(stamp) >= parameters.drifting_s
+        verdict = Verdict.BUMPED if off else Verdict.DRIFTING if creeps else Verdict.STEADY
+        self.turn = motion.turn
+        self._conclude(verdict, motion.features, stamp, parameters)
 
-    def _drop_strays(self, tracked: Float32, seen: Bool) -> None:
-        """Features that move while the camera stands are none to judge it by."""
-        distance = np.linalg.norm(np.where(seen[:, None], tracked, self.home) - self.home, axis=1)
-        self.strays += distance > 2 * INLIER_PX
-        kept = self.strays < STRAYS
-        self.home, self.strays = self.home[kept], self.strays[kept]
+    def _excess(self, parameters: DriftParameters) -> float:
+        """The averaged motion as a share of what counts as drift."""
+        pixels = self.landmarks.displacement_px(self.creep.turn)
+        return min(_degrees(self.creep.turn) / parameters.slow_deg, pixels / parameters.slow_px)
 
-    def _judge(self, residual: float, angle: float, features: int, off: bool, parameters: DriftParameters) -> None:
-        """A verdict changes once enough checks in a row speak against it."""
-        self.suspicions = self.suspicions + 1 if off != self.drift.bumped else 0
-        bumped = off if self.suspicions >= parameters.confirm else self.drift.bumped
-        self.drift = Drift(self.camera.name, residual, angle, features, bumped)
+    def _judge_blind(
+        self, image: UInt8, valid: Bool | None, stamp: int, parameters: DriftParameters, features: int
+    ) -> None:
+        """Nothing vouches for the camera: a bumped one stays so, another is lost once what it shows stands still."""
+        standing_s = self.still.seconds(image, valid, stamp, parameters.least_features)
+        if features < parameters.least_features and standing_s >= parameters.lost_s:
+            self._conclude(Verdict.LOST, 0, stamp, parameters)
+        elif self.drift.trusted:
+            self._conclude(Verdict.UNSURE, 0, stamp, parameters)
 
+    def _conclude(self, verdict: Verdict, features: int, stamp: int, parameters: DriftParameters) -> None:
+        """A verdict changes once enough checks in a row say the same."""
+        if verdict != self.suspected:
+            self.suspected, self.suspicions, self.suspected_since = verdict, 0, stamp
+        self.suspicions += 1
+        told, since, slow = self.drift.verdict, self.drift.since, self.drift.slow
+        if verdict != told and self.suspicions >= parameters.confirm:
+            told = verdict
+            slow = told in (Verdict.DRIFTING, Verdict.BUMPED) and self.creep.rose_s >= parameters.drifting_s
+            since = self.creep.began if slow or told == Verdict.DRIFTING else self.suspected_since
+        turn = self.creep.turn if told == Verdict.DRIFTING else self.turn
+        pixels = self.landmarks.displacement_px(turn)
+        self.drift = Drift(self.camera.name, told, pixels, _degrees(turn), features, since, slow)
 
-def _grey(view: View) -> UInt8:
-    """Brightness with the exposure taken out, which may jump from image to image."""
-    return np.asarray(cv2.equalizeHist(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY)), dtype=np.uint8)
-
-
-def _features(image: UInt8, valid: Bool | None) -> Float32:
-    """[n, 2] corners worth tracking."""
-    mask = None if valid is None else cv2.erode(valid.astype(np.uint8) * 255, np.ones((9, 9), np.uint8))
-    found = cv2.goodFeaturesToTrack(image, MOST_FEATURES, FEATURE_QUALITY, FEATURE_DISTANCE_PX, mask=mask)
-    return np.zeros((0, 2), np.float32) if found is None else np.asarray(found, np.float32).reshape(-1, 2)
-
-
-def _tracked(reference: UInt8, image: UInt8, home: Float32) -> Float32:
-    """[n, 2] where features are now; NaN for those that are not found, or not found back."""
-    if not len(home):
-        return home.copy()
-    there, found = _flow(reference, image, home)
-    back, returned = _flow(image, reference, there)
-    good = found & returned & (np.linalg.norm(back - home, axis=1) < BACK_PX)
-    return np.where(good[:, None], there, np.nan).astype(np.float32)
-
-
-def _flow(a: UInt8, b: UInt8, points: Float32) -> tuple[Float32, Bool]:
-    """Points [n, 2] of image `a` as tracked in `b`, and which were found."""
-    there, found, _ = cv2.calcOpticalFlowPyrLK(a, b, points, points.copy(), winSize=LK_WINDOW, maxLevel=LK_LEVELS)
-    return np.asarray(there, np.float32), np.asarray(found).ravel() > 0
+    def _renew(self, image: UInt8, valid: Bool | None, parameters: DriftParameters) -> None:
+        """New landmarks where few are left, or where none was ever found again: the watch began in the dark."""
+        if self.landmarks.proven and len(self.landmarks) >= 2 * parameters.least_features:
+            return
+        fresh = Landmarks(image, valid, self.camera.K, self.creep.turn)
+        if not self.landmarks.proven or len(fresh) > 2 * len(self.landmarks):
+            self.landmarks = fresh
 
 
-def _common_motion(home: Float32, now: Float32, parameters: DriftParameters) -> Float64 | None:
-    """[2, 3] similarity that most features follow; None where too few are seen or agree."""
-    if len(home) < parameters.least_features:
-        return None
-    motion, inside = cv2.estimateAffinePartial2D(home, now, method=cv2.RANSAC, ransacReprojThreshold=INLIER_PX)
-    if motion is None or inside.mean() < parameters.least_share:
-        return None
-    return np.asarray(motion, dtype=np.float64)
+class _Creep:
+    """The average of a camera's small motions: what no single image could tell."""
+
+    def __init__(self, stamp: int) -> None:
+        self.turn: Float64 = np.zeros(3)
+        """[3] average turn from home, rad: rotation vectors so small add up."""
+        self.began = stamp
+        """When it was last at half the threshold or less, ns."""
+        self._beyond: int | None = None
+
+    def watch(self, excess: float, stamp: int) -> None:
+        """Takes in the average's size as a share of the threshold."""
+        if excess <= 0.5:
+            self.began = stamp
+        if excess <= 1:
+            self._beyond = None
+        elif self._beyond is None:
+            self._beyond = stamp
+
+    def lasts_s(self, stamp: int) -> float:
+        """For how long it has been beyond the threshold, s."""
+        return 0.0 if self._beyond is None else (stamp - self._beyond) / 1e9
+
+    @property
+    def rose_s(self) -> float:
+        """How long it took from half the threshold to the threshold, s; 0 where it is not beyond it."""
+        return 0.0 if self._beyond is None else (self._beyond - self.began) / 1e9
+
+
+class _Stillness:
+    """How long the image of a camera that recognises nothing has stood still."""
+
+    def __init__(self, stamp: int) -> None:
+        self._image: UInt8 | None = None
+        self._since = stamp
+
+    def forget(self) -> None:
+        """The camera recognises something again."""
+        self._image = None
+
+    def seconds(self, image: UInt8, valid: Bool | None, stamp: int, least_features: int) -> float:
+        """Time since the image changed, s; 0 for one without texture."""
+        before, self._image = self._image, image
+        if before is None:
+            self._since = stamp
+            return 0.0
+        points = features_of(before, valid)
+        now = tracked(before, image, points)
+        stands = np.linalg.norm(now - points, axis=1) < INLIER_PX
+        if len(points) < least_features or stands.mean() < STANDING_PART:
+            self._since = stamp
+        return (stamp - self._since) / 1e9
+
+
+def _degrees(turn: Float64) -> float:
+    return float(np.degrees(np.linalg.norm(turn)))

@@ -17,6 +17,13 @@ from twin_node.messages.convert.camera import (
     tf_static,
     transform_stamped,
 )
+from twin_node.messages.convert.diagnostics import (
+    Diagnosis,
+    Level,
+    Reading,
+    diagnostics_from_message,
+    diagnostics_to_message,
+)
 from twin_node.messages.convert.forecast import (
     obstacles_from_message,
     obstacles_to_message,
@@ -44,6 +51,9 @@ from twin_node.messages.convert.status import (
 __all__ = [
     "BASE_FRAME",
     "JPEG_QUALITY",
+    "Diagnosis",
+    "Level",
+    "Reading",
     "Status",
     "TransformTree",
     "camera_info",
@@ -53,6 +63,8 @@ __all__ = [
     "compressed_image",
     "depth_from_message",
     "depth_image",
+    "diagnostics_from_message",
+    "diagnostics_to_message",
     "gaussians_from_pointcloud2",
     "gaussians_to_pointcloud2",
     "joint_path_from_message",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin_node.forecast import ForecastQuality
+from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.foresight import Foresight
 from twin_node.nodes.report.quality import LeftOut, Quality
@@ -38,11 +39,27 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "peak_rss_mb": run.peak_rss_mb,
         "forecast": {**foresight.figures(), **_coverage(collector.quality)},
         "arm": _arm(collector.separations),
+        "cameras": _cameras(collector),
         "warnings": dict(collector.warnings),
     }
     figures["reasons"] = _reasons(figures, foresight)
     plain: dict[str, Any] = _plain(figures)
     return plain
+
+
+def _cameras(collector: CollectorNode) -> dict[str, Any]:
+    """What the drift watch said of each camera: the last verdict, its turn then, and every change on the way."""
+    cameras: dict[str, Any] = {}
+    for report in collector.drift:
+        for drift in report.drifts:
+            camera = cameras.setdefault(drift.camera, {"changes": []})
+            verdict = drift.verdict.name.lower()
+            if camera.get("verdict", "steady") != verdict:
+                seconds = (report.stamp - collector.drift[0].stamp) / 1e9
+                camera["changes"].append({"at_s": seconds, "verdict": verdict, "turn_deg": drift.angle_deg})
+            camera["verdict"] = verdict
+            camera["left_out_sets"] = collector.withheld.get(drift.camera, 0)
+    return cameras
 
 
 def _arm(separations: Sequence[Separation]) -> dict[str, Any]:

@@ -105,6 +105,7 @@ def _page(
         title=session.log.path.name,
         lead=_lead(session, run),
         warnings=[f"{text} ({count} sets)" for text, count in figures["warnings"].items()],
+        changes=_changes(figures["cameras"]),
         cards=_cards(figures),
         strips=_strips(strips, start),
         forecasts=[_forecast(foreseen, start) for foreseen in foresight.examples],
@@ -122,6 +123,16 @@ def _lead(session: LogSession, run: Run) -> str:
         f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {run.sets} sets went through the twin, "
         f"{run.dropped} were dropped because a newer one was there."
     )
+
+
+def _changes(cameras: Mapping[str, Any]) -> list[str]:
+    """When the drift watch changed its mind on a camera, in words."""
+    return [
+        f"{name}: {change['verdict']} at {change['at_s']:.1f} s"
+        + (f", turned by {change['turn_deg']:.2f} degrees" if change["verdict"] in ("bumped", "drifting") else "")
+        for name, camera in cameras.items()
+        for change in camera["changes"]
+    ]
 
 
 def _cards(figures: Mapping[str, Any]) -> list[dict[str, str]]:

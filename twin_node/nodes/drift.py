@@ -1,0 +1,79 @@
+"""The drift node: image sets in, sets of the cameras that still stand where they were calibrated out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from twin_node.messages import convert
+from twin_node.nodes.topics import DIAGNOSTICS, DRIFT, FRAMES, TRUSTED_FRAMES
+from twin_node.rig.drift import Drift, DriftParameters, DriftReport, DriftWatch, Verdict
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import Node
+from twin_node.scene import FrameSet
+
+PERIOD_NS = 1_000_000_000
+"""Diagnostics go out at 1 Hz of evidence time, as is customary, and at once when a verdict changes."""
+
+_LEVELS = {
+    Verdict.STEADY: convert.Level.OK,
+    Verdict.UNSURE: convert.Level.WARN,
+    Verdict.DRIFTING: convert.Level.WARN,
+    Verdict.BUMPED: convert.Level.ERROR,
+    Verdict.LOST: convert.Level.ERROR,
+}
+
+
+class DriftNode(Node):
+    """Takes the images of cameras that have moved out of every set, and says which.
+
+    What such a camera alone saw is unknown from then on. A set that no trusted camera is left of is not passed on:
+    forecasts stop, and who depends on them slows and stops.
+    """
+
+    def __init__(self, bus: Bus, clock: Clock, parameters: DriftParameters) -> None:
+        super().__init__("drift", bus, clock)
+        self._watch = DriftWatch(parameters)
+        self._told: tuple[Verdict, ...] = ()
+        self._next = 0
+        self._passed = 1
+
+    def on_configure(self) -> None:
+        self.bus.subscribe(FRAMES, self._on_frames)
+
+    def on_cleanup(self) -> None:
+        self._watch.reset()
+        self._passed = 1
+
+    def _on_frames(self, frames: FrameSet) -> None:
+        report = self._watch.update(frames)
+        self.bus.publish(DRIFT, report)
+        self._tell(report)
+        trusted = tuple(view for view in frames.views if view.camera.name not in report.distrusted)
+        stamp = max((view.stamp for view in trusted), default=0)
+        if stamp >= self._passed:  # without its newest camera a set may reach less far than the one before it
+            self._passed = stamp
+            self.bus.publish(TRUSTED_FRAMES, replace(frames, stamp=stamp, views=trusted))
+
+    def _tell(self, report: DriftReport) -> None:
+        if report.verdicts == self._told and report.stamp < self._next:
+            return
+        self._told, self._next = report.verdicts, report.stamp + PERIOD_NS
+        diagnoses = [diagnosis_of(drift) for drift in report.drifts]
+        self.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(report.stamp, diagnoses))
+
+
+def diagnosis_of(drift: Drift) -> convert.Diagnosis:
+    """A camera's entry in `/diagnostics`."""
+    return convert.Diagnosis(
+        f"drift: {drift.camera}",
+        _LEVELS[drift.verdict],
+        drift.message,
+        (
+            convert.Reading("residual_px", f"{drift.residual_px:.2f}"),
+            convert.Reading("turn_deg", f"{drift.angle_deg:.3f}"),
+            convert.Reading("features", str(drift.features)),
+            convert.Reading("since_s", f"{drift.since / 1e9:.3f}"),
+        ),
+        drift.camera,
+    )
