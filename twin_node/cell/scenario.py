@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 SIZES = {Form.SPHERE: 1, Form.CAPSULE: 2, Form.BOX: 3}
 """Numbers that give a form its size."""
 
-FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen")
+FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen", "bumped")
 """Faults a camera can be given."""
 
 
@@ -117,10 +117,12 @@ class Fault:
 
     kind: str = "frozen"
     """nan_depth: depth in 32FC1, all NaN; unsorted_stamps: every second image is stamped 50 ms early; missing: no
-    images; frozen: the same image again and again under new stamps."""
+    images; frozen: the same image again and again under new stamps; bumped: the camera is turned by `turn_deg`."""
     camera: str = ""
     from_s: float = 0.0
     to_s: float = 1e9
+    turn_deg: float = 1.0
+    """How far a bumped camera is turned, about its vertical axis."""
 
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:

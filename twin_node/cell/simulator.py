@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from twin_node.cell.raycast import RayCaster
 from twin_node.cell.renderer import Renderer, Rendering
@@ -45,6 +46,7 @@ class SimulatedRig:
         self.cameras: tuple[Camera, ...] = tuple(pinhole(camera) for camera in self.rig.cameras)
         self.renderers: tuple[Renderer, ...] = tuple(RayCaster(camera, self.world.static) for camera in self.cameras)
         self._stamps = self._draw_stamps()
+        self._bumped: dict[Fault, Renderer] = {}
 
     @property
     def ticks(self) -> int:
@@ -70,8 +72,8 @@ class SimulatedRig:
         return self.see(exposure.camera, exposure.stamp)
 
     def see(self, camera: int, stamp: int) -> Rendering:
-        """The noiseless image of a camera of the rig at any time."""
-        return self.renderers[camera].render((*self.world.moving(stamp), *self.world.arm_solids(stamp)))
+        """The noiseless image of a camera of the rig, where it was calibrated, at any time."""
+        return self._shown(self.renderers[camera], stamp)
 
     def take(self, exposure: Exposure) -> RawImage:
         """The image as the camera sends it, with its noise and its faults."""
@@ -81,8 +83,25 @@ class SimulatedRig:
         stamp = exposure.stamp
         if self._fault(exposure, "unsorted_stamps") is not None and exposure.tick % 2:
             stamp -= UNSORTED_STEP_NS
-        image = sense(self.cameras[exposure.camera].name, stamp, self.render(source), self.scenario.sensing, rng)
+        image = sense(self.cameras[exposure.camera].name, stamp, self._seen(source), self.scenario.sensing, rng)
         return replace(image, depth_is_nan=self._fault(exposure, "nan_depth") is not None)
+
+    def _seen(self, exposure: Exposure) -> Rendering:
+        """The noiseless image of a camera that may have been bumped."""
+        fault = self._fault(exposure, "bumped")
+        return self.render(exposure) if fault is None else self._shown(self._renderer_of(fault), exposure.stamp)
+
+    def _renderer_of(self, fault: Fault) -> Renderer:
+        """That of a bumped camera, made once."""
+        if fault not in self._bumped:
+            camera = next(camera for camera in self.cameras if camera.name == fault.camera)
+            turn = np.eye(4)
+            turn[:3, :3] = Rotation.from_euler("y", fault.turn_deg, degrees=True).as_matrix()
+            self._bumped[fault] = RayCaster(replace(camera, T_base_cam=camera.T_base_cam @ turn), self.world.static)
+        return self._bumped[fault]
+
+    def _shown(self, renderer: Renderer, stamp: int) -> Rendering:
+        return renderer.render((*self.world.moving(stamp), *self.world.arm_solids(stamp)))
 
     def _first_in(self, fault: Fault, exposure: Exposure) -> Exposure:
         stamps = self._stamps[:, exposure.camera]

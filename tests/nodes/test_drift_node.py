@@ -1,0 +1,102 @@
+"""A camera bumped in a recording: named in diagnostics and status, left out of model and forecast until put back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bag import open_log
+from twin_node.cell.scenario import Fault
+from twin_node.cli import main
+from twin_node.messages import convert, header_stamp
+from twin_node.nodes.drift import DriftNode
+from twin_node.nodes.topics import DIAGNOSTICS, FRAMES, OCCUPANCY, STATUS, TRUSTED_FRAMES
+from twin_node.rig.drift import DriftParameters
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+from twin_node.scene import Camera, FrameSet, View
+
+BUMPED = Fault("bumped", "cam_left", 0.8, 2.2)
+SECONDS = 3.4
+
+
+@pytest.fixture(scope="module")
+def replayed(cell_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the log and the report of a replay in which one camera is bumped, and put back."""
+    folder = tmp_path_factory.mktemp("bumped")
+    log = cell_log(SECONDS, BUMPED)
+    arguments = ["--lockstep", "--width", "160", "--max-rate", "15", "--report", str(folder)]
+    assert main(["replay", str(log), "-o", str(folder / "out.mcap"), *arguments]) == 0
+    return folder
+
+
+def test_the_camera_is_named_in_diagnostics_within_a_second_and_cleared(replayed: Path) -> None:
+    with open_log(replayed / "out.mcap") as log:
+        messages = [m.message for m in log.messages([DIAGNOSTICS])]
+        start = log.start_ns
+    levels = {
+        (header_stamp(m) - start) / 1e9: {d.hardware: d.level for d in convert.diagnostics_from_message(m)}
+        for m in messages
+    }
+    errors = [at for at, cameras in levels.items() if cameras["cam_left"] == convert.Level.ERROR]
+    assert BUMPED.from_s < min(errors) <= BUMPED.from_s + 1
+    assert max(errors) < SECONDS
+    assert levels[max(levels)]["cam_left"] == convert.Level.OK
+    assert all(
+        level == convert.Level.OK
+        for cameras in levels.values()
+        for name, level in cameras.items()
+        if name != "cam_left"
+    )
+    named = next(d for m in messages for d in convert.diagnostics_from_message(m) if d.level == convert.Level.ERROR)
+    readings = {reading.key: float(reading.value) for reading in named.readings}
+    assert readings["turn_deg"] == pytest.approx(1.0, abs=0.15)
+    assert readings["features"] > 15
+
+
+def test_status_and_report_say_it(replayed: Path) -> None:
+    with open_log(replayed / "out.mcap") as log:
+        statuses = [convert.status_from_message(m.message) for m in log.messages([STATUS])]
+    assert any("camera cam_left has moved" in warning for status in statuses for warning in status.warnings)
+    figures = json.loads((replayed / "report.json").read_text())["cameras"]
+    assert [change["verdict"] for change in figures["cam_left"]["changes"]] == ["bumped", "steady"]
+    assert figures["cam_left"]["left_out_sets"] > 10
+    assert all(not figures[name]["changes"] for name in figures if name != "cam_left")
+    assert "cam_left: bumped at" in (replayed / "report.html").read_text()
+
+
+def test_what_it_alone_frees_is_unknown_meanwhile(replayed: Path) -> None:
+    with open_log(replayed / "out.mcap") as log:
+        occupancies = [convert.occupancy_from_message(m.message) for m in log.messages([OCCUPANCY])]
+        start = log.start_ns
+    unknown = np.array([[(o.stamp - start) / 1e9, o.unknown_runs[:, 1].sum()] for o in occupancies])
+    before = unknown[unknown[:, 0] < BUMPED.from_s, 1]
+    meanwhile = unknown[(unknown[:, 0] > BUMPED.from_s + 1) & (unknown[:, 0] < BUMPED.to_s), 1]
+    assert np.median(meanwhile) > 1.1 * np.median(before)
+
+
+def frames_of(images: dict[str, np.ndarray], stamp: int) -> FrameSet:
+    K = np.array([[100.0, 0, 64], [0, 100, 48], [0, 0, 1]])
+    views = tuple(View(Camera(name, 128, 96, K, np.eye(4)), stamp, image) for name, image in images.items())
+    return FrameSet(stamp, views)
+
+
+def test_without_a_camera_to_trust_nothing_goes_on_and_diagnostics_do() -> None:
+    scene = np.random.default_rng(0).integers(0, 255, (24, 40, 3), dtype=np.uint8).repeat(5, 0).repeat(5, 1)
+    bus, passed, told = LocalBus(), [], []
+    node = DriftNode(bus, SteppedClock(), DriftParameters())
+    bus.subscribe(TRUSTED_FRAMES, passed.append)
+    bus.subscribe(DIAGNOSTICS, told.append)
+    node.configure()
+    node.activate()
+    for i in range(40):
+        shift = 3 if i >= 10 else 0
+        image = np.ascontiguousarray(scene[:96, shift : shift + 128])
+        bus.publish(FRAMES, frames_of({"left": image, "right": image}, (i + 1) * 100_000_000))
+    assert 10 < len(passed) < 20
+    assert {int(status.level) for status in told[-1].status} == {convert.Level.ERROR}
+    assert header_stamp(told[-1]) > 3_000_000_000
