@@ -9,6 +9,7 @@ import sys
 from twin_node import __version__
 from twin_node.cli.bench import add_bench
 from twin_node.cli.calibrate import add_calibrate
+from twin_node.cli.export import add_export
 from twin_node.cli.imports import add_import
 from twin_node.cli.replay import add_demo, add_replay
 from twin_node.cli.ur_sim import add_ur_sim
@@ -39,5 +40,6 @@ def _parser() -> argparse.ArgumentParser:
     add_demo(commands)
     add_bench(commands)
     add_calibrate(commands)
+    add_export(commands)
     add_ur_sim(commands)
     return parser

@@ -1,0 +1,144 @@
+"""Exports read back by the programs they are for."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from plyfile import PlyData
+from twin_logs import PERIOD, START, cloud_at, obstacles_at
+
+from twin_node.arm import ArmCollisionChecker
+from twin_node.cli import main
+from twin_node.model.ply import read_ply
+from twin_node.nodes.export import in_force
+from twin_node.robot import ur_model
+
+SH_C0 = 0.28209479177387814
+
+
+def run(*arguments: object) -> int:
+    return main(["export", *map(str, arguments), "--arm", "ur5e"])
+
+
+def test_ply_holds_the_cloud_for_a_second_reader(twin_log: Path, tmp_path: Path) -> None:
+    assert run(twin_log, "--to", "ply", "--at", 0.35, "-o", tmp_path / "a.ply") == 0
+    expected = cloud_at(3, True)
+    vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
+    means = np.stack([vertex[axis] for axis in "xyz"], axis=1)
+    assert np.array_equal(means, expected.means)
+    assert np.array_equal(read_ply(tmp_path / "a.ply").means, means)
+    colours = np.stack([vertex[f"f_dc_{c}"] for c in range(3)], axis=1) * SH_C0 + 0.5
+    assert np.allclose(colours, expected.rgb, atol=1e-6)
+
+
+def test_a_range_of_ply_is_a_folder(twin_log: Path, tmp_path: Path) -> None:
+    assert run(twin_log, "--to", "ply", "--start", 0, "--stop", 0.5, "--rate", 10, "-o", tmp_path / "a.ply") == 0
+    names = sorted(path.name for path in (tmp_path / "a.ply").iterdir())
+    assert names == [f"{k:05d}.ply" for k in range(6)]
+    assert np.array_equal(read_ply(tmp_path / "a.ply" / names[5]).means, cloud_at(5, True).means)
+
+
+def test_spz_is_the_same_cloud_to_its_precision(twin_log: Path, tmp_path: Path) -> None:
+    gsply = pytest.importorskip("gsply")
+    assert run(twin_log, "--to", "spz", "--at", 0, "-o", tmp_path / "a.spz") == 0
+    read = gsply.read_spz(str(tmp_path / "a.spz"))
+    assert np.abs(np.asarray(read.means) - cloud_at(0, True).means).max() < 1 / 2048
+
+
+def test_arrays_hold_every_moment(twin_log: Path, tmp_path: Path) -> None:
+    assert run(twin_log, "--to", "npz", "--stop", 1.2, "--rate", 5, "-o", tmp_path / "a.npz") == 0
+    arrays = np.load(tmp_path / "a.npz")
+    assert len(arrays["stamps"]) == 7 and arrays["starts"][-1] == len(arrays["means"]) == 350
+    rows = slice(arrays["starts"][6], arrays["starts"][7])
+    order = np.argsort(arrays["ids"][rows])
+    assert np.array_equal(arrays["means"][rows][order], cloud_at(12, True).means)
+
+
+def test_mujoco_finds_the_distances_of_the_checker(twin_log: Path, tmp_path: Path) -> None:
+    assert run(twin_log, "--to", "mjcf", "--rate", 10, "-o", tmp_path / "cell.xml") == 0
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
+    data = mujoco.MjData(model)
+    arm = ur_model("ur5e")
+    checker = ArmCollisionChecker(arm)
+    assert model.nkey == 15 and model.nq == 6
+    for key in range(model.nkey):
+        mujoco.mj_resetDataKeyframe(model, data, key)
+        mujoco.mj_kinematics(model, data)
+        stamp = START + key * PERIOD
+        checker.update(in_force(obstacles_at(key, stamp), stamp))
+        assert _smallest(model, data) == pytest.approx(checker.distance(data.qpos).distance, abs=1e-6)
+    compile((tmp_path / "cell_play.py").read_text(), "cell_play.py", "exec")
+
+
+def _smallest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    is_obstacle = model.body_mocapid[model.geom_bodyid] >= 0
+    carried = [g for g in np.flatnonzero(~is_obstacle) if model.body(model.geom_bodyid[g]).name != "base_link"]
+    pairs = [(int(a), int(b)) for a in carried for b in np.flatnonzero(is_obstacle)]
+    return min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a, b in pairs)
+
+
+def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
+
+    assert run(twin_log, "--to", "usd", "--rate", 10, "-o", tmp_path / "cell.usda") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "cell.usda"))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1 and UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+    assert stage.GetEndTimeCode() == 14 and stage.GetTimeCodesPerSecond() == 10
+    obstacles = stage.GetPrimAtPath("/World/Obstacles").GetChildren()
+    assert {prim.GetName() for prim in obstacles} == {"MOVING_7", "MOVING_8_sphere", "STATIC_9"}
+    assert all(prim.HasAPI(UsdPhysics.CollisionAPI) for prim in obstacles)
+    box = UsdGeom.Xformable(stage.GetPrimAtPath("/World/Obstacles/MOVING_7"))
+    matrix = np.array(box.ComputeLocalToWorldTransform(5)).T
+    assert np.allclose(matrix[:3, 3], [0.95, 0.4, 0.5])
+    assert np.allclose(np.linalg.norm(matrix[:3, :3], axis=0), [0.05, 0.1, 0.16])
+    moving = UsdGeom.Points(stage.GetPrimAtPath("/World/Gaussians/Moving"))
+    assert np.allclose(moving.GetPointsAttr().Get(7), cloud_at(7, False).means)
+    assert not UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(
+        stage
+    )
+
+
+def test_tables_hold_every_obstacle_in_force(twin_log: Path, tmp_path: Path) -> None:
+    assert run(twin_log, "--to", "csv", "--rate", 10, "-o", tmp_path / "tables") == 0
+    with (tmp_path / "tables" / "obstacles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 45 and {row["kind"] for row in rows} == {"MOVING", "STATIC"}
+    assert float(rows[3]["x_m"]) == pytest.approx(0.91)
+    with (tmp_path / "tables" / "arm.csv").open() as file:
+        assert float(list(csv.DictReader(file))[14]["shoulder_pan_joint_rad"]) == pytest.approx(1.4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--to", "obj", "-o", "a.obj"], "expected one of ply, spz"),
+        (["--to", "ply", "-o", "a.txt"], "ends in .ply"),
+        (["--to", "ply", "-o", "a.ply", "--at", "99"], "expected a span inside the log's 0 to 1.400 s"),
+        (["--to", "ply", "-o", "missing/a.ply", "--at", "1"], "cannot be written"),
+        (["--to", "mjcf", "-o", "a.xml", "--start", "1", "--stop", "0.5"], "expected a span inside"),
+    ],
+)
+def test_wrong_wishes_are_one_line(
+    twin_log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(twin_log, *arguments) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_log_without_obstacles_is_refused(
+    cell_log: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(cell_log(0.5), "--to", "mjcf", "-o", tmp_path / "a.xml") == 2  # type: ignore[operator]
+    assert "/twin/obstacles" in capsys.readouterr().err

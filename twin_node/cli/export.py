@@ -1,0 +1,46 @@
+"""`twin_node export`: what a log says, for other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import not_negative, positive
+
+
+def add_export(commands: Any) -> None:
+    """Adds `export` to the subcommands."""
+    export = commands.add_parser("export", help="take a log to other viewers and simulators")
+    export.add_argument(
+        "log", type=Path, nargs="+", metavar="LOG", help="the twin's log; also the one it was made from"
+    )
+    export.add_argument("--to", required=True, metavar="FORMAT", help="ply, spz, npz, mjcf, usd or csv")
+    export.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="csv, and ranges of ply: a folder"
+    )
+    export.add_argument("--at", type=not_negative, metavar="S", help="one time, seconds after the log's start")
+    export.add_argument("--start", type=not_negative, default=0.0, metavar="S", help="range: from here (default 0)")
+    export.add_argument("--stop", type=not_negative, metavar="S", help="range: up to here (default the log's end)")
+    export.add_argument("--rate", type=positive, default=30.0, metavar="HZ", help="moments per second (default 30)")
+    export.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
+    export.set_defaults(run=_export)
+
+
+def _export(options: argparse.Namespace) -> None:
+    from twin_node.nodes.export import ExportSpan, export
+    from twin_node.nodes.playback import Playback
+    from twin_node.robot import arm_model
+
+    span = ExportSpan(options.start, options.stop, options.rate) if options.at is None else ExportSpan.one(options.at)
+    arm = arm_model(options.arm)
+    with Playback(options.log) as playback, tqdm(unit="moment", desc="export", disable=None) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        count = export(playback, options.to, span, arm, options.output, show)
+    print(f"{options.output}: {count} moments")

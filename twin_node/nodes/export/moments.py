@@ -1,0 +1,70 @@
+"""What a log says at a series of times, cut to what other programs can show: obstacles in force, arm, Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.errors import TwinError
+from twin_node.nodes.playback import Playback
+from twin_node.robot import ArmModel
+from twin_node.scene import Float64, GaussianCloud, Obstacles
+
+
+class ExportError(TwinError):
+    """A log cannot be exported as asked."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One time of a log."""
+
+    stamp: int
+    """Log time, ns."""
+    seconds: float
+    """Since the first moment of the export."""
+    obstacles: Obstacles
+    """Those in force at `stamp`: of a forecast, the interval that holds it."""
+    q: Float64 | None
+    """[J] the arm's joints, rad; None where the log does not say."""
+    cloud: GaussianCloud | None
+    """All Gaussians; None where the log has none, or none are wanted."""
+
+
+def moments(playback: Playback, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+    """The moments at rising `stamps` (ns). Raises `RobotError` where the log's joints are not those of `arm`."""
+    for stamp in stamps:
+        said = playback.at(stamp)
+        q = None if said.joints is None else arm.ordered_positions(said.joints)
+        cloud = said.cloud if with_clouds else None
+        yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)
+
+
+def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
+    """The obstacles whose validity holds `stamp` (ns), or the first of it where all begin later; none of none.
+
+    A forecast begins when it can be acted on: in lockstep that is the assumed latency after its log time.
+    """
+    if obstacles is None or not len(obstacles.ids):
+        return _NO_OBSTACLES
+    at = max(stamp, int(obstacles.valid_from.min()))
+    chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
+    columns = {name: values[chosen] for name, values in vars(obstacles).items() if name != "stamp"}
+    return Obstacles(stamp=obstacles.stamp, **columns)
+
+
+_NO_OBSTACLES = Obstacles(
+    0,
+    np.empty(0, np.uint32),
+    np.empty(0, np.uint8),
+    np.empty(0, np.uint8),
+    np.empty((0, 3)),
+    np.empty((0, 4)),
+    np.empty((0, 3)),
+    np.empty((0, 3)),
+    np.empty(0),
+    np.empty(0, np.int64),
+    np.empty(0, np.int64),
+)

@@ -1,0 +1,203 @@
+"""A log as a USD stage for Isaac Sim and other tools: metres, z up, Gaussians as points, obstacles as colliders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin_node.geometry import quat_from_rotation
+from twin_node.nodes.export.moments import ExportError, Moment
+from twin_node.robot import ArmModel, Capsules, forward_kinematics
+from twin_node.scene import Float64, GaussianCloud, ObstacleKind, ObstacleShape, Tier
+
+COLOURS = {
+    ObstacleKind.MOVING: (0.85, 0.19, 0.15),
+    ObstacleKind.STATIC: (0.6, 0.63, 0.65),
+    ObstacleKind.UNKNOWN: (0.95, 0.6, 0.0),
+}
+ARM_COLOUR = (0.62, 0.68, 0.74)
+SIGMAS_SHOWN = 2.0
+"""A point is drawn as wide as so many standard deviations of its Gaussian, either side."""
+
+
+def write_stage(moments: Sequence[Moment], arm: ArmModel, rate_hz: float, path: Path) -> None:
+    """Writes a stage whose time codes are frames at `rate_hz`.
+
+    /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are boxes and spheres with collision,
+    kinematic where they move, invisible and without collision while they are not in force; /World/Arm are capsules with
+    collision. Raises `ExportError` where usd-core is not installed.
+    """
+    try:
+        from pxr import Usd, UsdGeom, UsdPhysics
+    except ImportError:
+        raise ExportError(
+            "usd: expected the package usd-core; install it with pip install 'twin-node[export]'"
+        ) from None
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    stage.SetTimeCodesPerSecond(rate_hz)
+    stage.SetFramesPerSecond(rate_hz)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(moments) - 1)
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    UsdPhysics.Scene.Define(stage, "/World/Physics")
+    _add_gaussians(stage, moments)
+    _add_obstacles(stage, moments)
+    if moments[0].q is not None:
+        _add_arm(stage, moments, arm)
+    stage.Save()
+
+
+def _add_gaussians(stage: Any, moments: Sequence[Moment]) -> None:
+    """Standing points where they change, moving ones at every frame."""
+    from pxr import UsdGeom
+
+    UsdGeom.Scope.Define(stage, "/World/Gaussians")
+    standing = UsdGeom.Points.Define(stage, "/World/Gaussians/Static")
+    moving = UsdGeom.Points.Define(stage, "/World/Gaussians/Moving")
+    shown: GaussianCloud | None = None
+    for frame, moment in enumerate(moments):
+        if moment.cloud is None:
+            continue
+        still = moment.cloud.tiers == Tier.STATIC
+        now = moment.cloud.only(still)
+        if shown is None or not _same(shown, now):
+            _set_points(standing, now, frame)
+            shown = now
+        _set_points(moving, moment.cloud.only(~still), frame)
+
+
+def _same(a: GaussianCloud, b: GaussianCloud) -> bool:
+    return np.array_equal(a.ids, b.ids) and np.array_equal(a.rgb, b.rgb) and np.array_equal(a.means, b.means)
+
+
+def _set_points(points: Any, cloud: GaussianCloud, frame: int) -> None:
+    from pxr import UsdGeom, Vt
+
+    means = np.ascontiguousarray(cloud.means, np.float32)
+    widths = np.ascontiguousarray(2 * SIGMAS_SHOWN * cloud.scales.mean(axis=1), np.float32)
+    points.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(means), frame)
+    points.GetWidthsAttr().Set(Vt.FloatArray.FromNumpy(widths), frame)
+    points.GetIdsAttr().Set(Vt.Int64Array.FromNumpy(cloud.ids.astype(np.int64)), frame)
+    if len(means):
+        reach = widths[:, None] / 2
+        corners = np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
+        points.GetExtentAttr().Set(Vt.Vec3fArray.FromNumpy(corners), frame)
+    colour = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+    colour.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(cloud.rgb, np.float32)), frame)
+    opacity = points.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.vertex)
+    opacity.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(cloud.opacities, np.float32)), frame)
+
+
+def _add_obstacles(stage: Any, moments: Sequence[Moment]) -> None:
+    from pxr import UsdGeom
+
+    UsdGeom.Scope.Define(stage, "/World/Obstacles")
+    prims: dict[str, _Collider] = {}
+    for frame, moment in enumerate(moments):
+        here = set()
+        o = moment.obstacles
+        for row in range(len(o.ids)):
+            kind, shape = ObstacleKind(int(o.kinds[row])), ObstacleShape(int(o.shapes[row]))
+            name = f"{kind.name}_{o.ids[row]}" + ("_sphere" if shape == ObstacleShape.SPHERE else "")
+            if name not in prims:
+                prims[name] = _Collider(stage, f"/World/Obstacles/{name}", kind, shape)
+            prims[name].place(frame, o.positions[row], o.quats[row], o.sizes[row] / 2)
+            here.add(name)
+        for name in prims.keys() - here:
+            prims[name].hide(frame)
+
+
+class _Collider:
+    """One obstacle's prim: a unit cube or sphere that is moved, turned and scaled, in force or not."""
+
+    def __init__(self, stage: Any, path: str, kind: ObstacleKind, shape: ObstacleShape) -> None:
+        from pxr import Gf, UsdGeom, UsdPhysics
+
+        if shape == ObstacleShape.SPHERE:
+            geom = UsdGeom.Sphere.Define(stage, path)
+            geom.CreateRadiusAttr(1.0)
+        else:
+            geom = UsdGeom.Cube.Define(stage, path)
+            geom.CreateSizeAttr(2.0)
+        geom.CreateExtentAttr([Gf.Vec3f(-1), Gf.Vec3f(1)])
+        geom.CreateDisplayColorAttr([COLOURS[kind]])
+        geom.CreateDisplayOpacityAttr([0.6 if kind == ObstacleKind.MOVING else 0.3])
+        self._move, self._turn, self._scale = geom.AddTranslateOp(), geom.AddOrientOp(), geom.AddScaleOp()
+        self._visibility = geom.CreateVisibilityAttr()
+        self._collides = UsdPhysics.CollisionAPI.Apply(geom.GetPrim()).CreateCollisionEnabledAttr()
+        UsdPhysics.RigidBodyAPI.Apply(geom.GetPrim()).CreateKinematicEnabledAttr(True)
+        self._is_shown: bool | None = None
+
+    def place(self, frame: int, position: Float64, quat: Float64, half: Float64) -> None:
+        """Stands in force at a frame; `half` [3] extents, m."""
+        from pxr import Gf
+
+        self._show(frame, True)
+        self._move.Set(Gf.Vec3d(*position.tolist()), frame)
+        self._turn.Set(Gf.Quatf(*quat.tolist()), frame)
+        self._scale.Set(Gf.Vec3f(*half.tolist()), frame)
+
+    def hide(self, frame: int) -> None:
+        """Is not there from a frame on."""
+        self._show(frame, False)
+
+    def _show(self, frame: int, is_shown: bool) -> None:
+
+        if self._is_shown is None and frame > 0:
+            self._set(0, False)
+        if self._is_shown != is_shown:
+            self._set(frame, is_shown)
+            self._is_shown = is_shown
+
+    def _set(self, frame: int, is_shown: bool) -> None:
+        from pxr import UsdGeom
+
+        self._visibility.Set(UsdGeom.Tokens.inherited if is_shown else UsdGeom.Tokens.invisible, frame)
+        self._collides.Set(is_shown, frame)
+
+
+def _add_arm(stage: Any, moments: Sequence[Moment], arm: ArmModel) -> None:
+    """A transform per link, and in it the link's capsules."""
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    UsdGeom.Xform.Define(stage, "/World/Arm")
+    links = []
+    for link, name in enumerate(arm.link_names):
+        xform = UsdGeom.Xform.Define(stage, f"/World/Arm/{name}")
+        UsdPhysics.RigidBodyAPI.Apply(xform.GetPrim()).CreateKinematicEnabledAttr(True)
+        links.append((xform.AddTranslateOp(), xform.AddOrientOp()))
+        for number, row in enumerate(np.flatnonzero(arm.capsules.links == link)):
+            _add_capsule(stage, f"/World/Arm/{name}/capsule_{number}", arm.capsules, int(row))
+    for frame, moment in enumerate(moments):
+        if moment.q is not None:
+            poses = forward_kinematics(arm, moment.q)
+            for (move, turn), pose in zip(links, poses, strict=True):
+                move.Set(Gf.Vec3d(*pose[:3, 3].tolist()), frame)
+                turn.Set(Gf.Quatf(*quat_from_rotation(pose[:3, :3]).tolist()), frame)
+
+
+def _add_capsule(stage: Any, path: str, capsules: Capsules, row: int) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    start, end = capsules.ends[row]
+    length = float(np.linalg.norm(end - start))
+    radius = float(capsules.radii[row])
+    geom = UsdGeom.Capsule.Define(stage, path)
+    geom.CreateAxisAttr(UsdGeom.Tokens.z)
+    geom.CreateRadiusAttr(radius)
+    geom.CreateHeightAttr(length)
+    corner = Gf.Vec3f(radius, radius, radius + length / 2)
+    geom.CreateExtentAttr([-corner, corner])
+    geom.CreateDisplayColorAttr([ARM_COLOUR])
+    geom.AddTranslateOp().Set(Gf.Vec3d(*((start + end) / 2).tolist()))
+    if length > 0:
+        turn = Gf.Rotation(Gf.Vec3d(0, 0, 1), Gf.Vec3d(*(end - start).tolist()))
+        geom.AddOrientOp().Set(Gf.Quatf(turn.GetQuat()))
+    UsdPhysics.CollisionAPI.Apply(geom.GetPrim())

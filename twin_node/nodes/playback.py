@@ -1,0 +1,224 @@
+"""Logs of one run, read as one: what had been said on every topic by any time."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from twin_node.bag import LogMessage, LogReader, open_log
+from twin_node.messages import convert, header_stamp
+from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.topics import (
+    GAUSSIANS,
+    GAUSSIANS_MOVING,
+    JOINT_STATES,
+    OBSTACLES,
+    OCCUPANCY,
+    RECORDED,
+    SEPARATION,
+    STATUS,
+    TRAJECTORY,
+    CameraTopics,
+    GraphError,
+    find_cameras,
+)
+from twin_node.rig import DecodedImage, FrameAssembler
+from twin_node.scene import (
+    Camera,
+    FrameSet,
+    GaussianCloud,
+    JointPath,
+    JointSample,
+    Obstacles,
+    Occupancy,
+    Separation,
+    Tier,
+)
+
+LOOK_BACK_NS = 2_000_000_000
+"""How far back a first look goes: twice the period of what is published once a second."""
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said."""
+
+    stamp: int
+    """Log time, ns."""
+    said: Mapping[str, LogMessage]
+    """The newest message of each topic."""
+    cameras: Mapping[str, CameraTopics]
+    assembler: FrameAssembler | None
+
+    @cached_property
+    def cloud(self) -> GaussianCloud | None:
+        """All Gaussians: those that stand from the last whole cloud, those that move from the newest."""
+        whole, moving = self.said.get(GAUSSIANS), self.said.get(GAUSSIANS_MOVING)
+        clouds = [convert.gaussians_from_pointcloud2(said.message) for said in (whole, moving) if said is not None]
+        if whole is None or moving is None or header_stamp(moving.message) <= header_stamp(whole.message):
+            return clouds[0] if clouds else None
+        standing, moved = clouds
+        return standing.only((standing.tiers == Tier.STATIC) & ~np.isin(standing.ids, moved.ids)).joined(moved)
+
+    @cached_property
+    def whole_stamp(self) -> int | None:
+        """Evidence stamp of the last whole cloud, ns: while it stays, the STATIC Gaussians stay."""
+        said = self.said.get(GAUSSIANS)
+        return None if said is None else header_stamp(said.message)
+
+    @cached_property
+    def occupancy(self) -> Occupancy | None:
+        """The newest forecast of occupied space."""
+        said = self.said.get(OCCUPANCY)
+        return None if said is None else convert.occupancy_from_message(said.message)
+
+    @cached_property
+    def obstacles(self) -> Obstacles | None:
+        """The newest obstacles, of every interval of their validity."""
+        said = self.said.get(OBSTACLES)
+        return None if said is None else convert.obstacles_from_message(said.message)
+
+    @cached_property
+    def separation(self) -> Separation | None:
+        """The newest decision about the arm's speed."""
+        said = self.said.get(SEPARATION)
+        return None if said is None else convert.separation_from_message(said.message)
+
+    @cached_property
+    def status(self) -> convert.Status | None:
+        """The newest word of the twin about itself."""
+        said = self.said.get(STATUS)
+        return None if said is None else convert.status_from_message(said.message)
+
+    @cached_property
+    def joints(self) -> JointSample | None:
+        """The arm's joints."""
+        said = self.said.get(JOINT_STATES)
+        return None if said is None else convert.joint_sample_from_message(said.message)
+
+    @cached_property
+    def path(self) -> JointPath | None:
+        """Where the arm means to be."""
+        said = self.said.get(TRAJECTORY)
+        return None if said is None else convert.joint_path_from_message(said.message, said.stamp)
+
+    @cached_property
+    def frames(self) -> FrameSet | None:
+        """The newest image of every camera, undistorted."""
+        if self.assembler is None:
+            return None
+        images = {}
+        for name, topics in self.cameras.items():
+            said = self.said.get(topics.image)
+            if said is not None:
+                stamp = header_stamp(said.message)
+                images[name] = DecodedImage(stamp, convert.rgb_from_message(said.message), None)
+        return self.assembler.assemble(images) if images else None
+
+
+class Playback:
+    """The logs of one run (what the twin said, what it saw), open together."""
+
+    def __init__(self, paths: Sequence[Path], width: int | None = None, rig_file: Path | None = None) -> None:
+        """`width`: of the images, px. Raises `BagError`, `RigError` or `GraphError` for what is wrong with a log."""
+        self._logs: list[LogReader] = []
+        try:
+            for path in paths:
+                self._logs.append(open_log(path))
+            self.topics: Mapping[str, LogReader] = {topic.name: log for log in self._logs for topic in log.topics}
+            self._cameras, self._assembler = self._find_cameras(width, rig_file)
+            self.start_ns, self.end_ns = self._span()
+        except BaseException:
+            self.close()
+            raise
+        self._last: Snapshot | None = None
+
+    @property
+    def name(self) -> str:
+        """The logs' paths, for messages to the user."""
+        return " and ".join(str(log.path) for log in self._logs)
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The pinhole cameras of the images; none where no log has images."""
+        return () if self._assembler is None else self._assembler.cameras
+
+    @property
+    def has_twin(self) -> bool:
+        """Whether a log holds what a twin publishes."""
+        return any(topic in self.topics for topic in RECORDED)
+
+    def at(self, stamp: int) -> Snapshot:
+        """What had been said by log time `stamp` (ns). Rising stamps cost only what lies between them."""
+        last = self._last
+        if last is not None and last.stamp <= stamp <= last.stamp + LOOK_BACK_NS:
+            said = {**last.said, **self._newest(set(self.topics), last.stamp + 1, stamp + 1)}
+        else:
+            said = self._look_back(stamp)
+        self._last = Snapshot(stamp, said, self._cameras, self._assembler)
+        return self._last
+
+    def stamps(self, topic: str, start_ns: int, stop_ns: int) -> list[int]:
+        """Log times (ns) of a topic's messages from `start_ns` on and before `stop_ns`; none for an unknown topic."""
+        if topic not in self.topics:
+            return []
+        return [entry.stamp for entry in self.topics[topic].messages([topic], start_ns, stop_ns)]
+
+    def require(self, topic: str, purpose: str) -> None:
+        """Raises `GraphError` where no log has a topic that is needed for `purpose`."""
+        if topic not in self.topics:
+            raise GraphError(
+                f"{self.name}: expected {topic}, which {purpose} needs, found {', '.join(sorted(self.topics))}; "
+                "give a log that 'twin_node replay LOG -o FILE' has written"
+            )
+
+    def close(self) -> None:
+        """Releases the files."""
+        for log in self._logs:
+            log.close()
+
+    def __enter__(self) -> Playback:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _span(self) -> tuple[int, int]:
+        """The time in which there is something of the twin to see; of the images where there is no twin."""
+        twin = [log for log in self._logs if any(topic.name in RECORDED for topic in log.topics)] or self._logs
+        return max(log.start_ns for log in twin), max(log.end_ns for log in twin)
+
+    def _find_cameras(
+        self, width: int | None, rig_file: Path | None
+    ) -> tuple[Mapping[str, CameraTopics], FrameAssembler | None]:
+        for log in self._logs:
+            types = {topic.name: topic.msgtype for topic in log.topics}
+            if any(kind in IMAGE_TYPES for kind in types.values()):
+                cameras = find_cameras(types, str(log.path))
+                rig = rig_for(log, cameras, rig_file)
+                return {camera.name: camera for camera in cameras}, FrameAssembler(rig.cameras, width)
+        return {}, None
+
+    def _look_back(self, stamp: int) -> dict[str, LogMessage]:
+        """The newest message of every topic up to `stamp`, looking back further where some are still missing."""
+        found: dict[str, LogMessage] = {}
+        stop, reach = stamp + 1, LOOK_BACK_NS
+        earliest = min(log.start_ns for log in self._logs)
+        while stop > earliest and len(found) < len(self.topics):
+            start = max(stop - reach, earliest)
+            found = {**self._newest(set(self.topics) - set(found), start, stop), **found}
+            stop, reach = start, 4 * reach
+        return found
+
+    def _newest(self, topics: Collection[str], start: int, stop: int) -> dict[str, LogMessage]:
+        newest: dict[str, LogMessage] = {}
+        for log in self._logs:
+            own = [topic for topic in topics if self.topics[topic] is log]
+            if own:
+                newest.update((entry.topic, entry) for entry in log.messages(own, start, stop))
+        return newest
