@@ -50,6 +50,20 @@ class Approaches:
     """[T, n] m, at each of the arm's positions, the obstacle standing where it is."""
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """The closest pair at one step of a trajectory."""
+
+    step: int
+    capsule: int
+    row: int
+    """Of the obstacle."""
+    ends: Float64
+    """[2, 3] of the capsule, m."""
+    distance: float
+    """In closed form, m."""
+
+
 _NO_CLEARANCE = Clearance(float("inf"), "", -1, np.full(3, np.nan), np.full(3, np.nan))
 
 
@@ -133,13 +147,17 @@ class ArmCollisionChecker:
         An obstacle counts at a step only if it is valid at that step's stamp. Raises `RobotError` or `ArmError` for a
         trajectory of the wrong shape or with values that are not finite.
         """
-        angles = self._model.check_positions(positions)
-        if angles.ndim != 2 or np.shape(stamps) != (len(angles),):
-            raise ArmError(
-                f"trajectory: expected positions [T, {self._model.joints}] and stamps [T], found {angles.shape} and "
-                f"{np.shape(stamps)}; give one stamp per row"
-            )
-        return self._closest(angles, self._obstacles.valid_at(np.asarray(stamps)[:, None]))
+        angles, times = self._trajectory(positions, stamps)
+        return self._closest(angles, self._obstacles.valid_at(times[:, None]))
+
+    def closest(self, positions: NDArray[np.floating], stamps: NDArray[np.integer]) -> Clearance:
+        """Closest pair over all steps of a trajectory; as `check`, but only that one gets its witness points."""
+        angles, times = self._trajectory(positions, stamps)
+        if len(self._obstacles) == 0 or len(angles) == 0:
+            return _NO_CLEARANCE
+        pairs = [pair for pair in self._nearest(angles, self._obstacles.valid_at(times[:, None])) if pair is not None]
+        best = min(pairs, key=lambda pair: pair.distance, default=None)
+        return _NO_CLEARANCE if best is None else self._witnessed(angles, best)
 
     def approaches(self, positions: Float64, reach: Float64) -> Approaches:
         """Pairs within reach [n] (m, per obstacle; negative: leave it out) of the first of the positions [T, J] (rad).
@@ -165,12 +183,29 @@ class ArmCollisionChecker:
         """
         return self._self_collision.closest(self._model.check_positions(q))
 
+    def _trajectory(
+        self, positions: NDArray[np.floating], stamps: NDArray[np.integer]
+    ) -> tuple[Float64, NDArray[np.int64]]:
+        """Positions [T, J] and stamps [T] that fit each other."""
+        angles = self._model.check_positions(positions)
+        if angles.ndim != 2 or np.shape(stamps) != (len(angles),):
+            raise ArmError(
+                f"trajectory: expected positions [T, {self._model.joints}] and stamps [T], found {angles.shape} and "
+                f"{np.shape(stamps)}; give one stamp per row"
+            )
+        return angles, np.asarray(stamps, dtype=np.int64)
+
     def _closest(self, positions: Float64, valid: Bool) -> tuple[Clearance, ...]:
         """Closest pair at each of the positions [T, J] among obstacles valid [T, n] there."""
         if len(self._obstacles) == 0:
             return (_NO_CLEARANCE,) * len(positions)
+        pairs = self._nearest(positions, valid)
+        return tuple(_NO_CLEARANCE if pair is None else self._witnessed(positions, pair) for pair in pairs)
+
+    def _nearest(self, positions: Float64, valid: Bool) -> list[_Pair | None]:
+        """Closest pair at each of the positions [T, J] among obstacles valid [T, n] there; None without any."""
         rows = max(_PAIRS_AT_ONCE // (len(self._names) * len(self._obstacles)), 1)
-        found: list[Clearance] = []
+        found: list[_Pair | None] = []
         for first in range(0, len(positions), rows):
             part = slice(first, first + rows)
             placed = place_capsules(self._model, forward_kinematics(self._model, positions[part]))
@@ -178,35 +213,37 @@ class ArmCollisionChecker:
             lower -= self._obstacles.outer_radii
             lower[np.broadcast_to(self._exempt, lower.shape)] = np.inf
             lower[np.broadcast_to(~valid[part, None], lower.shape)] = np.inf
-            found += self._among_candidates(positions[part], placed, lower)
-        return tuple(found)
+            found += self._among_candidates(first, placed, lower)
+        return found
 
-    def _among_candidates(self, positions: Float64, placed: PlacedCapsules, lower: Float64) -> list[Clearance]:
-        """Closest pair at each of the positions [T, J], given lower bounds [T, C, n] (infinite: leave out)."""
+    def _among_candidates(self, first: int, placed: PlacedCapsules, lower: Float64) -> list[_Pair | None]:
+        """Closest pair at each step from `first` on, given lower bounds [T, C, n] (infinite: leave out)."""
         upper = (lower + self._obstacles.slack).min(axis=(1, 2))
         steps, capsules, rows = np.nonzero((lower <= upper[:, None, None]) & np.isfinite(lower))
         distances = self._exact(placed.ends[steps, capsules], placed.radii[capsules], rows)
-        starts = np.searchsorted(steps, np.arange(len(positions) + 1))
-        found = []
+        starts = np.searchsorted(steps, np.arange(len(lower) + 1))
+        found: list[_Pair | None] = []
         for step, (begin, end) in enumerate(itertools.pairwise(starts)):
             if begin == end:
-                found.append(_NO_CLEARANCE)
+                found.append(None)
                 continue
             best = begin + int(distances[begin:end].argmin())
-            self._scene.pose(positions[step])
-            ends = placed.ends[step, capsules[best]]
-            found.append(self._witnessed(int(capsules[best]), int(rows[best]), ends, float(distances[best])))
+            capsule = int(capsules[best])
+            ends = placed.ends[step, capsule]
+            found.append(_Pair(first + step, capsule, int(rows[best]), ends, float(distances[best])))
         return found
 
-    def _witnessed(self, capsule: int, row: int, ends: Float64, distance: float) -> Clearance:
+    def _witnessed(self, positions: Float64, nearest: _Pair) -> Clearance:
         """A pair's clearance with the points that MuJoCo finds; where it misses a contact, a point inside both."""
-        pair = self._scene.measure(capsule, row)
-        shapes = self._obstacles
+        self._scene.pose(positions[nearest.step])
+        pair = self._scene.measure(nearest.capsule, nearest.row)
+        shapes, row = self._obstacles, nearest.row
         on_arm, on_obstacle = pair.on_arm, pair.on_obstacle
-        if distance <= 0 < pair.distance:
-            on_arm = on_obstacle = point_in_box(ends, shapes.centers[row], shapes.rotations[row], shapes.half[row])
-        smaller = min(distance, pair.distance)
-        return Clearance(smaller, self._names[capsule], int(shapes.ids[row]), on_arm, on_obstacle)
+        if nearest.distance <= 0 < pair.distance:
+            box = (shapes.centers[row], shapes.rotations[row], shapes.half[row])
+            on_arm = on_obstacle = point_in_box(nearest.ends, *box)
+        smaller = min(nearest.distance, pair.distance)
+        return Clearance(smaller, self._names[nearest.capsule], int(shapes.ids[row]), on_arm, on_obstacle)
 
     def _axis_distances(self, placed: PlacedCapsules) -> Float64:
         """Distances [T, C, n] of the capsules' axes to the obstacles' centres, m."""

@@ -147,7 +147,10 @@ class Encounter:
 
     def terms(self, share: float) -> Terms:
         """The law's terms at a share (0 to 1) of the arm's speed."""
-        stop = self.motion.stop(share)
+        return self._terms(share, self.motion.stop(share))
+
+    def _terms(self, share: float, stop: Stop) -> Terms:
+        """The terms at a share of the speed whose stop is known."""
         still = self.hazards.keeps_still[self.rows]
         beyond_s = np.maximum(self.motion.standstill(stop) - self.hazards.valid_to[self.rows], 0) * 1e-9
         law = self.parameters
@@ -164,9 +167,10 @@ class Encounter:
 
         Minus infinity for pairs that are not closing, and for obstacles that come after the arm would have stopped.
         """
-        standstill = self.motion.standstill(self.motion.stop(share))
-        concerned = (self.closing > self.parameters.closing_speed) & (self.hazards.valid_from[self.rows] <= standstill)
-        return np.where(concerned, self.terms(share).required - self.distances, -np.inf)
+        stop = self.motion.stop(share)
+        in_time = self.hazards.valid_from[self.rows] <= self.motion.standstill(stop)
+        concerned = (self.closing > self.parameters.closing_speed) & in_time
+        return np.where(concerned, self._terms(share, stop).required - self.distances, -np.inf)
 
     def largest_share(self) -> float:
         """Largest share (0 to 1) of the arm's speed at which no pair falls short.

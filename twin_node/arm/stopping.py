@@ -52,10 +52,14 @@ class StoppingTable:
 
     def _read(self, columns: Float64, speeds: Float64) -> float:
         """Largest of the columns' values [R, J] at speeds [J]; in proportion to speed below the first row and above."""
-        knots = np.concatenate([[0.0], self.speeds])
-        values = np.concatenate([np.zeros((1, columns.shape[1])), columns])
-        read = [np.interp(speed, knots, column) for speed, column in zip(speeds, values.T, strict=True)]
-        return float((np.array(read) * np.maximum(speeds / knots[-1], 1.0)).max(initial=0.0))
+        after = np.minimum(np.searchsorted(self.speeds, speeds), len(self.speeds) - 1)
+        joints = np.arange(columns.shape[1])
+        first = after == 0
+        low_speed = np.where(first, 0.0, self.speeds[after - 1])
+        low = np.where(first, 0.0, columns[after - 1, joints])
+        share = (speeds - low_speed) / (self.speeds[after] - low_speed)
+        read = low + np.minimum(share, 1.0) * (columns[after, joints] - low)
+        return float((read * np.maximum(speeds / self.speeds[-1], 1.0)).max(initial=0.0))
 
 
 def _from_base_shoulder_elbow(speed_deg: float, times_s: Float64, angles_rad: Float64) -> StoppingTable:
