@@ -58,6 +58,10 @@ class Path:
         """[n, 6] positions in metres and rotations in degrees."""
         return np.hstack([self.positions, self.rpy_deg or np.zeros((len(self.times_s), 3))]).astype(np.float64)
 
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        return CubicSpline(self.times_s, self._knots, bc_type="clamped")
+
     def pose(self, t: float) -> Float64:
         """Pose [4, 4] in `base_link` at `t` seconds after the start."""
         values = self._values(t)
@@ -77,7 +81,7 @@ class Path:
             only: Float64 = self._knots[0].copy()
             return only
         if self.between == "spline":
-            return np.asarray(CubicSpline(times, self._knots, bc_type="clamped")(t), dtype=np.float64)
+            return np.asarray(self._spline(t), dtype=np.float64)
         i = min(int(np.searchsorted(times, t, side="right")) - 1, len(times) - 2)
         duration = times[i + 1] - times[i]
         s = (t - times[i]) / duration

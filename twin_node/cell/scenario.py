@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from twin_node import resources
+from twin_node.arm.path import CycleParameters
 from twin_node.cell.errors import CellError
 from twin_node.cell.motion import Path
 from twin_node.cell.shapes import Form
@@ -68,10 +69,44 @@ class Body:
 
 
 @dataclass(frozen=True)
+class BvhMotion:
+    """A motion capture file (BVH, y up) that a whole body follows; before and after it the body stands still."""
+
+    file: str = ""
+    """Beside the scenario, or a path."""
+    position: Triple = (1.3, 0.0, -0.81)
+    """Where the hips are in the first frame taken (x, y), and the height of the ground (z), m."""
+    yaw_deg: float = 0.0
+    """Turn about z; at 0 the file's z axis, to which most recordings face, is x."""
+    start_s: float = 0.0
+    """When the recording begins, s after the scenario's start."""
+    from_s: float = 0.0
+    """Where in the recording to begin, s."""
+    to_s: float = 1e9
+    """Where in the recording to end, s."""
+    pace: float = 1.0
+    """How many seconds of the recording go by in one."""
+
+    def __post_init__(self) -> None:
+        if not self.file:
+            raise CellError("motion: expected a BVH file under 'file', found none")
+        if not 0.05 <= self.pace <= 20 or not 0 <= self.from_s < self.to_s:
+            raise CellError(
+                f"motion '{self.file}': expected pace from 0.05 to 20 and 0 <= from_s < to_s, "
+                f"found {self.pace}, {self.from_s} and {self.to_s}"
+            )
+
+
+@dataclass(frozen=True)
 class Person:
-    """A standing person of capsules whose right hand follows a path; limb lengths are fractions of the height."""
+    """A person of capsules: standing, the right hand on a path, or the whole body on a recorded motion.
+
+    Limb lengths are fractions of the height; those of a recorded motion are its own, scaled to the height.
+    """
 
     name: str = "person"
+    motion: BvhMotion | None = None
+    """Takes the place of `shoulder` and `hand`."""
     shoulder: Path = field(default_factory=Path)
     """The right shoulder; yaw is the way the person faces (0: along +x)."""
     hand: Path = field(default_factory=Path)
@@ -166,6 +201,8 @@ class ArmSpec:
     model: str = "ur5e"
     workspace: tuple[Triple, Triple] | None = None
     """Lower and upper corner of where it picks and places, m; None: the scenario's."""
+    cycle: CycleParameters = field(default_factory=CycleParameters)
+    """How fast its program runs."""
     joint_rate_hz: float = 125.0
     """Rate of the joint states (a UR e-series controller allows up to 500 Hz)."""
     texture: Texture = field(
@@ -181,6 +218,8 @@ class Variation:
     """1 sigma of one shift per body or person."""
     time_s: float = 0.0
     """1 sigma of one delay per body or person."""
+    pace: float = 0.0
+    """1 sigma of the logarithm of one factor on the speed per body or person."""
 
 
 @dataclass(frozen=True)
@@ -251,11 +290,31 @@ def load_scenario(name: str | FilePath) -> Scenario:
     if "extends" in content:
         content = {**_read(_base(path, content.pop("extends"))), **content}
     try:
-        return fill(Scenario, content, path.name)
+        return _with_files(fill(Scenario, content, path.name), path.parent)
     except ParameterError as error:
         raise CellError(str(error)) from error
     except CellError as error:
         raise CellError(f"{path}: {error}") from error
+
+
+def _with_files(scenario: Scenario, folder: FilePath) -> Scenario:
+    """The scenario with the files it names found beside it."""
+    people = tuple(
+        person
+        if person.motion is None
+        else replace(person, motion=replace(person.motion, file=str(_beside(folder, person.motion.file))))
+        for person in scenario.people
+    )
+    return replace(scenario, people=people)
+
+
+def _beside(folder: FilePath, name: str) -> FilePath:
+    """A file beside the scenario, else as given from here; raises `CellError` where there is neither."""
+    for path in (folder / name, FilePath(name)):
+        if path.is_file():
+            return path.resolve()
+    known = ", ".join(sorted(file.name for file in folder.glob("*.bvh"))) or "none"
+    raise CellError(f"motion: no file '{name}' beside the scenario or here; beside it are: {known}")
 
 
 def _read(path: FilePath) -> dict[str, object]:

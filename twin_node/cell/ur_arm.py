@@ -30,7 +30,7 @@ class ArmInCell:
 
     def __init__(self, spec: ArmSpec, scenario: Scenario) -> None:
         self.model = ur_model(spec.model)
-        self._cycle = default_path(self.model, np.array(spec.workspace or scenario.workspace))
+        self.cycle = default_path(self.model, np.array(spec.workspace or scenario.workspace), spec.cycle)
         capsules = self.model.capsules
         placed = [
             capsule_between(ends[0], ends[1], float(radius), _SIDE)
@@ -43,7 +43,7 @@ class ArmInCell:
 
     def positions(self, stamps: NDArray[np.int64]) -> Float64:
         """Joint angles [T, J] at stamps [T], rad."""
-        return sample_path(self._cycle.template, (stamps - self._start) % self._cycle.period_ns)
+        return sample_path(self.cycle.template, (stamps - self._start) % self.cycle.period_ns)
 
     def sample(self, stamp: int) -> JointSample:
         """The joints at a stamp."""
@@ -57,7 +57,11 @@ class ArmInCell:
 
     def solids(self, stamp: int, owner: int) -> tuple[Solid, ...]:
         """The capsules of its links at a stamp."""
-        poses = forward_kinematics(self.model, self.positions(np.array([stamp]))[0])
+        return self.solids_at(self.positions(np.array([stamp]))[0], owner)
+
+    def solids_at(self, q: Float64, owner: int) -> tuple[Solid, ...]:
+        """The capsules of its links at joint angles [J] (rad)."""
+        poses = forward_kinematics(self.model, q)
         T_base = poses[self.model.capsules.links] @ self._T_link_capsule
         return tuple(
             Solid(Placed(shape, T), self._texture, owner) for shape, T in zip(self._shapes, T_base, strict=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin_node.cell.bvh_body import RecordedBody
 from twin_node.cell.people import person_solids
 from twin_node.cell.scenario import Body, Person, Scenario
 from twin_node.cell.solids import Solid, body_solids
@@ -23,6 +24,11 @@ class Change:
     shift: Float64
     """[3] m."""
     delay_s: float
+    pace: float
+
+    def local(self, t: float) -> float:
+        """The actor's own time (s) at a time after the scenario's start (s)."""
+        return (t - self.delay_s) * self.pace
 
 
 class World:
@@ -39,7 +45,15 @@ class World:
         )
         """The furniture."""
         rng = np.random.default_rng([scenario.seed, _VARIATION])
+        self._recorded = [
+            None if person.motion is None else RecordedBody(person, person.motion) for person in scenario.people
+        ]
         self._changes = [self._change(rng) for _ in (*scenario.bodies, *scenario.people)]
+
+    @property
+    def people_owners(self) -> tuple[int, ...]:
+        """Indices in `names` of the people."""
+        return self.moving_owners[len(self.scenario.bodies) :]
 
     @property
     def moving_owners(self) -> tuple[int, ...]:
@@ -59,15 +73,18 @@ class World:
         owners = iter(self.moving_owners)
         for body in self.scenario.bodies:
             change = next(changes)
-            T = body.path.pose(t - change.delay_s)
+            T = body.path.pose(change.local(t))
             T[:3, 3] += change.shift
             solids += body_solids(body, T, next(owners))
-        for person in self.scenario.people:
-            change = next(changes)
-            T = person.shoulder.pose(t - change.delay_s)
+        for person, recorded in zip(self.scenario.people, self._recorded, strict=True):
+            change, owner = next(changes), next(owners)
+            if recorded is not None:
+                solids += recorded.solids(change.local(t), change.shift, owner)
+                continue
+            T = person.shoulder.pose(change.local(t))
             T[:3, 3] += change.shift
-            hand = person.hand.position(t - change.delay_s) + change.shift
-            solids += person_solids(person, T, hand, next(owners))
+            hand = person.hand.position(change.local(t)) + change.shift
+            solids += person_solids(person, T, hand, owner)
         return tuple(solids)
 
     def arm_solids(self, stamp: int) -> tuple[Solid, ...]:
@@ -76,4 +93,5 @@ class World:
 
     def _change(self, rng: np.random.Generator) -> Change:
         variation = self.scenario.variation
-        return Change(rng.normal(size=3) * variation.position_m, float(rng.normal() * variation.time_s))
+        shift, delay_s = rng.normal(size=3) * variation.position_m, float(rng.normal() * variation.time_s)
+        return Change(shift, delay_s, float(np.exp(rng.normal() * variation.pace)) if variation.pace else 1.0)
