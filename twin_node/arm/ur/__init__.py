@@ -1,0 +1,30 @@
+"""The driver of a real UR arm through `ur_rtde`: in its own process, supervised, halted by whatever is wrong."""
+
+from twin_node.arm.ur.driver import UrDriver
+from twin_node.arm.ur.follower import PathFollower
+from twin_node.arm.ur.foresight import Foresight
+from twin_node.arm.ur.link import RtdeLink, UrLink
+from twin_node.arm.ur.parameters import DriverMode, UrParameters
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
+from twin_node.arm.ur.sample import UrSample, implausible, not_ready
+from twin_node.arm.ur.supervisor import SupervisedDriver
+
+__all__ = [
+    "Acknowledge",
+    "Decide",
+    "DriverMode",
+    "DriverReport",
+    "DriverState",
+    "Follow",
+    "Foresight",
+    "Order",
+    "PathFollower",
+    "RtdeLink",
+    "SupervisedDriver",
+    "UrDriver",
+    "UrLink",
+    "UrParameters",
+    "UrSample",
+    "implausible",
+    "not_ready",
+]

@@ -1,0 +1,238 @@
+"""The driver's own loop, one step after another: look, check, decide, tell the arm. No process, no clock of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin_node.arm.errors import ArmError
+from twin_node.arm.limiter import SpeedLimiter
+from twin_node.arm.ur.follower import PathFollower
+from twin_node.arm.ur.foresight import Foresight
+from twin_node.arm.ur.freshness import Freshness
+from twin_node.arm.ur.link import UrLink
+from twin_node.arm.ur.parameters import DriverMode, UrParameters
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
+from twin_node.arm.ur.sample import UrSample, implausible, not_ready
+from twin_node.scene import JointPath, Separation
+
+_RESEND_S = 0.1
+"""The slider is set again this often, so that nobody else's setting stays."""
+_OBEY_S = 0.2
+"""The controller's slider must show what it was set to within this time: a hundred of its periods."""
+_OBEY_TOLERANCE = 0.02
+"""How far it may be above: the pendant rounds to per cent."""
+_STEP = 0.005
+"""Smallest change of the speed that is worth a package."""
+_FOLLOW_RAD = 0.5
+"""How far the arm may be behind servoJ's target: its look-ahead of 0.1 s at 3.14 rad/s lags by 0.3 rad."""
+_SETTLE_S = 0.5
+"""How long all must be well before a driver that may resume by itself does."""
+
+
+class UrDriver:
+    """Drives one connection. All times are ns of one clock that never goes back.
+
+    Whatever is wrong halts it: the speed is set to zero, and the heartbeat ends, so that the robot's own program
+    pauses even where the slider does not reach it. A halt stays until `Acknowledge`.
+    """
+
+    def __init__(self, parameters: UrParameters, link: UrLink, now: int, halt: str | None = None) -> None:
+        """`halt` is a reason that an earlier connection left behind. Raises `ArmError` where servoing cannot begin."""
+        self._parameters = parameters
+        self._mode = parameters.mode
+        self._model = parameters.arm()
+        self._link = link
+        self._freshness = Freshness(now)
+        self._foresight = Foresight(self._model)
+        self._limiter = SpeedLimiter(parameters.limiter)
+        self._heard: Separation | None = None
+        self._heard_stamp = 0
+        self._told: Separation | None = None
+        self._halt = halt
+        self._can_resume = False
+        self._well_since: int | None = None
+        self._sample: UrSample | None = None
+        self._sample_stamp = 0
+        self._set_fraction: float | None = None
+        self._set_stamp = 0
+        self._disobedient_since: int | None = None
+        self._follower: PathFollower | None = None
+        self._beats = 0
+        self._stepped = now
+        if self._mode is DriverMode.SERVO and halt is None:
+            link.prepare_servo()
+
+    def order(self, order: Order, now: int) -> None:
+        """Take an order. Raises `ArmError` or `RobotError`, with the reason, for one that is refused."""
+        if isinstance(order, Decide):
+            self._heard, self._heard_stamp = order.separation, now
+            self._limiter.decide(order.separation, now)
+        elif isinstance(order, Follow):
+            self._follow(order.path)
+        elif isinstance(order, Acknowledge):
+            self._acknowledge(now)
+
+    def step(self, now: int) -> DriverReport:
+        """One period. Nothing in it waits for the arm."""
+        dt = (now - self._stepped) * 1e-9
+        self._stepped = now
+        try:
+            problem = self._look(now)
+            self._told = self._limiter.tick(now)
+            self._judge(problem or self._hunger(now), now)
+            self._tell(now, dt)
+        except ArmError as error:
+            self._stop_for(str(error))
+            return self._report(now, is_over=True)
+        return self._report(now, is_over=self._freshness.age_s(now) > self._parameters.lost_s)
+
+    def stop(self) -> None:
+        """Tell the arm to stand, as the last thing; what cannot be told any more, its watchdog does."""
+        if self._mode is DriverMode.SLIDER:
+            try:
+                self._link.set_speed(0.0)
+            except ArmError:
+                return  # the link is gone, the heartbeat with it: the robot's program pauses by itself
+
+    def _look(self, now: int) -> str | None:
+        """Take the controller's state; gives back what is wrong with it, in words. Raises `ArmError`: it is gone."""
+        sample = self._link.read()
+        if self._freshness.see(sample.clock_s, now):
+            wrong = implausible(self._model, sample, self._sample)
+            self._sample = sample if wrong is None else None
+            self._sample_stamp = now
+            if wrong is not None:
+                return wrong
+        if self._freshness.has_gone_back:
+            raise ArmError("the controller's clock went back: it was restarted")
+        age_s = self._freshness.age_s(now)
+        if age_s > self._parameters.stale_s:
+            return f"controller silent for {age_s * 1e3:.0f} ms"
+        if self._sample is None:
+            return None if self._halt is None else self._halt
+        return not_ready(self._sample) or self._disobedience(self._sample, now)
+
+    def _disobedience(self, sample: UrSample, now: int) -> str | None:
+        """Whether the arm does what it is told, in words where not."""
+        if self._follower is not None and self._halt is None:
+            behind = float(np.abs(sample.q - self._follower.q).max())
+            if behind > _FOLLOW_RAD:
+                return f"the arm is {behind:.2f} rad from where it was sent"
+            if not sample.is_playing:
+                return "the control script has stopped"
+        told = self._set_fraction
+        if told is None or sample.speed_slider <= told + _OBEY_TOLERANCE:
+            self._disobedient_since = None
+            return None
+        self._disobedient_since = self._disobedient_since or now
+        if (now - self._disobedient_since) * 1e-9 <= _OBEY_S:
+            return None
+        return f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}: somebody else moves it"
+
+    def _hunger(self, now: int) -> str | None:
+        """Whether forecasts have stopped coming, in words; a driver that may resume only stands, without a halt."""
+        if self._heard is None or self._told is None or self._parameters.resumes:
+            return None
+        limits = self._parameters.limiter
+        age_s = max(
+            (now - self._heard_stamp) * 1e-9,
+            (now - self._heard.evidence_stamp) * 1e-9 - limits.evidence_latency_s,
+        )
+        return self._told.reason if age_s >= 2 * limits.deadline_s else None
+
+    def _judge(self, problem: str | None, now: int) -> None:
+        """Halt for a problem, or go on where that is allowed and all has been well for a while."""
+        if self._mode is DriverMode.READ_ONLY:
+            self._halt = problem
+            return
+        if problem is not None:
+            self._well_since = None
+            if self._halt is None:
+                self._stop_for(problem)
+        elif self._halt is not None and self._can_resume:
+            self._well_since = self._well_since or now
+            if (now - self._well_since) * 1e-9 > _SETTLE_S:
+                self._acknowledge(now)
+
+    def _stop_for(self, reason: str) -> None:
+        self._halt = reason
+        is_safety = self._sample is not None and not self._sample.may_move
+        self._can_resume = self._parameters.resumes and not is_safety
+
+    def _acknowledge(self, now: int) -> None:
+        problem = self._look(now)
+        if problem is None and self._sample is None:
+            problem = "no state from the controller yet"
+        if problem is not None:
+            raise ArmError(f"acknowledge: expected an arm that is well, found: {problem}")
+        if self._mode is DriverMode.SERVO:
+            self._link.prepare_servo()
+        self._follower = None
+        self._limiter = SpeedLimiter(self._parameters.limiter)
+        self._heard = None
+        self._halt = None
+
+    def _follow(self, path: JointPath) -> None:
+        if self._mode is not DriverMode.SERVO:
+            raise ArmError(f"trajectory: expected servo mode, found {self._mode.value} mode; choose --mode servo")
+        if self._halt is not None:
+            raise ArmError(f"trajectory: refused while halted ({self._halt}); acknowledge first")
+        if self._sample is None:
+            raise ArmError("trajectory: refused, no state from the controller yet; send it again")
+        if self._follower is not None and not self._follower.is_done:
+            raise ArmError("trajectory: refused while another is followed; wait for its end")
+        self._follower = PathFollower(self._model, path, self._sample.target_q)
+
+    def _tell(self, now: int, dt: float) -> None:
+        """Slider and heartbeat, or the next angles, as the mode has it."""
+        if self._mode is DriverMode.SLIDER:
+            self._move_slider(self._fraction(), now)
+            if self._halt is None:
+                self._beats = (self._beats + 1) % 2**31
+                self._link.beat(self._beats)
+        elif self._mode is DriverMode.SERVO:
+            self._servo(self._fraction(), now, dt)
+
+    def _fraction(self) -> float:
+        return 0.0 if self._halt is not None or self._told is None else self._told.speed_fraction
+
+    def _move_slider(self, fraction: float, now: int) -> None:
+        before = self._set_fraction
+        is_new = before is None or fraction == 0 < before or abs(fraction - before) >= _STEP
+        if is_new or (now - self._set_stamp) * 1e-9 >= _RESEND_S:
+            self._link.set_speed(fraction)
+            self._set_fraction, self._set_stamp = fraction, now
+
+    def _servo(self, fraction: float, now: int, dt: float) -> None:
+        """The next angles; halted, the arm is braked along its path, then the script is left to its watchdog."""
+        follower, sample = self._follower, self._sample
+        if self._halt is not None:
+            is_blind = sample is None or self._freshness.age_s(now) > self._parameters.stale_s
+            if follower is None or follower.rate == 0 or is_blind or sample is None or not sample.may_move:
+                self._follower = None
+                return
+        if follower is not None:
+            is_taken = self._link.servo(follower.advance(fraction, dt))
+        else:
+            is_taken = sample is None or self._link.servo(sample.target_q)
+        if not is_taken:
+            self._follower = None
+            if self._halt is None:
+                self._stop_for("the control script does not run: it refused a command")
+
+    def _report(self, now: int, is_over: bool) -> DriverReport:
+        is_deaf = self._mode is DriverMode.READ_ONLY
+        reason = "read only" if is_deaf or self._told is None else self._told.reason
+        report = DriverReport(
+            stamp=now,
+            state=DriverState.READY if self._halt is None else DriverState.HALTED,
+            reason=reason if self._halt is None else self._halt,
+            speed_fraction=None if is_deaf else self._fraction(),
+            is_over=is_over,
+        )
+        if self._sample is None:
+            return report
+        ahead = self._follower.ahead(now) if self._follower else self._foresight.ahead(self._sample, now)
+        return replace(report, sample=self._sample, sample_stamp=self._sample_stamp, future=ahead)

@@ -1,0 +1,179 @@
+"""The connection to a controller: what the driver needs of it, and the one that `ur_rtde` gives."""
+
+from __future__ import annotations
+
+import importlib
+import socket
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.arm.errors import ArmError
+from twin_node.arm.ur.parameters import DriverMode, UrParameters
+from twin_node.arm.ur.sample import UrSample
+from twin_node.scene import Float64
+
+_VARIABLES = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "target_q",
+    "target_qd",
+    "robot_mode",
+    "safety_mode",
+    "safety_status_bits",
+    "runtime_state",
+    "target_speed_fraction",
+    "speed_scaling",
+)
+"""Modes stand behind the joints: a package with too few joint values shows in them."""
+_RTDE_PORT = 30004
+_REACH_TIMEOUT_S = 2.0
+"""A controller in the same network answers within milliseconds; `ur_rtde` itself has no such limit."""
+_LOOKAHEAD_S = 0.1
+_GAIN = 300.0
+"""servoJ's own defaults (URScript)."""
+
+
+class UrLink(Protocol):
+    """A connection to a controller. Methods raise `ArmError` when it is known to be lost."""
+
+    def read(self) -> UrSample:
+        """The state last received; it may be old."""
+
+    def set_speed(self, fraction: float) -> None:
+        """Move the speed slider, 0 to 1."""
+
+    def beat(self, count: int) -> None:
+        """Write the register that the robot's program watches."""
+
+    def servo(self, q: NDArray[np.floating]) -> bool:
+        """Send the next joint angles [6] (rad) of servoJ; False where the control script does not run.
+
+        That they were sent says nothing of their arrival.
+        """
+
+    def prepare_servo(self) -> None:
+        """Have the control script running with its watchdog set."""
+
+    def close(self) -> None:
+        """Disconnect."""
+
+
+class RtdeLink:
+    """Receive, IO and control interface of `ur_rtde`, as far as the mode needs them."""
+
+    def __init__(self, parameters: UrParameters) -> None:
+        """Connects; takes a tenth of a second. Raises `ArmError` where the controller cannot be reached or refuses."""
+        self._parameters = parameters
+        self._io: Any = None
+        self._control: Any = None
+        _check_reachable(parameters.robot)
+        try:
+            self._receive = _module("rtde_receive").RTDEReceiveInterface(
+                parameters.robot, parameters.receive_hz, list(_VARIABLES)
+            )
+            if parameters.mode is DriverMode.SLIDER:
+                self._io = _module("rtde_io").RTDEIOInterface(parameters.robot)
+            elif parameters.mode is DriverMode.SERVO:
+                self._control = _module("rtde_control").RTDEControlInterface(parameters.robot, parameters.receive_hz)
+        except RuntimeError as error:
+            raise ArmError(_refused(parameters.robot, error)) from error
+
+    def read(self) -> UrSample:
+        """The state last received; raises `ArmError` where the link is known to be lost."""
+        receive = self._receive
+        if not receive.isConnected():
+            raise ArmError(f"{self._parameters.robot}: connection lost")
+        return UrSample(
+            clock_s=receive.getTimestamp(),
+            q=_vector(receive.getActualQ()),
+            qd=_vector(receive.getActualQd()),
+            target_q=_vector(receive.getTargetQ()),
+            target_qd=_vector(receive.getTargetQd()),
+            robot_mode=receive.getRobotMode(),
+            safety_mode=receive.getSafetyMode(),
+            runtime_state=receive.getRuntimeState(),
+            speed_slider=receive.getTargetSpeedFraction(),
+            speed_scaling=receive.getSpeedScaling(),
+        )
+
+    def set_speed(self, fraction: float) -> None:
+        """Move the speed slider, 0 to 1; `ur_rtde` itself would send any number."""
+        if not 0 <= fraction <= 1:
+            raise ArmError(f"speed fraction: expected 0 to 1, found {fraction:g}")
+        self._written(lambda: self._io.setSpeedSlider(fraction))
+
+    def beat(self, count: int) -> None:
+        """Write the register that the robot's program watches."""
+        self._written(lambda: self._io.setInputIntRegister(self._parameters.heartbeat_register, count))
+
+    def servo(self, q: NDArray[np.floating]) -> bool:
+        """Send the next joint angles [6], rad; `ur_rtde` itself would send five. False where they were refused."""
+        if q.shape != (6,) or not np.isfinite(q).all():
+            raise ArmError(f"servo command: expected six finite angles, found {q.tolist()}")
+        period_s = self._parameters.period_s
+        return bool(self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, _LOOKAHEAD_S, _GAIN))
+
+    def prepare_servo(self) -> None:
+        """Have the control script running with its watchdog set; raises `ArmError` where it does not start."""
+        control = self._control
+        if not control.isProgramRunning() and not control.reuploadScript():
+            raise ArmError("control script: it does not start; look at the pendant, and switch to remote control")
+        if not control.setWatchdog(self._parameters.watchdog_hz):
+            raise ArmError("control script: its watchdog cannot be set")
+
+    def close(self) -> None:
+        """Disconnect; a link that is lost already is no error."""
+        for interface in (self._control, self._io, self._receive):
+            if interface is not None:
+                try:
+                    interface.disconnect()
+                except RuntimeError:
+                    continue  # the other side has gone: nothing is left to be closed
+
+    def _written(self, write: Any) -> None:
+        try:
+            is_sent = write()
+        except RuntimeError as error:
+            raise ArmError(f"{self._parameters.robot}: writing failed ({error})") from error
+        if not is_sent:
+            raise ArmError(f"{self._parameters.robot}: writing failed")
+
+
+def _vector(values: list[float]) -> Float64:
+    return np.array(values, dtype=np.float64)
+
+
+def _check_reachable(robot: str) -> None:
+    try:
+        socket.create_connection((robot, _RTDE_PORT), timeout=_REACH_TIMEOUT_S).close()
+    except OSError as error:
+        raise ArmError(
+            f"{robot}: expected a UR controller on port {_RTDE_PORT} (RTDE), found none ({error.strerror or error}); "
+            "check its address, the cable, and that RTDE is enabled in its security settings"
+        ) from error
+
+
+def _refused(robot: str, error: RuntimeError) -> str:
+    reason = " ".join(str(error).split())
+    if "in use" in reason:
+        return (
+            f"{robot}: an input register that ur_rtde writes is in use; end the other RTDE client, and switch off "
+            "EtherNet/IP, PROFINET and MODBUS on the controller"
+        )
+    return f"{robot}: the controller refused the connection: {reason}"
+
+
+def load_ur_rtde() -> None:
+    """Import what a connection will need, ahead of it; raises `ArmError` where `ur_rtde` is not installed."""
+    for name in ("rtde_receive", "rtde_io", "rtde_control"):
+        _module(name)
+
+
+def _module(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ArmError("ur_rtde is not installed; install it with: pip install 'twin-node[ur]'") from error

@@ -1,0 +1,65 @@
+"""A driver's process, as its supervisor holds it."""
+
+from __future__ import annotations
+
+import multiprocessing
+from multiprocessing.connection import wait
+
+from twin_node.arm.ur.parameters import UrParameters
+from twin_node.arm.ur.records import Begin, DriverReport, Order
+from twin_node.arm.ur.worker import work
+
+_ENDING_S = 0.5
+"""How long a process may take to end in order."""
+
+
+class DriverProcess:
+    """Started ahead of need: it loads its libraries, which takes most of a second, and waits to be sent off."""
+
+    def __init__(self, parameters: UrParameters) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=work, args=(parameters, theirs), name="ur_driver", daemon=True)
+        self._process.start()
+        theirs.close()
+
+    @property
+    def pid(self) -> int | None:
+        """Its process id."""
+        return self._process.pid
+
+    def begin(self, halt: str | None) -> bool:
+        """Let it connect; `halt` is what an earlier process left behind. False: it has died while it waited."""
+        return self.give(Begin(halt))
+
+    def give(self, order: Order | Begin) -> bool:
+        """Pass an order on; False: it has died."""
+        try:
+            self._pipe.send(order)
+        except OSError:
+            return False
+        return True
+
+    def hear(self, timeout_s: float) -> DriverReport | None:
+        """Its next report; None: nothing within the time. Raises `EOFError` when it has ended."""
+        ready = wait([self._pipe, self._process.sentinel], timeout=timeout_s)
+        if self._pipe in ready:
+            try:
+                report: DriverReport = self._pipe.recv()
+            except OSError as error:
+                raise EOFError from error
+            return report
+        if ready:
+            raise EOFError
+        return None
+
+    def end(self) -> str:
+        """End it, in order if it can: it stops the arm before it goes. Gives back how it ended."""
+        self._pipe.close()
+        self._process.join(_ENDING_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        status = self._process.exitcode or 0
+        self._process.close()
+        return f"driver process ended by signal {-status}" if status < 0 else f"driver process ended with {status}"

@@ -1,0 +1,151 @@
+"""What the controller says of itself, and whether that can be true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from twin_node.robot import ArmModel
+from twin_node.scene import Float64
+
+_VELOCITY_MARGIN = 1.5
+"""Measured velocities may exceed a joint's rating by noise and overshoot; beyond this factor a number is wrong."""
+_JUMP_RAD = 0.1
+"""A joint may be found so far from where it was, beyond what its speed explains: packages can be left out."""
+_LIMIT_RAD = 0.2
+"""Joints are built to stop at their ends; measured angles beyond by this are wrong."""
+
+
+class RobotMode(IntEnum):
+    """RTDE `robot_mode`."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+    UPDATING_FIRMWARE = 8
+
+
+class SafetyMode(IntEnum):
+    """RTDE `safety_mode`."""
+
+    UNDEFINED = 0
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+    VALIDATE_JOINT_ID = 10
+    UNDEFINED_SAFETY_MODE = 11
+    AUTOMATIC_MODE_SAFEGUARD_STOP = 12
+    SYSTEM_THREE_POSITION_ENABLING_STOP = 13
+
+
+class RuntimeState(IntEnum):
+    """RTDE `runtime_state` of the robot's program."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
+
+
+_ROBOT_MODES, _SAFETY_MODES, _RUNTIME_STATES = (
+    frozenset(int(value) for value in kind) for kind in (RobotMode, SafetyMode, RuntimeState)
+)
+
+
+@dataclass(frozen=True)
+class UrSample:
+    """One state of the controller as `ur_rtde` received it, not yet checked."""
+
+    clock_s: float
+    """The controller's own clock since its start."""
+    q: Float64
+    """Measured angles, rad; [6] if all is well."""
+    qd: Float64
+    """Measured velocities, rad/s."""
+    target_q: Float64
+    """Commanded angles, rad."""
+    target_qd: Float64
+    """Commanded velocities, rad/s."""
+    robot_mode: int
+    safety_mode: int
+    runtime_state: int
+    speed_slider: float
+    """Share of the programmed speed that is set, 0 to 1."""
+    speed_scaling: float
+    """Share of the programmed speed at which the controller moves now."""
+
+    @property
+    def is_playing(self) -> bool:
+        """Whether a program runs."""
+        return self.runtime_state == RuntimeState.PLAYING
+
+    @property
+    def may_move(self) -> bool:
+        """Whether power, brakes and safety system let the arm move."""
+        return self.robot_mode == RobotMode.RUNNING and self.safety_mode in (SafetyMode.NORMAL, SafetyMode.REDUCED)
+
+
+def implausible(model: ArmModel, sample: UrSample, previous: UrSample | None) -> str | None:
+    """Why a sample cannot be true, in words; None: it can.
+
+    A package of the wrong layout is decoded by `ur_rtde` without complaint: its numbers land in wrong fields. So
+    modes outside their lists, speeds beyond the joints' ratings and jumps are refused as much as NaN.
+    """
+    for name, values in (
+        ("joint angles", sample.q),
+        ("joint velocities", sample.qd),
+        ("target angles", sample.target_q),
+        ("target velocities", sample.target_qd),
+    ):
+        if values.shape != (model.joints,):
+            return f"controller sent {values.size} {name}, expected {model.joints}"
+        if not np.isfinite(values).all():
+            return f"controller sent {name} that are not finite"
+    if sample.robot_mode not in _ROBOT_MODES or sample.safety_mode not in _SAFETY_MODES:
+        return f"controller sent robot mode {sample.robot_mode}, safety mode {sample.safety_mode}: no such modes"
+    if sample.runtime_state not in _RUNTIME_STATES or not 0 <= sample.speed_slider <= 1:
+        return f"controller sent runtime state {sample.runtime_state}, speed slider {sample.speed_slider:g}: no such"
+    return _impossible_motion(model, sample, previous)
+
+
+def not_ready(sample: UrSample) -> str | None:
+    """Why the arm may not move, in words; None: it may."""
+    if sample.safety_mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
+        return f"safety mode {SafetyMode(sample.safety_mode).name}: clear it on the pendant"
+    if sample.robot_mode != RobotMode.RUNNING:
+        return f"robot mode {RobotMode(sample.robot_mode).name}: switch power on and release the brakes"
+    return None
+
+
+def _impossible_motion(model: ArmModel, sample: UrSample, previous: UrSample | None) -> str | None:
+    """Why no arm can be or move so, in words."""
+    limit = _VELOCITY_MARGIN * model.max_velocity
+    if np.any(np.abs(sample.qd) > limit):
+        joint = int(np.argmax(np.abs(sample.qd) / limit))
+        return f"controller sent {sample.qd[joint]:.2f} rad/s for {model.joint_names[joint]}: beyond its rating"
+    if np.any((sample.q < model.lower - _LIMIT_RAD) | (sample.q > model.upper + _LIMIT_RAD)):
+        joint = int(np.argmax(np.maximum(model.lower - sample.q, sample.q - model.upper)))
+        return f"controller sent {sample.q[joint]:.2f} rad for {model.joint_names[joint]}: beyond its range"
+    if previous is not None:
+        moved = np.abs(sample.q - previous.q)
+        reach = limit * max(sample.clock_s - previous.clock_s, 0.0) + _JUMP_RAD
+        if np.any(moved > reach):
+            joint = int(np.argmax(moved - reach))
+            return f"{model.joint_names[joint]} jumped by {moved[joint]:.2f} rad"
+    return None

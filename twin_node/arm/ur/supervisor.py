@@ -1,0 +1,149 @@
+"""Keeps a driver's process alive, hands it its orders, and remembers why the arm was halted."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from twin_node.arm.ur.parameters import UrParameters
+from twin_node.arm.ur.process import DriverProcess
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
+from twin_node.scene import JointPath, Separation
+
+_LOOK_S = 0.05
+"""How often the process is looked at when it says nothing."""
+_HUNG_S = 0.5
+"""A process that reported and then says nothing for so long hangs: a hundred of its periods."""
+_CONNECTING_S = 15.0
+"""Longest that connecting may take: `ur_rtde` waits up to 5 s for its script, and starts twice."""
+
+OnReport = Callable[[DriverReport], None]
+
+
+class SupervisedDriver:
+    """A driver in a process of its own, made anew when it dies; a halt outlives it.
+
+    One thread watches the process and calls `on_report`; every method may be called from any thread. A spare process
+    waits with its libraries loaded, so that a new driver is at work within a few tenths of a second.
+    """
+
+    def __init__(self, parameters: UrParameters, on_report: OnReport | None = None) -> None:
+        """Raises `RobotError` for an arm that is not known, before any process starts."""
+        parameters.arm()
+        self._parameters = parameters
+        self._on_report = on_report
+        self._lock = threading.Lock()
+        self._latest = DriverReport(time.monotonic_ns(), DriverState.CONNECTING, "connecting", speed_fraction=None)
+        self._process: DriverProcess | None = None
+        self._spare: DriverProcess | None = None
+        self._is_closing = False
+        self._is_wanted = threading.Event()
+        self._is_wanted.set()
+        self._halt: str | None = None
+        self._thread = threading.Thread(target=self._watch, name="ur_driver supervisor", daemon=True)
+        self._thread.start()
+
+    @property
+    def latest(self) -> DriverReport:
+        """The newest report."""
+        with self._lock:
+            return self._latest
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the driver at work; None where there is none."""
+        process = self._process
+        return None if process is None else process.pid
+
+    def decide(self, separation: Separation) -> None:
+        """Pass on a decision, whose evidence stamp is CLOCK_MONOTONIC, ns; without a connection it is forgotten."""
+        if self.latest.state in (DriverState.READY, DriverState.HALTED):
+            self._give(Decide(separation))
+
+    def follow(self, path: JointPath) -> bool:
+        """Servo mode: follow a path now. False: there is no process; reports say when it was refused."""
+        return self._give(Follow(path))
+
+    def acknowledge(self) -> bool:
+        """Somebody has looked: go on, if what was wrong is over. False: there is no process."""
+        return self._give(Acknowledge())
+
+    def reconnect(self) -> None:
+        """Connect again, where the driver does not do so by itself."""
+        self._is_wanted.set()
+
+    def close(self) -> None:
+        """Stop the arm and end the process."""
+        self._is_closing = True
+        self._is_wanted.set()
+        self._thread.join()
+
+    def __enter__(self) -> SupervisedDriver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _give(self, order: Order) -> bool:
+        with self._lock:
+            return self._process is not None and self._process.give(order)
+
+    def _watch(self) -> None:
+        """One process after another, for as long as they are wanted."""
+        while not self._is_closing:
+            self._one_process()
+            if not self._parameters.reconnects:
+                self._is_wanted.clear()
+            self._is_wanted.wait()
+        if self._spare is not None:
+            self._spare.end()
+
+    def _one_process(self) -> None:
+        """Send a process off and listen to it until it ends."""
+        process = self._spare or DriverProcess(self._parameters)
+        self._spare = None
+        process.begin(self._halt)
+        with self._lock:
+            self._process = process
+        reason = self._listen(process)
+        with self._lock:
+            self._process = None
+        how = process.end()
+        if self._latest.state is DriverState.READY:
+            self._halt = reason or how
+        self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, reason or how, speed_fraction=None))
+
+    def _listen(self, process: DriverProcess) -> str | None:
+        """Pass on reports until the process ends (None) or is to be ended: why."""
+        heard = time.monotonic()
+        patience_s = _CONNECTING_S
+        while not self._is_closing:
+            try:
+                report = process.hear(_LOOK_S)
+            except EOFError:
+                return None
+            if report is not None:
+                heard = time.monotonic()
+                patience_s = _CONNECTING_S if report.state is DriverState.LOST else _HUNG_S
+                self._take(report)
+                if report.is_over:
+                    return report.reason
+            elif time.monotonic() - heard > patience_s:
+                return f"driver process silent for {patience_s:g} s"
+        return "closed"
+
+    def _take(self, report: DriverReport) -> None:
+        if report.state is DriverState.HALTED:
+            self._halt = report.reason
+        elif report.state is DriverState.READY:
+            self._halt = None
+        self._publish(report)
+        if self._spare is None and report.state is not DriverState.LOST:
+            self._spare = DriverProcess(self._parameters)
+
+    def _publish(self, report: DriverReport) -> None:
+        with self._lock:
+            self._latest = report
+        if self._on_report is not None:
+            self._on_report(report)
