@@ -12,7 +12,9 @@ from twin_node.cli.calibrate import add_calibrate
 from twin_node.cli.export import add_export
 from twin_node.cli.imports import add_import
 from twin_node.cli.replay import add_demo, add_replay
+from twin_node.cli.ur_driver import add_ur_driver
 from twin_node.cli.ur_sim import add_ur_sim
+from twin_node.cli.view import add_view
 from twin_node.errors import TwinError
 
 
@@ -41,5 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     add_bench(commands)
     add_calibrate(commands)
     add_export(commands)
+    add_view(commands)
+    add_ur_driver(commands)
     add_ur_sim(commands)
     return parser

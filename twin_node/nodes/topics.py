@@ -29,6 +29,11 @@ RECORDED = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, SEPARATION, STATU
 
 JOINT_STATES = "/joint_states"
 TRAJECTORY = "/arm/trajectory"
+"""Where the arm will be; published by who drives it."""
+FOLLOW = "/arm/follow"
+"""`trajectory_msgs/JointTrajectory` that the UR driver is to follow in servo mode, from now on."""
+ACKNOWLEDGE = "/arm/acknowledge"
+"""`std_msgs/Empty`: somebody has looked at a halted arm; it may go on."""
 TF_STATIC = "/tf_static"
 TRUTH_OCCUPANCY = "/truth/occupancy"
 

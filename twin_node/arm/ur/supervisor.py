@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.parameters import UrParameters
 from twin_node.arm.ur.process import DriverProcess
 from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
@@ -17,6 +18,8 @@ _HUNG_S = 0.5
 """A process that reported and then says nothing for so long hangs: a hundred of its periods."""
 _CONNECTING_S = 15.0
 """Longest that connecting may take: `ur_rtde` waits up to 5 s for its script, and starts twice."""
+_RETRY_S = 0.5
+"""Before the next process where the last could not connect."""
 
 OnReport = Callable[[DriverReport], None]
 
@@ -29,15 +32,16 @@ class SupervisedDriver:
     """
 
     def __init__(self, parameters: UrParameters, on_report: OnReport | None = None) -> None:
-        """Raises `RobotError` for an arm that is not known, before any process starts."""
+        """Raises `RobotError` for an arm that is not known and `ArmError` without `ur_rtde`: no process starts then."""
         parameters.arm()
+        load_ur_rtde()
         self._parameters = parameters
         self._on_report = on_report
         self._lock = threading.Lock()
         self._latest = DriverReport(time.monotonic_ns(), DriverState.CONNECTING, "connecting", speed_fraction=None)
         self._process: DriverProcess | None = None
         self._spare: DriverProcess | None = None
-        self._is_closing = False
+        self._closing = threading.Event()
         self._is_wanted = threading.Event()
         self._is_wanted.set()
         self._halt: str | None = None
@@ -75,7 +79,7 @@ class SupervisedDriver:
 
     def close(self) -> None:
         """Stop the arm and end the process."""
-        self._is_closing = True
+        self._closing.set()
         self._is_wanted.set()
         self._thread.join()
 
@@ -91,16 +95,18 @@ class SupervisedDriver:
 
     def _watch(self) -> None:
         """One process after another, for as long as they are wanted."""
-        while not self._is_closing:
-            self._one_process()
+        while not self._closing.is_set():
+            was_connected = self._one_process()
             if not self._parameters.reconnects:
                 self._is_wanted.clear()
             self._is_wanted.wait()
+            if not was_connected:
+                self._closing.wait(_RETRY_S)
         if self._spare is not None:
             self._spare.end()
 
-    def _one_process(self) -> None:
-        """Send a process off and listen to it until it ends."""
+    def _one_process(self) -> bool:
+        """Send a process off and listen to it until it ends; gives back whether it ever had a connection."""
         process = self._spare or DriverProcess(self._parameters)
         self._spare = None
         process.begin(self._halt)
@@ -110,15 +116,17 @@ class SupervisedDriver:
         with self._lock:
             self._process = None
         how = process.end()
+        was_connected = self._spare is not None
         if self._latest.state is DriverState.READY:
             self._halt = reason or how
         self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, reason or how, speed_fraction=None))
+        return was_connected
 
     def _listen(self, process: DriverProcess) -> str | None:
         """Pass on reports until the process ends (None) or is to be ended: why."""
         heard = time.monotonic()
         patience_s = _CONNECTING_S
-        while not self._is_closing:
+        while not self._closing.is_set():
             try:
                 report = process.hear(_LOOK_S)
             except EOFError:

@@ -1,0 +1,149 @@
+"""`twin_node ur-driver`: drive a UR arm by the twin's speed decisions, or watch it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import select
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from twin_node.cli.arguments import positive
+
+_DESCRIPTION = """\
+Drive a UR controller through ur_rtde (pip install 'twin-node[ur]') in a process of its own.
+
+  slider     (default) the robot runs its own program; the driver sets the speed slider to the twin's speed fraction and
+             beats an input register that the program watches, so that the arm pauses by itself when the beat ends.
+             The program needs one line: rtde_set_watchdog("input_int_register_20", 10, "pause")
+  servo      the driver makes the arm follow /arm/follow by servoJ, slowed along its path
+  read-only  the driver writes nothing
+
+Without forecasts the arm stands. Whatever goes wrong halts it until somebody acknowledges: press Enter, or publish
+/arm/acknowledge. This is not a safety function: the controller's own safety configuration protects people.
+"""
+
+
+def add_ur_driver(commands: Any) -> None:
+    """Adds `ur-driver` to the subcommands."""
+    parser = commands.add_parser(
+        "ur-driver",
+        help="drive a UR arm by the twin's decisions, or watch it",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--robot", required=True, metavar="HOST", help="address of the controller")
+    parser.add_argument("--mode", choices=["slider", "servo", "read-only"], default="slider")
+    parser.add_argument("--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e or ur16e")
+    parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
+    parser.add_argument("--register", type=int, default=20, metavar="N", help="heartbeat: 18 to 22 (default 20)")
+    parser.add_argument("--no-reconnect", action="store_true", help="end when the connection is lost")
+    parser.add_argument("--resume", action="store_true", help="go on by itself when the cause of a halt is over")
+    parser.add_argument("--decisions", type=Path, metavar="LOG.mcap", help="play /twin/separation of this log")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="record what the driver publishes")
+    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> None:
+    from twin_node.arm.ur import DriverMode, UrParameters
+    from twin_node.bag import LogWriter
+    from twin_node.nodes.recorder import RecorderNode
+    from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, SEPARATION, TRAJECTORY
+    from twin_node.nodes.ur_driver import UrDriverNode
+    from twin_node.runtime.bus import LocalBus
+
+    parameters = UrParameters(
+        robot=options.robot,
+        model=options.model,
+        kinematics=options.kinematics,
+        mode=DriverMode(options.mode),
+        heartbeat_register=options.register,
+        reconnects=not options.no_reconnect,
+        resumes=options.resume,
+    )
+    bus = LocalBus()
+    with contextlib.ExitStack() as stack:
+        pace = _Pace(options.decisions, bus, options.duration, stack)
+        if options.output is not None:
+            log = stack.enter_context(LogWriter(options.output))
+            topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
+            recorder = RecorderNode(bus, pace.clock, log, topics)
+            recorder.configure()
+            recorder.activate()
+        node = UrDriverNode(bus, pace.clock, parameters)
+        node.configure()
+        node.activate()
+        stack.callback(node.deactivate)
+        _watch(node, pace, is_ending_when_lost=options.no_reconnect)
+
+
+class _Pace:
+    """Lets time pass: steps through a log's decisions in real time, or waits."""
+
+    def __init__(self, decisions: Path | None, bus: Any, duration_s: float | None, stack: contextlib.ExitStack) -> None:
+        from twin_node.nodes.ur_driver import TICK_S
+        from twin_node.runtime.clock import PacedClock
+
+        self._tick_s = TICK_S
+        self._until = None if duration_s is None else time.monotonic() + duration_s
+        self._is_started = False
+        if decisions is None:
+            self.clock, self._steps = PacedClock(time.time_ns(), 1.0), iter(())
+            self._is_waiting_for_arm = False
+        else:
+            player, start_ns = _player(decisions, bus, stack)
+            self.clock = PacedClock(start_ns, 1.0)
+            self._steps = player.steps(self.clock)
+            self._is_waiting_for_arm = True
+
+    def step(self, is_ready: bool) -> bool:
+        """Wait for the next moment; a log begins when the arm is ready. False when time is up."""
+        if not self._is_started and (is_ready or not self._is_waiting_for_arm):
+            self.clock.start()
+            self._is_started = True
+        if not self._is_started or next(self._steps, None) is None:
+            time.sleep(self._tick_s)
+        return self._until is None or time.monotonic() < self._until
+
+
+def _player(decisions: Path, bus: Any, stack: contextlib.ExitStack) -> Any:
+    """What plays a log's decisions, and the log's start, ns."""
+    from twin_node.bag import open_log
+    from twin_node.errors import TwinError
+    from twin_node.nodes.player import Player, span_of
+    from twin_node.nodes.topics import SEPARATION
+
+    log = stack.enter_context(open_log(decisions))
+    if SEPARATION not in {topic.name for topic in log.topics}:
+        raise TwinError(
+            f"--decisions {decisions}: expected a log with {SEPARATION}, found none; make one with "
+            "'twin_node replay LOG -o OUT.mcap'"
+        )
+    span = span_of(log)
+    return Player(log, bus, {SEPARATION: SEPARATION}, span), span.start_ns
+
+
+def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> None:
+    """Tick, say what changes, and take Enter for an acknowledgement, until time is up or Ctrl-C."""
+    from twin_node.arm.errors import ArmError
+    from twin_node.arm.ur import DriverState
+    from twin_node.messages.types import message_type
+    from twin_node.nodes.topics import ACKNOWLEDGE
+
+    said = ""
+    while pace.step(node.report.state is DriverState.READY):
+        node.tick()
+        report = node.report
+        line = f"{report.state.value}: {report.reason.partition(' for ')[0]}"
+        if report.refusal is not None:
+            line += f" (refused: {report.refusal})"
+        if line != said:
+            said = line
+            print(line, flush=True)
+        if report.state is DriverState.LOST and is_ending_when_lost:
+            raise ArmError(report.reason)
+        if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.readline():
+            node.bus.publish(ACKNOWLEDGE, message_type("std_msgs/msg/Empty")())

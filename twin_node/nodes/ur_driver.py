@@ -1,0 +1,116 @@
+"""The UR driver node: speed fractions in, the arm's joints and its next 200 ms out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters
+from twin_node.messages import convert
+from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
+from twin_node.runtime.bus import Bus
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.node import LifecycleState, Node
+from twin_node.scene import JointPath, JointSample
+
+TICK_S = 0.02
+"""How often `tick` is to be called, s: the driver reports at 50 Hz."""
+
+_DIAGNOSTICS_NS = 1_000_000_000
+"""Diagnostics go out at 1 Hz, as is customary, and at once when something changes."""
+
+_LEVELS = {
+    DriverState.CONNECTING: convert.Level.WARN,
+    DriverState.READY: convert.Level.OK,
+    DriverState.HALTED: convert.Level.ERROR,
+    DriverState.LOST: convert.Level.STALE,
+}
+
+
+class UrDriverNode(Node):
+    """Drives a UR arm, in a process of its own, for as long as it is active.
+
+    Takes `/twin/separation`, in servo mode `/arm/follow`, and `/arm/acknowledge` after a halt. Publishes
+    `/joint_states`, `/arm/trajectory` and `/diagnostics`. Deactivating it stops the arm.
+    """
+
+    def __init__(self, bus: Bus, clock: Clock, parameters: UrParameters) -> None:
+        super().__init__("ur_driver", bus, clock)
+        self._parameters = parameters
+        self._joint_names = parameters.arm().joint_names
+        self._driver: SupervisedDriver | None = None
+        self._seen = 0
+        self._told: DriverReport | None = None
+        self._next = 0
+
+    @property
+    def report(self) -> DriverReport | None:
+        """What the driver said last; None while the node is not active."""
+        return None if self._driver is None else self._driver.latest
+
+    def on_configure(self) -> None:
+        self.bus.subscribe(SEPARATION, self._on_separation)
+        self.bus.subscribe(ACKNOWLEDGE, self._on_acknowledge)
+        if self._parameters.mode is DriverMode.SERVO:
+            self.bus.subscribe(FOLLOW, self._on_follow)
+
+    def on_activate(self) -> None:
+        self._driver = SupervisedDriver(self._parameters)
+
+    def on_deactivate(self) -> None:
+        if self._driver is not None:
+            self._driver.close()
+        self._driver = None
+
+    def tick(self) -> None:
+        """Publish what the driver has said since the last call; to be called every `TICK_S`, in the bus's thread."""
+        report = self.report
+        if report is None:
+            return
+        now = self.clock.now()
+        if report.stamp > self._seen:
+            self._seen = report.stamp
+            self._publish_arm(report, now - time.monotonic_ns())
+        told = self._told
+        is_news = told is None or (told.state, told.refusal) != (report.state, report.refusal)
+        if is_news or now >= self._next:
+            self._told, self._next = report, now + _DIAGNOSTICS_NS
+            self.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(now, [self._diagnosis(report)]))
+
+    def _publish_arm(self, report: DriverReport, offset: int) -> None:
+        """Joints and their future; `offset` (ns) leads from the driver's clock to the graph's."""
+        sample = report.sample
+        if sample is not None and report.sample_stamp:
+            joints = JointSample(report.sample_stamp + offset, self._joint_names, sample.q, sample.qd)
+            self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(joints))
+        if report.future is not None:
+            future = replace(report.future, stamps=report.future.stamps + offset)
+            self.bus.publish(TRAJECTORY, convert.joint_path_to_message(future))
+
+    def _diagnosis(self, report: DriverReport) -> convert.Diagnosis:
+        fraction = "none" if report.speed_fraction is None else f"{report.speed_fraction:.3f}"
+        readings = [convert.Reading("state", report.state.value), convert.Reading("speed_fraction", fraction)]
+        if report.refusal is not None:
+            readings.append(convert.Reading("refused", report.refusal))
+        return convert.Diagnosis(
+            "ur_driver: arm", _LEVELS[report.state], report.reason, tuple(readings), self._parameters.robot
+        )
+
+    def _on_separation(self, message: Any) -> None:
+        if self._driver is None or self.state is not LifecycleState.ACTIVE:
+            return
+        separation = convert.separation_from_message(message)
+        offset = time.monotonic_ns() - self.clock.now()
+        self._driver.decide(
+            replace(separation, stamp=separation.stamp + offset, evidence_stamp=separation.evidence_stamp + offset)
+        )
+
+    def _on_follow(self, message: Any) -> None:
+        if self._driver is not None:
+            path: JointPath = convert.joint_path_from_message(message, self.clock.now())
+            self._driver.follow(path)
+
+    def _on_acknowledge(self, _: Any) -> None:
+        if self._driver is not None:
+            self._driver.acknowledge()
