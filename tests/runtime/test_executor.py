@@ -1,0 +1,66 @@
+"""The executor: order, keep-last, timers, and what a callback that fails does."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from twin_node.runtime.executor import Executor
+
+
+def run_all(executor: Executor) -> None:
+    while executor.step(0.0):
+        pass
+
+
+def test_messages_of_all_inboxes_come_in_the_order_of_their_arrival() -> None:
+    executor, seen = Executor(), []
+    a, b = executor.inbox(lambda m: seen.append(("a", m)), 10), executor.inbox(lambda m: seen.append(("b", m)), 10)
+    a.offer(1)
+    b.offer(2)
+    a.offer(3)
+    run_all(executor)
+    assert seen == [("a", 1), ("b", 2), ("a", 3)]
+
+
+def test_an_inbox_keeps_its_newest_and_counts_the_rest() -> None:
+    executor, seen = Executor(), []
+    inbox = executor.inbox(seen.append, 2)
+    for i in range(5):
+        inbox.offer(i)
+    run_all(executor)
+    assert seen == [3, 4]
+    assert inbox.dropped == 3
+    inbox.offer(5)
+    run_all(executor)
+    assert seen == [3, 4, 5]
+
+
+def test_a_message_wakes_an_executor_that_waits() -> None:
+    executor, seen = Executor(), []
+    inbox = executor.inbox(seen.append, 1)
+    thread = threading.Thread(target=inbox.offer, args=("late",))
+    thread.start()
+    assert executor.step(60.0)
+    thread.join()
+    assert seen == ["late"]
+
+
+def test_timers_come_again_and_do_not_catch_up() -> None:
+    executor, ticks = Executor(), []
+    executor.every(1e-4, lambda: ticks.append(1))
+    for expected in (1, 2, 3):
+        assert executor.step(60.0)
+        assert len(ticks) == expected
+
+
+def test_stop_ends_spinning_and_a_failure_passes_through() -> None:
+    executor = Executor()
+    executor.every(1e-4, executor.stop)
+    executor.spin()
+    assert executor.is_stopped
+    failing = Executor()
+    failing.inbox(lambda m: 1 / m, 1).offer(0)
+    with pytest.raises(ZeroDivisionError):
+        failing.spin()

@@ -1,0 +1,122 @@
+"""Round trips with two other implementations of rmw_zenoh's format, and CDR and type hashes against theirs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twin_node.messages import definition, header, message_type, serialize, to_duration, type_hash
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.runtime.zenoh_session import ZenohParameters
+from twin_node.runtime.zenoh_wire import ZenohWire
+
+PEERS = Path(__file__).parent / "peers"
+STRING, LAYER, JOINTS = "std_msgs/msg/String", "twin_msgs/msg/OccupancyLayer", "sensor_msgs/msg/JointState"
+KINDS = {"/own_to_peer": LAYER, "/own_from_peer": LAYER, "/joints": JOINTS, "/joints_back": JOINTS}
+ATTEMPTS = 100
+"""Times that a message is sent until its echo comes; discovery takes a few."""
+
+pytest.importorskip("zenoh")
+
+
+def kind_of(topic: str) -> TopicKind:
+    return TopicKind(KINDS.get(topic, STRING), LATCHED if topic == "/latched" else RELIABLE)
+
+
+@dataclass
+class Us:
+    """Our side of a round trip."""
+
+    bus: WireBus
+    executor: Executor
+    port: int
+
+    def exchange(self, topic: str, message: Any, answer_topic: str) -> Any:
+        """Sends until an answer comes."""
+        answers: list[Any] = []
+        self.bus.subscribe(answer_topic, answers.append)
+        for _ in range(ATTEMPTS):
+            self.bus.publish(topic, message)
+            self.executor.step(0.1)
+            if answers:
+                return answers[0]
+        raise AssertionError(f"no answer on {answer_topic}")
+
+
+@pytest.fixture
+def us(zenoh_router: ZenohParameters) -> Iterator[Us]:
+    wire, executor = ZenohWire(zenoh_router), Executor()
+    port = int(zenoh_router.endpoint.rpartition(":")[2])
+    yield Us(WireBus(wire, executor, "twin", kind_of), executor, port)
+    wire.close()
+
+
+@pytest.fixture
+def start_peer() -> Iterator[Callable[..., None]]:
+    """`start_peer(script, *arguments)`: runs a peer until the test ends; its input's end tells it to go."""
+    running = []
+
+    def start(script: str, *arguments: str) -> None:
+        command = [sys.executable, str(PEERS / script), *arguments]
+        peer = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        running.append(peer)
+        assert peer.stdout is not None
+        assert any(line == b"ready\n" for line in peer.stdout), "the peer did not start"
+
+    yield start
+    for peer in running:
+        peer.communicate()
+
+
+def need(package: str) -> None:
+    if find_spec(package) is None:
+        pytest.skip(f"the peer {package} is not installed (extra 'interop')")
+
+
+def test_messages_go_both_ways_with_zenoh_ros2_sdk(us: Us, start_peer: Callable[..., None]) -> None:
+    need("zenoh_ros2_sdk")
+    string = message_type(STRING)
+    us.bus.publish("/latched", string(data="map"))
+    answers: list[Any] = []
+    us.bus.subscribe("/from_peer", answers.append)
+    start_peer("sdk_echo.py", str(us.port), definition(LAYER), type_hash(LAYER))
+    assert us.exchange("/to_peer", string(data="hello"), "/from_peer").data == "echo hello"
+    while not any(answer.data == "kept map" for answer in answers):
+        assert us.executor.step(10.0), "the late joiner was not given the latched message"
+
+
+def test_our_own_messages_go_both_ways_with_zenoh_ros2_sdk(us: Us, start_peer: Callable[..., None]) -> None:
+    need("zenoh_ros2_sdk")
+    start_peer("sdk_echo.py", str(us.port), definition(LAYER), type_hash(LAYER))
+    sent = message_type(LAYER)(
+        horizon=to_duration(200_000_000),
+        indices=np.array([3, 5, 8], dtype=np.uint32),
+        probability=np.array([255, 128, 1], dtype=np.uint8),
+    )
+    back = us.exchange("/own_to_peer", sent, "/own_from_peer")
+    assert bytes(serialize(back)) == bytes(serialize(sent))
+
+
+def test_messages_go_both_ways_with_pyzeros(us: Us, start_peer: Callable[..., None]) -> None:
+    need("pyzeros")
+    start_peer("pyzeros_echo.py", str(us.port))
+    assert us.exchange("/to_peer", message_type(STRING)(data="hello"), "/from_peer").data == "echo hello"
+    sent = message_type(JOINTS)(
+        header=header(1_500_000_000, "base_link"),
+        name=["shoulder", "elbow"],
+        position=np.array([0.25, -1.5]),
+        velocity=np.array([0.0, 2.0]),
+        effort=np.array([], dtype=np.float64),
+    )
+    back = us.exchange("/joints", sent, "/joints_back")
+    assert bytes(serialize(back)) == bytes(serialize(sent))

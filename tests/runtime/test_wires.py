@@ -1,0 +1,172 @@
+"""Buses on wires: between threads, and between sessions of zenoh as if they were processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from twin_node.errors import TwinError
+from twin_node.messages import message_type
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import LATCHED, NEWEST, RELIABLE, TopicKind
+from twin_node.runtime.rmw_zenoh import HUMBLE_HASH
+from twin_node.runtime.wire import Encoded, LocalWire, Wire, encoded
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.runtime.zenoh_session import WireError, ZenohParameters, open_session
+from twin_node.runtime.zenoh_wire import ZenohWire
+
+STRING = "std_msgs/msg/String"
+ATTEMPTS = 100
+
+
+def text(data: str) -> Any:
+    return message_type(STRING)(data=data)
+
+
+def kind_of(topic: str) -> TopicKind:
+    if topic == "/record":
+        return TopicKind(None, NEWEST)
+    return TopicKind(STRING, LATCHED if topic == "/map" else RELIABLE)
+
+
+class Side:
+    """One thread's bus, and what it has been told."""
+
+    def __init__(self, wire: Wire, name: str) -> None:
+        self.executor = Executor()
+        self.bus = WireBus(wire, self.executor, name, kind_of)
+        self.seen: list[Any] = []
+
+    def listen(self, topic: str) -> None:
+        self.bus.subscribe(topic, self.seen.append)
+
+    def wait(self) -> Any:
+        assert self.executor.step(60.0)
+        return self.seen[-1]
+
+
+@pytest.fixture
+def wires(zenoh_router: ZenohParameters) -> Iterator[tuple[ZenohWire, ZenohWire]]:
+    a, b = ZenohWire(zenoh_router), ZenohWire(zenoh_router)
+    yield a, b
+    a.close()
+    b.close()
+
+
+def send_until_heard(talker: Side, listener: Side, topic: str, message: Any) -> Any:
+    for _ in range(ATTEMPTS):
+        talker.bus.publish(topic, message)
+        if listener.executor.step(0.1):
+            return listener.seen[-1]
+    raise AssertionError("never heard")
+
+
+def test_threads_of_a_process_share_messages_by_reference() -> None:
+    wire = LocalWire()
+    talker, listener = Side(wire, "talker"), Side(wire, "listener")
+    record = object()
+    listener.listen("/record")
+    for _ in range(3):
+        talker.bus.publish("/record", object())
+    talker.bus.publish("/record", record)
+    assert listener.wait() is record
+    assert listener.bus.dropped("/record") == 3
+
+
+def test_a_latched_message_awaits_the_late() -> None:
+    wire = LocalWire()
+    talker, listener = Side(wire, "talker"), Side(wire, "listener")
+    talker.bus.publish("/map", text("old"))
+    talker.bus.publish("/map", text("new"))
+    talker.bus.publish("/chatter", text("gone"))
+    listener.listen("/map")
+    listener.listen("/chatter")
+    assert listener.wait().data == "new"
+    assert not listener.executor.step(0.0)
+
+
+def test_bytes_are_decoded_where_they_arrive_and_damage_is_counted() -> None:
+    wire = LocalWire()
+    talker, listener, recorder = Side(wire, "talker"), Side(wire, "listener"), Side(wire, "recorder")
+    listener.listen("/chatter")
+    recorder.bus.subscribe_raw("/chatter", recorder.seen.append)
+    talker.bus.publish("/chatter", encoded(text("as bytes")))
+    assert listener.wait().data == "as bytes"
+    assert isinstance(recorder.wait(), Encoded)
+    talker.bus.publish("/chatter", Encoded(STRING, b"\x00\x01"))
+    assert listener.executor.step(1.0)
+    [traffic] = listener.bus.traffic
+    assert (traffic.received, traffic.unreadable) == (2, 1)
+    assert traffic.last_error is not None and STRING in traffic.last_error
+
+
+def test_what_a_node_refuses_does_not_end_it() -> None:
+    wire = LocalWire()
+    talker, listener = Side(wire, "talker"), Side(wire, "listener")
+
+    def refuse(message: Any) -> None:
+        raise TwinError("not this one")
+
+    listener.bus.subscribe("/chatter", refuse)
+    talker.bus.publish("/chatter", text("x"))
+    assert listener.executor.step(1.0)
+    assert listener.bus.traffic[0].last_error == "not this one"
+
+
+def test_messages_cross_zenoh_and_the_graph_shows_who_offers_what(wires: tuple[ZenohWire, ZenohWire]) -> None:
+    talker, listener = Side(wires[0], "talker"), Side(wires[1], "listener")
+    listener.listen("/chatter")
+    assert send_until_heard(talker, listener, "/chatter", text("over there")).data == "over there"
+    expected = {("PUBLISHER", "talker", "/chatter", STRING), ("SUBSCRIBER", "listener", "/chatter", STRING)}
+    for _ in range(ATTEMPTS):
+        offered = {(e.kind.name, e.node.name, e.topic, e.msgtype) for e in wires[1].endpoints()}
+        if offered == expected:
+            return
+        listener.executor.step(0.1)
+    raise AssertionError(f"found {offered}")
+
+
+def test_a_latched_message_crosses_zenoh_to_the_late(wires: tuple[ZenohWire, ZenohWire]) -> None:
+    talker, listener = Side(wires[0], "talker"), Side(wires[1], "listener")
+    talker.bus.publish("/map", text("old"))
+    talker.bus.publish("/map", text("new"))
+    listener.listen("/map")
+    assert listener.wait().data == "new"
+
+
+def test_records_stay_at_home(wires: tuple[ZenohWire, ZenohWire]) -> None:
+    talker, here, there = Side(wires[0], "talker"), Side(wires[0], "here"), Side(wires[1], "there")
+    here.listen("/record")
+    there.listen("/record")
+    record = object()
+    talker.bus.publish("/record", record)
+    assert here.wait() is record
+    assert not there.executor.step(0.0)
+
+
+def test_humble_is_spoken_to_without_hashes(zenoh_router: ZenohParameters) -> None:
+    humble = ZenohWire(ZenohParameters("external", zenoh_router.endpoint, ros_distro="humble", domain=0))
+    old = Side(humble, "old")
+    old.listen("/chatter")
+    for _ in range(ATTEMPTS):
+        if humble.endpoints():
+            break
+        old.executor.step(0.1)
+    [endpoint] = humble.endpoints()
+    humble.close()
+    assert endpoint.type_hash == HUMBLE_HASH
+
+
+def test_wrong_settings_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    with pytest.raises(WireError, match="ros_distro: expected one of humble, jazzy"):
+        ZenohParameters(ros_distro="noetic")
+    with pytest.raises(WireError, match="expected auto, builtin or external, found 'none'"):
+        ZenohParameters(router="none")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
+    with pytest.raises(WireError, match="from 0 to 232, found '233'"):
+        _ = ZenohParameters().domain_id
+    (tmp_path / "bad.json5").write_text("{mode: 'starship'}")
+    with pytest.raises(WireError, match=r"bad\.json5: not a zenoh configuration"):
+        open_session(ZenohParameters(config=str(tmp_path / "bad.json5")))

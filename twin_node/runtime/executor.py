@@ -1,0 +1,140 @@
+"""One thread that runs the callbacks of some nodes: messages in the order of their arrival, and timers."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+
+class Timers(Protocol):
+    """Where a node asks to be called again and again."""
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call `callback()` every `period_s` seconds of wall time."""
+
+
+class NoTimers:
+    """Timers of a graph without wall time: in lockstep nothing is ever late."""
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Does nothing."""
+
+
+@dataclass(order=True)
+class _Timer:
+    due: float
+    order: int
+    period_s: float = field(compare=False)
+    callback: Callable[[], None] = field(compare=False)
+
+
+class Inbox:
+    """The newest messages for one callback; when `depth` of them wait already, the oldest is dropped."""
+
+    def __init__(self, executor: Executor, callback: Callable[[Any], None], depth: int) -> None:
+        self._executor = executor
+        self._callback = callback
+        self._waiting: deque[Any] = deque()
+        self._depth = depth
+        self.dropped = 0
+        """Messages that newer ones have replaced."""
+
+    def offer(self, message: Any) -> None:
+        """Takes a message, from any thread."""
+        self._executor.enqueue(self, message)
+
+    def push(self, message: Any) -> bool:
+        """Takes a message under the executor's lock; False where it replaced one that still waits."""
+        replaced = len(self._waiting) >= self._depth
+        if replaced:
+            self._waiting.popleft()
+            self.dropped += 1
+        self._waiting.append(message)
+        return not replaced
+
+    def run(self) -> None:
+        """Hands the oldest waiting message to the callback, in the executor's thread."""
+        self._callback(self._waiting.popleft())
+
+
+class Executor:
+    """Runs callbacks one at a time. `offer` and `stop` may be called from any thread, the rest from one."""
+
+    def __init__(self) -> None:
+        self._condition = threading.Condition()
+        self._ready: deque[Inbox] = deque()
+        self._timers: list[_Timer] = []
+        self._order = itertools.count()
+        self._stopped = False
+
+    def inbox(self, callback: Callable[[Any], None], depth: int) -> Inbox:
+        """A queue of at most `depth` messages whose `callback(message)` this executor runs."""
+        return Inbox(self, callback, depth)
+
+    def enqueue(self, inbox: Inbox, message: Any) -> None:
+        """Puts a message into one of this executor's inboxes; from any thread."""
+        with self._condition:
+            if inbox.push(message):
+                self._ready.append(inbox)
+                self._condition.notify()
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call `callback()` every `period_s` seconds; a call that is missed is not made up for."""
+        with self._condition:
+            due = time.monotonic() + period_s
+            heapq.heappush(self._timers, _Timer(due, next(self._order), period_s, callback))
+            self._condition.notify()
+
+    def stop(self) -> None:
+        """Let `spin` return once the callback that runs now is done; from any thread, or from a signal handler."""
+        self._stopped = True
+        if self._condition.acquire(blocking=False):
+            self._condition.notify_all()
+            self._condition.release()
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stopped
+
+    def spin(self) -> None:
+        """Run callbacks until `stop`; whatever one of them raises ends it."""
+        while not self._stopped:
+            self.step(MAX_WAIT_S)
+
+    def step(self, wait_s: float) -> bool:
+        """Run the next timer or message that is due within `wait_s` seconds; False where none was."""
+        deadline = time.monotonic() + wait_s
+        with self._condition:
+            while not self._stopped:
+                now = time.monotonic()
+                if self._timers and self._timers[0].due <= now:
+                    callback = self._next_timer(now)
+                    break
+                if self._ready:
+                    callback = self._ready.popleft().run
+                    break
+                if now >= deadline:
+                    return False
+                until = min(deadline, self._timers[0].due) if self._timers else deadline
+                self._condition.wait(until - now)
+            else:
+                return False
+        callback()
+        return True
+
+    def _next_timer(self, now: float) -> Callable[[], None]:
+        timer = self._timers[0]
+        due = max(timer.due + timer.period_s, now)
+        heapq.heapreplace(self._timers, _Timer(due, next(self._order), timer.period_s, timer.callback))
+        return timer.callback
+
+
+MAX_WAIT_S = 0.5
+"""Longest sleep of an executor without work, s: how long `stop` may go unnoticed when it interrupts the lock."""

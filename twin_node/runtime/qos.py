@@ -1,0 +1,41 @@
+"""What a topic carries and how: message type and quality of service, as far as this graph uses them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service of a topic; keep-last is the only history."""
+
+    depth: int = 10
+    """Messages kept for a subscriber that is busy; older ones are dropped, and counted."""
+    reliable: bool = True
+    latched: bool = False
+    """Transient-local: a late subscriber is given the last message."""
+
+
+RELIABLE = Qos()
+"""rclcpp's default profile."""
+SENSOR_DATA = Qos(depth=5, reliable=False)
+"""rmw_qos_profile_sensor_data."""
+LATCHED = Qos(depth=1, latched=True)
+NEWEST = Qos(depth=1)
+"""Only the newest counts: what it replaces is dropped, and counted."""
+EVERY = Qos(depth=100_000)
+"""Nothing is to be lost within a process: about an hour of 30 Hz."""
+
+
+@dataclass(frozen=True)
+class TopicKind:
+    """What a topic carries."""
+
+    msgtype: str | None
+    """Full ROS 2 name; None: a record that never leaves its process."""
+    qos: Qos = RELIABLE
+
+
+KindOf = Callable[[str], TopicKind]
+"""What is known about a topic by its name."""

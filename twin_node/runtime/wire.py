@@ -1,0 +1,89 @@
+"""What carries messages between the threads and processes of a graph, and the carrier within one process."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from twin_node.messages import Message, MessageTypes, builtin_types, serialize
+from twin_node.runtime.qos import TopicKind
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A message as bytes: decoded by whom it reaches, or passed on as it is."""
+
+    msgtype: str
+    """Full ROS 2 name."""
+    data: bytes | memoryview
+    """CDR with encapsulation header."""
+    types: MessageTypes = field(repr=False, compare=False, default_factory=builtin_types)
+    """Where the type is defined."""
+
+    def decode(self) -> Message:
+        """The message. Raises `MessageError` for an unknown type or damaged data."""
+        return self.types.deserialize(self.data, self.msgtype)
+
+
+def encoded(message: Any) -> Encoded:
+    """A message of the built-in set as bytes; one that is encoded is returned as it is."""
+    if isinstance(message, Encoded):
+        return message
+    return Encoded(message.__msgtype__, bytes(serialize(message)))
+
+
+Sink = Callable[[Any], None]
+"""Takes a message or an `Encoded` one; called in any thread, so it must only put it aside."""
+Send = Callable[[Any], None]
+"""Sends a message, an `Encoded` one, or, inside a process, a record."""
+
+
+class Wire(Protocol):
+    """Topics that reach beyond one thread."""
+
+    def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
+        """A function that sends messages of node `node` on `topic`; it may be called in any one thread at a time."""
+
+    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> None:
+        """Hands every message on `topic` to `sink`; a latched topic's last message comes at once."""
+
+    def close(self) -> None:
+        """Ends all traffic."""
+
+
+class LocalWire:
+    """Carries messages between the threads of this process, by reference: they must not be changed."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sinks: dict[str, list[Sink]] = {}
+        self._latched: dict[str, dict[object, Any]] = {}
+
+    def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
+        """A function that hands messages to every sink of `topic`."""
+        identity = object()
+
+        def send(message: Any) -> None:
+            with self._lock:
+                if kind.qos.latched:
+                    self._latched.setdefault(topic, {})[identity] = message
+                sinks = tuple(self._sinks.get(topic, ()))
+            for sink in sinks:
+                sink(message)
+
+        return send
+
+    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> None:
+        """Hands every message on `topic` to `sink`; a latched topic's last one of every publisher comes at once."""
+        with self._lock:
+            self._sinks.setdefault(topic, []).append(sink)
+            kept = tuple(self._latched.get(topic, {}).values()) if kind.qos.latched else ()
+        for message in kept:
+            sink(message)
+
+    def close(self) -> None:
+        """Forgets all sinks."""
+        with self._lock:
+            self._sinks.clear()

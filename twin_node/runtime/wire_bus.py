@@ -1,0 +1,111 @@
+"""The bus of nodes that share a thread but not a process, or not a machine, with those that they talk to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from twin_node.errors import TwinError
+from twin_node.runtime.executor import Executor, Inbox
+from twin_node.runtime.qos import KindOf, TopicKind
+from twin_node.runtime.wire import Encoded, Send, Wire, encoded
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What became of the messages of one subscription."""
+
+    topic: str
+    received: int
+    dropped: int
+    """Replaced by newer ones before the node had time for them."""
+    unreadable: int
+    """Bytes that are not a message of the topic's type, or a message that the node refused."""
+    last_error: str | None
+
+
+class _Subscription:
+    """One callback's messages, decoded in its own thread."""
+
+    def __init__(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
+        self.topic = topic
+        self._callback = callback
+        self._raw = raw
+        self.received = 0
+        self.unreadable = 0
+        self.last_error: str | None = None
+
+    def __call__(self, message: Any) -> None:
+        self.received += 1
+        try:
+            if self._raw:
+                self._callback(encoded(message))
+            else:
+                self._callback(message.decode() if isinstance(message, Encoded) else message)
+        except TwinError as error:
+            # One message of many: the rest is worth having; diagnostics tell of it once a second.
+            self.unreadable += 1
+            self.last_error = str(error)
+
+
+class WireBus:
+    """The bus of the nodes of one thread: what they publish goes onto a wire, what they are sent waits in inboxes.
+
+    A callback may raise a `TwinError` for a message that it cannot use; that is counted, kept for the diagnostics, and
+    the next message is taken. Anything else that it raises ends the executor.
+    """
+
+    def __init__(self, wire: Wire, executor: Executor, node: str, kind_of: KindOf) -> None:
+        """`node`: the name that others see; `kind_of`: what topics carry, where `declare` has not said otherwise."""
+        self._wire = wire
+        self._executor = executor
+        self._node = node
+        self._kind_of = kind_of
+        self._declared: dict[str, TopicKind] = {}
+        self._senders: dict[str, Send] = {}
+        self._subscriptions: list[tuple[_Subscription, Inbox]] = []
+
+    def declare(self, topic: str, kind: TopicKind) -> None:
+        """Says what a topic carries, before it is first used."""
+        self._declared[topic] = kind
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Send `message`, which may be `Encoded`, to everyone who subscribes to `topic`."""
+        send = self._senders.get(topic)
+        if send is None:
+            kind = self._kind(topic)
+            msgtype = message.msgtype if isinstance(message, Encoded) else getattr(message, "__msgtype__", None)
+            kind = TopicKind(msgtype, kind.qos)
+            send = self._senders[topic] = self._wire.publisher(self._node, topic, kind)
+        send(message)
+
+    def subscribe(self, topic: str, callback: Callable[[Any], None]) -> None:
+        """Call `callback(message)` in the executor's thread for every message on `topic`."""
+        self._subscribe(topic, callback, raw=False)
+
+    def subscribe_raw(self, topic: str, callback: Callable[[Encoded], None]) -> None:
+        """Call `callback(encoded)` for every message on `topic`, undecoded."""
+        self._subscribe(topic, callback, raw=True)
+
+    def dropped(self, topic: str) -> int:
+        """Messages on `topic` that newer ones replaced before a callback of this bus had time for them."""
+        return sum(inbox.dropped for subscription, inbox in self._subscriptions if subscription.topic == topic)
+
+    @property
+    def traffic(self) -> tuple[Traffic, ...]:
+        """What became of the messages of every subscription."""
+        return tuple(
+            Traffic(s.topic, s.received + inbox.dropped, inbox.dropped, s.unreadable, s.last_error)
+            for s, inbox in self._subscriptions
+        )
+
+    def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
+        kind = self._kind(topic)
+        subscription = _Subscription(topic, callback, raw)
+        inbox = self._executor.inbox(subscription, kind.qos.depth)
+        self._subscriptions.append((subscription, inbox))
+        self._wire.subscribe(self._node, topic, kind, inbox.offer)
+
+    def _kind(self, topic: str) -> TopicKind:
+        return self._declared.get(topic) or self._kind_of(topic)

@@ -1,0 +1,133 @@
+"""Opens zenoh sessions as rmw_zenoh does: peers that find each other through a router, on this host unless told."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin_node.errors import TwinError
+
+ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
+"""Where rmw_zenoh looks for a router, on this host alone."""
+SESSION_CONFIG_VARIABLE = "ZENOH_SESSION_CONFIG_URI"
+ROUTER_CONFIG_VARIABLE = "ZENOH_ROUTER_CONFIG_URI"
+"""Names of zenoh's own configuration files, as rmw_zenoh reads them."""
+DISTRIBUTIONS = ("humble", "jazzy", "kilted", "rolling")
+"""Distributions of ROS 2 whose wire format is spoken."""
+
+
+class WireError(TwinError):
+    """The zenoh network cannot be opened, or is not configured as it must be."""
+
+
+@dataclass(frozen=True)
+class ZenohParameters:
+    """How the graph reaches other processes."""
+
+    router: str = "auto"
+    """`builtin`: start a router; `external`: there is one; `auto`: start one unless its address is taken."""
+    endpoint: str = ROUTER_ENDPOINT
+    """The router's address; one that is not on this host opens the graph to the network."""
+    config: str = ""
+    """zenoh's own configuration file (JSON5): TLS, access control. Empty: the environment's, else ours."""
+    router_config: str = ""
+    """The same for the built-in router."""
+    domain: int | None = None
+    """ROS domain; None: `ROS_DOMAIN_ID`, or 0."""
+    ros_distro: str = "jazzy"
+    """Whose wire format is spoken: humble knows no type hashes, all later ones do."""
+    shared_memory: bool = True
+    """Whether images go between processes of one host through shared memory."""
+
+    def __post_init__(self) -> None:
+        if self.router not in ("auto", "builtin", "external"):
+            raise WireError(f"zenoh router: expected auto, builtin or external, found '{self.router}'")
+        if self.ros_distro not in DISTRIBUTIONS:
+            raise WireError(f"ros_distro: expected one of {', '.join(DISTRIBUTIONS)}, found '{self.ros_distro}'")
+
+    @property
+    def domain_id(self) -> int:
+        """The ROS domain. Raises `WireError` where `ROS_DOMAIN_ID` is no number from 0 to 232."""
+        text = os.environ.get("ROS_DOMAIN_ID") or "0" if self.domain is None else str(self.domain)
+        if not text.isdecimal() or int(text) > 232:
+            raise WireError(f"ROS domain: expected a number from 0 to 232, found '{text}'; correct ROS_DOMAIN_ID")
+        return int(text)
+
+
+def open_session(parameters: ZenohParameters) -> Any:
+    """A peer's session. Raises `WireError` where zenoh is not installed or refuses its configuration."""
+    path = parameters.config or os.environ.get(SESSION_CONFIG_VARIABLE, "")
+    return _open(_from_file(path) if path else _session_config(parameters))
+
+
+def open_router(parameters: ZenohParameters) -> Any | None:
+    """The router's session; None where it is external, or `auto` finds its address taken.
+
+    Raises `WireError` where a `builtin` one cannot listen.
+    """
+    if parameters.router == "external":
+        return None
+    path = parameters.router_config or os.environ.get(ROUTER_CONFIG_VARIABLE, "")
+    try:
+        return _open(_from_file(path) if path else _router_config(parameters))
+    except WireError:
+        if parameters.router == "builtin" or path:
+            raise
+        return None
+
+
+def _zenoh() -> Any:
+    try:
+        import zenoh
+    except ImportError:
+        raise WireError(
+            "zenoh is not installed; it carries messages between processes: pip install 'twin-node[zenoh]'"
+        ) from None
+    return zenoh
+
+
+def _open(config: Any) -> Any:
+    zenoh = _zenoh()
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise WireError(f"zenoh: the session cannot be opened ({_one_line(error)}); check its endpoints") from None
+
+
+def _from_file(path: str) -> Any:
+    zenoh = _zenoh()
+    try:
+        return zenoh.Config.from_file(str(Path(path)))
+    except zenoh.ZError as error:
+        raise WireError(f"{path}: not a zenoh configuration ({_one_line(error)}); see zenoh's DEFAULT_CONFIG") from None
+
+
+def _session_config(parameters: ZenohParameters) -> Any:
+    return _config(
+        {
+            "mode": "peer",
+            "connect/endpoints": [parameters.endpoint],
+            "listen/endpoints": ["tcp/127.0.0.1:0"],
+            "transport/shared_memory/enabled": parameters.shared_memory,
+        }
+    )
+
+
+def _router_config(parameters: ZenohParameters) -> Any:
+    return _config({"mode": "router", "listen/endpoints": [parameters.endpoint], "connect/endpoints": []})
+
+
+def _config(settings: dict[str, Any]) -> Any:
+    """Multicast stays off, gossip on and samples stamped: as in rmw_zenoh's own default files."""
+    config = _zenoh().Config()
+    common = {"scouting/multicast/enabled": False, "scouting/gossip/enabled": True, "timestamping/enabled": True}
+    for key, value in {**common, **settings}.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())

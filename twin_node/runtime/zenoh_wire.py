@@ -1,0 +1,222 @@
+"""Carries messages between processes and machines over zenoh, such that ROS 2 nodes on rmw_zenoh take part.
+
+Within a process messages go by reference; over zenoh go their CDR bytes, under the keys and with the tokens and
+attachments of `rmw_zenoh`. A message that is older than one of its publisher's that has already come is refused.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from typing import Any
+
+from twin_node.messages import builtin_types
+from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.rmw_zenoh import (
+    ADMIN_SPACE,
+    HUMBLE_HASH,
+    Attachment,
+    Endpoint,
+    EntityKind,
+    NodeIdentity,
+    endpoint_token,
+    gid_of,
+    node_token,
+    parse_token,
+    topic_key,
+    unpack_attachment,
+)
+from twin_node.runtime.wire import Encoded, LocalWire, Send, Sink, encoded
+from twin_node.runtime.zenoh_session import ZenohParameters, open_session
+
+PUBLISHERS_REMEMBERED = 256
+"""Publishers per subscription whose newest sequence number is kept; far more than a graph has of one topic."""
+
+
+class ZenohWire:
+    """A process's end of the network."""
+
+    def __init__(self, parameters: ZenohParameters | None = None) -> None:
+        """Raises `WireError` where zenoh is not installed, or its configuration is refused."""
+        self._parameters = parameters or ZenohParameters()
+        self._domain = self._parameters.domain_id
+        self._session = open_session(self._parameters)
+        self._local = LocalWire()
+        self._numbers = itertools.count()
+        self._nodes: dict[str, NodeIdentity] = {}
+        self._kept: list[Any] = []
+        self._graph: dict[str, Endpoint] = {}
+        self._is_watching = False
+        self._lock = threading.Lock()
+        self.refused = 0
+        """Samples that came out of order."""
+
+    def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
+        """A function that sends messages to this process by reference, and to others where any listens."""
+        send_here = self._local.publisher(node, topic, kind)
+        if kind.msgtype is None:
+            return send_here
+        send_there: _RemotePublisher | None = None
+
+        def send(message: Any) -> None:
+            nonlocal send_there
+            if send_there is None:
+                send_there = self._remote_publisher(node, topic, kind, message)
+            send_here(message)
+            send_there(message)
+
+        return send
+
+    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> None:
+        """Hands every message on `topic` to `sink`: this process's by reference, those of others as `Encoded`."""
+        self._local.subscribe(node, topic, kind, sink)
+        if kind.msgtype is None:
+            return
+        msgtype = kind.msgtype
+        endpoint = self._endpoint(EntityKind.SUBSCRIBER, node, topic, kind, self._hash_of(msgtype))
+        receive = _Receiver(self, msgtype, sink)
+        key = topic_key(self._domain, topic, msgtype, endpoint.type_hash)
+        self._keep(self._declare_subscriber(key, kind, receive))
+        self._announce(endpoint_token(endpoint))
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Publishers and subscribers of the domain that are alive, as far as this session has been told.
+
+        It is told from the first call on; sessions on other hosts take a round trip to be seen.
+        """
+        if not self._is_watching:
+            self._is_watching = True
+            everything = f"{ADMIN_SPACE}/{self._domain}/**"
+            self._keep(self._session.liveliness().declare_subscriber(everything, self._on_token, history=True))
+        with self._lock:
+            found = tuple(self._graph.values())
+        return tuple(sorted(found, key=lambda e: (e.topic, e.kind.value, e.node.name)))
+
+    def _on_token(self, sample: Any) -> None:
+        import zenoh
+
+        token = str(sample.key_expr)
+        endpoint = parse_token(token)
+        with self._lock:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                self._graph.pop(token, None)
+            elif endpoint is not None:
+                self._graph[token] = endpoint
+
+    def close(self) -> None:
+        """Ends all traffic and takes this process's tokens from the graph."""
+        self._local.close()
+        with self._lock:
+            kept, self._kept = self._kept, []
+        for entity in reversed(kept):
+            entity.undeclare()
+        self._session.close()
+
+    def _remote_publisher(self, node: str, topic: str, kind: TopicKind, message: Any) -> _RemotePublisher:
+        type_hash = self._hash_of(kind.msgtype or "", message)
+        endpoint = self._endpoint(EntityKind.PUBLISHER, node, topic, kind, type_hash)
+        token = endpoint_token(endpoint)
+        key = topic_key(self._domain, topic, endpoint.msgtype, endpoint.type_hash)
+        publisher = self._keep(self._declare_publisher(key, kind))
+        self._announce(token)
+        return _RemotePublisher(publisher, gid_of(token), kind.qos.latched)
+
+    def _declare_publisher(self, key: str, kind: TopicKind) -> Any:
+        import zenoh
+        from zenoh import ext
+
+        remote, drop = zenoh.Locality.REMOTE, zenoh.CongestionControl.DROP
+        if not kind.qos.latched:
+            return self._session.declare_publisher(key, congestion_control=drop, allowed_destination=remote)
+        # Late subscribers ask for what is cached; no message of a latched topic may be lost to congestion.
+        return ext.declare_advanced_publisher(
+            self._session,
+            key,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            allowed_destination=remote,
+            cache=ext.CacheConfig(kind.qos.depth),
+            publisher_detection=True,
+        )
+
+    def _declare_subscriber(self, key: str, kind: TopicKind, receive: _Receiver) -> Any:
+        import zenoh
+        from zenoh import ext
+
+        remote = zenoh.Locality.REMOTE
+        if not kind.qos.latched:
+            return self._session.declare_subscriber(key, receive, allowed_origin=remote)
+        history = ext.HistoryConfig(detect_late_publishers=True, max_samples=kind.qos.depth)
+        return ext.declare_advanced_subscriber(self._session, key, receive, allowed_origin=remote, history=history)
+
+    def _endpoint(self, kind: EntityKind, node: str, topic: str, carries: TopicKind, type_hash: str) -> Endpoint:
+        identity = self._identity(node)
+        msgtype = carries.msgtype or ""
+        return Endpoint(kind, identity, next(self._numbers), topic, msgtype, type_hash, carries.qos)
+
+    def _identity(self, name: str) -> NodeIdentity:
+        with self._lock:
+            identity = self._nodes.get(name)
+            if identity is not None:
+                return identity
+            session = str(self._session.info.zid())
+            identity = NodeIdentity(session, next(self._numbers), name, domain=self._domain)
+            self._nodes[name] = identity
+        self._announce(node_token(identity))
+        return identity
+
+    def _hash_of(self, msgtype: str, message: Any = None) -> str:
+        if self._parameters.ros_distro == "humble":
+            return HUMBLE_HASH
+        types = message.types if isinstance(message, Encoded) else builtin_types()
+        return types.type_hash(msgtype)
+
+    def _announce(self, token: str) -> None:
+        self._keep(self._session.liveliness().declare_token(token))
+
+    def _keep(self, entity: Any) -> Any:
+        with self._lock:
+            self._kept.append(entity)
+        return entity
+
+
+class _RemotePublisher:
+    """Serialises and puts, where anybody listens."""
+
+    def __init__(self, publisher: Any, gid: bytes, latched: bool) -> None:
+        self._publisher = publisher
+        self._gid = gid
+        self._latched = latched
+        self._sequence = 0
+
+    def __call__(self, message: Any) -> None:
+        self._sequence += 1
+        if not self._latched and not self._publisher.matching_status.matching:
+            return
+        attachment = Attachment(self._sequence, time.time_ns(), self._gid).pack()
+        self._publisher.put(bytes(encoded(message).data), attachment=attachment)
+
+
+class _Receiver:
+    """Takes samples in zenoh's threads; refuses those that are older than one that has come."""
+
+    def __init__(self, wire: ZenohWire, msgtype: str, sink: Sink) -> None:
+        self._wire = wire
+        self._msgtype = msgtype
+        self._sink = sink
+        self._newest: dict[bytes, int] = {}
+
+    def __call__(self, sample: Any) -> None:
+        attachment = unpack_attachment(sample.attachment.to_bytes()) if sample.attachment is not None else None
+        if attachment is not None and not self._advances(attachment):
+            self._wire.refused += 1
+            return
+        self._sink(Encoded(self._msgtype, sample.payload.to_bytes()))
+
+    def _advances(self, attachment: Attachment) -> bool:
+        if attachment.sequence <= self._newest.get(attachment.gid, -1):
+            return False
+        self._newest[attachment.gid] = attachment.sequence
+        while len(self._newest) > PUBLISHERS_REMEMBERED:
+            del self._newest[next(iter(self._newest))]
+        return True
