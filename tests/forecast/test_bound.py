@@ -4,67 +4,111 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.forecast.bound import Bound, BoundParameters
+from twin_node.forecast.bound import Bound, BoundParameters, CoverageControl, cues
 
-HORIZONS = np.array([0.033, 0.083, 0.133, 0.183, 0.233])
-
-
-def radii(bound: Bound, errors: list[float], age: float = 1.0) -> np.ndarray:
-    count = len(errors)
-    return bound.radii(np.array(errors), np.zeros(count), np.full(count, age), HORIZONS)
+PERIOD = 1 / 30
+HORIZON = 0.2
 
 
-def test_radius_grows_with_horizon_error_and_speed() -> None:
+def like(scale: np.ndarray) -> np.ndarray:
+    """Cues of nodes whose every length is `scale` [M]."""
+    return cues(scale, scale, scale, scale, scale)
+
+
+def followed(bound: Bound, seconds: float, spread_of_errors: np.ndarray, start: float = 0.0) -> list[np.ndarray]:
+    """Lets a bound judge nodes whose errors are half normal with known spreads [M], m; whether each was held."""
+    rng = np.random.default_rng(3)
+    now, held = like(spread_of_errors), []
+    ages = np.ones(len(spread_of_errors))
+    for time in start + np.arange(0, seconds, PERIOD):
+        radii = bound.radii(now, ages, HORIZON)
+        errors = np.abs(rng.normal(0, spread_of_errors))
+        held.append(errors <= radii)
+        bound.observe(float(time), now, errors, radii, PERIOD)
+    return held
+
+
+def test_coverage_settles_at_the_target_with_radii_in_proportion_to_the_errors() -> None:
+    spreads = np.repeat([0.03, 0.3], 20)
+    bound = Bound(BoundParameters(coverage=0.95))
+    followed(bound, 4.0, spreads)
+    held = np.array(followed(bound, 8.0, spreads, 4.0))
+    assert 0.93 < held.mean() < 0.97
+    radii = bound.radii(like(spreads), np.ones(40), HORIZON)
+    assert radii[-1] > 3 * radii[0]
+    assert 1.5 < radii[-1] / 0.3 < 2.6  # 95 % of a half normal lie within 1.96 of its spread
+
+
+def test_small_errors_make_small_bounds() -> None:
     bound = Bound()
-    found = radii(bound, [0.02, 0.08])
-    assert np.all(np.diff(found, axis=0) > 0)
-    assert np.all(found[:, 1] > found[:, 0])
-    fast = bound.radii(np.array([0.02]), np.array([1.0]), np.ones(1), HORIZONS)
-    assert np.all(fast[:, 0] > found[:, 0])
+    first = bound.radii(like(np.full(5, 0.01)), np.ones(5), HORIZON)
+    followed(bound, 4.0, np.full(5, 0.002))
+    assert np.all(bound.radii(like(np.full(5, 0.01)), np.ones(5), HORIZON) < 0.1 * first)
+
+
+def test_a_surprise_widens_the_bound_at_once() -> None:
+    bound = Bound()
+    calm = np.full(5, 0.01)
+    followed(bound, 4.0, calm)
+    before = bound.radii(like(calm), np.ones(5), HORIZON)
+    for step in range(3):
+        bound.observe(4 + step * PERIOD, like(calm), np.full(5, 0.2), before, PERIOD)
+    assert np.all(bound.radii(like(calm), np.ones(5), HORIZON) > 3 * before)
+    followed(bound, 12.0, calm, 5.0)
+    assert np.all(bound.radii(like(calm), np.ones(5), HORIZON) < 1.5 * before)
 
 
 def test_without_a_record_the_reachable_set_stands_in() -> None:
     bound = Bound(BoundParameters(acceleration=8.0))
-    young = radii(bound, [0.0], age=0.1)
-    assert np.all(young[:, 0] >= 0.5 * 8.0 * HORIZONS**2 - 1e-12)
-    assert young[-1, 0] > radii(bound, [0.0], age=1.0)[-1, 0]
+    followed(bound, 4.0, np.full(5, 0.002))
+    young, old = bound.radii(like(np.full(2, 0.01)), np.array([0.1, 1.0]), HORIZON)
+    assert young >= 0.5 * 8.0 * HORIZON**2
+    assert old < young
 
 
-def test_no_radius_exceeds_what_a_person_covers() -> None:
-    assert np.all(radii(Bound(), [5.0])[:, 0] <= 1.6 * HORIZONS + 1e-12)
+def test_no_radius_exceeds_the_largest() -> None:
+    bound = Bound()
+    followed(bound, 2.0, np.full(5, 5.0))
+    assert np.all(bound.radii(like(np.full(5, 5.0)), np.ones(5), HORIZON) <= bound.parameters.largest_radius)
 
 
-def test_coverage_settles_at_the_target() -> None:
-    """Errors drawn from one distribution: the factor finds its 99 % quantile."""
+def test_nothing_to_judge_changes_nothing() -> None:
+    bound = Bound()
+    followed(bound, 2.0, np.full(5, 0.05))
+    before = bound.radii(like(np.full(5, 0.05)), np.ones(5), HORIZON)
+    bound.observe(2.0, np.zeros((0, 6)), np.zeros(0), np.zeros(0), PERIOD)
+    assert np.array_equal(bound.radii(like(np.full(5, 0.05)), np.ones(5), HORIZON), before)
+
+
+def test_the_factor_grows_with_what_the_images_miss_and_is_slow_to_shrink() -> None:
+    control = CoverageControl(BoundParameters())
+    for _ in range(5):
+        control.observe(0.8, 0.2)
+    surprised = control.factor
+    assert surprised > 1.5
+    control.observe(1.0, 0.2)
+    assert control.factor > 0.9 * surprised
+    for _ in range(60):
+        control.observe(1.0, 0.2)
+    assert control.factor < 0.5 * surprised
+
+
+def test_the_factor_finds_the_target_coverage() -> None:
+    """Shares drawn from one distribution: no floor keeps the factor above what they need."""
     rng = np.random.default_rng(0)
-    bound = Bound(BoundParameters(coverage=0.95, least_factor=0.01))
+    control = CoverageControl(BoundParameters(coverage=0.95))
     inside = []
-    for step in range(4000):
-        radius = radii(bound, [0.05])[-1, 0]
-        covered = float(np.mean(np.abs(rng.normal(0, 0.04, 50)) < radius))
-        bound.observe(covered, 0.2)
+    for step in range(3000):
+        covered = float(np.mean(np.abs(rng.normal(0, 0.02, 50)) < 0.1 * control.factor))
+        control.observe(covered, 0.2)
         if step > 1000:
             inside.append(covered)
     assert 0.94 < np.mean(inside) < 0.985
 
 
-def test_a_surprise_widens_at_once_and_is_forgotten_slowly() -> None:
-    bound = Bound()
-    calm = bound.factor
-    for _ in range(5):
-        bound.observe(0.8, 0.2)
-    surprised = bound.factor
-    assert surprised > 1.5 * calm
-    bound.observe(1.0, 0.2)
-    assert bound.factor > 0.9 * surprised
-    for _ in range(60):
-        bound.observe(1.0, 0.2)
-    assert bound.factor < 1.1 * calm
-
-
 def test_coverage_is_not_a_number_before_the_first_truth() -> None:
-    bound = Bound()
-    assert np.isnan(bound.coverage)
-    bound.observe(0.9, 1.0)
-    bound.observe(1.0, 1.0)
-    assert np.isclose(bound.coverage, 0.95)
+    control = CoverageControl(BoundParameters())
+    assert np.isnan(control.coverage)
+    control.observe(0.9, 1.0)
+    control.observe(1.0, 1.0)
+    assert np.isclose(control.coverage, 0.95)

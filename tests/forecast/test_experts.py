@@ -9,13 +9,16 @@ from hypothesis import strategies as st
 
 from twin_node.forecast.experts import (
     EXPERTS,
+    KNOTS,
     LAGS,
     Autoregression,
     History,
+    autoregression_features,
     constant_acceleration,
     constant_velocity,
     damped,
     mix,
+    neighbours,
     persistence,
     steps,
 )
@@ -61,8 +64,10 @@ def test_damping_stays_between_persistence_and_constant_velocity() -> None:
 @pytest.mark.parametrize("samples", [1, 2, 3])
 def test_every_expert_copes_with_short_histories(samples: int) -> None:
     short = history(np.zeros((samples, 2, 3)))
-    for expert in (*EXPERTS, Autoregression(0.2).forecast):
+    for expert in EXPERTS:
         assert np.array_equal(expert(short, HORIZONS), np.zeros((3, 2, 3)))
+    features = autoregression_features(short, neighbours(short.positions[-1]))
+    assert np.array_equal(Autoregression().forecast(features, HORIZONS), np.zeros((3, 2, 3)))
 
 
 def test_steps_are_newest_first_and_interpolated() -> None:
@@ -73,28 +78,77 @@ def test_steps_are_newest_first_and_interpolated() -> None:
     assert np.allclose(found[0, 1:], 0)
 
 
+def swinging(times: np.ndarray) -> np.ndarray:
+    """[T, 3, 3] points that swing at 1.2 Hz, a metre apart."""
+    phases = np.array([0.0, 1.0, 2.0])
+    swing = 0.2 * np.sin(2 * np.pi * 1.2 * times[:, None, None] + phases[None, :, None] + np.arange(3))
+    return swing + np.arange(3)[None, :, None]
+
+
 def test_autoregression_learns_an_oscillation_that_straight_lines_miss() -> None:
     times = np.arange(0, 6, 0.0165)
-    phases = np.array([0.0, 1.0, 2.0])
-    positions = 0.2 * np.sin(2 * np.pi * 1.2 * times[:, None, None] + phases[None, :, None] + np.arange(3))
+    positions = swinging(times)
     ahead = round(0.2 / 0.0165)
-    expert = Autoregression(0.2)
-    ours, straight = [], []
+    expert = Autoregression()
+    features, ours, straight = {}, [], []
     for now in range(20, len(times)):
         recent = History(times[now - 19 : now + 1], positions[now - 19 : now + 1])
+        features[now] = autoregression_features(recent, neighbours(positions[now]))
         if now - ahead >= 20:
-            then = History(times[now - ahead - 19 : now - ahead + 1], positions[now - ahead - 19 : now - ahead + 1])
-            expert.learn(steps(then), positions[now] - positions[now - ahead], times[now] - times[now - ahead])
+            expert.learn(len(KNOTS) - 1, features[now - ahead], positions[now] - positions[now - ahead], 0.0165)
         if now > 200 and now + ahead < len(times):
             true = positions[now + ahead] - positions[now]
             horizon = np.array([times[now + ahead] - times[now]])
-            ours.append(np.linalg.norm(expert.forecast(recent, horizon)[0] - true, axis=-1).mean())
+            ours.append(np.linalg.norm(expert.forecast(features[now], np.ones(1))[0] - true, axis=-1).mean())
             straight.append(np.linalg.norm(constant_velocity(recent, horizon)[0] - true, axis=-1).mean())
     assert np.mean(ours) < 0.15 * np.mean(straight)
 
 
+def test_autoregression_turns_with_the_frame() -> None:
+    rng = np.random.default_rng(1)
+    features, moved = rng.normal(size=(30, 3, 3 * LAGS)), rng.normal(size=(30, 3))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    plain, turned = Autoregression(), Autoregression()
+    plain.learn(0, features, moved, 1.0)
+    turned.learn(0, np.einsum("ij,mjf->mif", turn, features), moved @ turn.T, 1.0)
+    share = np.array([KNOTS[0]])
+    ahead = plain.forecast(features, share) @ turn.T
+    assert np.allclose(turned.forecast(np.einsum("ij,mjf->mif", turn, features), share), ahead, atol=1e-9)
+
+
+def test_a_neighbour_tells_where_a_node_will_go() -> None:
+    """One point repeats 200 ms later what the other does now: only who looks at neighbours can foresee it."""
+    rng = np.random.default_rng(2)
+    lead = np.cumsum(rng.normal(0, 0.02, (400, 1, 3)), axis=0)
+    late = np.concatenate([np.zeros((6, 1, 3)), lead[:-6]])
+    positions = np.concatenate([lead, late + np.array([0.1, 0, 0])], axis=1)
+    times = 0.033 * np.arange(400)
+    expert, features, ours, still = Autoregression(), {}, [], []
+    for now in range(12, 394):
+        recent = History(times[now - 11 : now + 1], positions[now - 11 : now + 1])
+        features[now] = autoregression_features(recent, neighbours(positions[now]))
+        if now >= 18:
+            expert.learn(len(KNOTS) - 1, features[now - 6][1:], (positions[now] - positions[now - 6])[1:], 0.033)
+        if now > 250:
+            true = (positions[now + 6] - positions[now])[1]
+            ours.append(np.linalg.norm(expert.forecast(features[now], np.ones(1))[0, 1] - true))
+            still.append(np.linalg.norm(true))
+    assert np.mean(ours) < 0.6 * np.mean(still)
+
+
+def test_averages_over_neighbours_sum_to_one_and_reach_as_far_as_they_should() -> None:
+    around = neighbours(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.6, 0, 0], [9.0, 0, 0]]))
+    for weights in (around.near, around.body):
+        assert np.allclose(weights.sum(axis=1), 1, atol=1e-6)
+    assert around.near[0, 1] > 0.4
+    assert around.near[0, 2] < 0.001
+    assert around.body[0, 2] > 0.2
+    assert around.body[0, 3] < 1e-6
+    assert neighbours(np.zeros((0, 3))).near.shape == (0, 0)
+
+
 def test_mixture_prefers_the_expert_that_did_best() -> None:
-    weights = mix(np.array([[0.02, 0.3], [0.2, 0.3], [0.2, 0.01]]))
+    weights = mix(np.array([[0.02, 0.3], [0.2, 0.3], [0.2, 0.01]]) ** 2)
     assert np.allclose(weights.sum(axis=0), 1)
     assert weights[0, 0] > 0.95
     assert weights[2, 1] > 0.95

@@ -1,4 +1,4 @@
-"""Tracks judge what was forecast for them, and their records follow the parts."""
+"""Tracks continue paths, begin anew after leaps, and follow parts of a hull."""
 
 from __future__ import annotations
 
@@ -7,33 +7,67 @@ import numpy as np
 from twin_node.forecast.tracks import Tracks
 
 PERIOD = 1 / 30
-HORIZON = 0.2
 VELOCITY = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
 START = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-def followed(samples: int) -> Tracks:
-    """A part that stands and one that goes straight on."""
+def place(sample: int) -> np.ndarray:
+    return START + VELOCITY * sample * PERIOD
+
+
+def test_known_nodes_keep_their_paths_when_rows_change() -> None:
     tracks = Tracks()
-    for sample in range(samples):
-        tracks.advance(sample * PERIOD, START + VELOCITY * sample * PERIOD, VELOCITY, HORIZON)
-    return tracks
+    tracks.extend(0.0, place(0), np.array([-1, -1]))
+    tracks.extend(PERIOD, place(1)[::-1], np.array([1, 0]))
+    succession = tracks.extend(2 * PERIOD, place(2)[:1], np.array([1]))
+    assert succession.paths.tolist() == [1]
+    assert np.allclose(tracks.positions[:, 0], [place(s)[0] for s in range(3)])
 
 
-def test_the_first_judgement_replaces_what_was_ascribed_to_the_untried() -> None:
-    assert np.all(followed(6).own_errors == 0.1)
-    assert np.all(followed(9).own_errors < 0.05)
+def test_a_leap_begins_a_new_path() -> None:
+    tracks = Tracks()
+    for sample in range(5):
+        tracks.extend(sample * PERIOD, place(sample), np.array([-1, -1]) if sample == 0 else np.arange(2))
+    leapt = place(5) + np.array([[1.0, 0, 0], [0, 0, 0]])
+    succession = tracks.extend(5 * PERIOD, leapt, np.arange(2))
+    assert succession.paths.tolist() == [-1, 1]
+    assert np.all(tracks.positions[:, 0] == leapt[0])
+    assert np.all(tracks.velocities[0] == 0)
+    assert tracks.born.tolist() == [5 * PERIOD, 0.0]
 
 
-def test_a_surprise_shows_in_the_record_of_its_part_alone() -> None:
-    tracks = followed(15)
-    for sample in range(15, 20):
-        stopped = START + VELOCITY * 14 * PERIOD
-        tracks.advance(sample * PERIOD, stopped, np.zeros((2, 3)), HORIZON)
-    assert tracks.own_errors[1] > 0.03
-    assert tracks.own_errors[0] < 0.01
+def test_parts_continue_the_path_of_what_was_where_they_came_from() -> None:
+    tracks = Tracks()
+    for sample in range(4):
+        succession = tracks.follow(sample * PERIOD, place(sample)[::-1], VELOCITY[::-1])
+    assert succession.paths.tolist() == [0, 1]
+    assert np.allclose(np.diff(tracks.positions, axis=0)[:, 0], VELOCITY[1] * PERIOD)
+    assert np.all(tracks.born == 0)
 
 
-def test_what_goes_straight_on_is_forecast_to_go_straight_on() -> None:
-    ahead = followed(15).displacements(np.array([0.1, 0.2]))
-    assert np.allclose(ahead, VELOCITY * np.array([0.1, 0.2])[:, None, None], atol=0.01)
+def test_a_part_far_from_all_paths_is_new_and_takes_over_a_record_from_its_kin() -> None:
+    tracks = Tracks()
+    tracks.follow(0.0, place(0), VELOCITY)
+    centers = np.array([[0.2, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    succession = tracks.follow(PERIOD, centers, np.zeros((2, 3)))
+    assert succession.paths.tolist() == [-1, -1]
+    assert succession.records.tolist() == [0, -1]
+    assert np.all(tracks.born == PERIOD)
+
+
+def test_old_samples_are_dropped() -> None:
+    tracks = Tracks()
+    for sample in range(100):
+        tracks.follow(sample * PERIOD, place(sample), VELOCITY)
+    assert tracks.times[0] > 98 * PERIOD - 0.8
+    assert len(tracks.positions) == len(tracks.times)
+
+
+def test_nothing_to_follow_is_followed() -> None:
+    tracks = Tracks()
+    nothing = np.zeros((0, 3))
+    tracks.follow(0.0, nothing, nothing)
+    tracks.follow(PERIOD, place(1), VELOCITY)
+    succession = tracks.follow(2 * PERIOD, nothing, nothing)
+    assert len(succession.paths) == 0
+    assert tracks.positions.shape == (3, 0, 3)

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.grid import reach_of, spread
 from twin_node.forecast.static import StaticParameters
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
-PERSON_SPEED = 1.6
-"""Speed of approach of a person, m/s (ISO 13855)."""
 RIM_PROBABILITY = 90
 """Of voxels that only the errors of the carving add."""
 AHEAD_S = 0.2

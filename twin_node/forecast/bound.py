@@ -1,4 +1,4 @@
-"""How far from its forecast place a part may be: a bound calibrated online on what came true."""
+"""How far from its forecast place a node may be: a bound calibrated online on what came true."""
 
 from __future__ import annotations
 
@@ -9,44 +9,148 @@ import numpy as np
 
 from twin_node.scene import Float64
 
+PERSON_SPEED = 1.6
+"""Speed of approach of a person, m/s (ISO 13855)."""
+
+CUES = 6
+"""Cues of a node's error scale, `cues`: one constant and five logarithms of lengths."""
+
 
 @dataclass(frozen=True)
 class BoundParameters:
     """Target and manners of the calibrated bound."""
 
     coverage: float = 0.99
-    """Share of the moving space that the forecast made for it must have held."""
-    acceleration: float = 8.0
-    """Largest acceleration taken into account before there is a record, m/s^2: a hand starting a reach."""
+    """Share of the moving space, and of the nodes, that the forecast made for it must hold."""
+    acceleration: float = 10.0
+    """Largest acceleration taken into account before there is a record, m/s^2: a hand starting a reach, or gravity."""
+    memory_s: float = 2.0
+    """Time constant in which old errors lose their say, s: a gesture or two."""
+    correction: float = 0.02
+    """How fast the miss rate aimed at follows what was missed, per second (Gibbs and Candes 2021)."""
     grow: float = 12.0
-    """Relative growth of the radius per unit of coverage missed, per horizon: misses show one horizon late."""
+    """Relative growth of the common factor per unit of coverage missed in the images, per horizon."""
     shrink: float = 0.15
-    """Relative shrinkage per horizon while the target is kept: a surprise is remembered for about a second."""
-    resolution: float = 0.015
-    """Part of the radius at the last horizon that no record takes away, m: three quarters of a voxel."""
-    error_share: float = 0.5
-    """Weight of a part's own recent error in its scale."""
-    speed_share: float = 0.3
-    """Weight of the way that a part goes within the horizon in its scale: what is fast may stop or turn."""
-    least_factor: float = 0.7
-    """Smallest common factor."""
+    """Relative shrinkage of the common factor per horizon in which the target is kept."""
+    least_factor: float = 0.05
+    """Smallest common factor: below it the radii are those of voxels, whatever they are multiplied by."""
     most_factor: float = 6.0
     """Largest common factor."""
-    largest_speed: float = 1.6
-    """No radius exceeds what a person covers at this speed, m/s (ISO 13855)."""
+    largest_radius: float = 0.8
+    """No radius exceeds this at the last horizon, m: 99 % of human motion stays within half of it in 200 ms."""
+
+
+def cues(
+    spread: Float64, acceleration: Float64, near_speed: Float64, near_acceleration: Float64, near_error: Float64
+) -> Float64:
+    """Cues [M, CUES] of the error scale of nodes, from lengths [M] in metres over one horizon.
+
+    `spread`: root mean square distance of the experts from the mixture; `acceleration`: how far constant acceleration
+    and constant velocity are apart; `near_*`: root mean squares over the body of the way at constant velocity, of
+    `acceleration` and of the recent error.
+    """
+    lengths = np.stack([spread, acceleration, near_speed, near_acceleration, near_error], axis=1)
+    return np.concatenate([np.ones((len(lengths), 1)), np.log(lengths + LEAST)], axis=1)
+
+
+LEAST = 0.05
+"""Lengths well below this do not tell errors apart, m: a voxel or two, and the noise of tracking."""
 
 
 class Bound:
-    """Radius = a part's own scale x one factor shared by all, adapted until the target coverage is kept.
+    """Radius = a node's own expected error x a quantile pooled over all nodes.
 
-    Adaptive conformal inference (Gibbs and Candes 2021) on a multiplicative scale: the factor grows with each missed
-    share and shrinks slowly while the target is kept.
+    The expected error is a regression of the logarithm of past errors on `cues`, fitted online to their upper part
+    (asymmetric least squares, Newey and Powell 1987). The quantile of errors over expected errors is taken over the
+    last seconds; its level follows the misses (adaptive conformal inference, Gibbs and Candes 2021).
     """
 
     def __init__(self, parameters: BoundParameters | None = None) -> None:
         self.parameters = parameters or BoundParameters()
+        self._gram = np.eye(CUES) * _PRIOR
+        self._prior = np.append(0.0, np.full(CUES - 1, 1 / (CUES - 1)))
+        self._moment = self._gram @ self._prior
+        self._weights = self._prior
+        self._judged: deque[_Judged] = deque()
+        self._miss_level = 1 - self.parameters.coverage
+        self._seen_s = 0.0
+        self._quantile = _FIRST_QUANTILE
+
+    def observe(self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> None:
+        """Takes in the errors [n] (m) at `time` (s) of nodes with cues `then` [n, CUES] and radii [n] when forecast.
+
+        `elapsed_s`: time since the last observation. The radii are those that ought to have held the errors.
+        """
+        if len(errors) == 0:
+            return
+        p = self.parameters
+        logs = np.log(errors + LEAST)
+        self._fit(then, logs, elapsed_s)
+        missed = float(np.mean(errors > radii))
+        level = self._miss_level + p.correction * elapsed_s * ((1 - p.coverage) - missed)
+        self._miss_level = float(np.clip(level, 0, _MOST_LEVEL * (1 - p.coverage)))
+        chosen = slice(None, None, -(-len(errors) // _SAMPLE))
+        self._judged.append(_Judged(time, then[chosen], np.log(np.maximum(errors[chosen], 1e-6)), elapsed_s))
+        while self._judged[0].time < time - _KEPT * p.memory_s:
+            self._judged.popleft()
+        self._seen_s += elapsed_s
+        share = np.exp(-self._seen_s / _TRUSTED_S)
+        self._quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * self._log_quantile(time))
+
+    def scales(self, now: Float64) -> Float64:
+        """Expected errors [M] in metres at the last horizon, of nodes with cues [M, CUES]: upper ones, not means."""
+        scales: Float64 = np.exp(now @ self._weights)
+        return scales
+
+    def radii(self, now: Float64, ages: Float64, horizon_s: float) -> Float64:
+        """Radii [M] in metres at the horizon, of nodes with cues [M, CUES].
+
+        Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach: their
+        radius is at least a h^2 / 2.
+        """
+        calibrated = self._quantile * self.scales(now)
+        reachable = self.parameters.acceleration * horizon_s**2 / 2
+        radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
+        return np.minimum(radii, self.parameters.largest_radius)
+
+    def _fit(self, then: Float64, logs: Float64, elapsed_s: float) -> None:
+        kept = np.exp(-elapsed_s / self.parameters.memory_s)
+        above = logs > then @ self._weights
+        weights = np.where(above, _UPPER, 1 - _UPPER) * (2 * elapsed_s / _STEP_S / len(logs))
+        self._gram = kept * self._gram + (then.T * weights) @ then
+        self._moment = kept * self._moment + then.T @ (weights * logs)
+        ridge = _RIDGE * np.eye(CUES)
+        self._weights = np.linalg.solve(self._gram + ridge, self._moment + ridge @ self._prior)
+
+    def _log_quantile(self, now: float) -> float:
+        """Logarithm of the quantile of errors over what is now expected of them, newer ones counting more."""
+        logs = np.concatenate([judged.log_errors - judged.cues @ self._weights for judged in self._judged])
+        weights = np.concatenate(
+            [
+                np.full(
+                    len(j.log_errors),
+                    j.elapsed_s * np.exp((j.time - now) / self.parameters.memory_s) / len(j.log_errors),
+                )
+                for j in self._judged
+            ]
+        )
+        bins = np.clip(((logs - _LOG_RANGE[0]) / _BIN).astype(np.int64), 0, _BINS - 1)
+        held = np.cumsum(np.bincount(bins, weights, _BINS))
+        row = int(np.searchsorted(held, (1 - self._miss_level) * held[-1] - 1e-12))
+        return _LOG_RANGE[0] + _BIN * (min(row, _BINS - 1) + 1)
+
+
+class CoverageControl:
+    """A factor on all radii that keeps the coverage seen in the images at its target.
+
+    What the cameras see to move is the truth here: it holds what the nodes' own errors cannot show, such as space that
+    nobody saw. Adaptive conformal inference on a multiplicative scale: quick to grow with each missed share, slow to
+    shrink while the target is kept.
+    """
+
+    def __init__(self, parameters: BoundParameters) -> None:
+        self.parameters = parameters
         self.factor = 1.0
-        self._limits = (self.parameters.least_factor, self.parameters.most_factor)
         self._covered: deque[float] = deque(maxlen=120)
 
     @property
@@ -59,20 +163,41 @@ class Bound:
 
         `elapsed` is the time since the last observation in horizons.
         """
-        self._covered.append(covered)
-        missed = (1 - covered) - (1 - self.parameters.coverage)
-        rate = self.parameters.grow * missed if missed > 0 else -self.parameters.shrink
-        self.factor = float(np.clip(self.factor * np.exp(rate * min(elapsed, 1.0)), *self._limits))
-
-    def radii(self, errors: Float64, speeds: Float64, ages: Float64, horizons: Float64) -> Float64:
-        """Radii [H, M] in metres of parts with recent errors [M] (m, at the last horizon) and speeds [M].
-
-        Parts whose record of `ages` [M] (s) is shorter than the last horizon get the reachable set instead: a h^2 / 2
-        about the place that their velocity takes them to.
-        """
         p = self.parameters
-        scale = p.resolution + p.error_share * errors + p.speed_share * speeds * horizons[-1]
-        calibrated = self.factor * scale * (horizons / horizons[-1])[:, None]
-        reachable = p.acceleration * horizons[:, None] ** 2 / 2
-        radii: Float64 = np.where(ages >= horizons[-1], calibrated, np.maximum(calibrated, reachable))
-        return np.minimum(radii, p.largest_speed * horizons[:, None])
+        self._covered.append(covered)
+        missed = (1 - covered) - (1 - p.coverage)
+        rate = p.grow * missed if missed > 0 else -p.shrink
+        self.factor = float(np.clip(self.factor * np.exp(rate * min(elapsed, 1.0)), p.least_factor, p.most_factor))
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """Errors that came due at one time."""
+
+    time: float
+    cues: Float64
+    log_errors: Float64
+    elapsed_s: float
+
+
+_PRIOR = 0.5
+"""Weight of the prior slopes in samples: the scale is proportional to the cues until errors say otherwise."""
+_RIDGE = 0.1
+"""The part of that prior that is never forgotten."""
+_UPPER = 0.9
+"""Weight of errors above expectation against those below: large errors make the bound."""
+_STEP_S = 1 / 30
+"""Errors of this much time count as one sample in the regression, s."""
+_SAMPLE = 64
+"""Most errors per time that enter the quantile: neighbouring nodes err together."""
+_KEPT = 4.0
+"""Errors are kept for so many time constants."""
+_MOST_LEVEL = 5.0
+"""The miss level may rise to so many times the rate aimed at."""
+_TRUSTED_S = 0.5
+"""Time constant in which the quantile moves from its first value to that of the record, s."""
+_FIRST_QUANTILE = 2.5
+"""Quantile before there is a record: that of human motion at 99 % (measured: `bench forecast`)."""
+_LOG_RANGE = (-12.0, 4.0)
+_BIN = 0.01
+_BINS = round((_LOG_RANGE[1] - _LOG_RANGE[0]) / _BIN)

@@ -1,8 +1,7 @@
 """Motion experts: where nodes will be after a horizon, each a pure function over a batch of nodes.
 
 All take a `History` and horizons [H] in seconds after its last sample, and give displacements [H, M, 3] in metres from
-the last position. No single one is right for human motion (measured: `docs/`), so their forecasts are mixed by how well
-each did (`mix`).
+the last position. No single one is right for human motion, so their forecasts are mixed by how well each did (`mix`).
 """
 
 from __future__ import annotations
@@ -23,6 +22,17 @@ class History:
     """[T] s, strictly increasing, the last is now."""
     positions: Float64
     """[T, M, 3] m; a node younger than a sample stands at its first position there."""
+
+    def at(self, time: float) -> Float64:
+        """Positions [M, 3] at a time, interpolated; the first or last ones outside the samples."""
+        after = int(np.clip(np.searchsorted(self.times, time), 1, max(len(self.times) - 1, 1)))
+        if len(self.times) < 2:
+            only: Float64 = self.positions[-1]
+            return only
+        before = after - 1
+        share = np.clip((time - self.times[before]) / (self.times[after] - self.times[before]), 0, 1)
+        between: Float64 = (1 - share) * self.positions[before] + share * self.positions[after]
+        return between
 
 
 Expert = Callable[[History, Float64], Float64]
@@ -63,60 +73,126 @@ def _polynomial(history: History, horizons: Float64, degree: int, span: float) -
     return forecast
 
 
-LAGS = 6
+EXPERTS: tuple[Expert, ...] = (persistence, constant_velocity, damped, constant_acceleration)
+"""The experts without memory, in the order of their weights; the autoregression comes last."""
+EXPERT_NAMES = ("persistence", "constant_velocity", "damped", "constant_acceleration", "autoregression")
+"""All experts in the order of their weights."""
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Who moves with whom: averages over the nodes about each node, itself included."""
+
+    near: Float64
+    """[M, M] weights within a limb's width, `NEAR_SCALE`; rows sum to 1."""
+    body: Float64
+    """[M, M] weights within a person's reach, `BODY_SCALE`; rows sum to 1."""
+
+
+NEAR_SCALE = 0.15
+"""Standard deviation of the nearer average, m: a hand and its forearm."""
+BODY_SCALE = 0.8
+"""Standard deviation of the wider average, m: most of a person."""
+
+
+def neighbours(positions: Float64) -> Neighbours:
+    """Gaussian averages over the nodes about each of the nodes at `positions` [M, 3]."""
+    centered = (positions - positions.mean(axis=0)).astype(np.float32) if len(positions) else positions
+    norms = (centered**2).sum(axis=1)
+    squared = np.maximum(norms[:, None] + norms - 2 * centered @ centered.T, 0)
+    return Neighbours(_averages(squared, NEAR_SCALE), _averages(squared, BODY_SCALE))
+
+
+def _averages(squared: Float64, scale: float) -> Float64:
+    weights = np.exp(squared * (-0.5 / scale**2))
+    averages: Float64 = weights / weights.sum(axis=1, keepdims=True)
+    return averages
+
+
+LAGS = 5
 """Steps that the autoregression looks back on."""
 LAG_S = 0.033
-"""Length of a step of the autoregression, s: six of them span a horizon of 200 ms."""
-
-
-class Autoregression:
-    """Displacement over a horizon as a linear function of the last `LAGS` steps, fitted online to what came true.
-
-    Recursive least squares with forgetting, its weights shared by all nodes and axes. Fitted for one horizon;
-    displacements at others are taken in proportion to their length.
-    """
-
-    def __init__(self, horizon_s: float, forgetting: float = 0.98) -> None:
-        self.horizon_s = horizon_s
-        self._forgetting = forgetting
-        self._gram = np.eye(LAGS) * 1e-4
-        self._moment = np.zeros(LAGS)
-
-    def forecast(self, history: History, horizons: Float64) -> Float64:
-        """Displacements [H, M, 3]."""
-        displacement = steps(history) @ np.linalg.solve(self._gram, self._moment)
-        forecast: Float64 = displacement[None] * (np.asarray(horizons) / self.horizon_s)[:, None, None]
-        return forecast
-
-    def learn(self, past_steps: Float64, came_true: Float64, elapsed_s: float) -> None:
-        """Takes in what became of nodes: `steps` then [M, 3, LAGS], displacement since [M, 3] in `elapsed_s`."""
-        features = past_steps.reshape(-1, LAGS)
-        target = came_true.reshape(-1) * (self.horizon_s / elapsed_s)
-        self._gram = self._forgetting * self._gram + features.T @ features + np.eye(LAGS) * 1e-7
-        self._moment = self._forgetting * self._moment + features.T @ target
+"""Length of a step of the autoregression, s: five of them span most of a horizon of 200 ms."""
+FEATURES = 3 * LAGS
+"""Features of the autoregression: a node's own steps and their averages over its `Neighbours`."""
 
 
 def steps(history: History) -> Float64:
     """The last `LAGS` displacements [M, 3, LAGS] over `LAG_S` each, newest first, interpolated in time."""
     wanted = history.times[-1] - LAG_S * np.arange(LAGS + 1)
-    after = np.clip(np.searchsorted(history.times, wanted), 1, max(len(history.times) - 1, 1))
-    if len(history.times) < 2:
-        return np.zeros((*history.positions.shape[1:], LAGS))
-    before = after - 1
-    share = (wanted - history.times[before]) / (history.times[after] - history.times[before])
-    share = np.clip(share, 0, 1)[:, None, None]
-    at = (1 - share) * history.positions[before] + share * history.positions[after]
+    at = np.stack([history.at(time) for time in wanted])
     newest_first: Float64 = np.moveaxis(at[:-1] - at[1:], 0, -1)
     return newest_first
 
 
-EXPERTS: tuple[Expert, ...] = (persistence, constant_velocity, damped, constant_acceleration)
-"""The experts without memory, in the order of their weights; the autoregression comes last."""
+def autoregression_features(history: History, around: Neighbours) -> Float64:
+    """[M, 3, FEATURES] what the autoregression sees of each node along each axis."""
+    own = steps(history)
+    flat = own.reshape(len(own), 3 * LAGS)
+    near, body = ((weights @ flat).reshape(own.shape) for weights in (around.near, around.body))
+    return np.concatenate([own, near, body], axis=-1)
 
 
-def mix(errors: Float64, sharpness: float = 0.15) -> Float64:
-    """Weights [E, M] of experts from their recent errors [E, M] (m): sharper the smaller the best one's error."""
-    best = errors.min(axis=0)
-    weights = np.exp(-(errors - best) / (sharpness * best + 1e-3))
+class Autoregression:
+    """Displacement as a linear function of a node's and its neighbours' last steps, fitted online to what came true.
+
+    Recursive least squares with forgetting, its weights shared by all nodes and axes, so that it turns with the frame
+    and learns from every node; fitted at `KNOTS` shares of the horizon and interpolated between them.
+    """
+
+    def __init__(self, memory_s: float = 3.3) -> None:
+        """`memory_s`: time constant of the forgetting, s; at 30 Hz a factor of 0.99 per sample."""
+        self._memory_s = memory_s
+        self._gram = np.tile(np.eye(FEATURES) * 1e-4, (len(KNOTS), 1, 1))
+        self._moment = np.zeros((len(KNOTS), FEATURES))
+
+    def forecast(self, features: Float64, shares: Float64) -> Float64:
+        """Displacements [H, M, 3] of nodes with `autoregression_features` [M, 3, F], at shares [H] of the horizon."""
+        weights = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
+        knots = np.concatenate([np.zeros((1, FEATURES)), weights])
+        blend = _interpolation(shares, np.array([0.0, *KNOTS]))
+        forecast: Float64 = np.einsum("mcf,hf->hmc", features, blend @ knots, optimize=True)
+        return forecast
+
+    def learn(self, knot: int, features: Float64, came_true: Float64, elapsed_s: float) -> None:
+        """Takes in what became of nodes by a knot: their features then [M, 3, F] and displacement since [M, 3].
+
+        `elapsed_s`: time since this knot was last learnt about.
+        """
+        if len(features) == 0:
+            return
+        kept = np.exp(-elapsed_s / self._memory_s)
+        flat = features.reshape(-1, FEATURES)
+        weight = elapsed_s / LAG_S / len(features)
+        self._gram[knot] = kept * self._gram[knot] + weight * flat.T @ flat + (1 - kept) * 1e-4 * np.eye(FEATURES)
+        self._moment[knot] = kept * self._moment[knot] + weight * flat.T @ came_true.reshape(-1)
+
+
+KNOTS = (0.25, 0.5, 0.75, 1.0)
+"""Shares of the horizon that the autoregression is fitted at."""
+
+
+def _interpolation(at: Float64, knots: Float64) -> Float64:
+    """[H, K] weights of values at `knots` [K] that interpolate linearly at `at` [H], and extrapolate at the ends."""
+    after = np.clip(np.searchsorted(knots, at), 1, len(knots) - 1)
+    share = (at - knots[after - 1]) / (knots[after] - knots[after - 1])
+    weights = np.zeros((len(at), len(knots)))
+    rows = np.arange(len(at))
+    weights[rows, after - 1], weights[rows, after] = 1 - share, share
+    return weights
+
+
+SHARPNESS = 0.15
+"""Relative difference of mean square errors at which an expert's weight falls to 1/e."""
+
+
+def mix(squared_errors: Float64) -> Float64:
+    """Weights [E, M] of experts from their recent mean square errors [E, M] (m^2): sharper the smaller the best."""
+    best = squared_errors.min(axis=0)
+    weights = np.exp(-(squared_errors - best) / (SHARPNESS * best + _INDIFFERENCE**2))
     normalised: Float64 = weights / weights.sum(axis=0)
     return normalised
+
+
+_INDIFFERENCE = 0.003
+"""Errors below this do not tell experts apart, m: what tracking noise leaves."""

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.bound import Bound, BoundParameters
+from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.grid import reach_of, spread
 from twin_node.forecast.obstacles import Motion
+from twin_node.forecast.prediction import Predictor
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import Tracks
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
@@ -61,8 +62,9 @@ class Forecaster:
         self.grid = grid
         self.parameters = parameters or ForecastParameters()
         self._observer = Observer(grid, self.parameters.carving, self.parameters.static)
-        self._bound = Bound(self.parameters.bound)
+        self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
+        self._predictor = Predictor(self.parameters.bound)
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._radii = np.zeros((len(HORIZONS_NS), 0))
@@ -72,11 +74,11 @@ class Forecaster:
     def quality(self) -> ForecastQuality:
         """The record as of the last update."""
         return ForecastQuality(
-            coverage=self._bound.coverage,
+            coverage=self._control.coverage,
             target=self.parameters.bound.coverage,
             bound_radius=float(np.median(self._radii[-1])) if self._radii.shape[1] else 0.0,
-            factor=self._bound.factor,
-            expert_weights=self._tracks.mean_weights,
+            factor=self._control.factor,
+            expert_weights=self._mean_weights(),
             warnings=self._warnings,
         )
 
@@ -91,7 +93,10 @@ class Forecaster:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         evidence = self._observer.observe(state)
-        self._tracks.advance(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities, float(horizons[-1]))
+        succession = self._tracks.follow(
+            state.stamp * 1e-9, evidence.parts.centers, evidence.velocities
+        )
+        self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)
         layers = self._layers(evidence, horizons)
         indices = layers[-1].indices.astype(np.int64)
@@ -104,6 +109,10 @@ class Forecaster:
             static=evidence.static,
             unknown_runs=evidence.unknown_runs,
         )
+
+    def _mean_weights(self) -> Float64:
+        weights = self._predictor.weights
+        return weights.mean(axis=1) if weights.shape[1] else np.full(len(weights), 1 / len(weights))
 
     def _judge(self, state: TwinState, evidence: Evidence) -> None:
         """Scores the forecast made for now in the images: the pixels that what moves now has in the moving masks.
@@ -128,24 +137,23 @@ class Forecaster:
             covered += int(np.count_nonzero(explained & table.image_of(forecast)))
         if seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
-            self._bound.observe(covered / seen, elapsed)
+            self._control.observe(covered / seen, elapsed)
         self._judged_at = state.stamp
 
     def _layers(self, evidence: Evidence, horizons: Float64) -> tuple[OccupancyLayer, ...]:
         """Every part moved on by the experts and widened by the bound, per horizon."""
-        tracks, parts = self._tracks, evidence.parts
-        moved = tracks.displacements(horizons)
-        speeds = np.linalg.norm(tracks.velocities, axis=1)
-        self._radii = self._bound.radii(tracks.own_errors, speeds, tracks.ages_s, horizons)
+        parts = evidence.parts
+        prediction = self._predictor.predict(horizons)
+        moved, self._radii = prediction.displacements, self._control.factor * prediction.radii
         lost = ~(np.isfinite(moved).all(axis=(0, 2)) & np.isfinite(self._radii).all(axis=0))
         self._warnings = ()
         if lost.any():
             moved[:, lost] = 0
-            self._radii[:, lost] = self.parameters.bound.largest_speed * horizons[:, None]
+            self._radii[:, lost] = PERSON_SPEED * horizons[:, None]
             self._warnings = (
                 f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
             )
-            self._tracks = Tracks()
+            self._tracks, self._predictor = Tracks(), Predictor(self.parameters.bound)
         layers = []
         for horizon, displacement, radius in zip(HORIZONS_NS, moved, self._radii, strict=True):
             reach = reach_of(self.grid, radius)[parts.labels]

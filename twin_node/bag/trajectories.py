@@ -1,0 +1,94 @@
+"""Recorded 3D trajectories of named points, read from motion capture files and tables."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twin_node.bag.log import BagError
+from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Where named points were over time."""
+
+    names: tuple[str, ...]
+    """[J]."""
+    times: Float64
+    """[T] s, strictly increasing."""
+    positions: Float64
+    """[T, J, 3] m, in the file's own axes; NaN where a point was not seen."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, from the median step."""
+        return float(1 / np.median(np.diff(self.times)))
+
+
+def read_trajectories(path: Path, height_m: float = 1.75) -> Trajectories:
+    """Reads a `.bvh`, `.trc` or `.csv` file.
+
+    BVH knows no unit: its person is scaled to be `height_m` tall. CSV: a header `time,NAME_x,NAME_y,NAME_z,...`, then
+    seconds and metres; empty cells are points not seen. Raises `BagError` naming the file and the line.
+    """
+    from twin_node.bag.bvh import read_bvh  # the formats' readers need this file's record
+    from twin_node.bag.trc import read_trc
+
+    kind = path.suffix.lower()
+    if kind == ".bvh":
+        return read_bvh(path, height_m)
+    if kind == ".trc":
+        return read_trc(path)
+    if kind == ".csv":
+        return _read_csv(path)
+    raise BagError(f"{path}: expected a .bvh, .trc or .csv file of trajectories, found '{path.suffix or path.name}'")
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a text file. Raises `BagError` where it cannot be read as text."""
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"{path}: expected a readable text file, found {error}; check the path") from None
+
+
+def checked(path: Path, names: tuple[str, ...], times: Float64, positions: Float64) -> Trajectories:
+    """The record of what a file holds. Raises `BagError` for too few samples or times that do not rise."""
+    if len(times) < 2 or not names:
+        raise BagError(f"{path}: expected points at two or more times, found {len(names)} points, {len(times)} times")
+    if not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
+        row = int(np.flatnonzero(~(np.diff(times) > 0))[0]) + 1
+        raise BagError(f"{path}: sample {row + 1}: expected rising times, found {times[row]} after {times[row - 1]} s")
+    return Trajectories(names, times, positions)
+
+
+def number(path: Path, line: int, text: str) -> float:
+    """A cell's number, NaN for an empty one. Raises `BagError` for anything else."""
+    try:
+        return float(text) if text.strip() else float("nan")
+    except ValueError:
+        raise BagError(f"{path}: line {line}: expected a number, found '{text.strip()[:30]}'") from None
+
+
+def _read_csv(path: Path) -> Trajectories:
+    rows = list(csv.reader(read_lines(path)))
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    names = tuple(cell[:-2] for cell in header[1::3])
+    wanted = ["time"] + [f"{name}_{axis}" for name in names for axis in "xyz"]
+    if not names or header != wanted:
+        raise BagError(
+            f"{path}: line 1: expected the header time,NAME_x,NAME_y,NAME_z,..., found {','.join(header)[:60]}"
+        )
+    values = []
+    for line, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        if len(row) != len(header):
+            raise BagError(f"{path}: line {line}: expected {len(header)} cells, found {len(row)}")
+        values.append([number(path, line, cell) for cell in row])
+    table = np.array(values).reshape(-1, len(header))
+    return checked(path, names, table[:, 0], table[:, 1:].reshape(len(table), len(names), 3))

@@ -1,0 +1,235 @@
+"""The forecast of nodes: experts mixed by their records, and a bound about the mixture."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.bound import Bound, BoundParameters, cues
+from twin_node.forecast.experts import (
+    EXPERT_NAMES,
+    EXPERTS,
+    KNOTS,
+    Autoregression,
+    History,
+    Neighbours,
+    autoregression_features,
+    mix,
+    neighbours,
+)
+from twin_node.scene import Float64
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Succession:
+    """Which nodes of the sample before go on in the nodes of now; -1 for none."""
+
+    paths: Rows
+    """[M] whose path each continues."""
+    records: Rows
+    """[M] whose record of errors each takes over."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where nodes will be, at H horizons."""
+
+    displacements: Float64
+    """[H, M, 3] of the mixture, m."""
+    radii: Float64
+    """[H, M] bound about the displaced nodes, m."""
+
+
+@dataclass
+class _Records:
+    """What is known of each node's forecasts."""
+
+    squared: Float64 = field(default_factory=lambda: np.zeros((len(EXPERT_NAMES), 0)))
+    """[E, M] recent mean square errors of the experts, m^2."""
+    errors: Float64 = field(default_factory=lambda: np.zeros(0))
+    """[M] recent error of the mixture, m: quick to grow, slow to shrink."""
+    began: Float64 = field(default_factory=lambda: np.zeros(0))
+    """[M] s when the record began."""
+    judged: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
+    """[M] forecasts in the record."""
+
+    def inherited(self, rows: Rows, time: float) -> _Records:
+        """The records of nodes that take over those in `rows` [M']; untried ones for -1."""
+        new = rows < 0
+        if len(self.errors) == 0:
+            count = len(rows)
+            squared = np.tile(_UNTRIED[:, None] ** 2, (1, count))
+            return _Records(squared, np.full(count, _UNTRIED[-1]), np.full(count, time), np.zeros(count, np.int64))
+        return _Records(
+            np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
+            np.where(new, _UNTRIED[-1], self.errors[rows]),
+            np.where(new, time, self.began[rows]),
+            np.where(new, 0, self.judged[rows]),
+        )
+
+
+_UNTRIED = np.array([0.17, 0.16, 0.13, 0.24, 0.12])
+"""Errors ascribed to experts before they are judged, m: theirs on human motion at 200 ms (`bench forecast`)."""
+_RECORD_S = 0.65
+"""Time constant of the experts' records, s."""
+_RISE_S, _FALL_S = 0.05, 0.6
+"""Time constants in which the error of the mixture grows and shrinks, s."""
+_NOW_S = 0.002
+"""A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
+_POOLED = 0.5
+"""Share of the neighbours in the record that experts are weighed by."""
+
+
+@dataclass
+class _Issued:
+    """Forecasts of one time that wait for the truth."""
+
+    time: float
+    horizon_s: float
+    rows: Rows
+    """[M now] row of each node's ancestor among the nodes then; -1 for none."""
+    features: Float64
+    """[M, 3, F] of the autoregression."""
+    places: Float64
+    """[E, K, M, 3] displacements that the experts forecast at the knots, m."""
+    mixed: Float64
+    """[K, M, 3] those of the mixture."""
+    cues: Float64
+    """[M, C]."""
+    radii: Float64
+    """[M] at the horizon, m."""
+    start: Float64
+    """[M now, 3] places of the ancestors then, on the paths as they are known now, m."""
+    due: int = 0
+    """The next knot to come true."""
+
+
+class Predictor:
+    """Forecasts nodes sample by sample; what is learnt and calibrated is learnt from what came true.
+
+    Used alike for parts of moving space and for the trajectories of `bench forecast`.
+    """
+
+    def __init__(self, parameters: BoundParameters | None = None) -> None:
+        self.bound = Bound(parameters)
+        self.autoregression = Autoregression()
+        self._horizon_s = 0.2
+        self._records = _Records()
+        self._issued: deque[_Issued] = deque()
+        self._profile = np.array(KNOTS) * _UNTRIED[-1]
+        self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
+        self._around = neighbours(np.zeros((0, 3)))
+        self._features = np.zeros((0, 3, 0))
+        self._cues = np.zeros((0, 0))
+        self._learnt_at = np.zeros(len(KNOTS))
+
+    @property
+    def weights(self) -> Float64:
+        """[E, M] of the experts, in the order of `EXPERT_NAMES`."""
+        pooled = self._records.squared @ self._around.body.T
+        return mix((1 - _POOLED) * self._records.squared + _POOLED * pooled)
+
+    @property
+    def errors(self) -> Float64:
+        """[M] recent errors of the forecasts, m."""
+        return self._records.errors
+
+    def advance(self, history: History, succession: Succession, horizon_s: float) -> None:
+        """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
+
+        Earlier samples of the history are the paths of the nodes of now. What was forecast for the time since the last
+        sample is judged.
+        """
+        self._horizon_s = horizon_s
+        self._history = history
+        self._around = neighbours(history.positions[-1])
+        self._records = self._records.inherited(succession.records, history.times[-1])
+        for issued in self._issued:
+            issued.rows = np.where(succession.paths < 0, -1, np.append(issued.rows, -1)[succession.paths])
+            issued.start = history.at(issued.time)
+        self._judge()
+        self._issue()
+
+    def predict(self, horizons: Float64) -> Prediction:
+        """Displacements and bounds of the nodes of the last `advance` after horizons [H] in seconds."""
+        mixed = np.einsum("em,ehmc->hmc", self.weights, self.single(horizons), optimize=True)
+        last = float(horizons[-1])
+        radii = self.bound.radii(self._cues, self._ages, last)
+        shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
+        return Prediction(mixed, shares[:, None] * radii)
+
+    @property
+    def _ages(self) -> Float64:
+        ages: Float64 = self._history.times[-1] - self._records.began
+        return ages
+
+    def single(self, horizons: Float64) -> Float64:
+        """[E, H, M, 3] displacements of every expert."""
+        plain = [expert(self._history, horizons) for expert in EXPERTS]
+        return np.stack([*plain, self.autoregression.forecast(self._features, horizons / self._horizon_s)])
+
+    def _issue(self) -> None:
+        """Has every expert forecast the places at the knots."""
+        self._features = autoregression_features(self._history, self._around)
+        single = self.single(np.array(KNOTS) * self._horizon_s)
+        mixed = np.einsum("em,ekmc->kmc", self.weights, single, optimize=True)
+        self._cues = _cues_of(single[:, -1], mixed[-1], self._records.errors, self._around)
+        time, count = float(self._history.times[-1]), len(mixed[0])
+        radii = self.bound.radii(self._cues, self._ages, self._horizon_s)
+        here, rows = self._history.positions[-1], np.arange(count)
+        issued = _Issued(time, self._horizon_s, rows, self._features, single, mixed, self._cues, radii, here)
+        self._issued.append(issued)
+
+    def _judge(self) -> None:
+        """Judges every forecast for a time since the last sample, and learns from it."""
+        now = self._history.times[-1]
+        for issued in self._issued:
+            while issued.due < len(KNOTS) and issued.time + KNOTS[issued.due] * issued.horizon_s <= now + _NOW_S:
+                self._come_true(issued, issued.due)
+                issued.due += 1
+        while self._issued and self._issued[0].due == len(KNOTS):
+            self._issued.popleft()
+
+    def _come_true(self, issued: _Issued, knot: int) -> None:
+        known = np.flatnonzero(issued.rows >= 0)
+        rows = issued.rows[known]
+        valid_at = issued.time + KNOTS[knot] * issued.horizon_s
+        moved = (self._history.at(valid_at) - issued.start)[known]
+        elapsed = min(valid_at - self._learnt_at[knot], issued.horizon_s)
+        self._learnt_at[knot] = valid_at
+        self.autoregression.learn(knot, issued.features[rows], moved, elapsed)
+        wrong = np.linalg.norm(issued.mixed[knot, rows] - moved, axis=-1)
+        if len(wrong):
+            kept = np.exp(-elapsed / self.bound.parameters.memory_s)
+            self._profile[knot] = kept * self._profile[knot] + (1 - kept) * wrong.mean()
+        if knot == len(KNOTS) - 1:
+            self._record(known, np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1), wrong, elapsed)
+            self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed)
+
+    def _record(self, known: Rows, single: Float64, wrong: Float64, elapsed_s: float) -> None:
+        """Enters errors of the experts [E, n] and of the mixture [n] in the records of the nodes `known` [n]."""
+        records = self._records
+        first = 1 / (1 + records.judged[known])  # an average of what there is, until there is more than records hold
+        rate = np.maximum(1 - np.exp(-elapsed_s / _RECORD_S), first)
+        records.squared[:, known] += rate * (single**2 - records.squared[:, known])
+        before = records.errors[known]
+        rate = np.maximum(1 - np.exp(-elapsed_s / np.where(wrong > before, _RISE_S, _FALL_S)), first)
+        records.errors[known] = before + rate * (wrong - before)
+        records.judged[known] += 1
+
+
+def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:
+    """Cues [M, C] from the experts' displacements [E, M, 3], the mixture's [M, 3] and recent errors [M]."""
+    spread = np.sqrt(((single - mixed) ** 2).sum(axis=-1).mean(axis=0))
+    by_name = dict(zip(EXPERT_NAMES, single, strict=True))
+    way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
+    acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)
+    near_way, near_acceleration, near_error = np.sqrt(
+        around.body @ np.stack([way, acceleration, errors], axis=1) ** 2
+    ).T
+    return cues(spread, acceleration, near_way, near_acceleration, near_error)
