@@ -7,11 +7,13 @@ import os
 import sys
 
 from twin_node import __version__
+from twin_node.cli.bake import add_bake
 from twin_node.cli.bench import add_bench
 from twin_node.cli.calibrate import add_calibrate
 from twin_node.cli.export import add_export
 from twin_node.cli.imports import add_import
 from twin_node.cli.replay import add_demo, add_replay
+from twin_node.cli.train import add_train
 from twin_node.cli.ur_driver import add_ur_driver
 from twin_node.cli.ur_sim import add_ur_sim
 from twin_node.cli.view import add_view
@@ -46,4 +48,6 @@ def _parser() -> argparse.ArgumentParser:
     add_view(commands)
     add_ur_driver(commands)
     add_ur_sim(commands)
+    add_train(commands)
+    add_bake(commands)
     return parser

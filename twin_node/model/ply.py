@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +40,7 @@ class StoredGaussians:
     @property
     def degree(self) -> int:
         """Degree of the harmonics: 0 for one colour from all sides."""
-        return round(self.sh.shape[1] ** 0.5) - 1
+        return math.isqrt(self.sh.shape[1]) - 1
 
 
 def stored_from_cloud(cloud: GaussianCloud) -> StoredGaussians:

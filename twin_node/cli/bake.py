@@ -1,0 +1,86 @@
+"""`twin_node bake`: a model evaluated at its time steps into buffers that play at the rate of a static model."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import add_source_options, whole, with_source_options
+
+if TYPE_CHECKING:
+    from twin_node.model.sequence import Baked
+    from twin_node.scene import TwinState
+
+
+def add_bake(commands: Any) -> None:
+    """Adds `bake` to the subcommands."""
+    bake = commands.add_parser("bake", help="evaluate a trained or live model into buffers for fast playback")
+    bake.add_argument("source", type=Path, metavar="CHECKPOINT|LOG", help="of twin_node train, or a log to follow")
+    bake.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors")
+    bake.add_argument("--steps", type=whole, metavar="N", help="N times evenly over a checkpoint's span")
+    bake.add_argument("--measure", action="store_true", help="compare speed and images with live evaluation")
+    bake.add_argument("--json", action="store_true", help="print one JSON object")
+    add_source_options(bake)
+    bake.set_defaults(run=_bake)
+
+
+def _bake(options: argparse.Namespace) -> None:
+    from twin_node.bench.methods.playback import measure
+    from twin_node.errors import TwinError
+    from twin_node.model.sequence import bake_model, load_checkpoint, save_baked
+
+    if options.output.resolve() == options.source.resolve():
+        raise TwinError(f"-o {options.output}: expected another file than the one that is read; choose a new name")
+    model = None
+    if options.source.suffix == ".safetensors":
+        checkpoint = load_checkpoint(options.source)
+        model, header = checkpoint.model, checkpoint.header
+        stamps = header.stamps if options.steps is None else _evenly(header.span.first, header.span.last, options.steps)
+        baked = bake_model(model, stamps, header.cameras)
+    else:
+        if options.measure or options.steps is not None:
+            raise TwinError("--measure, --steps: expected with a checkpoint, whose model can be evaluated at any time")
+        baked = _bake_log(options)
+    save_baked(baked, options.output)
+    figures: dict[str, object] = {"steps": len(baked.stamps), "gaussians": max(baked.counts), "bytes": baked.bytes}
+    if options.measure and model is not None:
+        figures |= measure(model, baked).as_json()
+    if options.json:
+        print(json.dumps(figures))
+        return
+    print(f"{options.output}: " + ", ".join(f"{name} {_shown(value)}" for name, value in figures.items()))
+
+
+def _evenly(first: int, last: int, count: int) -> list[int]:
+    """`count` stamps from first to last; the first alone for one."""
+    if count == 1 or first == last:
+        return [first]
+    return sorted({first + round((last - first) * index / (count - 1)) for index in range(count)})
+
+
+def _bake_log(options: argparse.Namespace) -> Baked:
+    """Follows a log in lockstep and keeps every state."""
+    from twin_node.model.sequence import bake_clouds
+    from twin_node.nodes.chain import load_parameters, make_model
+    from twin_node.nodes.log_source import LogSession, LogSource
+    from twin_node.nodes.topics import parse_remaps
+
+    chain = with_source_options(load_parameters(options.params), options)
+    remaps = parse_remaps(options.remap)
+    with LogSession(options.source, options.rig, remaps, options.start_offset, options.duration) as session:
+        model = make_model(chain)
+
+        def states() -> Iterator[TwinState]:
+            for frames in tqdm(LogSource(session, chain.synchronizer), unit="set", desc="bake", disable=None):
+                yield model.update(frames)
+
+        return bake_clouds(states())
+
+
+def _shown(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,114 @@
+"""`twin_node train`: a whole recording becomes a 4D model, offline."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import whole, width
+
+if TYPE_CHECKING:
+    from twin_node.model.sequence import Recording, Trainer
+
+DEFAULT_WIDTH = 320
+"""Width in pixels at which a few thousand steps take minutes on two CPU cores."""
+SAVE_EVERY = 1000
+"""Steps from one checkpoint to the next."""
+SCORED = 60
+"""Held-out images that the closing score is taken over, at most, evenly over time."""
+
+
+def add_train(commands: Any) -> None:
+    """Adds `train` to the subcommands."""
+    train = commands.add_parser("train", help="learn a whole recording offline: 4DGS on planes or a hash grid")
+    train.add_argument(
+        "data",
+        type=Path,
+        metavar="DATA",
+        help="log, or folder in the layout of Neural 3D Video, D-NeRF or COLMAP with images per time",
+    )
+    train.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors")
+    train.add_argument("--method", choices=("hexplane", "hash", "static"), help="field (default hexplane)")
+    train.add_argument("--steps", type=whole, metavar="N", help="steps with the field (default 3000)")
+    train.add_argument(
+        "--width",
+        type=width,
+        default=DEFAULT_WIDTH,
+        metavar="PX",
+        help=f"width of the images (default {DEFAULT_WIDTH})",
+    )
+    train.add_argument("--frames", type=whole, metavar="N", help="take the first N time steps only")
+    train.add_argument(
+        "--hold-out", action="append", metavar="CAMERA", help="never train on this camera, score on it; repeatable"
+    )
+    train.add_argument("--gaussians", type=whole, metavar="N", help="at most N Gaussians (default 20000)")
+    train.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint, exactly")
+    train.add_argument("--seed", type=int, metavar="N", help="seed of all that is drawn (default 0)")
+    train.set_defaults(run=_train)
+
+
+def _train(options: argparse.Namespace) -> None:
+    from twin_node.errors import TwinError
+    from twin_node.model.sequence import ReadOptions, save_checkpoint
+    from twin_node.nodes.recordings import read_recording
+    from twin_node.nodes.synchronizer import SynchronizerParameters
+
+    if not options.output.parent.is_dir():
+        raise TwinError(f"-o {options.output}: expected a folder that exists, found none; make it first")
+    hold_out = None if options.hold_out is None else tuple(options.hold_out)
+    reading = ReadOptions(options.width, options.frames, hold_out)
+    recording = read_recording(options.data, reading, SynchronizerParameters(width=options.width), options.rig)
+    print(
+        f"{options.data}: {len(recording.train)} images at {recording.steps} times to learn from, "
+        f"{len(recording.held_out)} held out"
+    )
+    trainer = _trainer(recording, options)
+    with tqdm(total=trainer.parameters.all_steps, initial=trainer.step, unit="step", disable=None) as bar:
+        try:
+            while not trainer.finished:
+                loss = trainer.advance()
+                bar.update()
+                bar.set_postfix(loss=f"{loss:.4f}", gaussians=len(trainer.model.gaussians), refresh=False)
+                if trainer.step % SAVE_EVERY == 0:
+                    save_checkpoint(trainer, options.output)
+        finally:
+            save_checkpoint(trainer, options.output)
+    _report(trainer, options.output)
+
+
+def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
+    """A new trainer, or the one of `--resume`; what the command line leaves out stays as it is."""
+    from dataclasses import replace
+
+    from twin_node.errors import TwinError
+    from twin_node.model.sequence import Trainer, TrainParameters, load_checkpoint
+
+    if options.resume is not None:
+        for name in ("method", "seed", "gaussians"):
+            if getattr(options, name) is not None:
+                raise TwinError(f"--{name}: expected without --resume, which goes on as {options.resume} began")
+        return load_checkpoint(options.resume).resume(recording, options.steps)
+    given = {"method": options.method, "steps": options.steps, "seed": options.seed}
+    parameters = replace(TrainParameters(), **{name: value for name, value in given.items() if value is not None})
+    if options.gaussians is not None:
+        start = min(parameters.start_gaussians, options.gaussians)
+        parameters = replace(parameters, most_gaussians=options.gaussians, start_gaussians=start)
+    return Trainer(recording, parameters)
+
+
+def _report(trainer: Trainer, path: Path) -> None:
+    """Says what came of it, on images that were held out or else on those learnt from."""
+    from twin_node.model.sequence.scoring import mean_psnr
+
+    recording, model = trainer.recording, trainer.model
+    views = recording.held_out or recording.train
+    kind = "held-out" if recording.held_out else "training"
+    chosen = views[:: max(len(views) // SCORED, 1)]
+    print(
+        f"{path}: {len(model.gaussians)} Gaussians, {model.parameters_count} parameters, "
+        f"PSNR {mean_psnr(model, chosen):.2f} dB on {len(chosen)} {kind} images"
+    )

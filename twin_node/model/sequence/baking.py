@@ -1,0 +1,198 @@
+"""Pre-baking: a model evaluated at its time steps into fixed buffers, played at the rate of a static model."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node import splat
+from twin_node.model.parameters import ModelError
+from twin_node.model.ply import SH_C0, StoredGaussians
+from twin_node.model.sequence.recording import nearest
+from twin_node.model.sequence.sequence_model import SequenceModel
+from twin_node.model.sequence.tensor_file import camera_from_record, camera_record, read_tensors, write_tensors
+from twin_node.scene import Camera, Float32, GaussianCloud, TwinState
+
+FORMAT = "twin_node baked"
+VERSION = 1
+BATCH = 16
+"""Time steps evaluated at once: what bounds the memory that baking takes beside its result."""
+
+
+@dataclass(frozen=True)
+class Baked:
+    """Gaussians at T time steps, every attribute as it is drawn: playing one looks nothing up but its row.
+
+    What all steps share is stored once: its first dimension is 1.
+    """
+
+    stamps: tuple[int, ...]
+    """[T] rising, ns."""
+    counts: tuple[int, ...]
+    """[T] Gaussians of a step: the first rows of its buffers."""
+    means: Tensor
+    """[T or 1, N, 3] m."""
+    quats: Tensor
+    """[T or 1, N, 4] w, x, y, z."""
+    scales: Tensor
+    """[T or 1, N, 3] m."""
+    opacities: Tensor
+    """[T or 1, N] 0 to 1."""
+    sh: Tensor
+    """[T or 1, N, K, 3] harmonic coefficients."""
+    background: tuple[float, float, float]
+    """Red, green, blue, 0 to 1, where nothing is."""
+    cameras: tuple[Camera, ...]
+    """Those that the model was made from."""
+
+    @property
+    def bytes(self) -> int:
+        """Size of the buffers."""
+        return sum(buffer.nbytes for buffer in self._buffers().values())
+
+    def render(self, camera: Camera, stamp: int) -> Float32:
+        """[H, W, 3] 0 to 1: what `camera` sees at the time step nearest to `stamp` (ns)."""
+        return self.render_step(camera, nearest(self.stamps, stamp))
+
+    def render_step(self, camera: Camera, step: int) -> Float32:
+        """[H, W, 3] 0 to 1: what `camera` sees at a time step."""
+        count = self.counts[step]
+        means, quats, scales, opacities, sh = (
+            buffer[min(step, len(buffer) - 1), :count] for buffer in self._buffers().values()
+        )
+
+        def tensor(values: object) -> Tensor:
+            return torch.as_tensor(values, dtype=torch.float32, device=means.device)[None]
+
+        with torch.no_grad():
+            renders, _, _ = splat.rasterize(
+                means,
+                quats,
+                scales,
+                opacities,
+                sh,
+                tensor(camera.viewmat),
+                tensor(camera.K),
+                camera.width,
+                camera.height,
+                sh_degree=math.isqrt(sh.shape[1]) - 1,
+                backgrounds=tensor(self.background),
+            )
+        image: Float32 = renders[0].clamp(0, 1).cpu().numpy()
+        return image
+
+    def stored(self, step: int) -> StoredGaussians:
+        """The Gaussians of a time step as PLY files hold them."""
+        means, quats, scales, opacities, sh = (
+            buffer[min(step, len(buffer) - 1), : self.counts[step]].cpu() for buffer in self._buffers().values()
+        )
+        logits = opacities.double().clamp(1e-6, 1 - 1e-6).logit().float()
+        return StoredGaussians(
+            means.numpy(), quats.numpy(), scales.clamp_min(1e-9).log().numpy(), logits.numpy(), sh.numpy()
+        )
+
+    def _buffers(self) -> dict[str, Tensor]:
+        return {name: getattr(self, name) for name in ("means", "quats", "scales", "opacities", "sh")}
+
+
+def bake_model(model: SequenceModel, stamps: Sequence[int], cameras: tuple[Camera, ...]) -> Baked:
+    """Evaluates a sequence model at stamps (ns, rising). Raises `ModelError` without stamps."""
+    if not stamps:
+        raise ModelError("bake: expected one time step or more, found none")
+    parts = []
+    with torch.no_grad():
+        for begin in range(0, len(stamps), BATCH):
+            parts.append(model.at(stamps[begin : begin + BATCH]))
+    last = parts[-1]
+    moves = model.field is not None
+
+    def buffer(chunks: list[Tensor]) -> Tensor:
+        return torch.cat(chunks) if moves else chunks[0][:1].clone()
+
+    return Baked(
+        tuple(stamps),
+        (len(model.gaussians),) * len(stamps),
+        buffer([part.means for part in parts]),
+        buffer([part.quats for part in parts]),
+        buffer([part.scales for part in parts]),
+        last.opacities[None].clone(),
+        last.sh[None].clone(),
+        model.background,
+        cameras,
+    )
+
+
+def bake_clouds(states: Iterable[TwinState]) -> Baked:
+    """The clouds that a live model published, one time step each. Raises `ModelError` without states."""
+    clouds: list[GaussianCloud] = []
+    stamps: list[int] = []
+    cameras: dict[str, Camera] = {}
+    for state in states:
+        stamps.append(state.stamp)
+        clouds.append(state.gaussians)
+        for view in state.frames.views:
+            cameras.setdefault(view.camera.name, view.camera)
+    if not clouds:
+        raise ModelError("bake: expected one set of images or more, found none; give a longer --duration")
+    most = max(len(cloud.means) for cloud in clouds)
+
+    def buffer(rows: Sequence[Float32]) -> Tensor:
+        packed = np.zeros((len(rows), most, *rows[0].shape[1:]), np.float32)
+        for step, values in enumerate(rows):
+            packed[step, : len(values)] = values
+        return torch.from_numpy(packed)
+
+    return Baked(
+        tuple(stamps),
+        tuple(len(cloud.means) for cloud in clouds),
+        buffer([cloud.means for cloud in clouds]),
+        buffer([cloud.quats for cloud in clouds]),
+        buffer([cloud.scales for cloud in clouds]),
+        buffer([cloud.opacities for cloud in clouds]),
+        buffer([((cloud.rgb - 0.5) / SH_C0)[:, None].astype(np.float32) for cloud in clouds]),
+        (0.0, 0.0, 0.0),
+        tuple(cameras.values()),
+    )
+
+
+def save_baked(baked: Baked, path: Path) -> None:
+    """Writes buffers as safetensors. Raises `ModelError` where the file cannot be written."""
+    header = {
+        "stamps": list(baked.stamps),
+        "counts": list(baked.counts),
+        "background": list(baked.background),
+        "cameras": [camera_record(camera) for camera in baked.cameras],
+    }
+    metadata = {"format": FORMAT, "version": str(VERSION), "header": json.dumps(header)}
+    names = ("means", "quats", "scales", "opacities", "sh")
+    write_tensors({name: getattr(baked, name) for name in names}, metadata, path)
+
+
+def load_baked(path: Path) -> Baked:
+    """Reads what `save_baked` wrote. Raises `ModelError` for any other file."""
+    file = read_tensors(path)
+    if file.metadata.get("format") != FORMAT or file.metadata.get("version") != str(VERSION):
+        found = file.metadata.get("format", "another kind of file")
+        raise ModelError(f"{path}: expected buffers of twin_node bake, version {VERSION}, found {found}")
+    try:
+        header = json.loads(file.metadata["header"])
+        return Baked(
+            tuple(header["stamps"]),
+            tuple(header["counts"]),
+            file.tensors["means"],
+            file.tensors["quats"],
+            file.tensors["scales"],
+            file.tensors["opacities"],
+            file.tensors["sh"],
+            tuple(header["background"]),
+            tuple(camera_from_record(record) for record in header["cameras"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{path}: the header of the buffers is damaged ({error}); bake again") from None

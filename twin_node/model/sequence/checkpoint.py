@@ -1,0 +1,171 @@
+"""Checkpoints in safetensors: all that a model needs to be drawn, and all that training needs to go on exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from twin_node.model.parameters import ModelError
+from twin_node.model.ply import StoredGaussians
+from twin_node.model.sequence.canonical import CanonicalGaussians
+from twin_node.model.sequence.densify import PositionGradients
+from twin_node.model.sequence.field import Box
+from twin_node.model.sequence.parameters import TrainParameters
+from twin_node.model.sequence.recording import Recording
+from twin_node.model.sequence.sequence_model import SequenceModel, Span
+from twin_node.model.sequence.tensor_file import camera_from_record, camera_record, read_tensors, write_tensors
+from twin_node.model.sequence.trainer import Trainer, make_field
+from twin_node.runtime.parameters import fill
+from twin_node.scene import Camera
+
+FORMAT = "twin_node sequence"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class CheckpointHeader:
+    """What a checkpoint says beside its tensors."""
+
+    parameters: TrainParameters
+    step: int
+    """Steps taken."""
+    span: Span
+    stamps: tuple[int, ...]
+    """Of the training images, distinct and rising, ns."""
+    steps: int
+    """Time steps that the field was made for."""
+    background: tuple[float, float, float]
+    cameras: tuple[Camera, ...]
+    """Those of the training images, one per name."""
+    images: int
+    """Training images."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint as read."""
+
+    path: Path
+    header: CheckpointHeader
+    tensors: Mapping[str, Tensor]
+
+    @property
+    def model(self) -> SequenceModel:
+        """The model, ready to be drawn."""
+        header = self.header
+        field = make_field(self.box, header.steps, header.parameters)
+        if isinstance(field, nn.Module):
+            _load_field(field, self._part("field."))
+        gaussians = CanonicalGaussians(self.stored, header.parameters.rates, 1.0, torch.device("cpu"))
+        return SequenceModel(gaussians, field, header.span, header.background)
+
+    @property
+    def stored(self) -> StoredGaussians:
+        """The canonical Gaussians."""
+        names = (field.name for field in dataclasses.fields(StoredGaussians))
+        return StoredGaussians(*(self.tensors[f"gaussians.{name}"].numpy() for name in names))
+
+    @property
+    def box(self) -> Box:
+        """What the field spans."""
+        return Box(self.tensors["box.lower"], self.tensors["box.upper"])
+
+    def resume(self, recording: Recording, steps: int | None = None) -> Trainer:
+        """The trainer as it was when it was saved; with `steps` in place of the checkpoint's own number.
+
+        Raises `ModelError` where the recording is not the one that was trained on.
+        """
+        header = self.header
+        found = tuple(sorted({view.stamp for view in recording.train}))
+        if len(recording.train) != header.images or found != header.stamps:
+            raise ModelError(
+                f"{self.path}: expected the recording that it was trained on ({header.images} images at "
+                f"{len(header.stamps)} times), found {len(recording.train)} at {len(found)} in {recording.name}; "
+                "give the same data, --hold-out and --frames"
+            )
+        parameters = header.parameters
+        if steps is not None:
+            parameters = dataclasses.replace(parameters, steps=steps)
+        trainer = Trainer(recording, parameters, self.stored, self.box)
+        trainer.step = header.step
+        trainer.model.gaussians.restore(self._part("adam."))
+        device = trainer.model.gaussians.means.device
+        trainer.gradients = PositionGradients(len(trainer.model.gaussians), device)
+        trainer.gradients.sums += self.tensors["gradients.sums"].to(device)
+        trainer.gradients.counts += self.tensors["gradients.counts"].to(device)
+        if isinstance(trainer.model.field, nn.Module) and trainer.field_optimizer is not None:
+            _load_field(trainer.model.field, self._part("field."))
+            _restore_adam(trainer.field_optimizer, self._part("field_adam."))
+        return trainer
+
+    def _part(self, prefix: str) -> dict[str, Tensor]:
+        return {name.removeprefix(prefix): value for name, value in self.tensors.items() if name.startswith(prefix)}
+
+
+def save_checkpoint(trainer: Trainer, path: Path) -> None:
+    """Writes a trainer's state under a partial name, and gives it its own when it is whole.
+
+    Raises `ModelError` where it cannot be written.
+    """
+    model, recording = trainer.model, trainer.recording
+    tensors = {f"gaussians.{name}": torch.from_numpy(value) for name, value in vars(model.gaussians.stored()).items()}
+    tensors |= {f"adam.{name}": value for name, value in model.gaussians.states()}
+    tensors |= {"gradients.sums": trainer.gradients.sums, "gradients.counts": trainer.gradients.counts}
+    tensors |= {"box.lower": trainer.box.lower, "box.upper": trainer.box.upper}
+    if isinstance(model.field, nn.Module):
+        tensors |= {f"field.{name}": value for name, value in model.field.state_dict().items()}
+    if trainer.field_optimizer is not None:
+        for index, state in trainer.field_optimizer.state_dict()["state"].items():
+            tensors |= {f"field_adam.{index}.{name}": value for name, value in state.items()}
+    header = {
+        "parameters": dataclasses.asdict(trainer.parameters),
+        "step": trainer.step,
+        "span": [model.span.first, model.span.last],
+        "stamps": sorted({view.stamp for view in recording.train}),
+        "steps": recording.steps,
+        "background": list(recording.background),
+        "cameras": [camera_record(camera) for camera in recording.cameras],
+        "images": len(recording.train),
+    }
+    write_tensors(tensors, {"format": FORMAT, "version": str(VERSION), "header": json.dumps(header)}, path)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Reads a checkpoint. Raises `ModelError` for a file that is none, is damaged, or is of another version."""
+    file = read_tensors(path)
+    metadata = file.metadata
+    if metadata.get("format") != FORMAT or metadata.get("version") != str(VERSION):
+        found = metadata.get("format", "another kind of file")
+        raise ModelError(f"{path}: expected a checkpoint of twin_node train, version {VERSION}, found {found}")
+    try:
+        header = json.loads(metadata["header"])
+        parsed = CheckpointHeader(
+            fill(TrainParameters, header["parameters"], str(path)),
+            int(header["step"]),
+            Span(*header["span"]),
+            tuple(header["stamps"]),
+            int(header["steps"]),
+            tuple(header["background"]),
+            tuple(camera_from_record(record) for record in header["cameras"]),
+            int(header["images"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{path}: the checkpoint's header is damaged ({error}); train again") from None
+    return Checkpoint(path, parsed, file.tensors)
+
+
+def _load_field(field: nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    field.load_state_dict(dict(tensors))
+
+
+def _restore_adam(optimizer: torch.optim.Adam, tensors: Mapping[str, Tensor]) -> None:
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    for name, value in tensors.items():
+        index, key = name.split(".")
+        optimizer.state[parameters[int(index)]][key] = value

@@ -1,0 +1,91 @@
+"""Neural 3D Video (Li et al., CVPR 2022): `poses_bounds.npy` in LLFF's convention beside `cam00.mp4`, `cam01.mp4`, ...
+
+The first camera is held out unless told otherwise, as published. Stamps count frames at the videos' own rate from 0.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twin_node.geometry import pose
+from twin_node.model.parameters import ModelError
+from twin_node.model.sequence.readers.options import ReadOptions, scaled_intrinsics, shrunk
+from twin_node.model.sequence.recording import Recording, in_order, split
+from twin_node.scene import Camera, Float64, View
+
+POSES = "poses_bounds.npy"
+
+
+def recognises(folder: Path) -> bool:
+    """Whether a folder has this layout."""
+    return (folder / POSES).is_file()
+
+
+def read(folder: Path, options: ReadOptions) -> Recording:
+    """Reads all videos of a scene.
+
+    Raises `ModelError` for poses that are not [cameras, 17], that are as many as the videos are not, or that are no
+    poses, and for videos that cannot be decoded.
+    """
+    videos = sorted(folder.glob("cam*.mp4"))
+    rows = _load_poses(folder / POSES)
+    if len(videos) != len(rows):
+        raise ModelError(
+            f"{folder / POSES}: expected one row per video, found {len(rows)} rows and {len(videos)} videos cam*.mp4; "
+            "complete the data set"
+        )
+    views: list[View] = []
+    for video, row in zip(videos, rows, strict=True):
+        views += _read_video(video, row, options)
+    shortest = min(sum(view.camera.name == video.stem for view in views) for video in videos)
+    last = sorted(view.stamp for view in views if view.camera.name == videos[0].stem)[shortest - 1]
+    recording = Recording(str(folder), in_order(view for view in views if view.stamp <= last))
+    return split(recording, (videos[0].stem,) if options.hold_out is None else options.hold_out)
+
+
+def _load_poses(path: Path) -> Float64:
+    try:
+        rows: Float64 = np.load(path, allow_pickle=False)
+    except (OSError, ValueError):
+        raise ModelError(f"{path}: expected a NumPy array, found another kind of file; take it from LLFF") from None
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f" or not np.isfinite(rows).all():
+        raise ModelError(
+            f"{path}: expected finite numbers [cameras, 17], found {rows.dtype} {list(rows.shape)}; take it from LLFF"
+        )
+    return rows.astype(np.float64)
+
+
+def _read_video(path: Path, row: Float64, options: ReadOptions) -> list[View]:
+    """The frames of one camera; `row` [17] holds [3, 5] of axes down, right, back, position, (height, width, focal)."""
+    matrix = row[:15].reshape(3, 5)
+    rotation = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2]], axis=1)
+    turns = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-3 and np.linalg.det(rotation) > 0
+    if not turns or (matrix[:, 4] <= 0).any():
+        raise ModelError(f"{path.parent / POSES}: the row of {path.name} is no pose with a focal length; rerun LLFF")
+    height, width, focal = matrix[:, 4]
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    capture = cv2.VideoCapture(str(path))
+    rate = capture.get(cv2.CAP_PROP_FPS)
+    camera: Camera | None = None
+    views: list[View] = []
+    try:
+        while options.frames is None or len(views) < options.frames:
+            ok, image = capture.read()
+            if not ok:
+                break
+            rgb = shrunk(cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8), options.width)
+            if camera is None:
+                scaled = scaled_intrinsics(K, (width, height), (rgb.shape[0], rgb.shape[1]))
+                camera = Camera(path.stem, rgb.shape[1], rgb.shape[0], scaled, pose(rotation, matrix[:, 3]))
+            views.append(View(camera, round(len(views) * 1e9 / rate) if rate > 0 else 0, rgb))
+    finally:
+        capture.release()
+    if not views or not math.isfinite(rate) or rate <= 0:
+        raise ModelError(
+            f"{path}: expected frames at a known rate, found {len(views)} at {rate} Hz; copy the video again"
+        )
+    return views

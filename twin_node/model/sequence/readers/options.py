@@ -1,0 +1,53 @@
+"""What every reader can be told, and images at the size that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twin_node.model.parameters import ModelError
+from twin_node.scene import Float64, UInt8
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How much of a recording to read."""
+
+    width: int | None = None
+    """Width of the images in pixels, if smaller than their own; None: their own."""
+    frames: int | None = None
+    """Time steps to read, from the first; None: all."""
+    hold_out: tuple[str, ...] | None = None
+    """Cameras to keep for scoring; None: those of the layout's own convention."""
+
+
+def load_image(path: Path) -> UInt8:
+    """[H, W, 3 or 4] red, green, blue and, where the file has it, alpha. Raises `ModelError` naming the file."""
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        found = "another kind of file" if path.is_file() else "no file"
+        raise ModelError(f"{path}: expected an image (PNG or JPEG), found {found}; complete the data set")
+    if image.dtype == np.uint16:
+        image = (image // 256).astype(np.uint8)
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, -1)
+    order = [2, 1, 0, *range(3, image.shape[-1])]
+    return np.ascontiguousarray(image[..., order])
+
+
+def shrunk(image: UInt8, width: int | None) -> UInt8:
+    """The image at `width` pixels where it is wider, with its own aspect; pixels that fall together are averaged."""
+    if width is None or image.shape[1] <= width:
+        return image
+    height = max(round(image.shape[0] * width / image.shape[1]), 1)
+    small: UInt8 = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    return small
+
+
+def scaled_intrinsics(K: Float64, size: tuple[int, int], shape: tuple[int, int]) -> Float64:
+    """Intrinsics [3, 3] for images of `size` (width, height) turned to `shape` (height, width); corner at 0, 0."""
+    scaled: Float64 = np.diag([shape[1] / size[0], shape[0] / size[1], 1.0]) @ K
+    return scaled

@@ -1,0 +1,146 @@
+"""A whole recording in memory: what sequence training and the table of methods work on."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin_node.model.parameters import ModelError
+from twin_node.model.sweep import shell_around
+from twin_node.scene import Camera, Float32, Float64, FrameSet, View
+
+EXTENT_MARGIN = 1.1
+"""How much farther than its farthest camera a scene reaches (Kerbl et al., TOG 2023)."""
+ONE_PLACE = 1e-3
+"""Cameras that are this near to each other, as a share of what they look at, stand in one place."""
+
+
+@dataclass(frozen=True)
+class ColouredPoints:
+    """Points that a scene may start from."""
+
+    positions: Float64
+    """[P, 3] m."""
+    rgb: Float32
+    """[P, 3] 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Images with cameras and times, those to learn from and those to be scored on."""
+
+    name: str
+    """What messages call it: the file or folder it came from."""
+    train: tuple[View, ...]
+    """In rising order of stamps."""
+    held_out: tuple[View, ...] = ()
+    """In rising order of stamps; never trained on."""
+    points: ColouredPoints | None = None
+    """What is known of the scene's surfaces, where anything is."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Red, green, blue, 0 to 1, where nothing is."""
+
+    def __post_init__(self) -> None:
+        if not self.train:
+            raise ModelError(f"{self.name}: expected images to train on, found none; check --hold-out and --frames")
+
+    @property
+    def first(self) -> int:
+        """Stamp of the first training image, ns."""
+        return self.train[0].stamp
+
+    @property
+    def last(self) -> int:
+        """Stamp of the last training image, ns."""
+        return self.train[-1].stamp
+
+    @property
+    def steps(self) -> int:
+        """Time steps: the images of the camera that has most, or the distinct times where each image has its own."""
+        names = [view.camera.name for view in self.train]
+        most = max(names.count(name) for name in set(names))
+        return most if most > 1 else len({view.stamp for view in self.train})
+
+    @property
+    def extent(self) -> float:
+        """The cameras' reach about their centre, m, as 3DGS has it; the distance they look over where all stand in one
+        place."""
+        cameras = [view.camera for view in self.train]
+        centres = np.stack([camera.T_base_cam[:3, 3] for camera in cameras])
+        reach = float(np.linalg.norm(centres - centres.mean(0), axis=1).max())
+        distance = shell_around(cameras, 1.0).radius
+        return EXTENT_MARGIN * (reach if reach > ONE_PLACE * distance else distance)
+
+    def sets(self) -> list[FrameSet]:
+        """The training images as sets: each camera's n-th image belongs to the n-th set."""
+        by_camera: dict[str, list[View]] = {}
+        for view in self.train:
+            by_camera.setdefault(view.camera.name, []).append(view)
+        steps = max(map(len, by_camera.values()))
+        sets = []
+        for index in range(steps):
+            views = tuple(views[index] for views in by_camera.values() if index < len(views))
+            sets.append(FrameSet(max(view.stamp for view in views), views, sequence=index))
+        return sets
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """One per name among the training images, as it was first."""
+        return tuple({view.camera.name: view.camera for view in reversed(self.train)}.values())[::-1]
+
+
+def recording_of(
+    name: str, sets: Iterable[FrameSet], hold_out: Sequence[str] = (), frames: int | None = None
+) -> Recording:
+    """Sets of a log, a rig or a simulated cell; cameras `hold_out` are kept for scoring, `frames` sets taken.
+
+    Raises `ModelError` where a camera to hold out is not there, or nothing is left to train on.
+    """
+    views: list[View] = []
+    for count, one in enumerate(sets):
+        if count == frames:
+            break
+        views += one.views
+    return split(Recording(name, in_order(views)) if views else _empty(name), hold_out)
+
+
+def split(recording: Recording, hold_out: Sequence[str]) -> Recording:
+    """The recording with the images of cameras `hold_out` kept for scoring instead of training.
+
+    Raises `ModelError` where there is no such camera, or nothing is left to train on.
+    """
+    names = sorted({view.camera.name for view in (*recording.train, *recording.held_out)})
+    for name in hold_out:
+        if name not in names:
+            raise ModelError(
+                f"{recording.name}: expected a camera to hold out among {_listed(names)}, found no '{name}'"
+            )
+    kept = tuple(view for view in recording.train if view.camera.name not in hold_out)
+    hidden = tuple(view for view in recording.train if view.camera.name in hold_out)
+    return replace(recording, train=kept, held_out=in_order([*recording.held_out, *hidden]))
+
+
+def in_order(views: Iterable[View]) -> tuple[View, ...]:
+    """Views in rising order of stamps; those of one stamp stay in their order."""
+    return tuple(sorted(views, key=lambda view: view.stamp))
+
+
+def nearest(stamps: Sequence[int], stamp: int) -> int:
+    """Index of the stamp in a rising, non-empty sequence that is nearest to another, the earlier of two."""
+    after = bisect.bisect_left(stamps, stamp)
+    if after == 0:
+        return 0
+    if after == len(stamps) or stamp - stamps[after - 1] <= stamps[after] - stamp:
+        return after - 1
+    return after
+
+
+def _empty(name: str) -> Recording:
+    raise ModelError(f"{name}: expected sets of images, found none; check --start-offset, --duration and the topics")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -1,0 +1,57 @@
+"""Files of tensors (safetensors), and cameras in their headers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from twin_node.model.parameters import ModelError
+from twin_node.scene import Camera
+
+
+def write_tensors(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
+    """A safetensors file under a partial name that gets its own when whole. Raises `ModelError` where it cannot be."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        save_file(
+            {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}, partial, metadata
+        )
+        partial.replace(path)
+    except (OSError, SafetensorError) as error:
+        partial.unlink(missing_ok=True)
+        raise ModelError(f"{path}: cannot be written ({error}); choose a folder that exists") from None
+
+
+@dataclass(frozen=True)
+class TensorFile:
+    """What a safetensors file holds."""
+
+    metadata: Mapping[str, str]
+    tensors: Mapping[str, Tensor]
+
+
+def read_tensors(path: Path) -> TensorFile:
+    """A whole safetensors file. Raises `ModelError` where it is none."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return TensorFile(file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+    except (OSError, SafetensorError):
+        found = "another kind of file, or a damaged one" if path.is_file() else "no file"
+        raise ModelError(f"{path}: expected a safetensors file, found {found}") from None
+
+
+def camera_record(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON."""
+    return {**vars(camera), "K": camera.K.tolist(), "T_base_cam": camera.T_base_cam.tolist()}
+
+
+def camera_from_record(record: Mapping[str, Any]) -> Camera:
+    """What `camera_record` was made of."""
+    return Camera(**{**record, "K": np.array(record["K"]), "T_base_cam": np.array(record["T_base_cam"])})

@@ -1,0 +1,30 @@
+"""Any data that a sequence can be learnt from, as one recording: logs, and folders of published layouts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from twin_node.model.sequence import ReadOptions, Recording, read_folder, recording_of
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.synchronizer import SynchronizerParameters
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is to be read as a log: any file, and folders with rosbag2's `metadata.yaml` or its storage."""
+    return (
+        not path.is_dir() or (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*.db3"))
+    )
+
+
+def read_recording(
+    path: Path, options: ReadOptions, parameters: SynchronizerParameters | None = None, rig: Path | None = None
+) -> Recording:
+    """All images of a log or a folder; `parameters` and the rig file `rig` are for logs alone.
+
+    Raises `ModelError` for a folder of no known layout or data that is incomplete, and a log's own errors.
+    """
+    if not is_log(path):
+        return read_folder(path, options)
+    with LogSession(path, rig) as session:
+        source = LogSource(session, parameters or SynchronizerParameters())
+        return recording_of(str(path), source, options.hold_out or (), options.frames)
