@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.cell.program import RunningProgram
 from twin_node.cell.shadow import Shadow
 from twin_node.cell.shapes import Form
 from twin_node.cell.world import World
 from twin_node.geometry import quat_from_rotation
-from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
+from twin_node.robot import ArmModel, forward_kinematics, place_capsules
+from twin_node.scene import HORIZONS_NS, Float64, ObstacleKind, Obstacles, ObstacleShape
 
 INTERVAL_NS = 50_000_000
 """Length of an interval that an obstacle is valid for, ns: the step of the forecast's horizons."""
@@ -79,6 +82,63 @@ class Oracle:
     def _is_near(self, centers: Float64, radii: Float64, near: Float64) -> NDArray[np.bool_]:
         gaps = np.linalg.norm(centers[:, None] - near, axis=2).min(axis=1) - radii
         return np.asarray(gaps < self._reach_m)
+
+
+class Foresight(Enum):
+    """How far ahead of the evidence perfect perception sees."""
+
+    NONE = "none"
+    """Where things are, and nothing of how they move."""
+    FORECAST = "forecast"
+    """The true motion of the next 200 ms, as far as the twin forecasts."""
+    UNLIMITED = "unlimited"
+    """The true motion until the arm would stand from any speed."""
+
+
+class PerfectPerception:
+    """The oracle seen through cameras: evidence at their rate, known after the latency of the chain behind them."""
+
+    def __init__(self, oracle: Oracle, model: ArmModel, foresight: Foresight, timing: Timing) -> None:
+        self._oracle = oracle
+        self._model = model
+        self._ahead_ns = {Foresight.FORECAST: HORIZONS_NS[-1], Foresight.UNLIMITED: timing.until_standstill_ns}.get(
+            foresight
+        )
+        self._timing = timing
+        self._tick = -1
+
+    def look(self, program: RunningProgram) -> Obstacles | None:
+        """Obstacles of the newest images whose latency is over; None where none are new."""
+        timing = self._timing
+        tick = int((program.now - timing.latency_ns - timing.start_ns) * timing.rate_hz // 1e9)
+        if tick <= self._tick:
+            return None
+        self._tick = tick
+        evidence = timing.start_ns + round(tick * 1e9 / timing.rate_hz)
+        near = points_on(self._model, program.q)
+        if self._ahead_ns is None:
+            return self._oracle.present(evidence, near)
+        return self._oracle.foreseen(evidence, evidence + timing.latency_ns, self._ahead_ns, near)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When perception learns of what."""
+
+    start_ns: int
+    """First evidence, ns."""
+    rate_hz: float
+    """Images per second."""
+    latency_ns: int
+    """From the images to the obstacles, ns."""
+    until_standstill_ns: int
+    """Longest time from the obstacles until the arm would stand, ns."""
+
+
+def points_on(model: ArmModel, q: Float64) -> Float64:
+    """Points [n, 3] (m) along the arm at joint angles [J] (rad): ends and middles of its capsules."""
+    ends = place_capsules(model, forward_kinematics(model, q)).ends
+    return np.concatenate([ends[:, 0], ends[:, 1], ends.mean(axis=1)])
 
 
 @dataclass(frozen=True)

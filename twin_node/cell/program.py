@@ -7,11 +7,13 @@ from collections import deque
 import numpy as np
 
 from twin_node.arm import CyclicPath, StoppingTable, sample_path
-from twin_node.arm.path import AHEAD_NS, ahead_offsets
+from twin_node.arm.path import AHEAD_NS
 from twin_node.scene import Float64, JointPath
 
 _DIFFERENCE_NS = 8_000_000
 """Step of the difference that gives joint speeds: one sample of the path."""
+_AHEAD_OFFSETS_NS = np.arange(0, AHEAD_NS + 1, 25_000_000)
+"""Times ahead at which the path is given, ns: twice as many as the law looks at."""
 
 
 class RunningProgram:
@@ -41,8 +43,9 @@ class RunningProgram:
 
     def ahead(self) -> JointPath:
         """The next 200 ms at the program's full speed."""
-        path = self.cycle.ahead(round(self.phase_ns))
-        return JointPath(path.names, self.now + ahead_offsets(), path.positions)
+        template = self.cycle.template
+        phases = (round(self.phase_ns) + _AHEAD_OFFSETS_NS) % self.cycle.period_ns
+        return JointPath(template.names, self.now + _AHEAD_OFFSETS_NS, sample_path(template, phases))
 
     def speeds(self) -> Float64:
         """Joint speeds [J] of the program here, at full speed, rad/s."""

@@ -1,14 +1,17 @@
-"""`twin_node bench collision`: measurements of the arm's side."""
+"""`twin_node bench collision | cell`: measurements of the arm's side."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
+
+from twin_node.cli.arguments import not_negative, whole
 
 REFERENCE = Path("../shared/data/ur10e_model")
 """Where the UR10e's meshes are looked for: they are other people's, and not part of the project."""
@@ -25,6 +28,37 @@ def add_bench_collision(benches: Any) -> None:
     )
     collision.add_argument("--json", action="store_true", help="print one JSON object")
     collision.set_defaults(run=_bench_collision)
+
+
+def add_bench_cell(benches: Any) -> None:
+    """Adds `bench cell`."""
+    cell = benches.add_parser("cell", help="an arm at work beside people, in closed loop and simulated time")
+    cell.add_argument(
+        "scenarios", nargs="+", metavar="SCENARIO", help="scenario files or names below sim/; 'all' for the whole suite"
+    )
+    cell.add_argument("--seeds", type=whole, default=20, metavar="N", help="seeds per scenario (default 20)")
+    cell.add_argument(
+        "--latency", type=not_negative, metavar="MS", help="from the images to the obstacles (default 33)"
+    )
+    cell.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
+    cell.add_argument("--out", type=Path, metavar="DIR", help="draw cell.png: work, and the first run's distances")
+    cell.add_argument("--json", action="store_true", help="print one JSON object")
+    cell.set_defaults(run=_bench_cell)
+
+
+def _bench_cell(options: argparse.Namespace) -> None:
+    from twin_node.bench import cell
+    from twin_node.bench.cell_picture import draw
+
+    names = [name for given in options.scenarios for name in (cell.SUITE if given == "all" else (given,))]
+    parameters = cell.CellBenchParameters(tuple(dict.fromkeys(names)), options.seeds, processes=options.processes)
+    if options.latency is not None:
+        parameters = replace(parameters, latency_ms=options.latency)
+    results = cell.run(parameters, lambda runs, total: tqdm(runs, total=total, unit="run", disable=None))
+    figures = cell.summary(results)
+    if options.out is not None:
+        print(f"drawn: {draw(results, parameters, options.out)}", file=sys.stderr)
+    print(json.dumps(figures) if options.json else cell.table(figures))
 
 
 def _bench_collision(options: argparse.Namespace) -> None:

@@ -1,0 +1,162 @@
+"""`twin_node bench cell`: an arm at work beside people in closed loop, under laws that know more or less of them."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import yaml
+
+from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
+from twin_node.bench.cell_scores import Outcome, score
+from twin_node.cell.closed_loop import LoopParameters
+from twin_node.cell.scenario import load_scenario
+
+SUITE = ("reach_in", "cross", "stop", "retreat", "two_people", "thrown_ball", "occlusion", "conveyor")
+"""What `all` stands for."""
+OURS = "ours"
+
+
+@dataclass(frozen=True)
+class CellBenchParameters:
+    """What is run."""
+
+    scenarios: tuple[str, ...] = SUITE
+    seeds: int = 20
+    """Seeds 1 to so many of each scenario."""
+    latency_ms: float = 33.0
+    """From the images to the obstacles, for perfect perception: the twin's own assumption in lockstep."""
+    processes: int = 2
+    loop: LoopParameters = field(default_factory=LoopParameters)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One scenario under one seed."""
+
+    scenario: str
+    seed: int
+    parameters: CellBenchParameters
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """How every policy did in one scenario under one seed."""
+
+    scenario: str
+    seed: int
+    outcomes: Mapping[str, Outcome]
+    """By policy."""
+    work: Mapping[str, float]
+    """By policy: progress as a share of the unobstructed arm's."""
+
+
+@dataclass(frozen=True)
+class PolicyFigures:
+    """How one policy did over many runs."""
+
+    contacts: int
+    work: float
+    """Mean share of the unobstructed cycle."""
+    min_distance_m: float | None
+    """Smallest distance while the arm moved; None without people."""
+    standing_contacts: int
+    stops: int
+    stop_distance_p1_m: float | None
+    """First percentile of the distances at stops; None without stops."""
+    false_stops: int
+
+
+def run_case(job: Job) -> CaseResult:
+    """All policies in one scenario under one seed; `ours` is the law with perfect perception."""
+    scenario = load_scenario(job.scenario).with_seed(job.seed)
+    case = CellCase(scenario, job.parameters.latency_ms, job.parameters.loop)
+    outcomes = {policy.name: score(case, case.run(policy), with_delays=policy is PERFECT) for policy in POLICIES}
+    outcomes = {OURS: outcomes[PERFECT.name], **outcomes}
+    whole = _unobstructed_s(job.scenario, job.parameters)
+    work = {name: outcome.progress_s / whole for name, outcome in outcomes.items()}
+    return CaseResult(scenario.name, job.seed, outcomes, work)
+
+
+@lru_cache
+def _unobstructed_s(scenario: str, parameters: CellBenchParameters) -> float:
+    """Program time that the arm goes through beside the furniture alone, s; the same for every seed."""
+    return CellCase(load_scenario(scenario), parameters.latency_ms, parameters.loop).run_unobstructed().progress_s
+
+
+def run(
+    parameters: CellBenchParameters | None = None,
+    progress: Callable[[Iterable[CaseResult], int], Iterable[CaseResult]] = lambda results, total: results,
+) -> list[CaseResult]:
+    """Runs every scenario under every seed, in processes of their own; `progress` may wrap the results as they come.
+
+    Raises `CellError`, `ResourceError` or `BenchError` for a scenario that cannot be run, before any is.
+    """
+    parameters = parameters or CellBenchParameters()
+    for name in parameters.scenarios:
+        CellCase(load_scenario(name), parameters.latency_ms, parameters.loop)
+    jobs = [Job(name, seed, parameters) for seed in range(1, parameters.seeds + 1) for name in parameters.scenarios]
+    return list(progress(_results(jobs, min(parameters.processes, len(jobs))), len(jobs)))
+
+
+def _results(jobs: Sequence[Job], processes: int) -> Iterator[CaseResult]:
+    if processes <= 1:
+        yield from map(run_case, jobs)
+        return
+    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
+    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+        yield from pool.map(run_case, jobs)
+
+
+def summary(results: Sequence[CaseResult]) -> dict[str, object]:
+    """The stable names that `--json` prints."""
+    names = list(dict.fromkeys(result.scenario for result in results))
+    scenarios = {name: _figures([result for result in results if result.scenario == name]) for name in names}
+    delays = np.array([delay for result in results for delay in result.outcomes[OURS].delays_s])
+    return {
+        **_figures(results),
+        "slow_down_ms": {
+            "entries": len(delays),
+            "p50": _percentile_ms(delays, 50),
+            "p95": _percentile_ms(delays, 95),
+            "max": _percentile_ms(delays, 100),
+            "unanswered": sum(result.outcomes[OURS].unanswered for result in results),
+        },
+        "runs": len(results),
+        "scenarios": scenarios,
+    }
+
+
+def _figures(results: Sequence[CaseResult]) -> dict[str, object]:
+    policies = {name: _policy_figures(results, name) for name in results[0].outcomes}
+    lowest, highest = policies[WORST_CASE.name].work, policies[UNLIMITED.name].work
+    gap = (policies[OURS].work - lowest) / (highest - lowest) if highest - lowest > 1e-9 else None
+    return {**{name: asdict(figures) for name, figures in policies.items()}, "gap_closed": gap}
+
+
+def _policy_figures(results: Sequence[CaseResult], policy: str) -> PolicyFigures:
+    outcomes = [result.outcomes[policy] for result in results]
+    stops = np.array([distance for outcome in outcomes for distance in outcome.stop_distances_m])
+    nearest = min(outcome.min_distance_m for outcome in outcomes)
+    return PolicyFigures(
+        contacts=sum(outcome.contacts for outcome in outcomes),
+        work=float(np.mean([result.work[policy] for result in results])),
+        min_distance_m=nearest if np.isfinite(nearest) else None,
+        standing_contacts=sum(outcome.standing_contacts for outcome in outcomes),
+        stops=len(stops),
+        stop_distance_p1_m=float(np.percentile(stops, 1)) if len(stops) else None,
+        false_stops=sum(outcome.false_stops for outcome in outcomes),
+    )
+
+
+def _percentile_ms(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], percent: float) -> float | None:
+    return float(1e3 * np.percentile(seconds, percent)) if len(seconds) else None
+
+
+def table(figures: Mapping[str, object]) -> str:
+    """The figures of `summary` as lines of text."""
+    return yaml.safe_dump(dict(figures), sort_keys=False).rstrip()
