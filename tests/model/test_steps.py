@@ -161,7 +161,7 @@ def test_a_rendering_is_held_to_every_pixel_that_a_moving_gaussian_shows_in() ->
         one.view.camera.T_base_cam[:3, 3] + 1.5 * one.background.depth[row, column] * one.background.rays[row, column]
     )
     floater = replace(block(0.1), means=torch.from_numpy(point).float().expand(3, 1, 3))
-    masks = held_pixels(observed, floater, torch.zeros(0, 3))
+    masks = held_pixels(observed, floater)
     assert masks[0][row, column] and not one.active[row, column]
     for mask, view in zip(masks, observed, strict=True):
         assert mask[grow(view.active, SKIRT_PX) & view.usable].all()

@@ -75,7 +75,7 @@ def test_a_cache_that_cannot_be_written_is_replaced(tiny_sources: Path, monkeypa
 
 
 def test_a_library_of_another_interface_is_refused(tiny_sources: Path):
-    with pytest.raises(OSError, match="expected interface version 2, found 7"):
+    with pytest.raises(OSError, match="expected interface version 3, found 7"):
         native.load_variant("baseline")
 
 

@@ -24,6 +24,8 @@ OCCLUSION = 0.03
 the footprint of two pixels and 60 degrees field of view."""
 BENEATH = 0.005
 """How far under the plane, in radii of the shell, a point may lie: what the plane's fit and the calibration leave."""
+CELL_PX = 4
+"""Side of the cells in which what stands before something that moves is looked for, pixels."""
 REFRESH_SETS = 3
 """Sets between renderings of a background that changes: it changes slowly, and 10 Hz will do."""
 
@@ -39,6 +41,8 @@ class Background:
     """[H, W] m along the optical axis, everywhere finite: the plane or the shell where no Gaussian is."""
     alpha: Float32
     """[H, W] 0 to 1."""
+    backdrop: Tensor
+    """[H, W, 4] `rgb` and `depth`, float32 on the model's device."""
     rays: Float64
     """[H, W, 3] the pixels' rays, see `pixel_rays`."""
     surface: Float64
@@ -94,11 +98,14 @@ class Backgrounds:
             same = known is not None and known.camera is camera
             surface = known.surface if known is not None and same else self._surface(camera)
             static = look(camera, means)
+            depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
+            behind = torch.from_numpy(depth).to(seen.rgb)
             self._known[camera.name] = Background(
                 camera,
                 seen.rgb.cpu().numpy(),
-                np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface),
+                depth,
                 seen.alpha.cpu().numpy(),
+                torch.cat([seen.rgb, behind[..., None]], -1),
                 known.rays if known is not None and same else pixel_rays(camera),
                 surface,
                 static,
@@ -115,6 +122,20 @@ class Backgrounds:
             seen = background.static
             shown |= background.reach_px + 1 > apart[seen.rows, seen.columns]
         return self.rows[torch.from_numpy(shown).to(self.rows.device)]
+
+    def occluders(self, backgrounds: Sequence[Background], moving: Sequence[Float64]) -> Tensor:
+        """[k] those of `rows` that can stand before something that moves; `moving` holds its means [n, 3] per view."""
+        before = np.zeros(len(self.rows), bool)
+        for background, means in zip(backgrounds, moving, strict=True):
+            seen, static = look(background.camera, means), background.static
+            deepest = np.zeros((background.camera.height // CELL_PX + 1, background.camera.width // CELL_PX + 1))
+            inside = seen.inside
+            at = (seen.rows[inside] // CELL_PX, seen.columns[inside] // CELL_PX)
+            np.maximum.at(deepest, at, seen.depth[inside])
+            around = cv2.dilate(deepest, np.ones((3, 3), np.uint8))
+            shown = background.reach_px >= 0
+            before |= shown & (static.depth < around[static.rows // CELL_PX, static.columns // CELL_PX])
+        return self.rows[torch.from_numpy(before).to(self.rows.device)]
 
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
         """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""

@@ -152,6 +152,11 @@ class Gaussians:
         self.moment2[rows] = 0
         self.steps[rows] = 0
 
+    def take(self, rows: Tensor, values: Tensor, moment1: Tensor, moment2: Tensor, steps: Tensor) -> None:
+        """Stores attributes [n, 14] and optimiser state of `rows` [n]."""
+        self.values[rows] = values
+        self.moment1[rows], self.moment2[rows], self.steps[rows] = moment1, moment2, steps
+
     def descent(self, rows: Tensor) -> Descent:
         """Adam steps on `rows` [n] only; what they lead to is stored by `Descent.end`.
 
@@ -198,6 +203,4 @@ class Descent:
 
     def end(self) -> None:
         """Stores values and moments."""
-        store, rows = self._store, self._rows
-        store.values[rows] = self.values
-        store.moment1[rows], store.moment2[rows], store.steps[rows] = self._moment1, self._moment2, self._steps
+        self._store.take(self._rows, self.values, self._moment1, self._moment2, self._steps)

@@ -31,9 +31,9 @@ class TrackParameters:
 
     alignments: int = 1
     """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
-    steps: int = 3
+    steps: int = 6
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
-    learning_rate: float = 4.0
+    learning_rate: float = 6.0
     """Multiplies all rates of `fitting.RATES`."""
     velocity_damping: float = 0.9
     """Share of a node's velocity that the prediction of the next set keeps (damped constant velocity)."""

@@ -65,20 +65,33 @@ def join(a: Splats, b: Splats) -> Splats:
     )
 
 
-def render(splats: Splats, cameras: Sequence[Camera], masks: Sequence[Bool] | None = None) -> list[Rendering]:
+def render(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    masks: Sequence[Bool] | None = None,
+    backdrops: Sequence[Tensor] | None = None,
+) -> list[Rendering]:
     """What each camera sees of `splats`, whose times T are the cameras in order (T = 1: one time for all).
 
-    Cameras of one size are rasterised together. Pixels outside `masks` (each [H, W]) cost nothing and are black.
+    Cameras of one size are rasterised together. Pixels outside `masks` (each [H, W]) cost nothing. Behind the Gaussians
+    is black, or `backdrops` (each [H, W, 4] colour and depth, m), which then count in the depth too.
     """
-    return split(draw(splats, cameras, masks))
+    return split(draw(splats, cameras, masks, backdrops))
 
 
-def draw(splats: Splats, cameras: Sequence[Camera], masks: Sequence[Bool] | None = None) -> list[Sheet]:
+def draw(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    masks: Sequence[Bool] | None = None,
+    backdrops: Sequence[Tensor] | None = None,
+) -> list[Sheet]:
     """The same as one sheet per size of image."""
-    return [
-        _rasterise(splats, [cameras[i] for i in chosen], chosen, None if masks is None else [masks[i] for i in chosen])
-        for chosen in by_size(cameras)
-    ]
+    sheets = []
+    for chosen in by_size(cameras):
+        mask = None if masks is None else [masks[i] for i in chosen]
+        behind = None if backdrops is None else torch.stack([backdrops[i] for i in chosen])
+        sheets.append(_rasterise(splats, [cameras[i] for i in chosen], chosen, mask, behind))
+    return sheets
 
 
 def by_size(cameras: Sequence[Camera]) -> list[list[int]]:
@@ -97,11 +110,13 @@ def split(sheets: Sequence[Sheet]) -> list[Rendering]:
     return [out[index] for index in range(len(out))]
 
 
-def _rasterise(splats: Splats, cameras: list[Camera], times: list[int], masks: list[Bool] | None) -> Sheet:
+def _rasterise(
+    splats: Splats, cameras: list[Camera], times: list[int], masks: list[Bool] | None, backdrop: Tensor | None
+) -> Sheet:
     device, count = splats.means.device, len(cameras)
     if splats.means.shape[1] == 0:
         nothing = splats.means.new_zeros(count, cameras[0].height, cameras[0].width, 4)
-        return Sheet(times, nothing, nothing[..., 0])
+        return Sheet(times, nothing if backdrop is None else backdrop, nothing[..., 0])
     viewmats = torch.from_numpy(np.stack([camera.viewmat for camera in cameras])).to(device, torch.float32)
     Ks = torch.from_numpy(np.stack([camera.K for camera in cameras])).to(device, torch.float32)
     means, quats = splats.means, splats.quats
@@ -120,7 +135,8 @@ def _rasterise(splats: Splats, cameras: list[Camera], times: list[int], masks: l
         Ks[:, None],
         cameras[0].width,
         cameras[0].height,
-        render_mode="RGB+ED",
+        render_mode="RGB+ED" if backdrop is None else "RGB+D",
         pixel_mask=mask,
     )
-    return Sheet(times, renders[:, 0], alphas[:, 0, ..., 0])
+    seen = renders[:, 0] if backdrop is None else renders[:, 0] + (1 - alphas[:, 0]) * backdrop
+    return Sheet(times, seen, alphas[:, 0, ..., 0])

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from twin_node.model.adoption import adopt, adopt_points, as_newborns
 from twin_node.model.alignment import FlowSolver, solve_twists
-from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.fitting import fit_window, held_pixels
+from twin_node.model.fitting import fit_moving, held_pixels, revise
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -133,18 +133,25 @@ class Tracker:
         self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
 
     def _fit(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
-        """Canonical attributes of what moves, and of STATIC ones whose place was uncovered, by a few gradient steps.
+        """Canonical attributes of what moves by a few gradient steps, and of STATIC Gaussians whose look has changed.
 
-        Returns what the views saw before the last of them; empty where nothing learns.
+        Returns what the views saw before the last of them; empty where nothing moves.
         """
-        chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device) & self._backgrounds.due
+        masks = held_pixels(observed, moving)
+        self._revise(observed)
+        before = self._before(observed, moving)
+        return fit_moving(self._gaussians, self._motion, observed, masks, before, self._parameters.track)
+
+    def _revise(self, observed: Sequence[Observed]) -> None:
+        if not self._backgrounds.due or not any(one.stale.any() for one in observed):
+            return
+        chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device)
         revised = self._standing(self._backgrounds.rows[chosen])
-        masks = held_pixels(observed, moving, self._gaussians.means[revised])
-        near = self._near(observed, masks)
-        seen = fit_window(self._gaussians, self._motion, observed, masks, near, revised, self._parameters.track)
         if len(revised):
+            backgrounds, masks = [one.background for one in observed], [grow(one.stale, 1) for one in observed]
+            near = self._standing(self._backgrounds.near(backgrounds, masks))
+            revise(self._gaussians, self._motion, observed, near, revised, self._parameters.track)
             self._backgrounds.mark()
-        return seen
 
     def _bury_moving(self, observed: Sequence[Observed], splats: Splats) -> None:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
@@ -193,10 +200,11 @@ class Tracker:
         self._gaussians.doubts[rows] = doubts
         return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]
 
-    def _near(self, observed: Sequence[Observed], masks: Sequence[Bool]) -> Tensor:
-        """Rows that nothing is learned about and that can show in `masks` [H, W]: STATIC ones, and the arm."""
-        near = self._backgrounds.near([one.background for one in observed], masks)
-        return torch.cat([self._standing(near), self._gaussians.robot_rows])
+    def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
+        """Rows that nothing is learned about and that can stand before what moves: STATIC ones, and the arm."""
+        backgrounds = [one.background for one in observed]
+        before = self._backgrounds.occluders(backgrounds, list(moving.means.cpu().double().numpy()))
+        return torch.cat([self._standing(before), self._gaussians.robot_rows])
 
     def _standing(self, rows: Tensor) -> Tensor:
         """Those of the background's rows that still live and stand: others have boarded a node in this very set."""
@@ -217,8 +225,8 @@ class Tracker:
             return self._motion.place(self._gaussians, rows, self._poses(observed), self._motion.stamps(offsets))
 
     def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
-        """What the views would see, in their active pixels, of the model with `moving` in it."""
-        masks = [one.active for one in observed]
-        static = self._place(self._near(observed, masks), observed)
+        """What the views would see of the model with `moving` in it; beyond their active pixels the background."""
+        before = self._place(self._before(observed, moving), observed)
+        masks, backdrops = [one.active for one in observed], [one.background.backdrop for one in observed]
         with torch.no_grad():
-            return render(join(static, moving), [one.view.camera for one in observed], masks)
+            return render(join(before, moving), [one.view.camera for one in observed], masks, backdrops)

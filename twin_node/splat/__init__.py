@@ -1,8 +1,22 @@
 """Draws 3D Gaussians and differentiates the images: gsplat's semantics on a CPU, gsplat itself on CUDA."""
 
 from twin_node.splat.arguments import RasterMeta
+from twin_node.splat.descent import Aims, Bystanders, Descended, Learners, can_descend, descend
 from twin_node.splat.dispatch import rasterize, rasterize_plain
 from twin_node.splat.errors import SplatError
 from twin_node.splat.loss import image_loss, image_loss_plain
 
-__all__ = ["RasterMeta", "SplatError", "image_loss", "image_loss_plain", "rasterize", "rasterize_plain"]
+__all__ = [
+    "Aims",
+    "Bystanders",
+    "Descended",
+    "Learners",
+    "RasterMeta",
+    "SplatError",
+    "can_descend",
+    "descend",
+    "image_loss",
+    "image_loss_plain",
+    "rasterize",
+    "rasterize_plain",
+]

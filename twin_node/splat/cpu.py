@@ -99,6 +99,7 @@ class _Call:
         gradients = native.Gradients(
             *(_pointer(t) for t in (v_renders, v_alphas, v.means, v.quats, v.scales, v.opacities, v.colors)),
             _pointer(v.viewmats) if with_cameras else None,
+            0,
         )
         self.library.backward(self.workspace, self.request, gradients)
         return v

@@ -14,7 +14,7 @@ import torch  # loads the OpenMP runtime that the library then shares
 from twin_node.splat import native_build
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 2
+INTERFACE_VERSION = 3
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -41,6 +41,7 @@ class Gradients(ctypes.Structure):
     _fields_ = (
         *((name, c_void_p) for name in ("v_renders", "v_alphas", "v_means", "v_quats", "v_scales", "v_opacities")),
         *((name, c_void_p) for name in ("v_colors", "v_viewmats")),
+        ("first_row", c_int32),
     )
 
 
@@ -51,6 +52,22 @@ class LossRequest(ctypes.Structure):
         *((name, c_int32) for name in ("images", "height", "width", "channels", "threads")),
         *((name, c_float) for name in ("l1", "ssim", "depth_weight")),
         *((name, c_void_p) for name in ("render", "target", "weights", "target_depth", "gradient", "loss")),
+    )
+
+
+class DescentRequest(ctypes.Structure):
+    """`splat::DescentRequest`."""
+
+    _fields_ = (
+        ("scene", Request),
+        ("gradients", Gradients),
+        ("loss", LossRequest),
+        *((name, c_void_p) for name in ("backdrop", "seen", "v_alphas")),
+        *((name, c_int32) for name in ("standing", "learned", "steps")),
+        ("smallest_log_scale", c_float),
+        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors")),
+        *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps_taken", "rates", "ceilings")),
+        *((name, c_void_p) for name in ("turns", "shifts", "products", "refused")),
     )
 
 
@@ -89,6 +106,7 @@ class NativeLibrary:
         self._dll.splat_forward.argtypes = [c_void_p, ctypes.POINTER(Request)]
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
+        self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -119,6 +137,11 @@ class NativeLibrary:
         """Writes the loss and its gradient. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.splat_image_loss(request))
+
+    def descend(self, workspace: Workspace, request: DescentRequest) -> None:
+        """Takes steps of Adam. Raises `NonFiniteError` as `image_loss`, `ValueError` or `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.splat_descend(workspace.handle, request))
 
     def _mark_forked(self) -> None:
         self._forked = True

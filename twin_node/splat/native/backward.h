@@ -170,8 +170,10 @@ inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int ba
 }
 
 // Lists a task's Gaussians that any camera of the batch has a gradient for; the number of them.
-inline int find_touched(const Request &r, const Workspace &w, int batch, int task, int stride, int32_t *ids) {
-  const int begin = task * kGaussiansPerTask, end = std::min(r.gaussians, begin + kGaussiansPerTask);
+inline int find_touched(const Request &r, const Workspace &w, int batch, int task, int stride, int first_row,
+                        int32_t *ids) {
+  const int begin = std::max(task * kGaussiansPerTask, first_row);
+  const int end = std::min(r.gaussians, (task + 1) * kGaussiansPerTask);
   int count = 0;
   for (int id = begin; id < end; id++) {
     bool touched = false;
@@ -239,7 +241,7 @@ inline Status backward(Workspace &w, const Request &r, const Gradients &g) {
     for (int batch = 0; batch < r.batches; batch++) {
       float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + batch * r.cameras) * kCameraSums];
       int32_t ids[kGaussiansPerTask];
-      const int count = find_touched(r, w, batch, static_cast<int>(task), stride, ids);
+      const int count = find_touched(r, w, batch, static_cast<int>(task), stride, g.first_row, ids);
       for (int i = 0; i < count; i += kLanes) shape_vjp(r, g, w, batch, Rows(ids + i, count - i), totals, sums);
     }
   });

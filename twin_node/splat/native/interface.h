@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 2;
+constexpr int32_t kInterfaceVersion = 3;
 
 enum Status : int32_t {
   kOk = 0,
@@ -56,6 +56,7 @@ struct Gradients {
   float *v_opacities;
   float *v_colors;    // null where only depth is rendered
   float *v_viewmats;  // [B, C, 4, 4] or null
+  int32_t first_row;  // Gaussians before it get no gradient
 };
 
 struct LossRequest {
@@ -69,6 +70,25 @@ struct LossRequest {
   const float *target_depth;  // [images, H, W] or null; 0 where unknown
   float *gradient;            // [images, H, W, channels], comes zeroed
   double *loss;               // [1]
+};
+
+// Steps of Adam on the last `learned` Gaussians of a scene whose first `standing` stay as they are.
+struct DescentRequest {
+  Request scene;        // batches are times of one camera each; plain colours and accumulated depth
+  Gradients gradients;  // v_renders is loss.gradient, v_alphas the one below
+  LossRequest loss;     // of `seen`
+  const float *backdrop;  // [B, H, W, 4] colour and depth of what stands behind all that is drawn
+  float *seen;            // [B, H, W, 4]
+  float *v_alphas;        // [B, H, W]
+  int32_t standing, learned, steps;
+  float smallest_log_scale;
+  float *means, *quats, *scales, *opacities, *colors;  // those of the scene; the learned rows are written
+  float *values, *moment1, *moment2;                   // [learned, 14] mean, quat, log scale, logit, rgb
+  int64_t *steps_taken;                                // [learned]
+  const float *rates;                                  // [learned, 14]
+  const float *ceilings;                               // [learned] largest log scale
+  const float *turns, *shifts, *products;              // [B, learned, 3, 3], [B, learned, 3], [B, learned, 4, 4]
+  int64_t *refused;                                    // [1]
 };
 
 }  // namespace splat

@@ -1,8 +1,7 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
 #include <omp.h>
 
-#include "backward.h"
-#include "image_loss.h"
+#include "descent.h"
 
 namespace {
 
@@ -58,6 +57,16 @@ int32_t splat_forward(void *workspace, const splat::Request *request) {
 // For the request of the workspace's last splat_forward.
 int32_t splat_backward(void *workspace, const splat::Request *request, const splat::Gradients *gradients) {
   return guarded([&] { return splat::backward(*static_cast<splat::Workspace *>(workspace), *request, *gradients); });
+}
+
+int32_t splat_descend(void *workspace, const splat::DescentRequest *request) {
+  splat::LossRequest given = request->loss;
+  given.render = request->backdrop;  // what is seen is not drawn yet
+  const int bad = splat::non_finite_argument(given);
+  if (bad >= 0) return splat::kNonFinite + bad;
+  const splat::Status cameras = check_cameras(request->scene);
+  if (cameras != splat::kOk) return cameras;
+  return guarded([&] { return splat::descend(*static_cast<splat::Workspace *>(workspace), *request); });
 }
 
 int32_t splat_image_loss(const splat::LossRequest *request) {

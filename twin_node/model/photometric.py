@@ -1,0 +1,106 @@
+"""What renderings are held to, and the gradient of what they miss it by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node import splat
+from twin_node.model.rendering import Sheet, Splats, by_size, draw
+from twin_node.scene import Bool, Camera, Float32, View
+
+DEPTH_WEIGHT = 0.2
+"""Weight of a metre of depth error beside the photometric loss."""
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What the renderings of cameras of one size are held to."""
+
+    rgb: Tensor
+    """[C, H, W, 3] 0 to 1."""
+    weights: Tensor | None
+    """[C, H, W]; None: all pixels count alike."""
+    depth: Tensor | None
+    """[C, H, W] m, 0 where unknown; None where no view measures it."""
+
+
+def targets_of(views: Sequence[View], masks: Sequence[Bool | None], device: torch.device) -> list[Targets]:
+    """The views' images (and depths) inside `masks` [H, W] and their valid pixels, one record per size of image.
+
+    Each view weighs the same, however few of its pixels count.
+    """
+    out = []
+    for chosen in by_size([view.camera for view in views]):
+        part = [views[i] for i in chosen]
+        counted = [_counted(views[i], masks[i]) for i in chosen]
+        depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in part]
+        out.append(
+            Targets(
+                torch.from_numpy(np.stack([view.rgb for view in part])).to(device).float() / 255,
+                None if all(one is None for one in counted) else torch.from_numpy(_weights(part, counted)).to(device),
+                None if all(view.depth is None for view in part) else torch.from_numpy(np.stack(depths)).to(device),
+            )
+        )
+    return out
+
+
+def _counted(view: View, mask: Bool | None) -> Bool | None:
+    if mask is None or view.valid is None:
+        return view.valid if mask is None else mask
+    return mask & view.valid
+
+
+def _weights(views: Sequence[View], counted: Sequence[Bool | None]) -> Float32:
+    """[C, H, W] ones where pixels count, scaled so that each view's add up to the same."""
+    masks = [np.ones(v.rgb.shape[:2], bool) if m is None else m for v, m in zip(views, counted, strict=True)]
+    return np.stack([mask / np.float32(max(mask.mean(), 1 / mask.size)) for mask in masks]).astype(np.float32)
+
+
+def photometric(sheets: Sequence[Sheet], targets: Sequence[Targets]) -> Tensor:
+    """Sum over views of 0.8 L1 + 0.2 (1 - SSIM), and Huber-free L1 on depth where it is measured."""
+    total = sheets[0].rgbd.new_zeros(())
+    for sheet, target in zip(sheets, targets, strict=True):
+        loss = splat.image_loss(
+            sheet.rgbd,
+            target.rgb,
+            weights=target.weights,
+            target_depth=target.depth,
+            depth_weight=0.0 if target.depth is None else DEPTH_WEIGHT,
+        )
+        total = total + len(sheet.indices) * loss
+    return total
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is fitted to: the views' cameras, the pixels that count, and what they should show."""
+
+    cameras: Sequence[Camera]
+    masks: Sequence[Bool] | None
+    targets: Sequence[Targets]
+    backdrops: Sequence[Tensor] | None = None
+    """What stands behind all that is drawn, see `rendering.render`."""
+
+
+@dataclass(frozen=True)
+class Differentiated:
+    """What was seen, and which way is down."""
+
+    sheets: list[Sheet]
+    gradient: Splats
+    """Of the photometric loss with respect to the Gaussians that were drawn."""
+
+
+def differentiate(splats: Splats, goal: Goal) -> Differentiated:
+    """Draws `splats` and takes the loss's gradient back to them."""
+    leaf = Splats(*(field.detach().requires_grad_() for field in vars(splats).values()))
+    sheets = draw(leaf, goal.cameras, goal.masks, goal.backdrops)
+    torch.autograd.backward(photometric(sheets, goal.targets))
+    grads = [torch.zeros_like(field) if field.grad is None else field.grad for field in vars(leaf).values()]
+    detached = [replace(sheet, rgbd=sheet.rgbd.detach(), alpha=sheet.alpha.detach()) for sheet in sheets]
+    return Differentiated(detached, Splats(*grads))

@@ -1,0 +1,200 @@
+"""Steps of Adam on some Gaussians of a scene that other Gaussians stand in: one call of the compiled library."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node.splat import library as native
+from twin_node.splat.arguments import non_finite
+from twin_node.splat.semantics import installed_semantics
+
+WIDTH = 14
+"""Columns of `Learners.values`: mean (3), quaternion (4), log scale (3), opacity logit, colour (3)."""
+
+
+@dataclass(frozen=True)
+class Learners:
+    """n Gaussians that learn; values, moments and steps are brought up to date in place."""
+
+    values: Tensor
+    """[n, 14] in the frames of what carries them: mean, quaternion w x y z, log scale, opacity logit, colour."""
+    moment1: Tensor
+    """[n, 14] Adam's."""
+    moment2: Tensor
+    """[n, 14]."""
+    steps: Tensor
+    """[n] int64 steps taken."""
+    rates: Tensor
+    """[n, 14]."""
+    ceilings: Tensor
+    """[n] largest log scale."""
+    turns: Tensor
+    """[T, n, 3, 3] what means are turned by, for each camera."""
+    shifts: Tensor
+    """[T, n, 3] what is then added to them."""
+    products: Tensor
+    """[T, n, 4, 4] what quaternions are multiplied by."""
+
+
+@dataclass(frozen=True)
+class Bystanders:
+    """m Gaussians that are drawn and do not learn, as `rasterize` takes them, at each of T times."""
+
+    means: Tensor
+    """[T, m, 3]."""
+    quats: Tensor
+    """[T, m, 4]."""
+    scales: Tensor
+    """[m, 3]."""
+    opacities: Tensor
+    """[m]."""
+    colors: Tensor
+    """[m, 3]."""
+
+
+@dataclass(frozen=True)
+class Aims:
+    """T cameras, each at a time of its own, and what they should see."""
+
+    viewmats: Tensor
+    """[T, 4, 4]."""
+    Ks: Tensor
+    """[T, 3, 3] pixels."""
+    backdrop: Tensor
+    """[T, H, W, 4] colour and depth of what stands behind all that is drawn."""
+    pixel_mask: Tensor | None
+    """[T, H, W] bool: pixels that are drawn."""
+    rgb: Tensor
+    """[T, H, W, 3] 0 to 1."""
+    weights: Tensor | None
+    """[T, H, W]."""
+    depth: Tensor | None
+    """[T, H, W], 0 where unknown."""
+    depth_weight: float
+
+
+@dataclass(frozen=True)
+class Descended:
+    """What the last step saw and did."""
+
+    seen: Tensor
+    """[T, H, W, 4] colour and depth before it, the backdrop behind."""
+    alphas: Tensor
+    """[T, H, W] of what is drawn."""
+    v_means: Tensor
+    """[T, n, 3] gradient by the learners' carried means."""
+    v_quats: Tensor
+    """[T, n, 4]."""
+    refused: int
+    """Steps of single Gaussians that were not finite and not taken."""
+
+
+def descend(learners: Learners, bystanders: Bystanders, aims: Aims, steps: int, smallest_log_scale: float) -> Descended:
+    """Takes `steps` (1 or more) steps of Adam down `image_loss` (0.8 L1 + 0.2 (1 - SSIM) + depth) of what is seen.
+
+    Gaussians that would not stay finite keep their values and forget their moments. Float32 tensors on the CPU.
+    Raises `ValueError` naming a target that is not finite, or where the library is not at hand (see `can_descend`).
+    """
+    library = native.native_library()
+    if library is None:
+        raise ValueError("descend: the compiled library is not at hand; see can_descend")
+    call = _Call(learners, bystanders, aims)
+    request = call.request(steps, smallest_log_scale)
+    try:
+        library.descend(native.Workspace(library), request)
+    except native.NonFiniteError as error:
+        name = ("backdrop", "rgb", "weights", "depth")[error.index]
+        raise non_finite(name, (call.backdrop, call.rgb, call.weights, call.depth)[error.index]) from None
+    first = call.standing
+    return Descended(call.seen, call.alphas, call.v_means[:, first:], call.v_quats[:, first:], int(call.refused))
+
+
+def can_descend(device: torch.device) -> bool:
+    """Whether `descend` works for tensors on this device."""
+    return device.type == "cpu" and native.native_library() is not None
+
+
+class _Call:
+    """The tensors of one call, held for as long as the library uses them."""
+
+    def __init__(self, learners: Learners, bystanders: Bystanders, aims: Aims) -> None:
+        self.learners = learners
+        self.aims = aims
+        times, height, width = aims.rgb.shape[:3]
+        self.standing, self.learned = bystanders.means.shape[1], len(learners.values)
+        count = self.standing + self.learned
+        self.means, self.quats = torch.empty(times, count, 3), torch.empty(times, count, 4)
+        self.scales, self.opacities, self.colors = torch.empty(count, 3), torch.empty(count), torch.empty(count, 3)
+        own = (self.means, self.quats, self.scales, self.opacities, self.colors)
+        for to, given, axis in zip(own, vars(bystanders).values(), (1, 1, 0, 0, 0), strict=True):
+            to.narrow(axis, 0, self.standing).copy_(given)
+        self.v_means, self.v_quats = torch.empty_like(self.means), torch.empty_like(self.quats)
+        self.v_scales, self.v_opacities = torch.empty_like(self.scales), torch.empty_like(self.opacities)
+        self.v_colors = torch.empty_like(self.colors)
+        self.renders, self.alphas = torch.empty(times, height, width, 4), torch.empty(times, height, width)
+        self.seen, self.backdrop = torch.empty_like(self.renders), aims.backdrop.contiguous()
+        self.v_renders, self.v_alphas = torch.empty_like(self.renders), torch.empty_like(self.alphas)
+        self.radii = torch.empty(times, count, 2, dtype=torch.int32)
+        self.means2d, self.depths = torch.empty(times, count, 2), torch.empty(times, count)
+        self.rgb, self.viewmats, self.Ks = aims.rgb.contiguous(), aims.viewmats.contiguous(), aims.Ks.contiguous()
+        self.mask = None if aims.pixel_mask is None else aims.pixel_mask.contiguous()
+        self.weights = torch.empty(0) if aims.weights is None else aims.weights.contiguous()
+        self.depth = torch.empty(0) if aims.depth is None else aims.depth.contiguous()
+        self.carriage = [t.contiguous() for t in (learners.turns, learners.shifts, learners.products)]
+        self.loss = torch.zeros(1, dtype=torch.float64)
+        self.refused = torch.zeros(1, dtype=torch.int64)
+
+    def request(self, steps: int, smallest_log_scale: float) -> native.DescentRequest:
+        """The pointers in it are valid for as long as this object and the learners live."""
+        learners = self.learners
+        drawn = (self.means, self.quats, self.scales, self.opacities, self.colors)
+        own = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.rates, learners.ceilings)
+        return native.DescentRequest(
+            self._scene(),
+            self._gradients(),
+            self._loss(),
+            *(_pointer(t) for t in (self.backdrop, self.seen, self.v_alphas)),
+            self.standing,
+            self.learned,
+            steps,
+            smallest_log_scale,
+            *(_pointer(t) for t in (*drawn, *own, *self.carriage, self.refused)),
+        )
+
+    def _scene(self) -> native.Request:
+        times, height, width = self.rgb.shape[:3]
+        count, semantics = self.standing + self.learned, installed_semantics()
+        return native.Request(
+            *(times, 1, count, width, height, 3),
+            *(0, 0, 0, 1, 0, native.thread_count()),
+            *(0.01, 1e10, 0.0, 0.3),
+            semantics.max_alpha,
+            semantics.min_compensation,
+            *(3 * count, 4 * count, 0, 0, 0),
+            *(_pointer(t) for t in (self.means, self.quats, self.scales, self.opacities, self.colors)),
+            *(_pointer(t) for t in (self.viewmats, self.Ks, None, self.mask)),
+            *(_pointer(t) for t in (self.renders, self.alphas, self.radii, self.means2d, self.depths)),
+        )
+
+    def _gradients(self) -> native.Gradients:
+        by = (self.v_means, self.v_quats, self.v_scales, self.v_opacities, self.v_colors)
+        return native.Gradients(
+            _pointer(self.v_renders), _pointer(self.v_alphas), *(_pointer(t) for t in by), None, self.standing
+        )
+
+    def _loss(self) -> native.LossRequest:
+        times, height, width = self.rgb.shape[:3]
+        tensors = (self.seen, self.rgb, self.weights, self.depth, self.v_renders, self.loss)
+        return native.LossRequest(
+            *(times, height, width, 4, native.thread_count()),
+            *(times * weight for weight in (0.8, 0.2, self.aims.depth_weight)),
+            *(_pointer(t) for t in tensors),
+        )
+
+
+def _pointer(tensor: Tensor | None) -> ctypes.c_void_p | int | None:
+    return None if tensor is None or tensor.numel() == 0 else tensor.data_ptr()
