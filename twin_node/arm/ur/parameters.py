@@ -54,6 +54,8 @@ class UrParameters:
     """Input integer register (18 to 22, `ur_rtde`'s) that the robot's program watches."""
     watchdog_hz: float = 10.0
     """Servo mode: the control script stops by itself when no command came for one period of this."""
+    realtime_priority: int = 20
+    """Of the driver's process (SCHED_FIFO, 1 to 99), where the system grants it; 0: ordinary."""
     reconnects: bool = True
     """Connect again by itself when a link was lost; the arm still waits for somebody to acknowledge."""
     resumes: bool = False
@@ -74,6 +76,8 @@ class UrParameters:
                 f"period_s: expected at most half the watchdog's period, {0.5 / self.watchdog_hz:g} s, "
                 f"found {self.period_s:g}"
             )
+        if not 0 <= self.realtime_priority <= 99:
+            raise ArmError(f"realtime_priority: expected 0 to 99, found {self.realtime_priority}")
         if not 2 / self.receive_hz < self.stale_s < self.lost_s:
             raise ArmError(
                 f"stale_s: expected more than two packages ({2 / self.receive_hz:g} s) and less than lost_s "

@@ -95,11 +95,13 @@ class SupervisedDriver:
 
     def _watch(self) -> None:
         """One process after another, for as long as they are wanted."""
-        while not self._closing.is_set():
-            was_connected = self._one_process()
-            if not self._parameters.reconnects:
-                self._is_wanted.clear()
+        while True:
             self._is_wanted.wait()
+            if not self._parameters.reconnects:
+                self._is_wanted.clear()  # before the look at `_closing`: `close` sets that first
+            if self._closing.is_set():
+                break
+            was_connected = self._one_process()
             if not was_connected:
                 self._closing.wait(_RETRY_S)
         if self._spare is not None:

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
+from twin_node.arm.ur.priority import ask_for_realtime
 from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.connections import Connection, RtdeConnection, ScriptConnection
 from twin_node.cell.ur_sim.controller import PERIOD_S, Controller, ControllerParameters
@@ -27,6 +28,9 @@ ADMIN_PORT = 29800
 _MOST_LATE_S = 0.02
 """A computer that is busy elsewhere holds up the stand-in's clock by what goes beyond this: a real controller's periods
 do not wait, so a watchdog must not count them."""
+
+_PRIORITY = 10
+"""A controller is a real-time system; below the driver's, which it must not hold up."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,7 @@ class StandIn:
         )
 
     async def _tick_for_ever(self) -> None:
+        ask_for_realtime(_PRIORITY)
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:

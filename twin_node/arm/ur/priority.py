@@ -1,0 +1,17 @@
+"""Real-time priority, where the operating system grants it."""
+
+from __future__ import annotations
+
+import os
+
+
+def ask_for_realtime(priority: int) -> bool:
+    """Let the calling thread, and those it starts, run before all ordinary ones (SCHED_FIFO, 1 to 99).
+
+    False where that is not permitted: it takes root, CAP_SYS_NICE or an `rtprio` limit. What runs so must sleep often.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError):
+        return False  # not permitted, or no Linux: periods are kept as well as a busy computer lets us
+    return True
