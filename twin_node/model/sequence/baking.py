@@ -16,7 +16,7 @@ from twin_node import splat
 from twin_node.model.parameters import ModelError
 from twin_node.model.ply import SH_C0, StoredGaussians
 from twin_node.model.sequence.recording import nearest
-from twin_node.model.sequence.sequence_model import SequenceModel
+from twin_node.model.sequence.sequence_model import MovedGaussians, SequenceModel
 from twin_node.model.sequence.tensor_file import camera_from_record, camera_record, read_tensors, write_tensors
 from twin_node.scene import Camera, Float32, GaussianCloud, TwinState
 
@@ -131,34 +131,55 @@ def bake_model(model: SequenceModel, stamps: Sequence[int], cameras: tuple[Camer
 
 def bake_clouds(states: Iterable[TwinState]) -> Baked:
     """The clouds that a live model published, one time step each. Raises `ModelError` without states."""
-    clouds: list[GaussianCloud] = []
     stamps: list[int] = []
+    steps: list[MovedGaussians] = []
     cameras: dict[str, Camera] = {}
     for state in states:
         stamps.append(state.stamp)
-        clouds.append(state.gaussians)
+        steps.append(moved_from_cloud(state.gaussians))
         for view in state.frames.views:
             cameras.setdefault(view.camera.name, view.camera)
-    if not clouds:
-        raise ModelError("bake: expected one set of images or more, found none; give a longer --duration")
-    most = max(len(cloud.means) for cloud in clouds)
+    return bake_steps(stamps, steps, (0.0, 0.0, 0.0), tuple(cameras.values()))
 
-    def buffer(rows: Sequence[Float32]) -> Tensor:
-        packed = np.zeros((len(rows), most, *rows[0].shape[1:]), np.float32)
+
+def bake_steps(
+    stamps: Sequence[int],
+    steps: Sequence[MovedGaussians],
+    background: tuple[float, float, float],
+    cameras: tuple[Camera, ...],
+) -> Baked:
+    """Time steps with different Gaussians, each of one time, padded to the most. Raises `ModelError` without steps."""
+    if not steps:
+        raise ModelError("bake: expected one time step or more, found none; give a longer --duration")
+    most = max(one.means.shape[1] for one in steps)
+
+    def buffer(rows: Sequence[Tensor]) -> Tensor:
+        packed = rows[0].new_zeros(len(rows), most, *rows[0].shape[1:])
         for step, values in enumerate(rows):
             packed[step, : len(values)] = values
-        return torch.from_numpy(packed)
+        return packed
 
     return Baked(
         tuple(stamps),
-        tuple(len(cloud.means) for cloud in clouds),
-        buffer([cloud.means for cloud in clouds]),
-        buffer([cloud.quats for cloud in clouds]),
-        buffer([cloud.scales for cloud in clouds]),
-        buffer([cloud.opacities for cloud in clouds]),
-        buffer([((cloud.rgb - 0.5) / SH_C0)[:, None].astype(np.float32) for cloud in clouds]),
-        (0.0, 0.0, 0.0),
-        tuple(cameras.values()),
+        tuple(one.means.shape[1] for one in steps),
+        buffer([one.means[0] for one in steps]),
+        buffer([one.quats[0] for one in steps]),
+        buffer([one.scales[0] for one in steps]),
+        buffer([one.opacities for one in steps]),
+        buffer([one.sh for one in steps]),
+        background,
+        cameras,
+    )
+
+
+def moved_from_cloud(cloud: GaussianCloud) -> MovedGaussians:
+    """A published cloud as Gaussians of one time, degree 0."""
+    return MovedGaussians(
+        torch.from_numpy(cloud.means)[None],
+        torch.from_numpy(cloud.quats)[None],
+        torch.from_numpy(cloud.scales)[None],
+        torch.from_numpy(cloud.opacities),
+        torch.from_numpy(((cloud.rgb - 0.5) / SH_C0)[:, None].astype(np.float32)),
     )
 
 

@@ -72,8 +72,8 @@ class MotionHeads(nn.Module):
     def __init__(self, features: int, hidden: int, reach: float, generator: torch.Generator) -> None:
         super().__init__()
         self.reach = reach
-        self.trunk = _linear(features, hidden, generator)
-        self.inner = nn.ModuleList(_linear(hidden, hidden, generator) for _ in range(3))
+        self.trunk = linear(features, hidden, generator)
+        self.inner = nn.ModuleList(linear(hidden, hidden, generator) for _ in range(3))
         self.outer = nn.ModuleList(_silent(hidden, out) for out in (3, 4, 3))
 
     def forward(self, features: Tensor) -> SequenceMotion:
@@ -93,7 +93,7 @@ def moved_quats(quats: Tensor, turns: Tensor) -> Tensor:
     return unit
 
 
-def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
+def linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
     """Uniform within 1 / sqrt(inputs), torch's own default, from a generator; no bias at the start."""
     layer = nn.Linear(inputs, outputs)
     with torch.no_grad():

@@ -47,6 +47,10 @@ class MovedGaussians:
     sh: Tensor
     """[N, K, 3] harmonic coefficients."""
 
+    def detached(self) -> MovedGaussians:
+        """The same numbers, cut off from what they were computed with."""
+        return MovedGaussians(*(value.detach() for value in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class Drawn:

@@ -1,0 +1,75 @@
+"""What every method is given and what it gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from twin_node.bench.methods.truth import Follow
+from twin_node.model import ModelParameters
+from twin_node.model.sequence import HashParameters, HexPlaneParameters, Recording
+from twin_node.scene import Camera, Float32
+
+
+@dataclass(frozen=True)
+class NerfParameters:
+    """Size of the dynamic NeRF and of its training."""
+
+    steps: int = 2000
+    rays: int = 768
+    """Per step; half of them where something moves, as in Neural 3D Video."""
+    samples: int = 48
+    """Per ray."""
+    resolution: int = 64
+    features: int = 12
+    hidden: int = 48
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What the methods may spend; one budget for all methods of a run."""
+
+    gaussians: int = 8000
+    """At most, of any method but the online one, whose capacity follows its own parameters."""
+    offline_steps: int = 6000
+    """Of the offline methods: their plateau (twice as many gain less than the table's last digit but one)."""
+    per_frame_steps: int = 200
+    """Of per-frame 3DGS, for each set of images from scratch."""
+    stream_steps: int = 100
+    """Of each of the two stages of the streaming method, per set; 150 and 100 as published."""
+    degree: int = 0
+    """Of the harmonics of all methods: the online model has none."""
+    hexplane: HexPlaneParameters = field(default_factory=HexPlaneParameters)
+    hash: HashParameters = field(default_factory=HashParameters)
+    nerf: NerfParameters = field(default_factory=NerfParameters)
+    online: ModelParameters = field(default_factory=ModelParameters)
+    seed: int = 0
+
+
+Progress = Callable[[float], None]
+"""Called with the share of its work that a method has done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A scene as a method has learnt it."""
+
+    render: Callable[[Camera, int], Float32]
+    """[H, W, 3] 0 to 1: what a camera sees at a stamp (ns) of the recording."""
+    follow: Follow
+    parameters: int | None
+    """Learned numbers that describe the whole sequence; None where nothing is learnt."""
+    bytes: int | None
+    """Of all that has to be kept to play the sequence; None where nothing is."""
+    notes: dict[str, float] = field(default_factory=dict)
+    """Figures of this method alone."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to a dynamic scene."""
+
+    title: str
+    fit: Callable[[Recording, Budget, Progress], Fitted]
+    online: bool
+    """Whether it knows, at each time, the images up to then alone."""
