@@ -12,6 +12,7 @@ from twin_node.cli.bench import add_bench
 from twin_node.cli.calibrate import add_calibrate
 from twin_node.cli.export import add_export
 from twin_node.cli.imports import add_import
+from twin_node.cli.launch import add_launch
 from twin_node.cli.replay import add_demo, add_replay
 from twin_node.cli.train import add_train
 from twin_node.cli.ur_driver import add_ur_driver
@@ -21,18 +22,18 @@ from twin_node.errors import TwinError
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted."""
+    """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted, or the command's own."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: our products are too small to share
     options = _parser().parse_args(arguments)
     try:
-        options.run(options)
+        status = options.run(options)
     except TwinError as error:
         print(f"twin_node: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("twin_node: interrupted", file=sys.stderr)
         return 130
-    return 0
+    return status if isinstance(status, int) else 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -40,6 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"twin_node {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     add_replay(commands)
+    add_launch(commands)
     add_import(commands)
     add_demo(commands)
     add_bench(commands)

@@ -6,11 +6,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from twin_node.bag import LogMessage, LogReader, open_log
-from twin_node.messages import convert, header_stamp
+from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.calibration import rig_for
 from twin_node.nodes.topics import (
     GAUSSIANS,
@@ -44,13 +45,25 @@ LOOK_BACK_NS = 2_000_000_000
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
+class Said(Protocol):
+    """A message and when it was said."""
+
+    @property
+    def stamp(self) -> int:
+        """ns."""
+
+    @property
+    def message(self) -> Message:
+        """As it was published."""
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said."""
 
     stamp: int
     """Log time, ns."""
-    said: Mapping[str, LogMessage]
+    said: Mapping[str, Said]
     """The newest message of each topic."""
     cameras: Mapping[str, CameraTopics]
     assembler: FrameAssembler | None
@@ -136,7 +149,8 @@ class Playback:
         except BaseException:
             self.close()
             raise
-        self._last: Snapshot | None = None
+        self._last_stamp: int | None = None
+        self._said: dict[str, LogMessage] = {}
 
     @property
     def name(self) -> str:
@@ -155,13 +169,13 @@ class Playback:
 
     def at(self, stamp: int) -> Snapshot:
         """What had been said by log time `stamp` (ns). Rising stamps cost only what lies between them."""
-        last = self._last
-        if last is not None and last.stamp <= stamp <= last.stamp + LOOK_BACK_NS:
-            said = {**last.said, **self._newest(set(self.topics), last.stamp + 1, stamp + 1)}
+        last = self._last_stamp
+        if last is not None and last <= stamp <= last + LOOK_BACK_NS:
+            self._said = {**self._said, **self._newest(set(self.topics), last + 1, stamp + 1)}
         else:
-            said = self._look_back(stamp)
-        self._last = Snapshot(stamp, said, self._cameras, self._assembler)
-        return self._last
+            self._said = self._look_back(stamp)
+        self._last_stamp = stamp
+        return Snapshot(stamp, self._said, self._cameras, self._assembler)
 
     def stamps(self, topic: str, start_ns: int, stop_ns: int) -> list[int]:
         """Log times (ns) of a topic's messages from `start_ns` on and before `stop_ns`; none for an unknown topic."""

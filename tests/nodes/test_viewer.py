@@ -1,0 +1,168 @@
+"""The viewer: what a click hits, what the page shows, and the page in a real browser."""
+
+from __future__ import annotations
+
+import os
+import queue
+import socket
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Tab, open_tab
+from twin_logs import PERIOD, START, cloud_at, obstacles_at
+
+from twin_node.cli import main
+from twin_node.geometry import quat_from_rotation
+from twin_node.nodes.playback import Playback, Snapshot
+from twin_node.nodes.report.quality import render_cloud
+from twin_node.nodes.topics import GAUSSIANS
+from twin_node.nodes.viewer import CellPage, LogViewer
+from twin_node.nodes.viewer.picking import Pick, PickedThing, Ray, pick
+from twin_node.nodes.viewer.solids import capsule_mesh
+from twin_node.nodes.viewer.splats import covariances_of
+from twin_node.robot import ur_model
+from twin_node.scene import Camera
+
+viser = pytest.importorskip("viser")
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+@pytest.fixture
+def page() -> object:
+    made = CellPage(ur_model("ur5e"), (), port=free_port())
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("target", [7, 8])
+def test_a_ray_at_an_obstacle_picks_it(twin_log: Path, target: int) -> None:
+    """From outside through the middle of the moving box and of the moving sphere."""
+    with Playback([twin_log]) as playback:
+        snapshot = playback.at(START + 5 * PERIOD)
+    obstacles = obstacles_at(5, START + 5 * PERIOD)
+    middle = obstacles.positions[list(obstacles.ids).index(target)]
+    origin = middle + np.array([0.1, 0.2, 3.0])
+    direction = (middle - origin) / np.linalg.norm(middle - origin)
+    assert pick(snapshot, Ray(origin, direction)) == Pick(True, target)
+    assert pick(snapshot, Ray(origin, -direction)) is None
+
+
+def test_a_ray_at_a_gaussian_picks_the_nearest_solid_one(twin_log: Path) -> None:
+    with Playback([twin_log]) as playback:
+        snapshot = playback.at(START)
+    cloud = cloud_at(0, True)
+    chosen = int(np.flatnonzero(cloud.opacities > 0.5)[0])
+    origin = cloud.means[chosen].astype(np.float64) - [0, 0, 1e-3]
+    assert pick(snapshot, Ray(origin, np.array([0.0, 0, 1]))) == Pick(False, int(cloud.ids[chosen]))
+
+
+def test_what_was_picked_is_followed_until_it_is_gone(twin_log: Path) -> None:
+    with Playback([twin_log]) as playback:
+        thing = PickedThing(Pick(True, 7))
+        thing.describe(playback.at(START))
+        assert "moved 5.0 cm in the 0.5 s" in thing.describe(playback.at(START + 5 * PERIOD))
+        assert "is no more" in PickedThing(Pick(True, 12345)).describe(playback.at(START))
+
+
+def test_covariances_are_those_of_the_gaussians() -> None:
+    cloud = cloud_at(0, True)
+    values = np.linalg.eigvalsh(covariances_of(cloud))
+    assert np.allclose(np.sqrt(values), np.sort(cloud.scales, axis=1), rtol=1e-4)
+
+
+def test_capsule_meshes_enclose_their_ends() -> None:
+    ends = np.array([[0.1, 0.2, 0.3], [0.4, -0.2, 0.9]])
+    vertices = np.asarray(capsule_mesh(ends, 0.05).vertices)
+    along = ends[1] - ends[0]
+    share = np.clip((vertices - ends[0]) @ along / (along @ along), 0, 1)
+    assert np.allclose(np.linalg.norm(vertices - ends[0] - share[:, None] * along, axis=1), 0.05, atol=1e-6)
+
+
+def test_playing_runs_to_the_end_and_seeking_shows_that_time(twin_log: Path, page: CellPage) -> None:
+    shown: list[int] = []
+    with Playback([twin_log]) as playback:
+        viewer = LogViewer(playback, page)
+        draw = page.show
+
+        def watch(snapshot: object) -> None:
+            draw(snapshot)  # type: ignore[arg-type]
+            shown.append(snapshot.stamp - START)  # type: ignore[attr-defined]
+            if len(shown) == 1:
+                viewer.seek(0.7)
+            elif len(shown) == 2:
+                viewer.play(True)
+            elif shown[-1] == 14 * PERIOD:
+                viewer.stop()
+
+        page.show = watch  # type: ignore[method-assign]
+        viewer.run()
+    assert shown[0] == 0 and shown[1] == 7 * PERIOD
+    assert shown[1:] == sorted(shown[1:]) and shown[-1] == 14 * PERIOD
+
+
+def test_a_port_in_use_is_one_line(twin_log: Path, page: CellPage, capsys: pytest.CaptureFixture[str]) -> None:
+    port = page.url.rpartition(":")[2]
+    assert main(["view", str(twin_log), "--port", port]) == 2
+    assert "give another --port" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_browser_shows_the_splats_and_answers(twin_log: Path, page: CellPage, tmp_path: Path) -> None:
+    """The browser's picture is that of our own rasteriser; buttons move the time, a click names what it hit."""
+    visitors: queue.Queue[Any] = queue.Queue()
+    page.server.on_client_connect(visitors.put)
+    with Playback([twin_log]) as playback, open_tab(page.url) as tab:
+        client = visitors.get(timeout=60)
+        assert tab.shows("Click at an obstacle")
+        page.show(Snapshot(START, {GAUSSIANS: playback.at(START).said[GAUSSIANS]}, {}, None))
+        _compare_pictures(client, tab)
+        viewer = LogViewer(playback, page)
+        runner = threading.Thread(target=viewer.run)
+        runner.start()
+        try:
+            assert tab.press("+1 s")
+            box = obstacles_at(10, START).positions[0]
+            client.camera.position = tuple(box + np.array([0, -1.0, 0.01]))
+            client.camera.look_at = tuple(box)
+            client.flush()
+            assert any(_hits(tab, "Obstacle 7") for _ in range(10))  # the first clicks may come before the camera
+            tab.screenshot(Path(os.environ.get("CI_ARTEFACTS", tmp_path)) / "viewer.png")
+            own = "computeBoundingSphere"  # viser's splats have a geometry of their own, of which three.js complains
+            assert [error for error in tab.errors if own not in error] == []
+        finally:
+            viewer.stop()
+            runner.join()
+
+
+def _hits(tab: Tab, words: str) -> bool:
+    tab.click_middle()
+    return tab.shows(words, 2.0)
+
+
+def _compare_pictures(client: Any, tab: Tab) -> None:
+    """The cloud alone from one side, on white: by the browser and by us."""
+    T = np.eye(4)
+    T[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # looks along y, z up
+    T[:3, 3] = [1.0, -1.6, 0.5]
+    client.camera.wxyz, client.camera.position, client.camera.fov = quat_from_rotation(T[:3, :3]), T[:3, 3], 0.9
+    client.flush()
+    height, width = tab.picture().shape[:2]
+    focal = height / 2 / np.tan(0.45)
+    camera = Camera("view", width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), T)
+    cloud = cloud_at(0, True)
+    ours = render_cloud(cloud, camera) + 1 - render_cloud(replace(cloud, rgb=np.ones_like(cloud.rgb)), camera)
+    drawn = (1 - ours).max(axis=2) > 0.2
+    drawn[:160, :320] = False  # viser says there that it has no GPU
+    assert drawn.sum() > 5000
+    error = np.inf
+    for _ in range(20):  # the page sorts its splats in a thread of its own: its first pictures are without them
+        error = min(error, np.abs(tab.picture() / 255 - ours)[drawn].mean())
+    assert error < 0.05

@@ -1,0 +1,152 @@
+"""The page that people watch: the cell in 3D, what to show of it, and the twin's own words beside it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import Any
+
+import numpy as np
+
+from twin_node.errors import TwinError
+from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.viewer.frusta import Frusta
+from twin_node.nodes.viewer.panel import panel_text
+from twin_node.nodes.viewer.picking import PickedThing, Ray, pick
+from twin_node.nodes.viewer.solids import ArmBody, ObstacleShapes, Voxels
+from twin_node.nodes.viewer.splats import SplatLayers
+from twin_node.robot import ArmModel
+from twin_node.scene import HORIZONS_NS, Camera, Float64, ObstacleKind
+
+DEFAULT_PORT = 8080
+LOOPBACK = "127.0.0.1"
+FIRST_LOOK = np.array([1.2, -1.2, 0.9])
+"""From where a new visitor looks at the middle of the cell, m."""
+NO_LAYER = "none"
+
+
+class ViewerError(TwinError):
+    """The viewer cannot be opened as asked."""
+
+
+class CellPage:
+    """A web page of the cell for any number of visitors, who all see the same time.
+
+    `show` and everything else but the visitors' own clicks happen in the caller's thread.
+    """
+
+    def __init__(
+        self, arm: ArmModel, cameras: tuple[Camera, ...], host: str = LOOPBACK, port: int = DEFAULT_PORT
+    ) -> None:
+        """Raises `ViewerError` where viser is not installed, or the port is taken."""
+        self.server = _open_server(host, port)
+        self.url = f"http://{host}:{port}"
+        self.server.scene.set_up_direction("+z")
+        self.server.scene.add_frame("/base_link", axes_length=0.2, axes_radius=0.004)
+        self._splats = SplatLayers(self.server)
+        self._arm = ArmBody(self.server, arm)
+        self._obstacles = ObstacleShapes(self.server)
+        self._voxels = Voxels(self.server)
+        self._frusta = Frusta(self.server, cameras, arm)
+        self._clicks: list[Ray] = []
+        self._picked: PickedThing | None = None
+        self._changed = threading.Event()
+        self._look_at(cameras)
+        self.server.gui.configure_theme(dark_mode=False, show_logo=False)
+        self._words = self.server.gui.add_markdown("")
+        with self.server.gui.add_folder("Picked"):
+            self._picked_words = self.server.gui.add_markdown("Click at an obstacle or a Gaussian.")
+        with self.server.gui.add_folder("Show"):
+            self._add_switches()
+        self.server.scene.on_click()(self._on_click)
+
+    @property
+    def visitors(self) -> int:
+        """How many browsers are connected."""
+        return len(self.server.get_clients())
+
+    def take_change(self) -> bool:
+        """Whether a visitor has asked for something that `show` must draw anew; asked once, it is forgotten."""
+        changed = self._changed.is_set()
+        self._changed.clear()
+        return changed
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Draws a time of the cell for everybody, all at once."""
+        with self.server.atomic():
+            self._splats.show(snapshot)
+            self._arm.show(snapshot)
+            self._obstacles.show(snapshot)
+            self._voxels.show(snapshot)
+            self._frusta.show(snapshot)
+            self._words.content = panel_text(snapshot)
+            self._answer_click(snapshot)
+        self.server.flush()
+
+    def close(self) -> None:
+        """Ends the page."""
+        self.server.stop()
+
+    def _look_at(self, cameras: tuple[Camera, ...]) -> None:
+        middle: Float64 = np.array([0.5, 0.0, 0.3])
+        if cameras:
+            middle = np.mean([camera.T_base_cam[:3, 3] + camera.T_base_cam[:3, 2] for camera in cameras], axis=0)
+        self.server.initial_camera.position = tuple(middle + FIRST_LOOK)
+        self.server.initial_camera.look_at = tuple(middle)
+
+    def _add_switches(self) -> None:
+        gui = self.server.gui
+        layers = {NO_LAYER: None, **{f"{ns // 1_000_000} ms": k for k, ns in enumerate(HORIZONS_NS)}}
+        horizon = gui.add_button_group("Occupied in", tuple(layers))
+        self._on(horizon, lambda event: setattr(self._voxels, "horizon", layers[event.target.value]), "on_click")
+        self._switch("Gaussians", True, self._splats.set_visible)
+        self._switch("Arm, now and in 200 ms", True, self._arm.set_visible)
+        for kind in ObstacleKind:
+            shown = kind in self._obstacles.shown
+            self._switch(f"{kind.name} obstacles", shown, lambda on, kind=kind: self._obstacles.set_visible(kind, on))
+        self._switch("Standing space", False, lambda on: setattr(self._voxels, "is_static_shown", on))
+        self._switch("Unknown space", False, lambda on: setattr(self._voxels, "is_unknown_shown", on))
+        self._switch("Cameras", True, lambda on: setattr(self._frusta, "is_shown", on))
+        self._switch("Arm and moving space on images", False, lambda on: setattr(self._frusta, "is_masked", on))
+
+    def _switch(self, label: str, initial: bool, apply: Any) -> None:
+        box = self.server.gui.add_checkbox(label, initial)
+        self._on(box, lambda _event: apply(box.value), "on_update")
+
+    def _on(self, control: Any, apply: Any, event: str) -> None:
+        def act(happened: Any) -> None:
+            apply(happened)
+            self._changed.set()
+
+        getattr(control, event)(act)
+
+    def _on_click(self, event: Any) -> None:
+        direction = np.array(event.ray_direction)
+        self._clicks.append(Ray(np.array(event.ray_origin), direction / np.linalg.norm(direction)))
+        self._changed.set()
+
+    def _answer_click(self, snapshot: Snapshot) -> None:
+        if self._clicks:
+            hit = pick(snapshot, self._clicks[-1])
+            self._clicks.clear()
+            self._picked = None if hit is None else PickedThing(hit)
+            if hit is None:
+                self._picked_words.content = "Nothing there."
+        if self._picked is not None:
+            self._picked_words.content = self._picked.describe(snapshot)
+
+
+def _open_server(host: str, port: int) -> Any:
+    try:
+        import viser
+    except ImportError:
+        raise ViewerError("view: expected the package viser; install it with pip install 'twin-node[viewer]'") from None
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ViewerError(
+            f"http://{host}:{port}: cannot be opened ({reason}); give another --port, or --host"
+        ) from None
+    return viser.ViserServer(host=host, port=port, label="twin_node", verbose=False)

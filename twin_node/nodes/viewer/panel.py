@@ -1,0 +1,56 @@
+"""What the twin says of itself and of the arm, as text for the side panel."""
+
+from __future__ import annotations
+
+import math
+
+from twin_node.messages.convert import Status
+from twin_node.nodes.playback import Snapshot
+from twin_node.scene import Separation, Tier
+
+
+def panel_text(snapshot: Snapshot) -> str:
+    """Markdown: the arm's distance and speed with the reason, then how the twin does."""
+    parts = []
+    if snapshot.separation is not None:
+        parts.append(_arm(snapshot.separation))
+    if snapshot.status is not None:
+        parts.append(_twin(snapshot.status))
+    return "\n\n".join(parts) or "The log holds no decision and no status of a twin."
+
+
+def _arm(separation: Separation) -> str:
+    distance = f"{separation.distance:.2f} m" if math.isfinite(separation.distance) else "nothing near"
+    lines = [
+        f"### Speed {separation.speed_fraction:.0%}",
+        separation.reason,
+        "",
+        "| distance | required at full speed |",
+        "| --- | --- |",
+        f"| {distance} | {separation.required:.2f} m |",
+        "",
+        f"{separation.link or 'no link'}; person {separation.term_human:.2f}, reaction {separation.term_reaction:.2f}, "
+        f"stopping {separation.term_stopping:.2f}, intrusion {separation.term_intrusion:.2f}, "
+        f"uncertainty {separation.term_uncertainty:.2f} m",
+    ]
+    return "\n".join(lines)
+
+
+def _twin(status: Status) -> str:
+    tiers = "".join(f"| {tier.name} | {status.tier_counts[tier]} |\n" for tier in Tier if status.tier_counts[tier])
+    lines = [
+        "### Twin",
+        f"latency {_known(status.latency_p50_ms, '{:.0f} ms')}, p99 {_known(status.latency_p99_ms, '{:.0f} ms')}; "
+        f"{status.sets} sets, {status.dropped} dropped",
+        "",
+        f"coverage {_known(status.coverage, '{:.1%}')} of {status.coverage_target:.1%}; {status.parameters} parameters",
+        "",
+        "| tier | Gaussians |\n| --- | --- |\n" + tiers,
+    ]
+    warnings = [f"- **{warning}**" for warning in status.warnings]
+    return "\n".join([*lines, *warnings])
+
+
+def _known(value: float, form: str) -> str:
+    """A figure, or that it is not measured (in lockstep there is no latency, at the start no coverage)."""
+    return form.format(value) if math.isfinite(value) else "not measured"
