@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
 from twin_node.cli.bench_cell import add_bench_collision
+from twin_node.cli.methods import add_methods
 
 
 def add_bench(commands: Any) -> None:
@@ -34,6 +35,7 @@ def add_bench(commands: Any) -> None:
     track.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(track)
     track.set_defaults(run=_bench_track)
+    add_methods(benches)
     raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
     raster.add_argument("--json", action="store_true", help="print one JSON object")
     raster.set_defaults(run=_bench_raster)

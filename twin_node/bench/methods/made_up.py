@@ -52,6 +52,10 @@ class MadeUpParameters:
     """Cameras between them that are scored on."""
 
 
+MADE_UP_QUICK = MadeUpParameters(width=96, frames=12, rate_hz=10.0)
+"""The same motion in a quarter of the images and a third of the pixels."""
+
+
 @dataclass(frozen=True)
 class MadeUp:
     """Images and exact motion."""

@@ -46,6 +46,17 @@ class Budget:
     seed: int = 0
 
 
+QUICK = Budget(
+    gaussians=3000,
+    offline_steps=150,
+    per_frame_steps=30,
+    stream_steps=10,
+    hexplane=HexPlaneParameters(resolution=32, hidden=32),
+    hash=HashParameters(levels=6, features=2, log2_entries=13, hidden=32),
+    nerf=NerfParameters(steps=150, rays=512, samples=32, resolution=32, features=8, hidden=32),
+)
+"""A minute for all methods on two cores at the size of `MADE_UP_QUICK`: shows that all run, not what they reach."""
+
 Progress = Callable[[float], None]
 """Called with the share of its work that a method has done, 0 to 1."""
 

@@ -16,7 +16,7 @@ from twin_node.bench.methods.protocol import Budget, Method
 from twin_node.bench.methods.scores import ImageScores, score_images
 from twin_node.bench.methods.streaming import fit_streaming
 from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
-from twin_node.bench.methods.whole_sequence import fit_hash, fit_hexplane
+from twin_node.bench.methods.whole_sequence import fit_hash, fit_hexplane, fit_plain
 from twin_node.model.sequence import Recording
 from twin_node.nodes.report.quality import unit
 from twin_node.scene import Float32, View
@@ -29,6 +29,7 @@ METHODS: Mapping[str, Method] = {
     "streaming": Method("3DGStream-style", fit_streaming, True),
     "4dgs_hexplane": Method("4DGS, HexPlane", fit_hexplane, False),
     "4dgs_hash": Method("4DGS, hash grid", fit_hash, False),
+    "static_3dgs": Method("3DGS of all frames, no field", fit_plain, False),
     "ours": Method("ours, online", fit_online, True),
 }
 """By the names that `--json` prints."""

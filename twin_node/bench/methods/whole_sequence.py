@@ -48,3 +48,5 @@ def _fit(recording: Recording, budget: Budget, progress: Progress, method: str) 
 
 fit_hexplane = partial(_fit, method="hexplane")
 fit_hash = partial(_fit, method="hash")
+fit_plain = partial(_fit, method="static")
+"""3DGS of the whole sequence without a field: the mean over time."""

@@ -1,0 +1,73 @@
+"""The table of methods as lines to read and as a chart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.methods.table import MethodRow, MethodsBench
+
+COLUMNS: dict[str, Callable[[MethodRow], float | int | None]] = {
+    "PSNR": lambda row: row.scores.psnr_db,
+    "moving": lambda row: row.scores.psnr_moving_db,
+    "unchanged": lambda row: row.scores.psnr_unchanged_db,
+    "SSIM": lambda row: row.scores.ssim,
+    "learn ms/frame": lambda row: row.learn_ms_per_frame,
+    "draw ms": lambda row: row.scores.draw_ms,
+    "MB": lambda row: None if row.bytes is None else row.bytes / 1e6,
+    "parameters": lambda row: row.parameters,
+    "track mm": lambda row: row.track_mm.get("all"),
+}
+"""Heading -> what stands below it."""
+
+
+def text(bench: MethodsBench) -> str:
+    """The table as lines, and the figures below it."""
+    lines = [
+        f"{bench.data}: {bench.frames} frames of {bench.size}, {bench.training_images} training images, "
+        f"scored on {bench.scored_images} held-out images (PSNR in dB)",
+        f"{'':30}" + "".join(f"{name:>15}" for name in COLUMNS),
+    ]
+    for row in bench.rows.values():
+        title = f"{row.title}{' *' if row.online else ''}"
+        lines.append(f"{title:30}" + "".join(f"{_cell(value(row)):>15}" for value in COLUMNS.values()))
+    lines.append("* knows the images up to each time alone")
+    if bench.ours_less_offline_db is not None:
+        lines.append(f"ours less the better 4DGS, moving pixels: {bench.ours_less_offline_db:+.2f} dB")
+    lines += [f"{name}: {value:.2f}" for name, value in bench.ablations.items()]
+    return "\n".join(lines)
+
+
+def draw_chart(bench: MethodsBench, folder: Path) -> Path:
+    """`methods.png` in `folder`: PSNR of all and of moving pixels. Raises `BenchError` where it cannot be written."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 0.5 * len(bench.rows) + 1.5), layout="constrained")
+    axes = figure.add_subplot()
+    titles = [row.title for row in bench.rows.values()]
+    for offset, name in ((-0.2, "PSNR"), (0.2, "moving")):
+        values = [COLUMNS[name](row) or 0.0 for row in bench.rows.values()]
+        label = "all pixels" if name == "PSNR" else "moving pixels"
+        bars = axes.barh([index + offset for index in range(len(titles))], values, 0.38, label=label)
+        axes.bar_label(bars, fmt="%.1f", padding=2, fontsize=8)
+    axes.set_yticks(range(len(titles)), titles)
+    axes.invert_yaxis()
+    axes.set_xlabel("PSNR on held-out cameras, dB")
+    axes.legend(loc="lower right")
+    axes.set_title(f"{bench.data}, {bench.frames} frames of {bench.size}")
+    path = folder / "methods.png"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise BenchError(
+            f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
+        ) from None
+    return path
+
+
+def _cell(value: float | int | None) -> str:
+    if value is None:
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.2f}"
