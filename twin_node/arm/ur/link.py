@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import socket
+import time
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,6 +35,9 @@ _REACH_TIMEOUT_S = 2.0
 _LOOKAHEAD_S = 0.1
 _GAIN = 300.0
 """servoJ's own defaults (URScript)."""
+
+_SCRIPT_START_S = 0.3
+"""A script that was sent runs within a few packages; the arm stands meanwhile."""
 
 
 class UrLink(Protocol):
@@ -119,7 +123,12 @@ class RtdeLink:
     def prepare_servo(self) -> None:
         """Have the control script running with its watchdog set; raises `ArmError` where it does not start."""
         control = self._control
-        if not control.isProgramRunning() and not control.reuploadScript():
+        if not control.isProgramRunning():
+            control.reuploadScript()
+            until = time.monotonic() + _SCRIPT_START_S
+            while not control.isProgramRunning() and time.monotonic() < until:
+                time.sleep(1 / self._parameters.receive_hz)
+        if not control.isProgramRunning():
             raise ArmError("control script: it does not start; look at the pendant, and switch to remote control")
         if not control.setWatchdog(self._parameters.watchdog_hz):
             raise ArmError("control script: its watchdog cannot be set")

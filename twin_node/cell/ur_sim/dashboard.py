@@ -91,7 +91,7 @@ class _Order:
 _ORDERS = {
     "play": _Order("Starting program", "Failed to execute: play", lambda c: c.play(OwnProgram())),
     "pause": _Order("Pausing program", "Failed to execute: pause", lambda c: c.pause("dashboard")),
-    "stop": _Order("Stopped", "Failed to execute: stop", lambda c: c.stop("dashboard")),
+    "stop": _Order("Stopped", "Stopped", lambda c: c.stop("dashboard")),
     "unlock protective stop": _Order("Protective stop releasing", _TOO_EARLY, lambda c: c.unlock()),
     "power on": _Order("Powering on", "Failed to execute: power on", lambda c: c.power(RobotMode.IDLE)),
     "power off": _Order("Powering off", "Failed to execute: power off", lambda c: c.power(RobotMode.POWER_OFF)),
