@@ -62,13 +62,14 @@ def us(zenoh_router: ZenohParameters) -> Iterator[Us]:
 
 
 @pytest.fixture
-def start_peer() -> Iterator[Callable[..., None]]:
+def start_peer(tmp_path: Path) -> Iterator[Callable[..., None]]:
     """`start_peer(script, *arguments)`: runs a peer until the test ends; its input's end tells it to go."""
     running = []
 
     def start(script: str, *arguments: str) -> None:
         command = [sys.executable, str(PEERS / script), *arguments]
-        peer = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        pipe = subprocess.PIPE
+        peer = subprocess.Popen(command, cwd=tmp_path, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
         running.append(peer)
         assert peer.stdout is not None
         assert any(line == b"ready\n" for line in peer.stdout), "the peer did not start"

@@ -3,6 +3,7 @@
 from twin_node.bag.import_video import VideoCamera, VideoImport, import_video
 from twin_node.bag.log import BagError, LogMessage, Topic
 from twin_node.bag.reader import LogReader, open_log
+from twin_node.bag.recording import RecordingWriter, SplitParameters
 from twin_node.bag.rig import RigRecord, read_rig_record, write_rig
 from twin_node.bag.writer import LogWriter
 
@@ -11,7 +12,9 @@ __all__ = [
     "LogMessage",
     "LogReader",
     "LogWriter",
+    "RecordingWriter",
     "RigRecord",
+    "SplitParameters",
     "Topic",
     "VideoCamera",
     "VideoImport",

@@ -14,7 +14,7 @@ from typing import BinaryIO
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Message, Metadata, Schema, Statistics
+from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Header, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from zstandard import ZstdError
@@ -177,6 +177,8 @@ class McapStorage:
                 end = self._file.tell()
                 if end > size:
                     raise EOFError
+                if start == len(MAGIC) and not isinstance(record, Header):
+                    raise ValueError("it does not begin with a header")
                 self._take(index, record, start, end)
                 start = end
         except DAMAGED as error:

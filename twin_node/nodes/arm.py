@@ -19,6 +19,7 @@ from twin_node.messages import convert
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
+from twin_node.runtime.executor import NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import JointPath, JointSample
 
@@ -43,9 +44,18 @@ class ArmNode(Node):
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, checker: ArmCollisionChecker, cycle: CyclicPath, parameters: ArmParameters
+        self,
+        bus: Bus,
+        clock: Clock,
+        checker: ArmCollisionChecker,
+        cycle: CyclicPath,
+        parameters: ArmParameters,
+        timers: Timers | None = None,
     ) -> None:
+        """`timers`: tell of forecasts that do not come; None in lockstep, where nothing is late."""
         super().__init__("arm", bus, clock)
+        self._timers = timers or NoTimers()
+        self._latest = 0
         self._checker = checker
         self._cycle = cycle
         self._parameters = parameters
@@ -57,6 +67,13 @@ class ArmNode(Node):
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
+        self._timers.every(self._parameters.limiter.deadline_s / 4, self._on_timer)
+
+    def _on_timer(self) -> None:
+        """Slows and stops an arm whose forecasts have stopped coming."""
+        now = self.clock.now()
+        if now - self._latest >= self._parameters.limiter.deadline_s * 1e9:
+            self.bus.publish(SEPARATION, convert.separation_to_message(self._limiter.tick(now)))
 
     def _on_trajectory(self, message: Any) -> None:
         self._path = convert.joint_path_from_message(message, self.clock.now())
@@ -71,6 +88,7 @@ class ArmNode(Node):
         reaction_s = self._parameters.command_latency_ms * 1e-3
         decision = decide(self._checker, self._path_from(stamp), stamp, reaction_s, self._parameters.separation)
         told = self._limiter.decide(decision, stamp)
+        self._latest = stamp
         self.bus.publish(SEPARATION, convert.separation_to_message(told))
 
     def _path_from(self, stamp: int) -> JointPath:

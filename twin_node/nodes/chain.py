@@ -15,6 +15,7 @@ from twin_node.nodes.arm import ArmNode, ArmParameters
 from twin_node.nodes.drift import DriftNode
 from twin_node.nodes.forecast import ForecastNode
 from twin_node.nodes.latency import Latency
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.status import StatusNode
 from twin_node.nodes.synchronizer import SynchronizerParameters
@@ -22,11 +23,14 @@ from twin_node.rig.drift import DriftParameters
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
+from twin_node.runtime.executor import Timers
 from twin_node.runtime.node import Node
-from twin_node.runtime.parameters import ParameterError, fill, read_parameters
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters
 from twin_node.scene import Float64
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
+OTHER_SECTIONS = {EVERY_NODE, *KINDS} - {*CHAIN_SECTIONS}
+"""Sections of launch files that say nothing of the chain."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ def load_parameters(path: Path | None) -> ChainParameters:
     Raises `ParameterError` for a section or key that does not exist, with the nearest one.
     """
     path = resources.find(path or DEFAULT_PARAMETERS)
-    sections = read_parameters(path)
+    sections = {name: values for name, values in read_parameters(path).items() if name not in OTHER_SECTIONS}
     known = {f.name for f in dataclasses.fields(ChainParameters)}
     for name in sections:
         if name not in known:
@@ -67,6 +71,14 @@ def load_parameters(path: Path | None) -> ChainParameters:
 def make_model(parameters: ChainParameters) -> WindowModel:
     """A fresh window model as the chain's."""
     return WindowModel(parameters.model, arm=ur_model(parameters.arm.model))
+
+
+def make_arm_node(
+    bus: Bus, clock: Clock, workspace: Float64, parameters: ChainParameters, timers: Timers | None = None
+) -> ArmNode:
+    """The arm's node of a chain; `workspace` [2, 3] m. `timers`: see `ArmNode`."""
+    arm = ur_model(parameters.arm.model)
+    return ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm, workspace), parameters.arm, timers)
 
 
 class Chain:
@@ -80,19 +92,21 @@ class Chain:
         parameters: ChainParameters,
         latency: Latency,
         dropped: Callable[[], int],
+        with_arm: bool = True,
     ) -> None:
-        """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status."""
-        arm = ur_model(parameters.arm.model)
+        """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status.
+
+        The arm's node reads messages only, so it can stand in another process: `with_arm` False leaves it out.
+        """
         self.model = make_model(parameters)
         self.forecaster = Forecaster(default_grid(workspace, parameters.grid.voxel_size), parameters.forecast)
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
-        checker = ArmCollisionChecker(arm)
         self.nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),
             ModelNode(bus, clock, self.model),
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
-            ArmNode(bus, clock, checker, default_path(arm, workspace), parameters.arm),
+            *([make_arm_node(bus, clock, workspace, parameters)] if with_arm else []),
         )
 
     def start(self) -> None:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 from twin_node.messages import convert, from_time
+from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
+from twin_node.runtime.executor import Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import Camera, Rig
 
 DEPTHS_KEPT = 8
 """Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
+
+POLLS_PER_DEADLINE = 4
+"""How often live waits are looked at: a silent camera costs its deadline and at most a quarter more."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +53,18 @@ class SynchronizerNode(Node):
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, cameras: tuple[CameraTopics, ...], rig: Rig, parameters: SynchronizerParameters
+        self,
+        bus: Bus,
+        clock: Clock,
+        cameras: tuple[CameraTopics, ...],
+        rig: Rig,
+        parameters: SynchronizerParameters,
+        timers: Timers | None = None,
     ) -> None:
+        """`timers` of a live graph end the wait for silent cameras, and wrong stamps are counted; None in lockstep."""
         super().__init__("synchronizer", bus, clock)
+        self._timers = timers
+        self._watch = CameraWatch(tuple(camera.name for camera in rig.cameras))
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
         self._topics = {camera.name: camera for camera in cameras}
         self._rig_cameras = {camera.name: camera for camera in rig.cameras}
@@ -74,13 +89,24 @@ class SynchronizerNode(Node):
             if topics.depth:
                 self.bus.subscribe(topics.depth, partial(self._on_depth, name))
         self.bus.subscribe(JOINT_STATES, self._on_joints)
+        deadline_ns = self._parameters.grouping.deadline_ns
+        if self._timers is not None and deadline_ns is not None:
+            self._timers.every(deadline_ns / POLLS_PER_DEADLINE / 1e9, self._poll)
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """What each camera does that it should not, since the last call."""
+        return self._watch.diagnoses(self.name, self._synchronizer.report)
+
+    def _poll(self) -> None:
+        self._take(self._synchronizer.poll(self.clock.now()))
 
     def _on_joints(self, message: Any) -> None:
         self._assembler.add_joints(convert.joint_sample_from_message(message))
 
     def _on_colour(self, name: str, message: Any) -> None:
         stamp = from_time(message.header.stamp)
-        self._check_order(name, stamp)
+        if self._timers is None:
+            self._check_order(name, stamp)
         if self._topics[name].depth is None:
             self._add(name, EncodedView(message, None))
             return
@@ -116,7 +142,14 @@ class SynchronizerNode(Node):
 
     def _add(self, name: str, view: EncodedView) -> None:
         stamp = self._rig_cameras[name].rig_time(from_time(view.colour.header.stamp))
-        for grouped in self._synchronizer.add(name, stamp, view, max(self.clock.now(), stamp)):
+        now = self.clock.now()
+        self._watch.add(name, stamp, now)
+        if self._timers is None:
+            now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps
+        self._take(self._synchronizer.add(name, stamp, view, now))
+
+    def _take(self, ready: Sequence[SyncSet[EncodedView]]) -> None:
+        for grouped in ready:
             if self._is_wanted(grouped.stamp):
                 self._publish(grouped)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
+from twin_node.runtime.qos import EVERY, LATCHED, NEWEST, SENSOR_DATA, Qos, TopicKind
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
@@ -35,11 +36,39 @@ FOLLOW = "/arm/follow"
 ACKNOWLEDGE = "/arm/acknowledge"
 """`std_msgs/Empty`: somebody has looked at a halted arm; it may go on."""
 TF_STATIC = "/tf_static"
+CLOCK = "/clock"
 TRUTH_OCCUPANCY = "/truth/occupancy"
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 RAW = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+
+_MESSAGE_TYPES = {
+    GAUSSIANS: TopicKind("sensor_msgs/msg/PointCloud2", LATCHED),
+    GAUSSIANS_MOVING: TopicKind("sensor_msgs/msg/PointCloud2"),
+    OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
+    OBSTACLES: TopicKind("twin_msgs/msg/ObstacleArray", NEWEST),
+    SEPARATION: TopicKind("twin_msgs/msg/SeparationState"),
+    STATUS: TopicKind("twin_msgs/msg/TwinStatus"),
+    DIAGNOSTICS: TopicKind("diagnostic_msgs/msg/DiagnosticArray"),
+    JOINT_STATES: TopicKind("sensor_msgs/msg/JointState"),
+    TRAJECTORY: TopicKind("trajectory_msgs/msg/JointTrajectory"),
+    FOLLOW: TopicKind("trajectory_msgs/msg/JointTrajectory"),
+    ACKNOWLEDGE: TopicKind("std_msgs/msg/Empty"),
+    TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", Qos(depth=10, latched=True)),
+    CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
+    TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
+    FRAMES: TopicKind(None, NEWEST),
+}
+"""What the graph's own topics carry; a set of images that a newer one has replaced is of no use to anybody."""
+_SUFFIXES = {
+    "/compressed": TopicKind(COMPRESSED, SENSOR_DATA),
+    "/compressedDepth": TopicKind(COMPRESSED, SENSOR_DATA),
+    "/camera_info": TopicKind(CAMERA_INFO, LATCHED),
+    "/image_raw": TopicKind(RAW, SENSOR_DATA),
+    "/image_rect": TopicKind(RAW, SENSOR_DATA),
+}
+"""What the topics of cameras carry, by the end of their names (REP-104, image_transport)."""
 
 
 class GraphError(TwinError):
@@ -67,6 +96,16 @@ def parse_remaps(remaps: list[str]) -> dict[str, str]:
             raise GraphError(f"--remap {remap}: expected FROM:=TO, for example /front/rgb:=/front/image_raw")
         pairs[_absolute(source)] = _absolute(target)
     return pairs
+
+
+def kind_of(topic: str) -> TopicKind:
+    """What a topic carries by its name; of names that say nothing, records that stay within the process."""
+    if topic in _MESSAGE_TYPES:
+        return _MESSAGE_TYPES[topic]
+    for suffix, kind in _SUFFIXES.items():
+        if topic.endswith(suffix):
+            return kind
+    return TopicKind(None, EVERY)
 
 
 def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -49,3 +50,45 @@ class PacedClock:
     def seconds_until(self, stamp: int) -> float:
         """Wall seconds until log time `stamp` once the clock runs; negative when it has passed."""
         return (stamp - self.now()) / (1e9 * self._rate)
+
+
+class SystemClock:
+    """The time of day, as cameras of a live rig stamp their images."""
+
+    def now(self) -> int:
+        """Time since 1970, ns."""
+        return time.time_ns()
+
+
+class FollowedClock:
+    """Time as `/clock` tells it (ROS's `use_sim_time`), carried on between its messages at the pace they show."""
+
+    LONGEST_STEP_NS = 100_000_000
+    """Time stands when no message came for as long as this: a paused log is not carried on."""
+
+    def __init__(self, on_jump_back: Callable[[], None] = lambda: None) -> None:
+        """`on_jump_back()` is called when time goes back: a log has begun again."""
+        self._on_jump_back = on_jump_back
+        self._told_ns = 0
+        self._told_at = time.monotonic_ns()
+        self._rate = 0.0
+        self._shown = 0
+
+    def set(self, stamp: int) -> None:
+        """Takes what `/clock` says, ns."""
+        at = time.monotonic_ns()
+        is_back = stamp < self._told_ns
+        passed = at - self._told_at
+        if not is_back and self._told_ns and passed > 0:
+            self._rate = (stamp - self._told_ns) / passed
+        self._told_ns, self._told_at = stamp, at
+        if is_back:
+            self._shown = stamp
+            self._on_jump_back()
+
+    def now(self) -> int:
+        """Time, ns; 0 before the first message. It never goes back but when `/clock` does."""
+        since = time.monotonic_ns() - self._told_at
+        ahead = min(int(since * self._rate), self.LONGEST_STEP_NS)
+        self._shown = max(self._shown, self._told_ns + max(ahead, 0))
+        return self._shown

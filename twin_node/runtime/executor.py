@@ -91,6 +91,11 @@ class Executor:
             heapq.heappush(self._timers, _Timer(due, next(self._order), period_s, callback))
             self._condition.notify()
 
+    def clear_timers(self) -> None:
+        """Forget all timers."""
+        with self._condition:
+            self._timers.clear()
+
     def stop(self) -> None:
         """Let `spin` return once the callback that runs now is done; from any thread, or from a signal handler."""
         self._stopped = True

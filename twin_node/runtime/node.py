@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from twin_node.messages.convert import Diagnosis
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 
@@ -54,6 +55,10 @@ class Node:
         """Inactive to unconfigured: release what `on_configure` took."""
         self._move(LifecycleState.INACTIVE, LifecycleState.UNCONFIGURED)
         self.on_cleanup()
+
+    def diagnoses(self) -> tuple[Diagnosis, ...]:
+        """How the node is doing, as `/diagnostics` tells once a second; may count anew with every call."""
+        return ()
 
     def on_configure(self) -> None:
         """Called on the way from unconfigured to inactive."""

@@ -16,13 +16,18 @@ from twin_node.errors import TwinError
 
 T = TypeVar("T")
 
+EVERY_NODE = "/**"
+"""The section whose parameters go to every node that knows them."""
+LAUNCH = "launch"
+"""The section of a parameter file that is not a node's: what `twin_node launch` starts."""
+
 
 class ParameterError(TwinError):
     """A parameter file or a value in it is wrong."""
 
 
 def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
-    """Node name -> its `ros__parameters`, of a ROS 2 parameter file.
+    """Node name -> its `ros__parameters`, of a ROS 2 parameter file or a launch file.
 
     Raises `ParameterError` when the file is not one.
     """
@@ -32,6 +37,7 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
         raise ParameterError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: expected 'node: {{ros__parameters: {{...}}}}', found {type(content).__name__}")
+    content.pop(LAUNCH, None)
     for node, section in content.items():
         if not isinstance(section, dict) or set(section) != {"ros__parameters"}:
             raise ParameterError(f"{path}: node '{node}' must hold exactly one key, 'ros__parameters'")

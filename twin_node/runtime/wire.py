@@ -38,6 +38,8 @@ Sink = Callable[[Any], None]
 """Takes a message or an `Encoded` one; called in any thread, so it must only put it aside."""
 Send = Callable[[Any], None]
 """Sends a message, an `Encoded` one, or, inside a process, a record."""
+Cancel = Callable[[], None]
+"""Ends a subscription."""
 
 
 class Wire(Protocol):
@@ -46,8 +48,8 @@ class Wire(Protocol):
     def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
         """A function that sends messages of node `node` on `topic`; it may be called in any one thread at a time."""
 
-    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> None:
-        """Hands every message on `topic` to `sink`; a latched topic's last message comes at once."""
+    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
+        """Hands every message on `topic` to `sink` until cancelled; a latched topic's last message comes at once."""
 
     def close(self) -> None:
         """Ends all traffic."""
@@ -59,11 +61,11 @@ class LocalWire:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._sinks: dict[str, list[Sink]] = {}
-        self._latched: dict[str, dict[object, Any]] = {}
+        self._latched: dict[str, dict[tuple[str, str], Any]] = {}
 
     def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
         """A function that hands messages to every sink of `topic`."""
-        identity = object()
+        identity = (node, topic)
 
         def send(message: Any) -> None:
             with self._lock:
@@ -75,13 +77,19 @@ class LocalWire:
 
         return send
 
-    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> None:
+    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink`; a latched topic's last one of every publisher comes at once."""
         with self._lock:
             self._sinks.setdefault(topic, []).append(sink)
             kept = tuple(self._latched.get(topic, {}).values()) if kind.qos.latched else ()
         for message in kept:
             sink(message)
+
+        def cancel() -> None:
+            with self._lock:
+                self._sinks[topic].remove(sink)
+
+        return cancel
 
     def close(self) -> None:
         """Forgets all sinks."""

@@ -9,7 +9,7 @@ from typing import Any
 from twin_node.errors import TwinError
 from twin_node.runtime.executor import Executor, Inbox
 from twin_node.runtime.qos import KindOf, TopicKind
-from twin_node.runtime.wire import Encoded, Send, Wire, encoded
+from twin_node.runtime.wire import Cancel, Encoded, Send, Wire, encoded
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,12 @@ class _Subscription:
         self.received = 0
         self.unreadable = 0
         self.last_error: str | None = None
+        self.is_closed = False
 
     def __call__(self, message: Any) -> None:
         self.received += 1
+        if self.is_closed:
+            return
         try:
             if self._raw:
                 self._callback(encoded(message))
@@ -65,6 +68,7 @@ class WireBus:
         self._declared: dict[str, TopicKind] = {}
         self._senders: dict[str, Send] = {}
         self._subscriptions: list[tuple[_Subscription, Inbox]] = []
+        self._cancels: list[Cancel] = []
 
     def declare(self, topic: str, kind: TopicKind) -> None:
         """Says what a topic carries, before it is first used."""
@@ -100,12 +104,19 @@ class WireBus:
             for s, inbox in self._subscriptions
         )
 
+    def close(self) -> None:
+        """Ends all subscriptions; what waits in inboxes will be forgotten."""
+        for cancel in self._cancels:
+            cancel()
+        for subscription, _ in self._subscriptions:
+            subscription.is_closed = True
+
     def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
         kind = self._kind(topic)
         subscription = _Subscription(topic, callback, raw)
         inbox = self._executor.inbox(subscription, kind.qos.depth)
         self._subscriptions.append((subscription, inbox))
-        self._wire.subscribe(self._node, topic, kind, inbox.offer)
+        self._cancels.append(self._wire.subscribe(self._node, topic, kind, inbox.offer))
 
     def _kind(self, topic: str) -> TopicKind:
         return self._declared.get(topic) or self._kind_of(topic)

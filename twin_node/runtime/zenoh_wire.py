@@ -27,7 +27,7 @@ from twin_node.runtime.rmw_zenoh import (
     topic_key,
     unpack_attachment,
 )
-from twin_node.runtime.wire import Encoded, LocalWire, Send, Sink, encoded
+from twin_node.runtime.wire import Cancel, Encoded, LocalWire, Send, Sink, encoded
 from twin_node.runtime.zenoh_session import ZenohParameters, open_session
 
 PUBLISHERS_REMEMBERED = 256
@@ -45,6 +45,7 @@ class ZenohWire:
         self._local = LocalWire()
         self._numbers = itertools.count()
         self._nodes: dict[str, NodeIdentity] = {}
+        self._senders: dict[tuple[str, str], Send] = {}
         self._kept: list[Any] = []
         self._graph: dict[str, Endpoint] = {}
         self._is_watching = False
@@ -57,6 +58,9 @@ class ZenohWire:
         send_here = self._local.publisher(node, topic, kind)
         if kind.msgtype is None:
             return send_here
+        known = self._senders.get((node, topic))
+        if known is not None:
+            return known
         send_there: _RemotePublisher | None = None
 
         def send(message: Any) -> None:
@@ -66,19 +70,27 @@ class ZenohWire:
             send_here(message)
             send_there(message)
 
+        self._senders[node, topic] = send
         return send
 
-    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> None:
+    def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink`: this process's by reference, those of others as `Encoded`."""
-        self._local.subscribe(node, topic, kind, sink)
+        cancel_here = self._local.subscribe(node, topic, kind, sink)
         if kind.msgtype is None:
-            return
+            return cancel_here
         msgtype = kind.msgtype
         endpoint = self._endpoint(EntityKind.SUBSCRIBER, node, topic, kind, self._hash_of(msgtype))
         receive = _Receiver(self, msgtype, sink)
         key = topic_key(self._domain, topic, msgtype, endpoint.type_hash)
-        self._keep(self._declare_subscriber(key, kind, receive))
-        self._announce(endpoint_token(endpoint))
+        subscriber = self._keep(self._declare_subscriber(key, kind, receive))
+        token = self._announce(endpoint_token(endpoint))
+
+        def cancel() -> None:
+            cancel_here()
+            self._drop(subscriber)
+            self._drop(token)
+
+        return cancel
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """Publishers and subscribers of the domain that are alive, as far as this session has been told.
@@ -171,8 +183,15 @@ class ZenohWire:
         types = message.types if isinstance(message, Encoded) else builtin_types()
         return types.type_hash(msgtype)
 
-    def _announce(self, token: str) -> None:
-        self._keep(self._session.liveliness().declare_token(token))
+    def _announce(self, token: str) -> Any:
+        return self._keep(self._session.liveliness().declare_token(token))
+
+    def _drop(self, entity: Any) -> None:
+        with self._lock:
+            if entity not in self._kept:
+                return
+            self._kept.remove(entity)
+        entity.undeclare()
 
     def _keep(self, entity: Any) -> Any:
         with self._lock:

@@ -1,0 +1,248 @@
+"""Recordings as they grow: files that can be read whatever ends them, split by size or time, in a rosbag2 folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from twin_node.bag.log import BagError
+from twin_node.bag.qos import is_latched, offered_qos_profiles
+from twin_node.bag.writer import BAG_VERSION, LIBRARY, PROFILE
+from twin_node.messages import MessageTypes
+
+METADATA_FILE = "metadata.yaml"
+FLUSH_S = 0.5
+"""How long messages wait for their chunk, s: what a killed recorder loses."""
+CHUNK_BYTES = 4 << 20
+"""Uncompressed size at which a chunk is closed before its time, bytes."""
+
+
+@dataclass(frozen=True)
+class SplitParameters:
+    """When the next file of a recording is begun."""
+
+    max_size_mb: float = 0.0
+    """Size of a file, MB; 0: no limit."""
+    max_duration_s: float = 0.0
+    """Time that a file spans, s; 0: no limit."""
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """A topic, and its last message where it is latched."""
+
+    name: str
+    msgtype: str
+    definition: str
+    type_hash: str
+    is_latched: bool
+
+
+@dataclass
+class _File:
+    """One file of a recording, open."""
+
+    path: Path
+    stream: BinaryIO
+    writer: Writer
+    channels: dict[str, int] = field(default_factory=dict)
+    schemas: dict[str, int] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    start: int | None = None
+    end: int = 0
+    bytes: int = 0
+
+
+class RecordingWriter:
+    """Writes messages as they come. Nothing is lost of what is older than half a second, however it ends.
+
+    `path` ends in `.mcap` for one file, which cannot be split, or is a new folder: NAME_0.mcap, NAME_1.mcap and so on,
+    and `metadata.yaml` at the end. Latched messages stand at the beginning of every file again, so that each is whole.
+    Raises `BagError` for a path that exists, and where the disk refuses; what was written by then can be read.
+    """
+
+    def __init__(self, path: Path | str, split: SplitParameters | None = None, *, compression: str = "none") -> None:
+        self.path = Path(path)
+        self._split = split or SplitParameters()
+        self._compression = CompressionType[compression.upper()]
+        self._channels: dict[str, _Channel] = {}
+        self._kept: dict[str, tuple[bytes, int]] = {}
+        self._files: list[_File] = []
+        self._flushed_at = time.monotonic()
+        self._is_closed = False
+        _check(self.path, self._split)
+        try:
+            if self.path.suffix != ".mcap":
+                self.path.mkdir(parents=True)
+            self._begin_file()
+        except OSError as error:
+            raise self._refused(error) from None
+
+    @property
+    def messages(self) -> int:
+        """Messages written so far."""
+        return sum(sum(file.counts.values()) for file in self._files)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files begun so far."""
+        return tuple(file.path for file in self._files)
+
+    def write(self, topic: str, msgtype: str, data: bytes | memoryview, stamp: int, types: MessageTypes) -> None:
+        """Writes CDR bytes at a log time in ns; `types` defines their type."""
+        try:
+            channel = self._channels.get(topic)
+            if channel is None:
+                definition, type_hash = types.definition(msgtype), types.type_hash(msgtype)
+                channel = _Channel(topic, msgtype, definition, type_hash, is_latched(topic))
+                self._channels[topic] = channel
+            elif channel.msgtype != msgtype:
+                raise BagError(f"{self.path}: topic {topic} holds {channel.msgtype}, found a message of {msgtype}")
+            if self._is_full(stamp):
+                self._end_file()
+                self._begin_file()
+                for name, (kept, _) in self._kept.items():
+                    self._put(self._channels[name], kept, stamp)
+            self._put(channel, data, stamp)
+            if channel.is_latched:
+                self._kept[topic] = (bytes(data), stamp)
+            self.flush_if_due()
+        except OSError as error:
+            raise self._refused(error) from None
+
+    def flush_if_due(self) -> None:
+        """Closes the chunk in progress when it has waited long enough; to be called when no message comes, too."""
+        now = time.monotonic()
+        if now - self._flushed_at >= FLUSH_S:
+            self._flushed_at = now
+            try:
+                self._files[-1].writer.flush()
+            except OSError as error:
+                raise self._refused(error) from None
+
+    def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
+        """Adds a record of strings to the file that is being written."""
+        self._files[-1].writer.add_metadata(name, dict(record))
+
+    def close(self) -> None:
+        """Finishes the last file and writes the folder's metadata; a second call does nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            self._end_file()
+            if self.path.is_dir():
+                text = yaml.safe_dump(self._metadata(), sort_keys=False)
+                (self.path / METADATA_FILE).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise self._refused(error) from None
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _begin_file(self) -> None:
+        path = self.path
+        if path.suffix != ".mcap":
+            path = path / f"{path.name}_{len(self._files)}.mcap"
+        stream = path.open("xb")
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
+        writer.start(PROFILE, LIBRARY)
+        self._files.append(_File(path, stream, writer))
+
+    def _end_file(self) -> None:
+        self._files[-1].writer.finish()
+        self._files[-1].stream.close()
+
+    def _is_full(self, stamp: int) -> bool:
+        file = self._files[-1]
+        if self.path.suffix == ".mcap" or file.start is None:
+            return False
+        too_big = 0 < self._split.max_size_mb * 1e6 <= file.bytes
+        return too_big or 0 < self._split.max_duration_s * 1e9 <= stamp - file.start
+
+    def _put(self, channel: _Channel, data: bytes | memoryview, stamp: int) -> None:
+        file = self._files[-1]
+        if channel.name not in file.channels:
+            if channel.msgtype not in file.schemas:
+                text = channel.definition.encode()
+                file.schemas[channel.msgtype] = file.writer.register_schema(channel.msgtype, "ros2msg", text)
+            qos = {
+                "offered_qos_profiles": offered_qos_profiles(channel.is_latched),
+                "topic_type_hash": channel.type_hash,
+            }
+            schema = file.schemas[channel.msgtype]
+            file.channels[channel.name] = file.writer.register_channel(channel.name, "cdr", schema, qos)
+        count = file.counts.get(channel.name, 0)
+        file.writer.add_message(file.channels[channel.name], stamp, bytes(data), stamp, count)
+        file.counts[channel.name] = count + 1
+        file.start = stamp if file.start is None else min(file.start, stamp)
+        file.end = max(file.end, stamp)
+        file.bytes += len(data)
+
+    def _metadata(self) -> dict[str, object]:
+        """The folder's `metadata.yaml` as `ros2 bag` writes it."""
+        begun = [file for file in self._files if file.start is not None]
+        start = min((file.start or 0 for file in begun), default=0)
+        end = max((file.end for file in begun), default=0)
+        return {
+            "rosbag2_bagfile_information": {
+                "version": BAG_VERSION,
+                "storage_identifier": "mcap",
+                "duration": {"nanoseconds": end - start},
+                "starting_time": {"nanoseconds_since_epoch": start},
+                "message_count": self.messages,
+                "topics_with_message_count": [self._topic_entry(channel) for channel in self._channels.values()],
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [file.path.name for file in self._files],
+                "files": [_file_entry(file) for file in self._files],
+                "custom_data": None,
+                "ros_distro": "",
+            }
+        }
+
+    def _topic_entry(self, channel: _Channel) -> dict[str, object]:
+        return {
+            "topic_metadata": {
+                "name": channel.name,
+                "type": channel.msgtype,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": offered_qos_profiles(channel.is_latched),
+                "type_description_hash": channel.type_hash,
+            },
+            "message_count": sum(file.counts.get(channel.name, 0) for file in self._files),
+        }
+
+    def _refused(self, error: OSError) -> BagError:
+        return BagError(
+            f"{self.path}: cannot be written on ({error.strerror}); what was recorded until then can be read; free "
+            "space or choose another place"
+        )
+
+
+def _check(path: Path, split: SplitParameters) -> None:
+    if path.exists():
+        raise BagError(f"{path}: exists already; remove it or choose another name")
+    if path.suffix not in ("", ".mcap"):
+        raise BagError(f"{path}: expected a name ending in .mcap, or one without an ending for a folder")
+    if path.suffix == ".mcap" and split != SplitParameters():
+        raise BagError(f"{path}: one file cannot be split; give a name without an ending for a folder of files")
+
+
+def _file_entry(file: _File) -> dict[str, object]:
+    start = file.start or 0
+    return {
+        "path": file.path.name,
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "duration": {"nanoseconds": file.end - start},
+        "message_count": sum(file.counts.values()),
+    }

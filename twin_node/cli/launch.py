@@ -1,0 +1,47 @@
+"""`twin_node launch`: the graph of a launch file, in processes."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+
+def add_launch(commands: Any) -> None:
+    """Adds `launch` to the subcommands."""
+    parser = commands.add_parser(
+        "launch",
+        help="start the processes of a launch file",
+        description="Start the nodes of a launch file, each process by itself; Ctrl-C deactivates and cleans up. "
+        "Exit status: 0 done or interrupted, 2 wrong input, 10 + N: process N of the file (from 0) was given up.",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE.yaml", help="for example launch/replay.yaml")
+    parser.add_argument("arguments", nargs="*", metavar="NAME:=VALUE", help="what the file lets you set")
+    parser.add_argument("-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="repeatable")
+    parser.add_argument("-s", "--show-args", action="store_true", help="list the file's arguments and end")
+    parser.add_argument("--log-dir", type=Path, metavar="DIR", help="default: out/log/TIME-NAME")
+    parser.set_defaults(run=_launch)
+
+
+def _launch(options: argparse.Namespace) -> int | None:
+    from twin_node.nodes.launch.launch_file import read_arguments, read_launch_file
+    from twin_node.nodes.launch.launcher import Launcher
+
+    if options.show_args:
+        for argument in read_arguments(options.file):
+            default = "required" if argument.is_required else f"default: {argument.default!r}"
+            print(f"{argument.name}:=  {argument.help} ({default})")
+        return None
+    plan = read_launch_file(options.file, options.arguments, options.param)
+    folder = options.log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{options.file.stem}"
+    print(f"logs: {folder}", flush=True)
+    launcher = Launcher(plan, folder, lambda line: print(line, flush=True))
+    for interrupting in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(interrupting, lambda *_: launcher.interrupt())
+    result = launcher.run()
+    if result.failed is not None:
+        print(f"twin_node: error: process '{result.failed}' {result.error}; see {folder}", file=sys.stderr)
+    return result.status

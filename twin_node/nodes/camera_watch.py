@@ -1,0 +1,84 @@
+"""Tells cameras that do not send as the others do: silent, slow, late, or with a clock that steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin_node.messages.convert import Diagnosis, Level, Reading
+from twin_node.rig import InputCounts, SyncReport
+
+SLOW_SHARE = 0.75
+"""A camera at less than this share of the fastest one's rate is named: a missed image in four is no jitter."""
+LATE_NS = 20_000_000
+"""A camera whose images arrive so much later after their stamps than another's is named: half a period at 30 Hz."""
+COUNTED = (
+    ("late", "came after their set had gone"),
+    ("duplicate", "had the stamp of the one before"),
+    ("unsorted", "were stamped before the one before"),
+    ("future", "were stamped after their arrival"),
+)
+"""Counts of the synchroniser that must stand still, and what they say of images."""
+
+
+@dataclass
+class _Seen:
+    """One camera's images since the last report."""
+
+    stamps: list[int] = field(default_factory=list)
+    lags: list[int] = field(default_factory=list)
+
+
+class CameraWatch:
+    """Keeps stamps and arrivals between two reports."""
+
+    def __init__(self, cameras: Sequence[str]) -> None:
+        self._seen = {name: _Seen() for name in cameras}
+        self._before: dict[str, InputCounts] = {}
+
+    def add(self, camera: str, stamp: int, arrival: int) -> None:
+        """Takes note of an image: both times in ns, on the graph's clock."""
+        self._seen[camera].stamps.append(stamp)
+        self._seen[camera].lags.append(arrival - stamp)
+
+    def diagnoses(self, node: str, report: SyncReport) -> tuple[Diagnosis, ...]:
+        """One per camera, of what was seen since the last call; `report` holds the synchroniser's totals."""
+        counts = {name: len(seen.stamps) for name, seen in self._seen.items()}
+        lags = {name: float(np.median(seen.lags)) for name, seen in self._seen.items() if seen.lags}
+        most, least_lag = max(counts.values()), min(lags.values(), default=0.0)
+        found = []
+        for totals in report.inputs:
+            name = totals.name
+            lag = lags.get(name, 0.0)
+            faults = self._faults(totals, counts[name], most, lag - least_lag)
+            level = Level.ERROR if counts[name] == 0 else Level.WARN if faults else Level.OK
+            text = "; ".join(faults) or "in step with the others"
+            found.append(Diagnosis(f"{node}: {name}", level, text, _readings(totals, lag), name))
+            self._before[name] = totals
+        self._seen = {name: _Seen() for name in self._seen}
+        return tuple(found)
+
+    def _faults(self, totals: InputCounts, count: int, most: int, extra_lag: float) -> list[str]:
+        before = self._before.get(totals.name, InputCounts(totals.name))
+        faults = []
+        if count == 0:
+            faults.append("silent: no image since the last report; the twin goes on without it")
+        elif count < SLOW_SHARE * most:
+            faults.append(f"slow: {count} images where the fastest camera sent {most}")
+        if extra_lag > LATE_NS:
+            faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
+        for key, meaning in COUNTED:
+            more = getattr(totals, key) - getattr(before, key)
+            if more > 0:
+                faults.append(f"{key}: {more} images {meaning}")
+        return faults
+
+
+def _readings(totals: InputCounts, lag_ns: float) -> tuple[Reading, ...]:
+    names = ("received", "used", "unmatched", "late", "duplicate", "unsorted", "future", "missed")
+    return (
+        *(Reading(name, str(getattr(totals, name))) for name in names),
+        Reading("lag_ms", f"{lag_ns / 1e6:.1f}"),
+    )

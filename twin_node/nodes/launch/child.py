@@ -1,0 +1,87 @@
+"""A process of a launch as its launcher sees it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from twin_node.nodes.launch.host import Order
+
+GRACE_S = 5.0
+"""How long a process may take to deactivate and clean up its nodes before it is killed."""
+
+
+class Child:
+    """A spawned process: its orders go down a pipe, its events come up one, its output goes to a log."""
+
+    def __init__(self, name: str, order: Order, log: Path, on_news: Callable[[], None]) -> None:
+        """`on_news()` is called, in a thread of the child's, when it is configured and when it has ended."""
+        self.name = name
+        self.is_configured = False
+        self.is_active = False
+        self.error: str | None = None
+        """What it failed of, as far as it could say."""
+        self._on_news = on_news
+        read_fd, write_fd = os.pipe()
+        with log.open("ab") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-u", "-m", "twin_node.nodes.launch.host", str(write_fd)],
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                pass_fds=(write_fd,),
+                start_new_session=True,
+            )
+        os.close(write_fd)
+        self._say(order.to_json())
+        threading.Thread(target=self._listen, args=(read_fd,), name=f"{name} events", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        """Process identifier."""
+        return self._process.pid
+
+    @property
+    def status(self) -> int | None:
+        """Exit status; None while it runs."""
+        return self._process.poll()
+
+    def activate(self) -> None:
+        """Lets its nodes begin."""
+        self.is_active = True
+        self._say("activate")
+
+    def stop(self) -> None:
+        """Leads its nodes through deactivate and cleanup; kills it where that takes too long."""
+        if self._process.stdin is not None and not self._process.stdin.closed:
+            with contextlib.suppress(BrokenPipeError):  # it has gone by itself
+                self._process.stdin.close()
+        try:
+            self._process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _say(self, line: str) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it has ended; its listener tells
+            self._process.stdin.write(line.encode() + b"\n")
+            self._process.stdin.flush()
+
+    def _listen(self, read_fd: int) -> None:
+        with os.fdopen(read_fd) as events:
+            for line in events:
+                event = json.loads(line)
+                if event["event"] == "configured":
+                    self.is_configured = True
+                else:
+                    self.error = event["error"]
+                self._on_news()
+        self._process.wait()
+        self._on_news()

@@ -1,0 +1,109 @@
+"""A process of a launch: runs its nodes, each in a thread of its own, until it is told to stop.
+
+Its first line of input is the order (JSON of `Order`), a line `activate` starts the nodes, and the end of its input
+ends them: when the launcher dies, so do its processes. What it has to say goes to the file descriptor that it was
+given, one line of JSON each.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from twin_node.errors import TwinError
+
+FAILED, REFUSED = 1, 2
+"""Exit statuses: a node failed; what it was given is wrong."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a process is to do."""
+
+    nodes: tuple[str, ...]
+    sections: Mapping[str, Mapping[str, Any]]
+    follows_clock: bool
+    is_lockstep: bool
+    zenoh: Mapping[str, Any]
+    where: str
+    """What errors about parameters name."""
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(dataclasses.asdict(self))
+
+
+def main() -> int:
+    """The process; the only argument is the file descriptor that events go to."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's group: the launcher leads through the shutdown
+    events = os.fdopen(int(sys.argv[1]), "w", buffering=1)
+    order = Order(**json.loads(sys.stdin.readline()))
+    try:
+        if order.is_lockstep:
+            from twin_node.nodes.launch.lockstep import run_in_lockstep
+
+            run_in_lockstep(order.sections, order.where, _is_told_to_stop(events))
+        else:
+            _run_live(order, events)
+    except TwinError as error:
+        _say(events, event="refused", error=str(error))
+        return REFUSED
+    except Exception as error:  # the launcher names the process that failed, and the log holds the trace
+        traceback.print_exc()
+        _say(events, event="failed", error=f"{type(error).__name__}: {error}")
+        return FAILED
+    return 0
+
+
+def _run_live(order: Order, events: Any) -> None:
+    from twin_node.nodes.launch.node_thread import Graph
+
+    graph = Graph(order)
+    try:
+        graph.configure()
+        _say(events, event="configured")
+        threading.Thread(target=_obey, args=(graph,), name="orders", daemon=True).start()
+        graph.run()
+    finally:
+        graph.close()
+
+
+def _obey(graph: Any) -> None:
+    for line in sys.stdin:
+        if line.strip() == "activate":
+            graph.activate()
+    graph.stop()
+
+
+def _is_told_to_stop(events: Any) -> threading.Event:
+    """Set when the launcher closes this process's input."""
+    _say(events, event="configured")
+    told = threading.Event()
+
+    def wait() -> None:
+        sys.stdin.read()
+        told.set()
+
+    threading.Thread(target=wait, name="orders", daemon=True).start()
+    return told
+
+
+def _say(events: Any, **what: str) -> None:
+    with contextlib.suppress(OSError):  # the launcher is gone: nobody to tell
+        events.write(json.dumps(what) + "\n")
+
+
+if __name__ == "__main__":
+    status = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)  # libraries' threads must not keep a process alive that its launcher has given up

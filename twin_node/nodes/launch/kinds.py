@@ -1,0 +1,61 @@
+"""The nodes that launch files can name, and where they are made."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import Any
+
+from twin_node.nodes.topics import GraphError
+
+ENTRY_POINTS = "twin_node.nodes"
+"""Entry-point group under which other packages offer nodes: functions from a `live.setup.Setup` to a `Node`."""
+
+KINDS = {
+    "arm": "twin_node.nodes.live.twin:make_arm",
+    "cell": "twin_node.nodes.live.cell:make_cell",
+    "cameras": "twin_node.nodes.live.cameras:make_cameras",
+    "player": "twin_node.nodes.live.player:make_player",
+    "recorder": "twin_node.nodes.live.recorder:make_recorder",
+    "synchronizer": "twin_node.nodes.live.twin:make_synchronizer",
+    "twin": "twin_node.nodes.live.twin:make_twin",
+    "ur_driver": "twin_node.nodes.live.arm_driver:make_ur_driver",
+    "ur_sim": "twin_node.nodes.live.arm_driver:make_ur_sim",
+    "viewer_topics": "twin_node.nodes.live.viewer_topics:make_viewer_topics",
+}
+"""Node name -> module and function."""
+
+SOURCES = ("cameras", "cell", "player", "recorder", "ur_driver", "ur_sim")
+"""Nodes that a jump in time does not concern: they make the time, or only write down what comes."""
+
+CHAIN_SECTIONS = ("synchronizer", "drift", "model", "grid", "forecast", "obstacles", "arm")
+"""Sections that the chain's nodes read; `nodes.chain.ChainParameters` documents them."""
+
+
+def check_kind(name: str, where: str) -> None:
+    """Raises `GraphError` for a name that no node has, with the nearest one."""
+    known = {*KINDS, *_foreign()}
+    if name not in known:
+        raise GraphError(f"{where}: unknown node '{name}'; {nearest(name, known)}")
+
+
+def find_factory(name: str) -> Callable[[Any], Any]:
+    """The function that makes a node; the name has been checked."""
+    if name not in KINDS:
+        made: Callable[[Any], Any] = _foreign()[name].load()
+        return made
+    module, _, function = KINDS[name].partition(":")
+    factory: Callable[[Any], Any] = getattr(importlib.import_module(module), function)
+    return factory
+
+
+def nearest(name: str, known: set[str]) -> str:
+    """What was probably meant, or all that could have been."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(sorted(known))}"
+
+
+def _foreign() -> dict[str, Any]:
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}

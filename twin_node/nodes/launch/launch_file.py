@@ -1,0 +1,206 @@
+"""Launch files: which nodes run in which processes, with which parameters, and what the user can set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from twin_node import resources
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_kind, nearest
+from twin_node.nodes.live.sections import Sections
+from twin_node.nodes.topics import GraphError
+from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
+from twin_node.runtime.zenoh_session import ZenohParameters
+
+VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
+"""A value that the user gives, as in the YAML launch files of ROS 2."""
+
+
+@dataclass(frozen=True)
+class ProcessPlan:
+    """One process."""
+
+    name: str
+    nodes: tuple[str, ...]
+    restarts: bool = True
+    """Started again when it fails."""
+    ends_launch: bool = False
+    """When it has finished, everything else is brought down."""
+
+
+@dataclass(frozen=True)
+class LaunchPlan:
+    """What is to run, all values filled in."""
+
+    path: Path
+    processes: tuple[ProcessPlan, ...]
+    sections: Sections
+    follows_clock: bool = False
+    """Nodes take time from `/clock` (`use_sim_time`)."""
+    is_lockstep: bool = False
+    """All nodes in one thread, driven by the player's log: repeatable to the byte."""
+    zenoh: ZenohParameters = field(default_factory=ZenohParameters)
+
+
+@dataclass(frozen=True)
+class Argument:
+    """What a launch file lets the user set."""
+
+    name: str
+    help: str = ""
+    default: Any = None
+    is_required: bool = False
+
+
+def read_arguments(path: Path | str) -> tuple[Argument, ...]:
+    """The arguments of a launch file. Raises `GraphError` where it is none."""
+    return _arguments(_launch_section(resources.find(path)), resources.find(path))
+
+
+def read_launch_file(path: Path | str, given: Sequence[str] = (), parameters: Sequence[str] = ()) -> LaunchPlan:
+    """The plan of a launch file with the user's `name:=value` arguments and `node.key:=value` parameters.
+
+    Raises `GraphError` or `ParameterError` for unknown names, with the nearest known one, and for missing values.
+    """
+    path = resources.find(path)
+    section = _launch_section(path)
+    values = _values(_arguments(section, path), given, path)
+    section = _substituted(section, values)
+    processes = tuple(
+        _process(name, entry or {}, path) for name, entry in section.get("processes", {}).items() if _is_wanted(entry)
+    )
+    if not processes:
+        raise GraphError(f"{path}: expected at least one process under launch: processes, found none")
+    sections = _substituted(read_parameters(path), values)
+    _set_parameters(sections, parameters)
+    _check_sections(sections, processes, path)
+    return LaunchPlan(
+        path,
+        processes,
+        sections,
+        follows_clock=bool(section.get("use_sim_time", False)),
+        is_lockstep=bool(section.get("lockstep", False)),
+        zenoh=fill(ZenohParameters, section.get("zenoh") or {}, f"{path}: {LAUNCH}: zenoh"),
+    )
+
+
+def _launch_section(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise GraphError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from None
+    section = content.get(LAUNCH) if isinstance(content, dict) else None
+    if not isinstance(section, dict):
+        raise GraphError(f"{path}: has no section '{LAUNCH}'; give a launch file, for example launch/replay.yaml")
+    known = {"arguments", "processes", "use_sim_time", "lockstep", "zenoh"}
+    for key in section:
+        if key not in known:
+            raise GraphError(f"{path}: {LAUNCH}: unknown key '{key}'; {nearest(str(key), known)}")
+    return section
+
+
+def _arguments(section: Mapping[str, Any], path: Path) -> tuple[Argument, ...]:
+    found = []
+    for name, given in (section.get("arguments") or {}).items():
+        entry = given or {}
+        if not isinstance(entry, dict) or set(entry) - {"default", "help"}:
+            raise GraphError(f"{path}: argument '{name}': expected 'default' and 'help', found {entry!r}")
+        is_required = "default" not in entry
+        found.append(Argument(str(name), str(entry.get("help", "")), entry.get("default"), is_required))
+    return tuple(found)
+
+
+def _values(arguments: Sequence[Argument], given: Sequence[str], path: Path) -> dict[str, Any]:
+    known = {argument.name: argument for argument in arguments}
+    values: dict[str, Any] = {argument.name: argument.default for argument in arguments}
+    for text in given:
+        name, separator, value = text.partition(":=")
+        if not separator:
+            raise GraphError(f"{text}: expected NAME:=VALUE, for example log:=run.mcap")
+        if name not in known:
+            raise GraphError(f"{path}: unknown argument '{name}'; {nearest(name, set(known))}")
+        values[name] = _typed(known[name], value, path)
+    missing = [a.name for a in arguments if a.is_required and not any(g.startswith(f"{a.name}:=") for g in given)]
+    if missing:
+        hints = "; ".join(f"{name}: {known[name].help}" for name in missing)
+        raise GraphError(f"{path}: needs {' and '.join(f'{name}:=VALUE' for name in missing)} ({hints})")
+    return values
+
+
+def _typed(argument: Argument, text: str, path: Path) -> Any:
+    """A value of the type of the argument's default; text where it has none."""
+    kind = type(argument.default)
+    if kind in (str, type(None)):
+        return text
+    value = yaml.safe_load(text)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise GraphError(f"{path}: argument {argument.name}:={text}: expected a {kind.__name__}")
+    return value
+
+
+def _substituted(value: Any, values: Mapping[str, Any]) -> Any:
+    if isinstance(value, dict):
+        return {key: _substituted(inner, values) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_substituted(inner, values) for inner in value]
+    if not isinstance(value, str):
+        return value
+    whole = VARIABLE.fullmatch(value)
+    if whole:
+        return _value_of(whole, values)
+    return VARIABLE.sub(lambda match: str(_value_of(match, values)), value)
+
+
+def _value_of(match: re.Match[str], values: Mapping[str, Any]) -> Any:
+    if match[1] not in values:
+        raise GraphError(f"$(var {match[1]}): no such argument; {nearest(match[1], set(values))}")
+    return values[match[1]]
+
+
+def _is_wanted(entry: Mapping[str, Any] | None) -> bool:
+    """Whether a process's `if` holds: it is neither empty nor false, and both sides of an `==` are equal."""
+    condition = (entry or {}).get("if", True)
+    if isinstance(condition, str) and "==" in condition:
+        left, _, right = condition.partition("==")
+        return left.strip() == right.strip()
+    return condition not in ("", "false", "False", False, None, 0)
+
+
+def _process(name: str, entry: Mapping[str, Any], path: Path) -> ProcessPlan:
+    known = {"nodes", "restart", "ends_launch", "if"}
+    for key in entry:
+        if key not in known:
+            raise GraphError(f"{path}: process '{name}': unknown key '{key}'; {nearest(str(key), known)}")
+    nodes = tuple(entry.get("nodes") or ())
+    for node in nodes:
+        check_kind(str(node), f"{path}: process '{name}'")
+    if not nodes:
+        raise GraphError(f"{path}: process '{name}': expected a list of nodes, found none")
+    return ProcessPlan(str(name), nodes, bool(entry.get("restart", True)), bool(entry.get("ends_launch", False)))
+
+
+def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -> None:
+    """Puts `node.key:=value` parameters into their sections; nested keys go on with dots."""
+    for text in given:
+        name, separator, value = text.partition(":=")
+        node, _, keys = name.partition(".")
+        if not (separator and keys):
+            raise GraphError(f"-p {text}: expected NODE.KEY:=VALUE, for example synchronizer.width:=160")
+        inner = sections.setdefault(node, {})
+        *outer, last = keys.split(".")
+        for key in outer:
+            inner = inner.setdefault(key, {})
+        inner[last] = yaml.safe_load(value)
+
+
+def _check_sections(sections: Sections, processes: Sequence[ProcessPlan], path: Path) -> None:
+    for name in sections:
+        if name not in (EVERY_NODE, *CHAIN_SECTIONS):
+            check_kind(name, f"{path}: parameters")

@@ -1,0 +1,155 @@
+"""Brings the processes of a launch up together, starts again what fails, and brings them down in order."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin_node.nodes.launch.child import Child
+from twin_node.nodes.launch.host import REFUSED, Order
+from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
+from twin_node.nodes.topics import GraphError
+from twin_node.runtime.zenoh_session import open_router
+
+FIRST_STATUS = 10
+"""Exit status of a launch whose first process failed for good; the second's is one more, and so on."""
+RESTARTS_ALLOWED = 5
+"""A process that fails so often within `RESTART_WINDOW_S` is given up, and the launch with it."""
+RESTART_WINDOW_S = 30.0
+"""Long enough that a fault at start-up, some seconds each time, is told from one a day."""
+STEP_S = 0.5
+"""Longest sleep of the launcher, s: how long an interrupt may go unnoticed."""
+
+
+@dataclass(frozen=True)
+class LaunchResult:
+    """How a launch ended."""
+
+    failed: str | None = None
+    """Process that was given up; None where all ended as they should."""
+    error: str | None = None
+    status: int = 0
+    """Exit status: 0, or one that tells the failed process by its place in the file."""
+    restarts: int = 0
+
+
+class Launcher:
+    """A launch from start to end; `run` blocks, `interrupt` may be called from a signal handler."""
+
+    def __init__(self, plan: LaunchPlan, log_folder: Path, say: Callable[[str], None]) -> None:
+        """Processes write to `log_folder`/PROCESS.log; `say(line)` tells the user what happens."""
+        self._plan = plan
+        self._log_folder = log_folder
+        self._say = say
+        self._news = threading.Event()
+        self._interrupted = False
+        self._is_active = False
+        self._children: dict[str, Child] = {}
+        self._failures: dict[str, list[float]] = {}
+        self._restarts = 0
+
+    def interrupt(self) -> None:
+        """Lets `run` bring everything down."""
+        self._interrupted = True
+
+    def children(self) -> dict[str, int]:
+        """Process identifier of every process that runs."""
+        return {name: child.pid for name, child in self._children.items() if child.status is None}
+
+    def run(self) -> LaunchResult:
+        """Runs until interrupted, until a process that ends the launch has finished, or until one is given up.
+
+        Raises `GraphError` where a process refuses what it was given; nothing has been activated then.
+        """
+        self._log_folder.mkdir(parents=True, exist_ok=True)
+        router = None if self._plan.is_lockstep else open_router(self._plan.zenoh)
+        try:
+            for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
+                self._start(process)
+            return self._watch()
+        finally:
+            self._stop_all()
+            if router is not None:
+                router.close()
+
+    def _watch(self) -> LaunchResult:
+        while not self._interrupted:
+            self._news.wait(STEP_S)
+            self._news.clear()
+            self._activate_when_ready()
+            for place, process in enumerate(self._processes()):
+                child = self._children[process.name]
+                if child.status is None:
+                    continue
+                if child.status == REFUSED:
+                    raise GraphError(child.error or f"process '{process.name}' refused what it was given")
+                if child.status == 0:
+                    if process.ends_launch or self._all_are_done():
+                        self._say(f"{process.name}: finished")
+                        return LaunchResult(restarts=self._restarts)
+                elif not self._restarted(process, child):
+                    return LaunchResult(process.name, _reason(child), FIRST_STATUS + place, self._restarts)
+        return LaunchResult(restarts=self._restarts)
+
+    def _processes(self) -> tuple[ProcessPlan, ...]:
+        return (_LOCKSTEP,) if self._plan.is_lockstep else self._plan.processes
+
+    def _all_are_done(self) -> bool:
+        return all(child.status == 0 for child in self._children.values())
+
+    def _activate_when_ready(self) -> None:
+        """Activates all nodes once every process is configured; later, one that was started again by itself."""
+        waiting = [child for child in self._children.values() if child.status is None and not child.is_active]
+        if not waiting or not all(child.is_configured for child in waiting):
+            if not self._is_active:
+                return
+            waiting = [child for child in waiting if child.is_configured]
+        for child in reversed(waiting):
+            child.activate()
+        if not self._is_active and waiting:
+            self._is_active = True
+            self._say("active: " + ", ".join(self._children))
+
+    def _start(self, process: ProcessPlan) -> None:
+        plan = self._plan
+        order = Order(
+            process.nodes,
+            plan.sections,
+            plan.follows_clock,
+            plan.is_lockstep,
+            dataclasses.asdict(plan.zenoh),
+            str(plan.path),
+        )
+        log = self._log_folder / f"{process.name}.log"
+        self._children[process.name] = Child(process.name, order, log, self._news.set)
+
+    def _restarted(self, process: ProcessPlan, child: Child) -> bool:
+        """Starts a failed process again, unless it must not be, or has failed too often."""
+        now = time.monotonic()
+        failures = [t for t in self._failures.get(process.name, []) if now - t < RESTART_WINDOW_S]
+        self._failures[process.name] = [*failures, now]
+        if not process.restarts or len(failures) >= RESTARTS_ALLOWED:
+            return False
+        self._restarts += 1
+        self._say(f"{process.name}: {_reason(child)}; starting it again")
+        self._start(process)
+        return True
+
+    def _stop_all(self) -> None:
+        """Sources first, as they stand in the file, so that what they sent is still dealt with."""
+        for child in self._children.values():
+            child.stop()
+
+
+_LOCKSTEP = ProcessPlan("lockstep", (), restarts=False, ends_launch=True)
+
+
+def _reason(child: Child) -> str:
+    if child.error is not None:
+        return f"failed: {child.error}"
+    status = child.status
+    return f"killed by signal {-status}" if status is not None and status < 0 else f"ended with status {status}"

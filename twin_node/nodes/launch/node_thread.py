@@ -1,0 +1,175 @@
+"""The nodes of a process: a thread, an executor and a bus for each, all on one wire."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from twin_node.messages import convert
+from twin_node.nodes.launch.kinds import SOURCES, find_factory
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import CLOCK, DIAGNOSTICS, kind_of
+from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.parameters import fill
+from twin_node.runtime.wire import Encoded, Wire
+from twin_node.runtime.wire_bus import Traffic, WireBus
+from twin_node.runtime.zenoh_session import ZenohParameters
+from twin_node.runtime.zenoh_wire import ZenohWire
+
+if TYPE_CHECKING:
+    from twin_node.nodes.launch.host import Order
+
+DIAGNOSTICS_PERIOD_S = 1.0
+"""Diagnostics go out at 1 Hz, as is customary."""
+
+
+class NodeThread:
+    """One node, made anew whenever time jumps: nothing that it knew is true then."""
+
+    def __init__(self, name: str, order: Order, wire: Wire, clock: Clock, on_end: Callable[[], None]) -> None:
+        """`on_end()` is called, in the node's thread, when it has finished or failed."""
+        self.name = name
+        self.error: BaseException | None = None
+        self.is_finished = False
+        self._order = order
+        self._wire = wire
+        self._clock = clock
+        self._on_end = on_end
+        self._executor = Executor()
+        self._orders = self._executor.inbox(lambda do: do(), 16)
+        self._bus: WireBus
+        self._node: Node
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def configure(self) -> None:
+        """Makes the node and configures it, in the calling thread. Raises what the node raises."""
+        self._make(self._executor)
+        self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
+
+    def start(self) -> None:
+        """Lets the node's thread run; the node stays inactive."""
+        self._thread.start()
+
+    def activate(self) -> None:
+        """Activates the node, in its thread."""
+        self._orders.offer(self._activate)
+
+    def begin_anew(self) -> None:
+        """Replaces the node by a fresh one, in its thread."""
+        self._orders.offer(self._remake)
+
+    def stop(self) -> None:
+        """Leads the node through deactivate and cleanup, and waits for it."""
+        self._executor.stop()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _make(self, timers: Executor) -> None:
+        self._bus = WireBus(self._wire, self._executor, self.name, kind_of)
+        setup = Setup(self.name, self._bus, self._clock, timers, self._order.sections, self._order.where, self._finish)
+        self._node = find_factory(self.name)(setup)
+        self._node.configure()
+
+    def _activate(self) -> None:
+        if self._node.state is LifecycleState.INACTIVE:
+            self._node.activate()
+
+    def _remake(self) -> None:
+        is_active = self._node.state is LifecycleState.ACTIVE
+        self._end_node()
+        self._executor.clear_timers()
+        self._make(self._executor)
+        self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
+        if is_active:
+            self._node.activate()
+
+    def _end_node(self) -> None:
+        if self._node.state is LifecycleState.ACTIVE:
+            self._node.deactivate()
+        if self._node.state is LifecycleState.INACTIVE:
+            self._node.cleanup()
+        self._bus.close()
+
+    def _finish(self) -> None:
+        self.is_finished = True
+        self._executor.stop()
+
+    def _run(self) -> None:
+        try:
+            try:
+                self._executor.spin()
+            finally:
+                self._end_node()
+        except BaseException as error:  # the process's main thread raises it, whatever it is
+            self.error = error
+        self._on_end()
+
+    def _diagnose(self) -> None:
+        own = (_traffic_diagnosis(self.name, self._bus.traffic), *self._node.diagnoses())
+        self._bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(self._clock.now(), own))
+
+
+def _traffic_diagnosis(name: str, traffic: tuple[Traffic, ...]) -> convert.Diagnosis:
+    """How the node's subscriptions are doing."""
+    bad = [t for t in traffic if t.unreadable]
+    message = "; ".join(f"{t.topic}: {t.last_error}" for t in bad) or "all messages taken"
+    readings = tuple(convert.Reading(f"dropped {t.topic}", str(t.dropped)) for t in traffic if t.dropped)
+    return convert.Diagnosis(f"{name}: messages", convert.Level.WARN if bad else convert.Level.OK, message, readings)
+
+
+class Graph:
+    """All nodes of a process."""
+
+    def __init__(self, order: Order) -> None:
+        """Opens the wire. Raises `WireError` where zenoh cannot be used."""
+        self._wire = ZenohWire(fill(ZenohParameters, dict(order.zenoh), order.where))
+        self._clock: Clock = SystemClock()
+        self._ended = threading.Event()
+        self._threads: list[NodeThread] = []
+        if order.follows_clock:
+            followed = FollowedClock(self._begin_anew)
+            self._wire.subscribe("clock", CLOCK, kind_of(CLOCK), partial(_set_clock, followed))
+            self._clock = followed
+        self._threads = [NodeThread(name, order, self._wire, self._clock, self._ended.set) for name in order.nodes]
+
+    def configure(self) -> None:
+        """Makes and configures every node, the last first, so that nothing is missed of what the first ones say."""
+        for thread in reversed(self._threads):
+            thread.configure()
+        for thread in self._threads:
+            thread.start()
+
+    def activate(self) -> None:
+        """Activates every node, the last first; from any thread."""
+        for thread in reversed(self._threads):
+            thread.activate()
+
+    def stop(self) -> None:
+        """Let `run` return; from any thread."""
+        self._ended.set()
+
+    def run(self) -> None:
+        """Waits until told to stop, or a node has finished; raises what a node failed of."""
+        self._ended.wait()
+        for thread in self._threads:
+            thread.stop()
+        for thread in self._threads:
+            if thread.error is not None:
+                raise thread.error
+
+    def close(self) -> None:
+        """Ends all traffic."""
+        self._wire.close()
+
+    def _begin_anew(self) -> None:
+        for thread in self._threads:
+            if thread.name not in SOURCES:
+                thread.begin_anew()
+
+
+def _set_clock(clock: FollowedClock, message: Any) -> None:
+    clock.set(convert.clock_from_message(message.decode() if isinstance(message, Encoded) else message))

@@ -1,0 +1,110 @@
+"""The simulated cell as a live source: cameras and arm by the wall clock."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twin_node.cell import SimulatedRig, load_scenario
+from twin_node.cell.sensor import RawImage
+from twin_node.cell.simulator import Exposure
+from twin_node.messages import convert
+from twin_node.nodes.live.rig_messages import publish_calibration
+from twin_node.nodes.live.rig_source import RigParameters, topics_of
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, TRAJECTORY
+from twin_node.runtime.node import Node
+from twin_node.scene import Float32
+
+
+@dataclass(frozen=True)
+class CellParameters:
+    """What is simulated, and how it is sent."""
+
+    rig: RigParameters = field(default_factory=RigParameters)
+    loop: bool = True
+    """Begin again when the scenario is over; stamps go on."""
+    arm: bool = True
+    """Publish the arm's joints and path; False where a driver does."""
+
+
+def make_cell(setup: Setup) -> Node:
+    """The simulated cell of `rig.scenario`."""
+    return CellNode(setup, setup.parameters(CellParameters))
+
+
+class CellNode(Node):
+    """Renders what is due, when it is due; what it cannot render in time is left out, and counted."""
+
+    def __init__(self, setup: Setup, parameters: CellParameters) -> None:
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self._parameters = parameters
+        self._finish = setup.finish
+        self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario))
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.skipped = 0
+
+    def on_activate(self) -> None:
+        publish_calibration(self.bus, self._simulated.rig, self.clock.now())
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, name="cell", daemon=True)
+        self._thread.start()
+
+    def on_deactivate(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """How many images came too late to be made."""
+        readings = (convert.Reading("skipped_images", str(self.skipped)),)
+        return (convert.Diagnosis(f"{self.name}: cameras", convert.Level.OK, "simulated", readings),)
+
+    def _run(self) -> None:
+        exposures, start = self._simulated.exposures(), self._simulated.scenario.start_ns
+        period = int(1e9 / self._simulated.scenario.sensing.rate_hz)
+        while True:
+            begun = self.clock.now()
+            for exposure in exposures:
+                stamp = begun + exposure.stamp - start
+                if self._stop.wait(max(0.0, (stamp - self.clock.now()) / 1e9)):
+                    return
+                if self.clock.now() - stamp > period:
+                    self.skipped += 1
+                    continue
+                self._publish(exposure, stamp)
+            if not self._parameters.loop:
+                self._finish()
+                return
+
+    def _publish(self, exposure: Exposure, stamp: int) -> None:
+        self._publish_arm(exposure.stamp, stamp)
+        image = self._simulated.take(exposure)
+        topics = topics_of(image.camera, self._parameters.rig)
+        camera = self._simulated.rig.cameras[exposure.camera]
+        self.bus.publish(topics.info, convert.camera_info(camera, stamp))
+        if topics.depth is not None:
+            depth = _metres(image)
+            to_message = convert.compressed_depth_image if topics.depth_type == COMPRESSED else convert.depth_image
+            self.bus.publish(topics.depth, to_message(image.camera, stamp, depth))
+        colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
+        self.bus.publish(topics.image, colour(image.camera, stamp, image.rgb))
+
+    def _publish_arm(self, simulated_stamp: int, stamp: int) -> None:
+        arm = self._simulated.world.arm
+        if arm is None or not self._parameters.arm:
+            return
+        shift = stamp - simulated_stamp
+        sample, path = arm.sample(simulated_stamp), arm.ahead(simulated_stamp)
+        self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(replace(sample, stamp=stamp)))
+        moved = replace(path, stamps=path.stamps + shift)
+        self.bus.publish(TRAJECTORY, convert.joint_path_to_message(moved))
+
+
+def _metres(image: RawImage) -> Float32:
+    if image.depth_is_nan:
+        return np.zeros(image.depth_mm.shape, np.float32)
+    return image.depth_mm.astype(np.float32) / np.float32(1000)

@@ -1,0 +1,229 @@
+"""Plays a log to a live graph as `ros2 bag play` does: at its pace, with its clock, again and again where asked."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin_node.bag import LogMessage, LogReader, open_log
+from twin_node.errors import TwinError
+from twin_node.messages import convert
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.player import Span, span_of
+from twin_node.nodes.topics import CLOCK, GraphError, parse_remaps
+from twin_node.runtime.node import Node
+from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
+from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire_bus import WireBus
+
+LONGEST_WAIT_S = 0.1
+"""How long a player that waits may take to notice that it is to stop, s."""
+
+
+@dataclass(frozen=True)
+class PlayParameters:
+    """The flags of `ros2 bag play`, under their names."""
+
+    log: str = ""
+    rate: float = 1.0
+    """Speed against that of the recording."""
+    loop: bool = False
+    start_offset: float = 0.0
+    """Seconds from the log's start to begin at."""
+    playback_duration: float = 0.0
+    """Seconds to play; 0: to the end."""
+    delay: float = 0.0
+    """Seconds to wait before the first message."""
+    clock: float = 0.0
+    """Rate of `/clock`, Hz; 0: none is published."""
+    topics: tuple[str, ...] = ()
+    """Topics to play; none given: all."""
+    remap: tuple[str, ...] = ()
+    """`FROM:=TO` pairs."""
+    start_paused: bool = False
+    read_ahead_queue_size: int = 1000
+    """Messages read before they are due."""
+
+    def __post_init__(self) -> None:
+        if not self.rate > 0 or self.read_ahead_queue_size < 1:
+            raise GraphError(
+                f"play: expected a rate above 0 and a queue of 1 or more, found {self.rate:g} and "
+                f"{self.read_ahead_queue_size}"
+            )
+
+
+def make_player(setup: Setup) -> Node:
+    """A player of the log that its parameters name."""
+    return PlayNode(setup, setup.parameters(PlayParameters))
+
+
+class PlayNode(Node):
+    """Two threads: one reads ahead, one publishes each message when it is due, undecoded.
+
+    Raises `BagError` for a log that cannot be read, `GraphError` for topics that it does not hold.
+    """
+
+    def __init__(self, setup: Setup, parameters: PlayParameters) -> None:
+        super().__init__(setup.name, setup.bus, setup.clock)
+        if not parameters.log:
+            raise GraphError(f"{setup.where}: {setup.name}: expected 'log', the file or folder to play; give log:=LOG")
+        self._parameters = parameters
+        self._finish = setup.finish
+        self._log: LogReader = open_log(Path(parameters.log))
+        self._names = _names(self._log, parameters)
+        self._span: Span = span_of(self._log, parameters.start_offset, parameters.playback_duration or None)
+        self._bus: WireBus = setup.bus
+        self._time = _LogTime(parameters.rate, parameters.start_paused)
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.published = 0
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands."""
+        return self._time.is_paused
+
+    def pause(self, paused: bool) -> None:
+        """Let time stand, or go on."""
+        self._time.pause(paused)
+
+    def on_configure(self) -> None:
+        latched = {topic.name for topic in self._log.topics if topic.latched}
+        types = {topic.name: topic.msgtype for topic in self._log.topics}
+        for source, name in self._names.items():
+            self._bus.declare(name, TopicKind(types[source], LATCHED if source in latched else RELIABLE))
+
+    def on_activate(self) -> None:
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+        self._thread.start()
+
+    def on_deactivate(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def on_cleanup(self) -> None:
+        self._log.close()
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """How far it is."""
+        readings = (convert.Reading("messages", str(self.published)),)
+        text = "paused" if self.is_paused else "playing"
+        level = convert.Level.OK
+        if self._log.damage:
+            text, level = self._log.damage, convert.Level.WARN
+        return (convert.Diagnosis(f"{self.name}: {self._parameters.log}", level, text, readings),)
+
+    def _run(self) -> None:
+        self._stop.wait(self._parameters.delay)
+        while not self._stop.is_set():
+            self._play_once()
+            if not self._parameters.loop:
+                break
+        self._finish()
+
+    def _play_once(self) -> None:
+        self._time.start(self._span.start_ns)
+        next_clock = self._span.start_ns
+        period = int(1e9 / self._parameters.clock) if self._parameters.clock > 0 else 0
+        for message in _read_ahead(self._messages(), self._parameters.read_ahead_queue_size, self._stop):
+            while period and next_clock <= message.stamp:
+                if not self._wait_until(next_clock):
+                    return
+                self._bus.publish(CLOCK, convert.clock_to_message(next_clock))
+                next_clock += period
+            if not self._wait_until(message.stamp):
+                return
+            name = self._names[message.topic]
+            self._bus.publish(name, Encoded(message.msgtype, message.data, message.types))
+            self.published += 1
+
+    def _messages(self) -> Iterator[LogMessage]:
+        yield from self._log.messages(list(self._names), self._span.start_ns, self._span.stop_ns)
+
+    def _wait_until(self, stamp: int) -> bool:
+        """Waits for log time `stamp`, ns; False where the player is to stop."""
+        while not self._stop.is_set():
+            left = self._time.seconds_until(stamp)
+            if left <= 0:
+                return True
+            self._stop.wait(min(left, LONGEST_WAIT_S))
+        return False
+
+
+class _LogTime:
+    """Log time that runs at a rate, and stands while paused."""
+
+    def __init__(self, rate: float, is_paused: bool) -> None:
+        self._rate = rate
+        self._log_ns = 0
+        self._at_ns = time.monotonic_ns()
+        self.is_paused = is_paused
+
+    def start(self, stamp: int) -> None:
+        self._log_ns, self._at_ns = stamp, time.monotonic_ns()
+
+    def pause(self, paused: bool) -> None:
+        self._log_ns, self._at_ns = self._now(), time.monotonic_ns()
+        self.is_paused = paused
+
+    def seconds_until(self, stamp: int) -> float:
+        """Wall seconds until a log time, ns; while time stands, longer than anybody waits at once."""
+        if self.is_paused:
+            return LONGEST_WAIT_S
+        return (stamp - self._now()) / (1e9 * self._rate)
+
+    def _now(self) -> int:
+        since = 0 if self.is_paused else time.monotonic_ns() - self._at_ns
+        return self._log_ns + int(since * self._rate)
+
+
+def _names(log: LogReader, parameters: PlayParameters) -> dict[str, str]:
+    """The log's topics to play -> the names they are published under."""
+    held = {topic.name for topic in log.topics}
+    remaps = parse_remaps(list(parameters.remap))
+    for topic in (*parameters.topics, *remaps):
+        if topic not in held:
+            raise GraphError(f"{log.path}: has no topic {topic}; it holds {', '.join(sorted(held))}")
+    wanted = parameters.topics or tuple(sorted(held - {CLOCK} if parameters.clock else held))
+    return {topic: remaps.get(topic, topic) for topic in wanted}
+
+
+def _read_ahead(messages: Iterator[LogMessage], size: int, stop: threading.Event) -> Iterator[LogMessage]:
+    """The messages, read by a thread of its own up to `size` ahead; it ends with `stop`."""
+    waiting: queue.Queue[LogMessage | BaseException | None] = queue.Queue(size)
+
+    def put(item: LogMessage | BaseException | None) -> bool:
+        while not stop.is_set():
+            try:
+                waiting.put(item, timeout=LONGEST_WAIT_S)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+    def read() -> None:
+        try:
+            for message in messages:
+                if not put(message):
+                    return
+            put(None)
+        except (TwinError, OSError) as error:  # raised again in the thread that plays
+            put(error)
+
+    threading.Thread(target=read, name="read ahead", daemon=True).start()
+    while not stop.is_set():
+        try:
+            item = waiting.get(timeout=LONGEST_WAIT_S)
+        except queue.Empty:
+            continue
+        if isinstance(item, BaseException):
+            raise item
+        if item is None:
+            return
+        yield item

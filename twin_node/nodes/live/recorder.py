@@ -1,0 +1,113 @@
+"""Records a live graph as `ros2 bag record` does: topics as they come, undecoded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from twin_node.bag import BagError, RecordingWriter, SplitParameters
+from twin_node.messages import convert
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import RECORDED, GraphError, kind_of
+from twin_node.runtime.node import Node
+from twin_node.runtime.qos import EVERY, LATCHED, Qos, TopicKind
+from twin_node.runtime.wire import Encoded
+
+FLUSH_TIMER_S = 0.25
+"""How often a recorder without messages looks whether a chunk is due, s: half of its time."""
+
+
+@dataclass(frozen=True)
+class RecordParameters:
+    """What is recorded, and where to."""
+
+    output: str = ""
+    """New `.mcap` file, or new folder."""
+    topics: tuple[str, ...] = RECORDED
+    split: SplitParameters = field(default_factory=SplitParameters)
+
+
+def make_recorder(setup: Setup) -> Node:
+    """A recorder of the topics that its parameters name."""
+    parameters = setup.parameters(RecordParameters)
+    if not parameters.output:
+        raise GraphError(f"{setup.where}: {setup.name}: expected 'output', the file or folder to write")
+    return LiveRecorderNode(setup, parameters)
+
+
+class LiveRecorderNode(Node):
+    """Writes every message when it comes; a disk that refuses ends the recording, and the diagnostics say so."""
+
+    def __init__(self, setup: Setup, parameters: RecordParameters) -> None:
+        """Raises `BagError` where the output cannot be begun."""
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self._bus = setup.bus
+        self._timers = setup.timers
+        self._topics: Sequence[str] = parameters.topics
+        self._writer: RecordingWriter | None = RecordingWriter(_unused(Path(parameters.output)), parameters.split)
+        self._error: BagError | None = None
+
+    @property
+    def error(self) -> BagError | None:
+        """Why the recording has ended before its time; None while it goes on."""
+        return self._error
+
+    def on_configure(self) -> None:
+        for topic in self._topics:
+            self.add(topic, kind_of(topic))
+        self._timers.every(FLUSH_TIMER_S, self._flush)
+
+    def on_cleanup(self) -> None:
+        self._end()
+
+    def add(self, topic: str, kind: TopicKind) -> None:
+        """Record a topic from now on."""
+        qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos == LATCHED or kind.qos.latched else EVERY
+        self._bus.declare(topic, TopicKind(kind.msgtype, qos))
+        self._bus.subscribe_raw(topic, partial(self._write, topic))
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """How much was written, or why no more is."""
+        if self._error is not None:
+            return (convert.Diagnosis(f"{self.name}: log", convert.Level.ERROR, str(self._error)),)
+        count = 0 if self._writer is None else self._writer.messages
+        readings = (convert.Reading("messages", str(count)),)
+        return (convert.Diagnosis(f"{self.name}: log", convert.Level.OK, "recording", readings),)
+
+    def _write(self, topic: str, message: Encoded) -> None:
+        if self._writer is None:
+            return
+        try:
+            self._writer.write(topic, message.msgtype, message.data, self.clock.now(), message.types)
+        except BagError as error:
+            self._error = error
+            self._end()
+
+    def _flush(self) -> None:
+        if self._writer is None:
+            return
+        try:
+            self._writer.flush_if_due()
+        except BagError as error:
+            self._error = error
+            self._end()
+
+    def _end(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        try:
+            writer.close()
+        except BagError as error:  # its beginning stands; why it ended is told
+            self._error = self._error or error
+
+
+def _unused(path: Path) -> Path:
+    """The path, or, where a recorder that was started again finds its own, the next free one: NAME_r1, NAME_r2, ..."""
+    number, free = 0, path
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.stem}_r{number}{path.suffix}")
+    return free

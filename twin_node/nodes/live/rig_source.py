@@ -1,0 +1,66 @@
+"""Where the nodes of a live graph learn their rig from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError
+from twin_node.scene import Rig
+
+
+@dataclass(frozen=True)
+class RigParameters:
+    """The calibrated rig: exactly one of `file`, `log` and `scenario`."""
+
+    file: str = ""
+    """Rig file; its cameras publish on `/<camera>/<image>`."""
+    log: str = ""
+    """Log that carries its calibration, or, with `file`, images of that rig."""
+    scenario: str = ""
+    """Scenario of the simulated cell."""
+    image: str = "image_raw/compressed"
+    """Topic of a camera's images below its name; compressed where it ends so."""
+    depth: str = ""
+    """Topic of its depth images below its name; empty: none."""
+
+
+@dataclass(frozen=True)
+class RigSource:
+    """A rig and the topics of its cameras."""
+
+    rig: Rig
+    cameras: tuple[CameraTopics, ...]
+
+
+def read_rig(parameters: RigParameters) -> RigSource:
+    """The rig and its topics. Raises `GraphError`, `RigError`, `BagError` or `CellError` for what is wrong with it."""
+    if parameters.log:
+        from twin_node.nodes.log_source import LogSession
+
+        with LogSession(Path(parameters.log), Path(parameters.file) if parameters.file else None) as session:
+            return RigSource(session.rig, session.cameras)
+    if bool(parameters.file) == bool(parameters.scenario):
+        raise GraphError("rig: expected one of file, log and scenario; say which cameras the twin looks through")
+    if parameters.scenario:
+        from twin_node.cell import load_scenario
+        from twin_node.cell.rig import make_rig
+
+        rig = make_rig(load_scenario(parameters.scenario))
+    else:
+        from twin_node.rig import load_rig
+
+        rig = load_rig(parameters.file).rig
+    return RigSource(rig, tuple(topics_of(camera.name, parameters) for camera in rig.cameras))
+
+
+def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
+    """The topics of a camera that publishes live."""
+    return CameraTopics(
+        name=camera,
+        image=f"/{camera}/{parameters.image}",
+        image_type=COMPRESSED if parameters.image.endswith("/compressed") else RAW,
+        info=f"/{camera}/camera_info",
+        depth=f"/{camera}/{parameters.depth}" if parameters.depth else None,
+        depth_type=(COMPRESSED if parameters.depth.endswith("compressedDepth") else RAW) if parameters.depth else None,
+    )

@@ -1,0 +1,52 @@
+"""What a live node is given to be made of."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.live.rig_source import RigParameters
+from twin_node.nodes.live.sections import Sections
+from twin_node.runtime.clock import Clock
+from twin_node.runtime.executor import Timers
+from twin_node.runtime.parameters import EVERY_NODE, fill
+from twin_node.runtime.wire_bus import WireBus
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A node's surroundings."""
+
+    name: str
+    bus: WireBus
+    clock: Clock
+    timers: Timers
+    sections: Sections
+    where: str
+    """What errors about parameters name: the launch file, or the command."""
+    finish: Callable[[], None]
+    """The node calls this when it has nothing more to do."""
+
+    def parameters(self, kind: type[T], section: str | None = None) -> T:
+        """The dataclass `kind` filled from the node's section and, for keys that it has, from `/**`.
+
+        Raises `ParameterError` for an unknown key of the node's own section, with the nearest known one.
+        """
+        known = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        name = self.name if section is None else section
+        shared = {key: value for key, value in self.sections.get(EVERY_NODE, {}).items() if key in known}
+        return fill(kind, {**shared, **self.sections.get(name, {})}, f"{self.where}: {name}")
+
+    def rig(self) -> RigParameters:
+        """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same."""
+        return fill(RigParameters, self.sections.get(EVERY_NODE, {}).get("rig", {}), f"{self.where}: {EVERY_NODE}: rig")
+
+    def chain_parameters(self) -> ChainParameters:
+        """The parameters of the chain's nodes."""
+        known = [f.name for f in dataclasses.fields(ChainParameters)]
+        return fill(ChainParameters, {name: self.sections[name] for name in known if name in self.sections}, self.where)
