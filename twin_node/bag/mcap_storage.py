@@ -31,6 +31,10 @@ FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
 """A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
 
 CRC_BYTES = 4
+RECORD_HEAD_BYTES = 1 + 8
+"""Before a record's content: opcode, length."""
+STRING_HEAD_BYTES = 4
+"""Before a string: its length."""
 
 LOOSE_PART_BYTES = 1 << 20
 """Messages outside of chunks are read in parts of this size: the default chunk size of mcap writers."""
@@ -177,7 +181,7 @@ class McapStorage:
                 end = self._file.tell()
                 if end > size:
                     raise EOFError
-                if start == len(MAGIC) and not isinstance(record, Header):
+                if start == len(MAGIC) and not _is_header(record, end - start):
                     raise ValueError("it does not begin with a header")
                 self._take(index, record, start, end)
                 start = end
@@ -209,6 +213,18 @@ class McapStorage:
             index.channels[record.id] = record
         elif isinstance(record, Metadata):
             index.metadata[record.name] = record.metadata
+
+
+def _is_header(record: object, size: int) -> bool:
+    """Whether a file's first record is a header that ends where its two strings end.
+
+    A wrong length would lead into the middle of a chunk, where no checksum tells what is wrong.
+    """
+    if not isinstance(record, Header):
+        return False
+    return size == RECORD_HEAD_BYTES + sum(
+        STRING_HEAD_BYTES + len(s.encode()) for s in (record.profile, record.library)
+    )
 
 
 def _append_loose(index: _Index, message: Part) -> None:
