@@ -1,0 +1,121 @@
+"""The closed-loop benchmark: its names, the order of its policies, its judging of contacts, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from twin_node import resources
+from twin_node.bench import cell
+from twin_node.bench.cell_case import PERFECT, CellCase
+from twin_node.bench.cell_picture import draw
+from twin_node.bench.cell_scores import score
+from twin_node.bench.errors import BenchError
+from twin_node.cell.closed_loop import STEP_NS, LoopParameters, LoopRecord
+from twin_node.cell.motion import Path
+from twin_node.cell.scenario import load_scenario
+from twin_node.cli import main
+from twin_node.robot import forward_kinematics
+
+SHORT = """extends: cell
+name: short
+duration_s: 1.6
+arm: {model: ur5e, workspace: [[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]], cycle: {speed: 2.0, acceleration: 4.0}}
+people:
+  - name: operator
+    shoulder: {positions: [[1.35, 0.35, 0.53]], rpy_deg: [[0, 10, 180]]}
+    hand: {positions: [[1.02, 0.35, 0.25]]}
+"""
+
+
+def written(folder: FilePath) -> FilePath:
+    (folder / "cell.yaml").write_text(resources.find("sim/cell.yaml").read_text())
+    (folder / "short.yaml").write_text(SHORT)
+    return folder / "short.yaml"
+
+
+@pytest.fixture
+def short(tmp_path: FilePath) -> FilePath:
+    return written(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> list[cell.CaseResult]:
+    return cell.run(cell.CellBenchParameters((str(written(tmp_path_factory.mktemp("cell"))),), seeds=1, processes=1))
+
+
+def test_report_has_the_promised_names(results: list[cell.CaseResult]) -> None:
+    figures = json.loads(json.dumps(cell.summary(results)))
+    for name in ("ours", "worst_case", "present_only", "perfect", "unlimited"):
+        assert {"contacts", "work", "min_distance_m"} <= set(figures[name])
+        assert 0 < figures[name]["work"] <= 1
+    assert figures["ours"] == figures["perfect"]
+    assert figures["perfect"]["contacts"] == 0
+    assert figures["worst_case"]["work"] < figures["perfect"]["work"] <= figures["unlimited"]["work"] + 1e-9
+    assert set(figures["scenarios"]) == {"short"}
+    assert figures["runs"] == 1
+    assert figures["gap_closed"] > 0.5
+    assert "short" in cell.table(figures)
+
+
+def test_a_picture_is_drawn_or_the_reason_given(
+    results: list[cell.CaseResult], short: FilePath, tmp_path: FilePath
+) -> None:
+    parameters = cell.CellBenchParameters((str(short),), seeds=1, processes=1)
+    assert draw(results, parameters, tmp_path / "out").stat().st_size > 10_000
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BenchError, match="choose another folder"):
+        draw(results, parameters, tmp_path / "file")
+
+
+def held(case: CellCase, phase_ns: float, share: float) -> LoopRecord:
+    """An arm that creeps on at one place of its cycle for the scenario's time."""
+    steps = int(case.scenario.duration_s * 1e9) // STEP_NS
+    rows = np.arange(steps)
+    phases = phase_ns + share * STEP_NS * rows
+    stamps = case.scenario.start_ns + STEP_NS * rows
+    return LoopRecord(stamps, phases, np.full(steps, share), np.full(steps, share), ())
+
+
+def test_contacts_count_where_the_arm_moves(short: FilePath) -> None:
+    scenario = load_scenario(short)
+    case = CellCase(scenario, 33.0, LoopParameters())
+    phase_ns = 0.3 * case.arm.cycle.period_ns
+    q = case.joints(held(case, phase_ns, 0.3))
+    place = forward_kinematics(case.arm.model, q[len(q) // 2])[-1, :3, 3]
+    person = scenario.people[0]
+    stand = replace(person.shoulder, positions=(tuple(place + np.array([0.45, 0.1, 0.2])),))
+    grasp = replace(person.hand, times_s=(0.4, 0.8), positions=(tuple(place + np.array([0.3, 0.2, 0.3])), tuple(place)))
+    person = replace(person, shoulder=stand, hand=grasp)
+    touched = CellCase(replace(scenario, people=(person,)), 33.0, LoopParameters())
+    moving = score(touched, held(touched, phase_ns, 0.3))
+    standing = score(touched, held(touched, phase_ns, 0.0))
+    assert moving.contacts == 1
+    assert moving.min_distance_m <= 0
+    assert (standing.contacts, standing.standing_contacts) == (0, 1)
+    unseen = score(touched, held(touched, phase_ns, 0.3), first_seen_s=1.5)
+    assert unseen.contacts == 0
+
+
+def test_slow_downs_are_timed_from_the_entry(short: FilePath) -> None:
+    scenario = load_scenario(short)
+    reach = Path((0.7, 1.1), ((0.9, 0.4, 0.28), (0.5, 0.24, 0.2)))
+    person = replace(scenario.people[0], shoulder=Path((0.0,), ((1.05, 0.35, 0.53),), ((0, 18, 180),)), hand=reach)
+    case = CellCase(replace(scenario, people=(person,)), 33.0, LoopParameters())
+    outcome = score(case, case.run(PERFECT), with_delays=True)
+    assert outcome.unanswered == 0
+    assert len(outcome.delays_s) >= 1
+    assert all(0 <= delay <= 0.053 for delay in outcome.delays_s)
+
+
+def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BenchError, match="scenario short: expected an arm at work"):
+        CellCase(replace(load_scenario(short), arm=None), 33.0, LoopParameters())
+    assert main(["bench", "cell", "nowhere"]) == 2
+    assert "nowhere" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["bench", "cell", str(short), "--seeds", "0"])

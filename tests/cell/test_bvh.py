@@ -1,0 +1,156 @@
+"""Motion capture files: positions against arithmetic, made-up motions as shipped, and files that are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node import resources
+from twin_node.cell import CellError, load_scenario
+from twin_node.cell.bvh import read_bvh
+from twin_node.cell.bvh_body import RecordedBody
+from twin_node.cell.made_motions import MADE, write_bvh
+from twin_node.cell.people import HAND_RADIUS, LEG_RADIUS
+from twin_node.cell.scenario import BvhMotion, Person
+from twin_node.cell.shapes import Form
+from twin_node.cell.world import World
+
+ONE_ARM = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 9 9 9
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT RightArm
+  {
+    OFFSET 0 10 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 5 0 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.05
+0 80 0 0 0 0 0 0 0
+1 80 0 90 0 0 0 0 90
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "motion.bvh"
+    path.write_text(text)
+    return path
+
+
+def test_positions_follow_the_channels_in_their_order(tmp_path: Path) -> None:
+    clip = read_bvh(written(tmp_path, ONE_ARM))
+    assert [joint.name for joint in clip.joints] == ["Hips", "RightArm", "RightArmEnd"]
+    assert [joint.parent for joint in clip.joints] == [-1, 0, 1]
+    assert clip.duration_s == pytest.approx(0.05)
+    np.testing.assert_allclose(clip.positions[0], [[0, 80, 0], [0, 90, 0], [5, 90, 0]], atol=1e-12)
+    # A quarter turn about z lays the spine along -x; the arm, along x, first turns about its own y to -z.
+    np.testing.assert_allclose(clip.positions[1], [[1, 80, 0], [-9, 80, 0], [-9, 80, -5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_made_up_motions_are_those_shipped(name: str) -> None:
+    assert resources.find(f"sim/{name}.bvh").read_text() == write_bvh(MADE[name]())
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_made_up_motions_are_of_a_standing_person(name: str, tmp_path: Path) -> None:
+    clip = read_bvh(written(tmp_path, write_bvh(MADE[name]())))
+    heights = {joint.name: clip.positions[:, row, 1] for row, joint in enumerate(clip.joints)}
+    assert 1.5 < np.median(heights["HeadEnd"]) < 1.8
+    assert -0.1 < min(heights["LeftFootEnd"].min(), heights["RightFootEnd"].min()) < 0.05
+    lengths = np.linalg.norm(np.diff(clip.positions[:, [0, 1]], axis=1), axis=-1)
+    assert np.ptp(lengths) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("HIERARCHY", "SKELETON", r"line 1: expected HIERARCHY, found 'SKELETON'"),
+        ("CHANNELS 3", "CHANNELS 2", r"line \d+: expected JOINT or End or }, found 'Yrotation'"),
+        ("OFFSET 5 0 0", "OFFSET 5 nan 0", r"line 12: expected a finite number, found 'nan'"),
+        ("Frames: 2", "Frames: 3", r"expected 3 frames of 9 numbers .* found 18 numbers"),
+        ("Frames: 2", "Frames: 2.5", r"expected a whole number"),
+        ("Frame Time: 0.05", "Frame Time: 0", r"expected frames and a frame time above 0"),
+        ("90 0 0 0 0 90", "90 0 0 x 0 90", r"expected only numbers"),
+        (ONE_ARM[ONE_ARM.index("JOINT") :], "", r"expected .*, found the end of the file"),
+    ],
+)
+def test_what_is_no_bvh_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in ONE_ARM
+    with pytest.raises(CellError, match=message) as refused:
+        read_bvh(written(tmp_path, ONE_ARM.replace(old, new, 1)))
+    assert "motion.bvh" in str(refused.value)
+    with pytest.raises(CellError, match=r"nowhere\.bvh: expected a readable BVH file"):
+        read_bvh(tmp_path / "nowhere.bvh")
+
+
+@given(cut=st.integers(0, len(ONE_ARM)), junk=st.text(max_size=12))
+def test_damaged_files_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, cut: int, junk: str) -> None:
+    path = tmp_path_factory.getbasetemp() / "damaged.bvh"
+    path.write_text(ONE_ARM[:cut] + junk + ONE_ARM[cut:], encoding="utf-8", errors="replace")
+    try:
+        clip = read_bvh(path)
+    except CellError as error:
+        assert "damaged.bvh" in str(error)
+    else:
+        assert np.isfinite(clip.positions).all()
+
+
+def test_a_recorded_body_stands_where_it_is_put(recordings: Path) -> None:
+    motion = BvhMotion(
+        str(recordings / "mocap" / "01_01.bvh"), position=(1.0, 2.0, -0.8), yaw_deg=90, from_s=1.0, start_s=0.5
+    )
+    body = RecordedBody(Person(height_m=1.75), motion)
+    before, start = body.ends(-3.0), body.ends(0.5)
+    np.testing.assert_array_equal(before, start)
+    np.testing.assert_allclose(start[0, 0, :2], [1.0, 2.0], atol=1e-9)  # the hips carry the first bone
+    everywhere = np.stack([body.ends(t) for t in np.arange(0, 22, 0.25)])
+    assert everywhere[..., 2].min() > -0.81
+    tall = np.percentile(np.ptp(everywhere[..., 2], axis=(1, 2)), 50)
+    assert 1.4 < tall < 2.1
+    np.testing.assert_allclose(body.ends(2.0), (body.ends(1.999) + body.ends(2.001)) / 2, atol=2e-3)
+
+
+def test_people_in_scenarios_follow_files_beside_them(tmp_path: Path) -> None:
+    world = World(load_scenario("reach_in"))
+    solids = [solid for solid in world.moving(world.scenario.start_ns) if solid.owner in world.people_owners]
+    radii = {solid.placed.shape.size[0] for solid in solids}
+    assert {HAND_RADIUS, LEG_RADIUS} < radii
+    assert all(solid.placed.shape.form is Form.CAPSULE for solid in solids)
+    text = resources.find("sim/reach_in.yaml").read_text().replace("extends: cell", "cameras: [{name: one}]")
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(CellError, match=r"mine\.yaml: motion: no file 'reach\.bvh' beside the scenario"):
+        load_scenario(tmp_path / "mine.yaml")
+    (tmp_path / "reach.bvh").write_text(ONE_ARM)
+    assert load_scenario(tmp_path / "mine.yaml").people[0].motion is not None
+
+
+def test_seeds_vary_the_pace() -> None:
+    scenario = replace(
+        load_scenario("reach_in"), variation=replace(load_scenario("reach_in").variation, time_s=0.0, position_m=0.0)
+    )
+    stamp = scenario.start_ns + 1_400_000_000
+    worlds = [World(scenario.with_seed(seed)).moving(stamp) for seed in (1, 2)]
+    apart = [
+        np.linalg.norm(a.placed.T_base_shape[:3, 3] - b.placed.T_base_shape[:3, 3])
+        for a, b in zip(*worlds, strict=True)
+    ]
+    assert max(apart) > 0.005
+
+
+@pytest.mark.parametrize("change", [{"file": ""}, {"pace": 0.0}, {"from_s": 2.0, "to_s": 1.0}])
+def test_motions_that_make_no_sense_are_refused(change: dict[str, object]) -> None:
+    with pytest.raises(CellError, match="motion"):
+        BvhMotion(**{"file": "walk.bvh", **change})
