@@ -13,6 +13,7 @@ from twin_node.cli.calibrate import add_calibrate
 from twin_node.cli.export import add_export
 from twin_node.cli.imports import add_import
 from twin_node.cli.launch import add_launch
+from twin_node.cli.render import add_render
 from twin_node.cli.replay import add_demo, add_replay
 from twin_node.cli.train import add_train
 from twin_node.cli.ur_driver import add_ur_driver
@@ -47,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     add_bench(commands)
     add_calibrate(commands)
     add_export(commands)
+    add_render(commands)
     add_view(commands)
     add_ur_driver(commands)
     add_ur_sim(commands)

@@ -1,0 +1,62 @@
+"""`twin_node render`: a log as a film or a picture."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import not_negative, positive, width
+from twin_node.errors import TwinError
+
+
+def add_render(commands: Any) -> None:
+    """Adds `render` to the subcommands."""
+    render = commands.add_parser("render", help="make a film or a picture of a log")
+    render.add_argument(
+        "log", type=Path, nargs="+", metavar="LOG", help="the twin's log; also the one it was made from"
+    )
+    render.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="a film .mp4, or a picture .png"
+    )
+    render.add_argument(
+        "--view",
+        metavar="VIEW",
+        help="beside (image, twin, error, forecast), cameras, or orbit; default what the log allows",
+    )
+    render.add_argument("--camera", metavar="NAME", help="only this camera")
+    render.add_argument("--at", type=not_negative, default=0.0, metavar="S", help="time of a picture (default 0)")
+    render.add_argument("--start", type=not_negative, default=0.0, metavar="S", help="film: from here (default 0)")
+    render.add_argument("--stop", type=not_negative, metavar="S", help="film: up to here (default the log's end)")
+    render.add_argument("--rate", type=positive, default=30.0, metavar="HZ", help="pictures per second (default 30)")
+    render.add_argument("--width", type=width, default=480, metavar="PX", help="of one camera's picture (default 480)")
+    render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    render.set_defaults(run=_render)
+
+
+def _render(options: argparse.Namespace) -> None:
+    from twin_node.nodes.export import ExportSpan
+    from twin_node.nodes.film import Film, write_film, write_picture
+    from twin_node.nodes.playback import Playback
+
+    if options.output.suffix not in (".mp4", ".png"):
+        raise TwinError(f"-o {options.output}: expected a name that ends in .mp4 or .png")
+    is_film = options.output.suffix == ".mp4"
+    with Playback(options.log, options.width, options.rig) as playback:
+        view = options.view or ("beside" if playback.cameras else "orbit")
+        film = Film(playback, view, options.width, options.camera)
+        span = ExportSpan(options.start, options.stop, options.rate) if is_film else ExportSpan.one(options.at)
+        stamps = span.stamps(playback.start_ns, playback.end_ns)
+        if not is_film:
+            write_picture(film.picture(playback.at(stamps[0])), options.output)
+        else:
+
+            def pictures() -> Iterator[Any]:
+                for stamp in tqdm(stamps, unit="picture", desc="render", disable=None):
+                    yield film.picture(playback.at(stamp))
+
+            write_film(pictures(), options.rate, options.output)
+    print(f"{options.output}: {len(stamps)} pictures, {view}")

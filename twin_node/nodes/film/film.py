@@ -1,0 +1,111 @@
+"""The pictures of a film, one per time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import cv2
+import numpy as np
+
+from twin_node.forecast.score import projected
+from twin_node.nodes.export.moments import in_force
+from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
+from twin_node.nodes.film.writer import FilmError
+from twin_node.nodes.playback import Playback, Snapshot
+from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
+from twin_node.nodes.report.quality import render_cloud, unit
+from twin_node.scene import Camera, Float32, ObstacleKind, UInt8, View
+
+ERROR_GAIN = 3.0
+"""Differences are shown so many times as large: an error of a third is white."""
+CAPTION_PX = 22
+MOVING_COLOUR = (217, 48, 37)
+
+
+class Film:
+    """Draws snapshots of a playback in one of the `VIEWS`."""
+
+    def __init__(self, playback: Playback, view: str, width: int, camera: str | None = None) -> None:
+        """`width`: of one camera's picture, px; `camera`: only this one. Raises `FilmError` for what is not there."""
+        if view not in VIEWS:
+            raise FilmError(f"--view {view}: expected one of {', '.join(VIEWS)}")
+        names = [c.name for c in playback.cameras]
+        if view != "orbit" and not names:
+            raise FilmError(
+                f"--view {view}: expected images, found none in {playback.name}; give the log that the twin's was made "
+                "from too, or --view orbit"
+            )
+        if camera is not None and camera not in names:
+            raise FilmError(f"--camera {camera}: expected one of {', '.join(names) or 'none'}")
+        self._cameras = [c for c in playback.cameras if camera in (None, c.name)]
+        self._width = width
+        self._start = playback.start_ns
+        self._draw: Callable[[Snapshot], UInt8] = partial(VIEWS[view], self)
+
+    def picture(self, snapshot: Snapshot) -> UInt8:
+        """[H, W, 3] RGB, of the same size at every time."""
+        drawn = self._draw(snapshot)
+        return np.vstack([self._caption(snapshot, drawn.shape[1]), drawn])
+
+    def beside(self, snapshot: Snapshot) -> UInt8:
+        """Per camera a row: the image, the twin's rendering, where they differ, and what was foreseen for 200 ms."""
+        views = {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
+        return np.vstack([self._row(camera, views.get(camera.name), snapshot) for camera in self._cameras])
+
+    def cameras(self, snapshot: Snapshot) -> UInt8:
+        """The twin as the cameras see it, side by side."""
+        return np.hstack([_pixels(self._rendering(camera, snapshot)) for camera in self._cameras])
+
+    def orbit(self, snapshot: Snapshot) -> UInt8:
+        """The twin from a camera that goes around it, with boxes about what moves."""
+        height = self._width * 9 // 16
+        camera = orbit_camera(snapshot, self._width, height, (snapshot.stamp - self._start) / 1e9)
+        picture = _pixels(self._rendering(camera, snapshot))
+        obstacles = in_force(snapshot.obstacles, snapshot.stamp)
+        return draw_boxes(picture, camera, obstacles, obstacles.kinds == ObstacleKind.MOVING, MOVING_COLOUR)
+
+    def _row(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
+        ours = self._rendering(camera, snapshot)
+        if view is None:
+            blank = np.zeros((camera.height, camera.width, 3), np.uint8)
+            return np.hstack([blank, _pixels(ours), blank, blank])
+        error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
+        heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
+        return np.hstack([view.rgb, _pixels(ours), cv2.cvtColor(heat, cv2.COLOR_BGR2RGB), _foreseen(view, snapshot)])
+
+    def _rendering(self, camera: Camera, snapshot: Snapshot) -> Float32:
+        cloud = snapshot.cloud
+        if cloud is None or not len(cloud.means):
+            return np.zeros((camera.height, camera.width, 3), np.float32)
+        return render_cloud(cloud, camera)
+
+    def _caption(self, snapshot: Snapshot, width: int) -> UInt8:
+        words = f"{(snapshot.stamp - self._start) / 1e9:6.2f} s"
+        said = snapshot.separation
+        if said is not None:
+            distance = f"{said.distance:.2f} m" if np.isfinite(said.distance) else "nothing near"
+            words += f"   speed {said.speed_fraction:.0%}   {distance}   {said.reason}"
+        strip = np.full((CAPTION_PX, width, 3), 255, np.uint8)
+        cv2.putText(strip, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (32, 33, 36), 1, cv2.LINE_AA)
+        return strip
+
+
+VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
+    "beside": Film.beside,
+    "cameras": Film.cameras,
+    "orbit": Film.orbit,
+}
+
+
+def _pixels(image: Float32) -> UInt8:
+    return np.asarray(np.clip(image, 0, 1) * 255, np.uint8)
+
+
+def _foreseen(view: View, snapshot: Snapshot) -> UInt8:
+    """The image, space that moves now outlined in green, space foreseen for the last horizon in blue."""
+    occupancy = snapshot.occupancy
+    if occupancy is None:
+        return view.rgb
+    picture = fill(view.rgb, projected(view.camera, occupancy.grid, occupancy.layers[-1].indices), FORESEEN)
+    return outline(picture, projected(view.camera, occupancy.grid, occupancy.layers[0].indices), TRUE)

@@ -1,0 +1,64 @@
+"""Pictures into files: H.264 in MP4, or PNG; whole, or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twin_node.errors import TwinError
+from twin_node.scene import UInt8
+
+QUALITY = "20"
+"""Constant rate factor of x264: 18 is visually lossless, 23 its default."""
+PRESET = "veryfast"
+"""Of x264: at our sizes slower ones save a tenth of the bytes for three times the time."""
+
+
+class FilmError(TwinError):
+    """A film or picture cannot be made as asked."""
+
+
+def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
+    """Writes pictures [H, W, 3], all of one size, as a film; returns how many. Raises `FilmError` where it cannot."""
+    try:
+        import av
+    except ImportError:
+        raise FilmError("render: expected the package av; install it with pip install 'twin-node[render]'") from None
+    partial = path.with_name(f".{path.name}.partial")
+    count = 0
+    try:
+        with av.open(str(partial), "w", format="mp4") as container:
+            stream = container.add_stream("libx264", rate=Fraction(rate_hz).limit_denominator(1000))
+            stream.pix_fmt = "yuv420p"
+            stream.options = {"crf": QUALITY, "preset": PRESET}
+            for picture in pictures:
+                even = _even(picture)
+                if not count:
+                    stream.height, stream.width = even.shape[:2]
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
+                count += 1
+            container.mux(stream.encode())
+        partial.replace(path)
+    except OSError as error:
+        raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+    finally:
+        partial.unlink(missing_ok=True)
+    return count
+
+
+def write_picture(picture: UInt8, path: Path) -> None:
+    """Writes a picture as PNG. Raises `FilmError` where it cannot."""
+    try:
+        path.write_bytes(cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+    except OSError as error:
+        raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+
+
+def _even(picture: UInt8) -> UInt8:
+    """The picture without an odd last row or column: H.264 halves the colours' resolution."""
+    height, width = picture.shape[0] // 2 * 2, picture.shape[1] // 2 * 2
+    return np.ascontiguousarray(picture[:height, :width])
