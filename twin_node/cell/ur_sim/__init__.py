@@ -2,7 +2,9 @@
 
 from twin_node.cell.ur_sim.controller import Controller, ControllerParameters
 from twin_node.cell.ur_sim.faults import Faults, overview
+from twin_node.cell.ur_sim.process import StandInProcess, free_loopback
 from twin_node.cell.ur_sim.stand_in import ADMIN_PORT, StandIn, StandInParameters, TimedFault
+from twin_node.cell.ur_sim.status import Status
 from twin_node.cell.ur_sim.watchdogs import Watchdog, WatchdogAction
 
 __all__ = [
@@ -12,8 +14,11 @@ __all__ = [
     "Faults",
     "StandIn",
     "StandInParameters",
+    "StandInProcess",
+    "Status",
     "TimedFault",
     "Watchdog",
     "WatchdogAction",
+    "free_loopback",
     "overview",
 ]

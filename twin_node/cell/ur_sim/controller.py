@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -82,13 +83,13 @@ class Controller:
 
     def note(self, text: str) -> None:
         """Remember an event."""
-        self.events.append(Event(self.clock, text))
+        self.events.append(Event(self.clock, time.monotonic_ns(), text))
 
     def tick(self) -> None:
         """One period: inputs, watchdogs, program, motion, arm, outputs."""
         self._periods += 1
         if self.inputs.number("speed_slider_mask") != 0:
-            self.slider = float(np.clip(self.inputs.number("speed_slider_fraction"), 0.0, 1.0))
+            self._slide(float(np.clip(self.inputs.number("speed_slider_fraction"), 0.0, 1.0)))
         if self.runtime_state is RuntimeState.PLAYING:
             self._obey(self.watchdogs.expired(self.inputs, self.clock))
         if self.runtime_state is RuntimeState.PLAYING and self.program is not None:
@@ -183,6 +184,11 @@ class Controller:
 
     def _may_move(self) -> bool:
         return self.safety_mode is SafetyMode.NORMAL and self.robot_mode is RobotMode.RUNNING
+
+    def _slide(self, fraction: float) -> None:
+        if (fraction == 0) != (self.slider == 0):
+            self.note("speed slider at zero" if fraction == 0 else "speed slider above zero")
+        self.slider = fraction
 
     def _obey(self, watchdog: Watchdog | None) -> None:
         if watchdog is None:

@@ -35,6 +35,9 @@ class Faulty(Protocol):
 
     faults: Faults
 
+    def note(self, text: str) -> None:
+        """Remember that it happened."""
+
     def refresh(self) -> None:
         """Let bytes pass, or not, as the faults now say."""
 
@@ -111,6 +114,7 @@ def switch(target: Faulty, line: str) -> None:
     takes_argument = " " in _SWITCHES[name].usage
     if takes_argument != bool(argument.strip()):
         raise CellError(f"fault {line.strip()!r}: expected '{_SWITCHES[name].usage}'; correct the argument")
+    target.note(f"fault: {line.strip()}")
     _SWITCHES[name].act(target, argument.strip())
 
 

@@ -6,9 +6,8 @@ import asyncio
 import contextlib
 import errno
 import ipaddress
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 from twin_node.arm.ur.priority import ask_for_realtime
 from twin_node.cell.errors import CellError
@@ -18,6 +17,7 @@ from twin_node.cell.ur_sim.dashboard import DashboardConnection
 from twin_node.cell.ur_sim.faults import Faults, switch
 from twin_node.cell.ur_sim.own_program import OwnProgram
 from twin_node.cell.ur_sim.rtde_types import INPUTS
+from twin_node.cell.ur_sim.status import status_of, to_line
 
 DASHBOARD_PORT = 29999
 SCRIPT_PORTS = (30001, 30002, 30003)
@@ -101,6 +101,10 @@ class StandIn:
             ready()
             await self._tick_for_ever()
 
+    def note(self, text: str) -> None:
+        """Remember that something was done to it."""
+        self.controller.note(text)
+
     def refresh(self) -> None:
         """Let bytes pass, or not, as the faults now say."""
         for connection in self.connections:
@@ -138,27 +142,6 @@ class StandIn:
     def release_emergency_stop(self) -> None:
         """Pull the button."""
         self.controller.release_emergency_stop()
-
-    def status(self) -> str:
-        """What the admin port tells: one JSON object."""
-        controller = self.controller
-        return json.dumps(
-            {
-                "clock": controller.clock,
-                "runtime_state": controller.runtime_state.name,
-                "safety_mode": controller.safety_mode.name,
-                "robot_mode": controller.robot_mode.name,
-                "program": controller.program.name if controller.program is not None else None,
-                "speed_slider": controller.slider,
-                "speed_scaling": controller.outputs.speed_scaling,
-                "q": controller.arm.q.tolist(),
-                "qd": controller.arm.qd.tolist(),
-                "is_standing": controller.target.is_standing,
-                "connections": len(self.connections),
-                "faults": asdict(self.faults),
-                "events": [asdict(event) for event in controller.events],
-            }
-        )
 
     async def _tick_for_ever(self) -> None:
         ask_for_realtime(_PRIORITY)
@@ -233,7 +216,7 @@ class AdminConnection(asyncio.Protocol):
 
     def _answer(self, line: str) -> str:
         if line == "status":
-            return self._stand_in.status()
+            return to_line(status_of(self._stand_in.controller))
         try:
             switch(self._stand_in, line)
         except CellError as error:

@@ -48,4 +48,6 @@ class Event:
 
     clock: float
     """s of the controller's own clock."""
+    monotonic_ns: int
+    """The computer's CLOCK_MONOTONIC, ns."""
     text: str
