@@ -28,8 +28,9 @@ class PathFollower:
 
         Raises `ArmError` or `RobotError` for a path that the arm cannot follow from there.
         """
+        positions = _checked(model, path, q)
         self._model = model
-        self._path = JointPath(model.joint_names, path.stamps - path.stamps[0], _checked(model, path, q))
+        self._path = JointPath(model.joint_names, path.stamps - path.stamps[0], positions)
         self._time_ns = 0.0
         self._rate = 0.0
 

@@ -1,0 +1,334 @@
+"""The driver's loop, with a controller and a clock that the test holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fake_link import START, FakeLink, sample
+from test_ur_follower import quintic
+
+from twin_node.arm import LimiterParameters
+from twin_node.arm.errors import ArmError
+from twin_node.arm.ur import (
+    Acknowledge,
+    Decide,
+    DriverMode,
+    DriverReport,
+    DriverState,
+    Follow,
+    UrDriver,
+    UrParameters,
+)
+from twin_node.scene import Separation
+
+MS = 1_000_000
+STEP_MS = 4
+CLEAR = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
+
+
+class Bench:
+    """Driver, controller and clock; decisions come every 32 ms while `is_fed`."""
+
+    def __init__(self, halt: str | None = None, **changes: object) -> None:
+        self.link = FakeLink()
+        parameters = UrParameters(**{"limiter": LimiterParameters(deadline_s=0.07, rise_per_s=100.0), **changes})
+        self.now = 1000 * MS
+        self.driver = UrDriver(parameters, self.link, self.now, halt)
+        self.is_fed = True
+        self.is_alive = True
+        self.fraction = 1.0
+        self.report: DriverReport
+
+    def run(self, milliseconds: int) -> DriverReport:
+        """Let time pass; gives back the last report."""
+        for _ in range(0, milliseconds, STEP_MS):
+            self.now += STEP_MS * MS
+            if self.is_alive and self.now // MS % 8 == 0:
+                self.link.tell(clock_s=self.now * 1e-9)
+            if self.is_fed and self.now // MS % 32 == 0:
+                evidence = self.now - 30 * MS
+                self.driver.order(
+                    Decide(replace(CLEAR, evidence_stamp=evidence, speed_fraction=self.fraction)), self.now
+                )
+            self.report = self.driver.step(self.now)
+        return self.report
+
+    def acknowledge(self) -> None:
+        self.driver.order(Acknowledge(), self.now)
+
+    def ms_until(self, state: DriverState, limit: int = 1000) -> int:
+        """Milliseconds until a report has a state."""
+        for passed in range(STEP_MS, limit, STEP_MS):
+            if self.run(STEP_MS).state is state:
+                return passed
+        raise AssertionError(f"not {state} within {limit} ms, but {self.report}")
+
+
+def test_the_arm_stands_until_the_first_forecast_and_then_goes() -> None:
+    bench = Bench()
+    bench.is_fed = False
+    report = bench.run(500)
+    assert (report.state, report.speed_fraction) == (DriverState.READY, 0.0)
+    assert report.reason == "stopped: no forecast yet"
+    assert set(bench.link.speeds) == {0.0}
+    bench.is_fed = True
+    assert bench.run(200).speed_fraction == 1.0
+    assert bench.link.speeds[-1] == 1.0
+
+
+def test_the_heart_beats_with_rising_counts_every_period() -> None:
+    bench = Bench()
+    bench.run(400)
+    assert bench.link.beats == list(range(1, 101))
+
+
+def test_a_decision_reaches_the_slider_in_the_same_step() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.is_fed = False
+    bench.driver.order(Decide(replace(CLEAR, evidence_stamp=bench.now, speed_fraction=0.25)), bench.now)
+    bench.run(STEP_MS)
+    assert bench.link.speeds[-1] == 0.25
+
+
+def test_missing_forecasts_slow_within_one_deadline_and_stop_within_two() -> None:
+    bench = Bench()
+    bench.run(312)  # up to a decision
+    bench.is_fed = False
+    assert bench.run(64).speed_fraction == 1.0
+    slow = bench.run(12)
+    assert (slow.state, slow.speed_fraction) == (DriverState.READY, 0.2)
+    assert bench.ms_until(DriverState.HALTED) <= 150 - 76
+    assert bench.report.reason.startswith("stopped: no forecast for 14")
+    assert bench.link.speeds[-1] == 0.0
+
+
+def test_forecasts_of_old_evidence_are_no_forecasts() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.is_fed = False
+    old = replace(CLEAR, evidence_stamp=bench.now - 30 * MS)
+    for _ in range(20):
+        bench.driver.order(Decide(old), bench.now)
+        bench.run(20)
+    assert bench.report.state is DriverState.HALTED
+    assert "no forecast" in bench.report.reason
+
+
+FAULTS = [
+    ({"q": np.full(6, np.nan)}, "not finite"),
+    ({"q": np.zeros(5)}, "5 joint angles"),
+    ({"safety_mode": 3}, "PROTECTIVE_STOP"),
+    ({"robot_mode": 3}, "POWER_OFF"),
+    ({"robot_mode": 99}, "no such modes"),
+]
+
+
+@pytest.mark.parametrize(("changes", "word"), FAULTS)
+def test_what_is_wrong_halts_at_once_and_stays_so_until_acknowledged(changes: dict[str, object], word: str) -> None:
+    bench = Bench()
+    bench.run(320)
+    well = bench.link.state
+    bench.link.tell(**changes)
+    assert bench.ms_until(DriverState.HALTED) <= 12  # one package and one step
+    assert word in bench.report.reason
+    assert bench.report.speed_fraction == 0.0
+    assert bench.link.speeds[-1] == 0.0
+    beats = len(bench.link.beats)
+    bench.run(400)
+    with pytest.raises(ArmError, match="acknowledge: expected an arm that is well"):
+        bench.acknowledge()
+    bench.link.tell(q=well.q, robot_mode=7, safety_mode=1)
+    bench.run(400)
+    assert bench.report.state is DriverState.HALTED
+    assert word in bench.report.reason
+    assert len(bench.link.beats) == beats
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+    assert bench.report.speed_fraction == 1.0
+    assert len(bench.link.beats) > beats
+
+
+def test_an_arm_that_jumped_is_halted_and_believed_where_it_stays() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.link.tell(q=START + 1.0)
+    assert bench.ms_until(DriverState.HALTED) <= 12
+    assert "jumped by 1.00 rad" in bench.report.reason
+    bench.run(100)
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+
+
+def test_a_silent_controller_halts_within_its_time_and_is_given_up_after_more() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.is_alive = False
+    assert bench.ms_until(DriverState.HALTED) <= 60
+    assert bench.report.reason.startswith("controller silent for 5")
+    assert not bench.report.is_over
+    assert bench.run(1100).is_over
+
+
+def test_a_controller_whose_clock_goes_back_was_restarted() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.is_alive = False
+    bench.link.tell(clock_s=0.008)
+    assert bench.run(STEP_MS).is_over
+    assert "restarted" in bench.report.reason
+
+
+def test_a_lost_link_halts_and_is_over() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.link.is_lost = True
+    assert bench.run(STEP_MS).is_over
+    assert (bench.report.state, bench.report.reason) == (DriverState.HALTED, "connection lost")
+
+
+def test_a_slider_that_somebody_else_holds_halts() -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.link.is_obedient = False
+    bench.fraction = 0.3
+    assert bench.ms_until(DriverState.HALTED) <= 300
+    assert bench.report.reason == "speed slider set to 30% reads 100%: somebody else moves it"
+
+
+def test_a_halt_of_an_earlier_connection_is_kept() -> None:
+    bench = Bench(halt="driver process ended by signal 9")
+    assert bench.run(400).reason == "driver process ended by signal 9"
+    assert bench.link.beats == []
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+
+
+def test_a_driver_that_may_resume_waits_for_all_to_be_well_for_a_while() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    bench.is_alive = False
+    bench.run(200)
+    bench.is_alive = True
+    assert bench.report.state is DriverState.HALTED
+    assert 500 <= bench.ms_until(DriverState.READY) <= 560
+    bench.is_fed = False
+    assert (bench.run(300).state, bench.report.speed_fraction) == (DriverState.READY, 0.0)
+    bench.is_fed = True
+    assert bench.run(200).speed_fraction == 1.0
+
+
+def test_what_the_safety_system_stopped_never_resumes_by_itself() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    bench.link.tell(safety_mode=3)
+    bench.run(200)
+    bench.link.tell(safety_mode=1)
+    assert bench.run(2000).state is DriverState.HALTED
+
+
+def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:
+    bench = Bench(mode=DriverMode.READ_ONLY)
+    report = bench.run(320)
+    assert (report.state, report.reason, report.speed_fraction) == (DriverState.READY, "read only", None)
+    assert (bench.link.speeds, bench.link.beats) == ([], [])
+    bench.link.tell(safety_mode=3)
+    assert bench.run(40).state is DriverState.HALTED
+    bench.link.tell(safety_mode=1)
+    assert bench.run(40).state is DriverState.READY
+
+
+def test_the_future_of_a_slowed_program_is_that_of_its_full_speed() -> None:
+    bench = Bench()
+    bench.run(100)
+    slowed = {"target_qd": sample().target_qd * 0.2, "speed_scaling": 0.2}
+    bench.link.tell(**slowed)
+    future = bench.run(40).future
+    assert future is not None
+    np.testing.assert_allclose(future.positions[-1] - future.positions[0], [0.1, 0, 0, 0, 0, 0], atol=1e-12)
+    bench.link.tell(target_qd=np.zeros(6), speed_scaling=0.0)
+    still = bench.run(40).future
+    assert still is not None
+    np.testing.assert_allclose(still.positions[-1] - still.positions[0], [0.1, 0, 0, 0, 0, 0], atol=1e-12)
+    bench.link.tell(runtime_state=1)
+    stopped = bench.run(40).future
+    assert stopped is not None
+    np.testing.assert_allclose(stopped.positions[-1], stopped.positions[0])
+
+
+def servo_bench() -> Bench:
+    bench = Bench(mode=DriverMode.SERVO)
+    bench.run(200)
+    bench.driver.order(Follow(quintic()), bench.now)
+    return bench
+
+
+def test_servo_follows_a_trajectory_to_its_end_and_holds_it() -> None:
+    bench = servo_bench()
+    bench.run(2600)
+    np.testing.assert_allclose(bench.link.servoed[-1], quintic().positions[-1])
+    assert bench.link.preparations == 1
+    assert bench.link.speeds == []
+
+
+def test_servo_brakes_on_its_path_when_forecasts_stop_then_leaves_the_script_to_its_watchdog() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    bench.is_fed = False
+    bench.run(1500)
+    assert bench.report.state is DriverState.HALTED
+    last, sent = bench.link.servoed[-1], len(bench.link.servoed)
+    assert quintic().positions[0, 0] < last[0] < quintic().positions[-1, 0]
+    bench.run(400)
+    assert len(bench.link.servoed) == sent
+    with pytest.raises(ArmError, match="while halted"):
+        bench.driver.order(Follow(quintic()), bench.now)
+    bench.is_fed = True
+    bench.acknowledge()
+    assert bench.link.preparations == 2
+    bench.run(400)
+    np.testing.assert_allclose(bench.link.servoed[-1], last)
+
+
+def test_servo_commands_to_a_script_that_has_stopped_are_not_believed() -> None:
+    bench = servo_bench()
+    bench.run(400)
+    bench.link.runs_script = False
+    assert bench.ms_until(DriverState.HALTED) <= 8
+    assert bench.report.reason == "the control script does not run: it refused a command"
+
+
+def test_an_arm_that_does_not_follow_is_halted() -> None:
+    bench = servo_bench()
+    bench.run(400)
+    bench.link.servo = lambda q: True  # type: ignore[method-assign]  # taken, and nothing happens
+    bench.run(1000)
+    assert bench.report.state is DriverState.HALTED
+    assert "from where it was sent" in bench.report.reason
+
+
+def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:
+    with pytest.raises(ArmError, match="expected servo mode"):
+        Bench().driver.order(Follow(quintic()), 0)
+    bench = servo_bench()
+    bench.run(100)
+    with pytest.raises(ArmError, match="another is followed"):
+        bench.driver.order(Follow(quintic()), bench.now)
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"robot": "two words"}, "address or host name"),
+        ({"heartbeat_register": 24}, "18 to 22"),
+        ({"receive_hz": 1000.0}, "1 to 500 Hz"),
+        ({"period_s": 0.2}, "half the watchdog's period"),
+        ({"stale_s": 0.01}, "more than two packages"),
+        ({"realtime_priority": 100}, "0 to 99"),
+    ],
+)
+def test_parameters_that_no_controller_accepts_are_refused(changes: dict[str, object], word: str) -> None:
+    with pytest.raises(ArmError, match=word):
+        UrParameters(**changes)

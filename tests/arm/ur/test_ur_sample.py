@@ -1,0 +1,89 @@
+"""What a controller says is believed only where it can be true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fake_link import START, sample
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.arm.ur import UrSample, implausible, not_ready
+from twin_node.arm.ur.freshness import Freshness
+from twin_node.robot import ur_model
+
+MODEL = ur_model("ur5e")
+JOINT_FIELDS = ("q", "qd", "target_q", "target_qd")
+
+
+def test_a_true_state_is_believed() -> None:
+    assert implausible(MODEL, sample(), None) is None
+    assert implausible(MODEL, sample(1.008, q=START + 0.004), sample()) is None
+
+
+@pytest.mark.parametrize("field", JOINT_FIELDS)
+@given(joint=st.integers(0, 5), value=st.sampled_from([np.nan, np.inf, -np.inf]))
+def test_numbers_that_are_none_are_refused_wherever_they_stand(field: str, joint: int, value: float) -> None:
+    values = np.zeros(6)
+    values[joint] = value
+    assert "not finite" in str(implausible(MODEL, sample(**{field: values}), None))
+
+
+@pytest.mark.parametrize("field", JOINT_FIELDS)
+@given(count=st.integers(0, 12).filter(lambda n: n != 6))
+def test_another_number_of_joints_is_refused(field: str, count: int) -> None:
+    assert f"sent {count} " in str(implausible(MODEL, sample(**{field: np.zeros(count)}), None))
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"robot_mode": 1072693248}, "no such modes"),
+        ({"safety_mode": -5}, "no such modes"),
+        ({"runtime_state": 77}, "runtime state 77"),
+        ({"speed_slider": 1.5}, "speed slider 1.5"),
+        ({"speed_slider": float("nan")}, "speed slider nan"),
+        ({"qd": np.array([0, 0, 9.0, 0, 0, 0])}, "elbow_joint: beyond its rating"),
+        ({"q": np.array([0, 0, 0, 8.0, 0, 0])}, "wrist_1_joint: beyond its range"),
+    ],
+)
+def test_numbers_in_wrong_fields_are_refused(changes: dict[str, object], word: str) -> None:
+    assert word in str(implausible(MODEL, sample(**changes), None))
+
+
+def test_an_arm_does_not_jump() -> None:
+    away = START + np.array([0, 0.5, 0, 0, 0, 0])
+    assert "shoulder_lift_joint jumped by 0.50 rad" in str(implausible(MODEL, sample(1.008, q=away), sample()))
+    assert implausible(MODEL, sample(2.0, q=away), sample()) is None  # a second without packages explains it
+
+
+def test_five_joints_decoded_as_six_are_refused() -> None:
+    """A package whose angles lack one value: all that follows slides into the fields before."""
+    slid = UrSample(1.0, np.append(START[:5], 0.5), START, START, START, 1072693248, 0, 0, 2.0, 1.0)
+    assert implausible(MODEL, slid, sample()) is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [({"safety_mode": 3}, "PROTECTIVE_STOP"), ({"safety_mode": 7}, "EMERGENCY"), ({"robot_mode": 5}, "IDLE")],
+)
+def test_an_arm_that_may_not_move_says_what_is_to_be_done(changes: dict[str, object], word: str) -> None:
+    assert not_ready(sample()) is None
+    reason = not_ready(sample(**changes))
+    assert reason is not None
+    assert word in reason
+
+
+@given(st.lists(st.floats(0, 1e6), min_size=1, max_size=30))
+def test_only_an_advancing_clock_is_fresh(clocks: list[float]) -> None:
+    watch = Freshness(0)
+    newest = -1.0
+    for step, clock in enumerate(clocks, 1):
+        is_new = watch.see(clock, step * 1_000_000_000)
+        assert is_new == (clock > newest)
+        if clock < newest:
+            assert watch.has_gone_back
+        if is_new:
+            newest = clock
+            assert watch.age_s(step * 1_000_000_000) == 0
+    assert watch.age_s((len(clocks) + 1) * 1_000_000_000) >= 1
