@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import torch
 from plyfile import PlyData
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
 from twin_node.arm import ArmCollisionChecker
 from twin_node.cli import main
-from twin_node.model.ply import read_ply
+from twin_node.model.ply import StoredGaussians, read_ply, stored_from_cloud, write_ply
+from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
 from twin_node.nodes.export import in_force
 from twin_node.robot import ur_model
+from twin_node.scene import Camera, View
 
 SH_C0 = 0.28209479177387814
 
@@ -142,3 +146,32 @@ def test_a_log_without_obstacles_is_refused(
 ) -> None:
     assert run(cell_log(0.5), "--to", "mjcf", "-o", tmp_path / "a.xml") == 2  # type: ignore[operator]
     assert "/twin/obstacles" in capsys.readouterr().err
+
+
+def test_an_edited_scene_comes_back(twin_log: Path, tmp_path: Path) -> None:
+    """Out as PLY, one Gaussian taken away, in again, and out: nothing else has changed."""
+    assert run(twin_log, "--to", "ply", "--at", 0, "-o", tmp_path / "scene.ply") == 0
+    stored = read_ply(tmp_path / "scene.ply")
+    edited = StoredGaussians(**{name: values[1:] for name, values in vars(stored).items()})
+    write_ply(edited, tmp_path / "edited.ply")
+    assert main(["import", "ply", str(tmp_path / "edited.ply"), "-o", str(tmp_path / "edited.mcap")]) == 0
+    assert run(tmp_path / "edited.mcap", "--to", "ply", "--at", 0, "-o", tmp_path / "again.ply") == 0
+    again = read_ply(tmp_path / "again.ply")
+    for name, values in vars(edited).items():
+        assert np.allclose(getattr(again, name), values, atol=1e-5 if name != "sh" else 0.5 / 255 / SH_C0), name
+
+
+def test_a_trained_model_is_a_source_of_gaussians(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its PLY is the model at that time, harmonics and all; it has no obstacles to offer."""
+    rng = np.random.default_rng(0)
+    stored = replace(stored_from_cloud(cloud_at(0, True)), sh=rng.normal(size=(50, 4, 3)).astype(np.float32))
+    view = View(Camera("left", 16, 12, np.diag([16.0, 16, 1]), np.eye(4)), 5, np.zeros((12, 16, 3), np.uint8))
+    box = Box(torch.zeros(3), torch.ones(3))
+    trainer = Trainer(Recording("made up", (view,)), TrainParameters(method="static", degree=1), stored, box)
+    save_checkpoint(trainer, tmp_path / "model.safetensors")
+    assert run(tmp_path / "model.safetensors", "--to", "ply", "--at", 0, "-o", tmp_path / "a.ply") == 0
+    read = read_ply(tmp_path / "a.ply")
+    for name, values in vars(stored).items():
+        assert np.allclose(getattr(read, name), values, atol=1e-4), name
+    assert run(tmp_path / "model.safetensors", "--to", "mjcf", "-o", tmp_path / "a.xml") == 2
+    assert "found Gaussians alone" in capsys.readouterr().err

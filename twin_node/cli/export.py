@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,9 @@ from twin_node.cli.arguments import not_negative, positive
 
 def add_export(commands: Any) -> None:
     """Adds `export` to the subcommands."""
-    export = commands.add_parser("export", help="take a log to other viewers and simulators")
+    export = commands.add_parser("export", help="take a log or a trained model to other viewers and simulators")
     export.add_argument(
-        "log", type=Path, nargs="+", metavar="LOG", help="the twin's log; also the one it was made from"
+        "log", type=Path, nargs="+", metavar="LOG", help="the twin's log, and the one it was made from; or a checkpoint"
     )
     export.add_argument("--to", required=True, metavar="FORMAT", help="ply, spz, npz, mjcf, usd or csv")
     export.add_argument(
@@ -31,16 +33,29 @@ def add_export(commands: Any) -> None:
 
 def _export(options: argparse.Namespace) -> None:
     from twin_node.nodes.export import ExportSpan, export
-    from twin_node.nodes.playback import Playback
     from twin_node.robot import arm_model
 
     span = ExportSpan(options.start, options.stop, options.rate) if options.at is None else ExportSpan.one(options.at)
     arm = arm_model(options.arm)
-    with Playback(options.log) as playback, tqdm(unit="moment", desc="export", disable=None) as bar:
+    with _open(options.log) as source, tqdm(unit="moment", desc="export", disable=None) as bar:
 
         def show(done: int, total: int) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        count = export(playback, options.to, span, arm, options.output, show)
+        count = export(source, options.to, span, arm, options.output, show)
     print(f"{options.output}: {count} moments")
+
+
+@contextlib.contextmanager
+def _open(paths: list[Path]) -> Iterator[Any]:
+    """The source that the paths name: a checkpoint alone, or the logs of a run."""
+    from twin_node.nodes.export import LogSource
+    from twin_node.nodes.export.checkpoint import SUFFIX, CheckpointSource
+    from twin_node.nodes.playback import Playback
+
+    if len(paths) == 1 and paths[0].suffix == SUFFIX:
+        yield CheckpointSource(paths[0])
+        return
+    with Playback(paths) as playback:
+        yield LogSource(playback)

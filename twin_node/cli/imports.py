@@ -1,4 +1,4 @@
-"""`twin_node import`: foreign recordings become logs."""
+"""`twin_node import`: foreign recordings and edited scenes become logs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from tqdm import tqdm
 
 def add_import(commands: Any) -> None:
     """Adds `import` to the subcommands."""
-    importers = commands.add_parser("import", help="turn foreign recordings into logs")
+    importers = commands.add_parser("import", help="turn foreign recordings and edited scenes into logs")
     kinds = importers.add_subparsers(required=True, metavar="KIND")
     video = kinds.add_parser("video", help="calibrated videos, as a rig file names them")
     video.add_argument("rig", type=Path, metavar="RIG.yaml", help="rig file: calibration/README.md documents it")
     video.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap")
     video.set_defaults(run=_import_video)
+    ply = kinds.add_parser("ply", help="a scene of Gaussians in the 3DGS layout, edited elsewhere")
+    ply.add_argument("scene", type=Path, metavar="SCENE.ply")
+    ply.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap")
+    ply.set_defaults(run=_import_ply)
 
 
 def _import_video(options: argparse.Namespace) -> None:
@@ -40,3 +44,9 @@ def _import_video(options: argparse.Namespace) -> None:
     for warning in imported.warnings:
         print(f"twin_node: warning: {warning}", file=sys.stderr)
     print(f"{options.output}: {sum(imported.frames)} images of {len(cameras)} cameras")
+
+
+def _import_ply(options: argparse.Namespace) -> None:
+    from twin_node.nodes.export.scene_log import import_ply
+
+    print(f"{options.output}: {import_ply(options.scene, options.output)} Gaussians")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.model.parameters import ModelError
-from twin_node.scene import Float32, GaussianCloud
+from twin_node.scene import Float32, GaussianCloud, Tier
 
 SH_C0 = 0.28209479177387814
 """Value of the constant harmonic: the coefficient of a colour c is (c - 0.5) / this."""
@@ -52,6 +52,23 @@ def stored_from_cloud(cloud: GaussianCloud) -> StoredGaussians:
         np.log(np.maximum(cloud.scales, SMALLEST_M)).astype(np.float32),
         np.log(opacities / (1 - opacities)).astype(np.float32),
         ((cloud.rgb - np.float32(0.5)) / np.float32(SH_C0))[:, None].astype(np.float32),
+    )
+
+
+def cloud_from_stored(stored: StoredGaussians) -> GaussianCloud:
+    """Stored Gaussians as a cloud that stands still, in the mean colour of all sides."""
+    count = len(stored)
+    lengths = np.linalg.norm(stored.quats, axis=1, keepdims=True)
+    return GaussianCloud(
+        means=stored.means,
+        quats=(stored.quats / np.where(lengths > 0, lengths, 1)).astype(np.float32),
+        scales=np.exp(stored.log_scales),
+        opacities=(1 / (1 + np.exp(-stored.logits.astype(np.float64)))).astype(np.float32),
+        rgb=np.clip(stored.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0, 1),
+        velocities=np.zeros((count, 3), np.float32),
+        tiers=np.full(count, Tier.STATIC, np.uint8),
+        ids=np.arange(count, dtype=np.uint32),
+        nodes=np.full(count, -1, np.int32),
     )
 
 

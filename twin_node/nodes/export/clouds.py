@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from twin_node.model.ply import stored_from_cloud, write_ply
+from twin_node.model.ply import StoredGaussians, stored_from_cloud
 from twin_node.nodes.export.moments import ExportError, Moment
-from twin_node.scene import GaussianCloud
 
-WriteCloud = Callable[[GaussianCloud, Path], None]
+WriteCloud = Callable[[StoredGaussians, Path], None]
 
 
 def write_clouds(moments: Sequence[Moment], path: Path, write: WriteCloud) -> None:
@@ -25,23 +25,20 @@ def write_clouds(moments: Sequence[Moment], path: Path, write: WriteCloud) -> No
                 f"{path.name}: expected Gaussians at {moment.seconds:.3f} s, found none; choose a later --start, or a "
                 "log that 'twin_node replay LOG -o FILE' has written"
             )
-        write(moment.cloud, path / f"{number:05d}{path.suffix}" if len(moments) > 1 else path)
+        stored = stored_from_cloud(moment.cloud)
+        if moment.harmonics is not None:
+            stored = replace(stored, sh=moment.harmonics)
+        write(stored, path / f"{number:05d}{path.suffix}" if len(moments) > 1 else path)
 
 
-def write_cloud_ply(cloud: GaussianCloud, path: Path) -> None:
-    """PLY in the layout of 3DGS."""
-    write_ply(stored_from_cloud(cloud), path)
-
-
-def write_cloud_spz(cloud: GaussianCloud, path: Path) -> None:
+def write_spz(stored: StoredGaussians, path: Path) -> None:
     """SPZ by gsply. Raises `ExportError` where that is not installed."""
     try:
-        from gsply import GSData
-        from gsply.spz import write_spz
+        import gsply
     except ImportError:
         raise ExportError("spz: expected the package gsply; install it with pip install 'twin-node[export]'") from None
-    stored = stored_from_cloud(cloud)
-    data = GSData.from_arrays(
-        stored.means, stored.log_scales, stored.quats, stored.logits, stored.sh[:, 0], format="ply"
+    bands = stored.sh[:, 1:] if stored.degree else None
+    data = gsply.GSData.from_arrays(
+        stored.means, stored.log_scales, stored.quats, stored.logits, stored.sh[:, 0], bands, format="ply"
     )
-    write_spz(str(path), data)
+    gsply.write_spz(str(path), data)

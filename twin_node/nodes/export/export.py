@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from twin_node.nodes.export.clouds import write_cloud_ply, write_cloud_spz, write_clouds
+from twin_node.model.ply import write_ply
+from twin_node.nodes.export.clouds import write_clouds, write_spz
 from twin_node.nodes.export.mjcf import write_collision_scene
-from twin_node.nodes.export.moments import ExportError, Moment, moments
+from twin_node.nodes.export.moments import ExportError, Moment, Source
 from twin_node.nodes.export.tables import write_arm_table, write_arrays, write_obstacle_table
 from twin_node.nodes.export.usd import write_stage
-from twin_node.nodes.playback import Playback
 from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
 from twin_node.robot import ArmModel
 
@@ -66,18 +66,18 @@ class Format:
 
 
 def export(
-    playback: Playback, form: str, span: ExportSpan, arm: ArmModel, output: Path, progress: Callable[[int, int], None]
+    source: Source, form: str, span: ExportSpan, arm: ArmModel, output: Path, progress: Callable[[int, int], None]
 ) -> int:
-    """Writes a span of a log as one of `FORMATS` to `output`; returns the number of moments written.
+    """Writes a span of a source as one of `FORMATS` to `output`; returns the number of moments written.
 
     `progress(done, total)` counts moments read. Nothing is left behind by an export that fails. Raises `ExportError`
     for a format, a name or a span that does not fit, and `GraphError` for a log without what the format needs.
     """
     chosen = _format(form, output)
-    playback.require(chosen.topic, f"an export to {form}")
-    stamps = span.stamps(playback.start_ns, playback.end_ns)
+    source.require(chosen.topic, f"an export to {form}")
+    stamps = span.stamps(source.start_ns, source.end_ns)
     taken = []
-    for moment in moments(playback, stamps, arm, chosen.with_clouds or form == "usd"):
+    for moment in source.moments(stamps, arm, chosen.with_clouds or form == "usd"):
         taken.append(moment)
         progress(len(taken), len(stamps))
     with _whole(output) as unfinished:
@@ -120,8 +120,8 @@ def _write_tables(taken: Sequence[Moment], arm: ArmModel, _rate_hz: float, path:
 
 
 FORMATS: Mapping[str, Format] = {
-    "ply": Format((".ply",), GAUSSIANS, lambda taken, _arm, _hz, path: write_clouds(taken, path, write_cloud_ply)),
-    "spz": Format((".spz",), GAUSSIANS, lambda taken, _arm, _hz, path: write_clouds(taken, path, write_cloud_spz)),
+    "ply": Format((".ply",), GAUSSIANS, lambda taken, _arm, _hz, path: write_clouds(taken, path, write_ply)),
+    "spz": Format((".spz",), GAUSSIANS, lambda taken, _arm, _hz, path: write_clouds(taken, path, write_spz)),
     "npz": Format((".npz",), GAUSSIANS, lambda taken, _arm, _hz, path: write_arrays(taken, path)),
     "mjcf": Format((".xml",), OBSTACLES, lambda taken, arm, _hz, path: write_collision_scene(taken, arm, path)),
     "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, write_stage),

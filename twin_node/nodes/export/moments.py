@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from twin_node.errors import TwinError
 from twin_node.nodes.playback import Playback
 from twin_node.robot import ArmModel
-from twin_node.scene import Float64, GaussianCloud, Obstacles
+from twin_node.scene import Float32, Float64, GaussianCloud, Obstacles
 
 
 class ExportError(TwinError):
@@ -31,15 +32,46 @@ class Moment:
     """[J] the arm's joints, rad; None where the log does not say."""
     cloud: GaussianCloud | None
     """All Gaussians; None where the log has none, or none are wanted."""
+    harmonics: Float32 | None = None
+    """[N, K, 3] of the cloud's colours, where they differ from side to side."""
 
 
-def moments(playback: Playback, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
-    """The moments at rising `stamps` (ns). Raises `RobotError` where the log's joints are not those of `arm`."""
-    for stamp in stamps:
-        said = playback.at(stamp)
-        q = None if said.joints is None else arm.ordered_positions(said.joints)
-        cloud = said.cloud if with_clouds else None
-        yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)
+class Source(Protocol):
+    """What can be exported: a span of time, and what is there at any time of it."""
+
+    @property
+    def start_ns(self) -> int:
+        """Its first time, ns."""
+
+    @property
+    def end_ns(self) -> int:
+        """Its last time, ns."""
+
+    def require(self, topic: str, purpose: str) -> None:
+        """Raises `TwinError` where it lacks a topic that is needed for `purpose`."""
+
+    def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+        """The moments at rising `stamps` (ns)."""
+
+
+class LogSource:
+    """The logs of a run."""
+
+    def __init__(self, playback: Playback) -> None:
+        self._playback = playback
+        self.start_ns, self.end_ns = playback.start_ns, playback.end_ns
+
+    def require(self, topic: str, purpose: str) -> None:
+        """Raises `GraphError` where no log has a topic."""
+        self._playback.require(topic, purpose)
+
+    def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+        """The moments at rising `stamps` (ns). Raises `RobotError` where the log's joints are not those of `arm`."""
+        for stamp in stamps:
+            said = self._playback.at(stamp)
+            q = None if said.joints is None else arm.ordered_positions(said.joints)
+            cloud = said.cloud if with_clouds else None
+            yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)
 
 
 def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:

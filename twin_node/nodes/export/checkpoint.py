@@ -1,0 +1,59 @@
+"""A model that `twin_node train` has made, as a source of exports: Gaussians at any time of its span, no more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from twin_node.model.ply import StoredGaussians, cloud_from_stored
+from twin_node.model.sequence import load_checkpoint
+from twin_node.model.sequence.sequence_model import MovedGaussians
+from twin_node.nodes.export.moments import ExportError, Moment, in_force
+from twin_node.nodes.topics import GAUSSIANS
+from twin_node.robot import ArmModel
+from twin_node.scene import GaussianCloud, Tier
+
+SUFFIX = ".safetensors"
+
+
+class CheckpointSource:
+    """A checkpoint of `twin_node train`."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises `ModelError` for a file that is no checkpoint."""
+        self._path = path
+        self._model = load_checkpoint(path).model
+        self.start_ns, self.end_ns = self._model.span.first, self._model.span.last
+
+    def require(self, topic: str, purpose: str) -> None:
+        """Raises `ExportError` for anything but Gaussians."""
+        if topic != GAUSSIANS:
+            raise ExportError(
+                f"{self._path}: expected {topic}, which {purpose} needs, found Gaussians alone; export to ply, spz or "
+                "npz, or give a log that 'twin_node replay LOG -o FILE' has written"
+            )
+
+    def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+        """The moments at rising `stamps` (ns)."""
+        for stamp in stamps:
+            with torch.no_grad():
+                moved = self._model.at([stamp])
+            harmonics = moved.sh.detach().numpy().astype(np.float32)
+            yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(None, stamp), None, _cloud(moved), harmonics)
+
+
+def _cloud(moved: MovedGaussians) -> GaussianCloud:
+    """The Gaussians of one time, in the mean colour of all sides."""
+    stored = StoredGaussians(
+        moved.means[0].detach().numpy(),
+        moved.quats[0].detach().numpy(),
+        moved.scales[0].detach().log().numpy(),
+        moved.opacities.detach().logit().numpy(),
+        moved.sh.detach().numpy(),
+    )
+    cloud = cloud_from_stored(stored)
+    return replace(cloud, tiers=np.full(len(stored), Tier.DEFORMABLE, np.uint8))
