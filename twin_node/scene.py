@@ -77,6 +77,12 @@ class RigCamera:
         grown = self.time_rate_ppm * 1e-6 * (stamp - self.time_reference_ns) if self.time_rate_ppm else 0.0
         return stamp + self.time_offset_ns + round(grown)
 
+    def own_time(self, rig_time: int) -> int:
+        """The camera's own stamp, ns, of a time of the rig, ns: undoes `rig_time`."""
+        stamp = rig_time - self.time_offset_ns
+        rate = self.time_rate_ppm * 1e-6
+        return stamp - round(rate / (1 + rate) * (stamp - self.time_reference_ns)) if rate else stamp
+
 
 @dataclass(frozen=True)
 class Rig:

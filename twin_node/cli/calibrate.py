@@ -190,19 +190,22 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
             "median_reprojection_px": own.median_px,
             "mean_reprojection_px": own.mean_px,
             "rms_px": own.rms_px,
-            "views": sum(sighting.camera == i for sighting in solution.sightings),
+            "views": sum(sighting.camera == i for sighting in solution.bundle.sightings),
             "K": state.lenses[i].K.tolist(),
             "distortion": {"model": state.lenses[i].model, "coefficients": state.lenses[i].D.tolist()},
             "T_rig_cam": poses[i].tolist(),
             "sigma_m": float(sigmas[i]),
-            "time_offset_s": float(state.clocks[i]),
+            "time_offset_s": float(state.clocks[i, 0]),
+            "time_rate_ppm": 1e6 * float(state.clocks[i, 1]),
+            "time_reference_s": solution.reference_ns / 1e9,
         }
     return {
         "median_reprojection_px": all_cameras.median_px,
         "mean_reprojection_px": all_cameras.mean_px,
         "rms_px": all_cameras.rms_px,
         "board": str(solution.board),
-        "sets": len(solution.set_stamps),
+        "views": len(solution.bundle.sightings),
+        "corners": sum(len(sighting.corners) for sighting in solution.bundle.sightings),
         "dropped": {view.name: view.reason for view in solution.dropped},
         "unconnected": list(solution.unconnected),
         "cameras": cameras,
@@ -214,12 +217,13 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
 
     figures, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
     print(
-        f"{output}: {len(solution.names)} cameras, {len(solution.set_stamps)} sets, reprojection median "
+        f"{output}: {len(solution.names)} cameras, {len(solution.bundle.sightings)} views, reprojection median "
         f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
     )
     for i, (name, sigma) in enumerate(zip(solution.names, agreement_sigmas(solution), strict=True)):
         own = residuals_of(camera_residuals(solution, i))
-        clock = f", clock {1e3 * state.clocks[i]:+.1f} ms" if solution.bundle.layout.clocks else ""
+        offset, rate = state.clocks[i]
+        clock = f", clock {1e3 * offset:+.2f} ms {1e6 * rate:+.0f} ppm" if solution.bundle.layout.clocks else ""
         print(f"  {name}: median {own.median_px:.3f} px, rms {own.rms_px:.3f} px, sigma {1e3 * sigma:.2f} mm{clock}")
     _show_dropped(solution.dropped)
 

@@ -25,7 +25,7 @@ class CameraEvidence:
     """Points used in all of them."""
     pose_covariance: Float64 | None = None
     """[6, 6] of `T_base_cam`: x, y, z (m), then turns about the base's x, y, z (rad), as in
-    geometry_msgs/PoseWithCovariance; relative to the first camera. None where unknown."""
+    geometry_msgs/PoseWithCovariance; without what moves the rig as a whole. None where unknown."""
     lens_sigmas: Float64 | None = None
     """[4 + D] 1 sigma of fx, fy, cx, cy (pixels) and the distortion coefficients; None where unknown."""
     time_offset_sigma: float | None = None

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, pose
+from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, Corners
-from twin_node.rig.calibrate.extrinsics import CameraRecording
-from twin_node.rig.calibrate.lenses import Lens, project_points, rays_of
+from twin_node.rig.calibrate.lenses import Lens, project, rays_of
+from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64, UInt8
 
 CELL = 84
@@ -124,11 +124,11 @@ def waved(seconds: float, phase: float = 0.0) -> Float64:
 
 def seen_corners(board: Board, lens: Lens, T_cam_board: Float64) -> Corners | None:
     """The corners inside the image, without noise."""
-    rotation = Rotation.from_matrix(T_cam_board[:3, :3]).as_rotvec()
-    pixels = project_points(lens, rotation, T_cam_board[:3, 3], board.points).pixels
+    places = transform(T_cam_board, board.points)
+    pixels = project(lens, places).pixels
     inside = ((pixels > 5) & (pixels < [lens.width - 6, lens.height - 6])).all(axis=1)
-    facing = (board.points @ T_cam_board[:3, :3].T + T_cam_board[:3, 3])[:, 2].min() > 0.05
-    return Corners(np.flatnonzero(inside), pixels[inside]) if facing and inside.any() else None
+    before = places[:, 2].min() > 0.05
+    return Corners(np.flatnonzero(inside), pixels[inside]) if before and inside.any() else None
 
 
 @dataclass(frozen=True)

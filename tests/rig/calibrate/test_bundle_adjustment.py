@@ -1,49 +1,77 @@
-"""The bundle's derivatives, and what it makes of boards that are not flat."""
+"""The bundle's derivatives, the course of a board, and what is made of boards that are not flat."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from simulated_boards import a_lens, around, seen_corners, waved
 
 from twin_node.geometry import inverse_pose
+from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Chessboard, Corners
-from twin_node.rig.calibrate.bundle import (
-    BundleOptions,
-    BundleProblem,
-    BundleState,
-    Sighting,
-    adjust,
-    board_pays,
-)
-from twin_node.rig.calibrate.rotations import as_pose, as_vector, right_jacobian
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
+from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.rig.calibrate.course import Course, smooth_course, still_course
+from twin_node.rig.calibrate.normal_equations import NormalEquations
+from twin_node.rig.calibrate.rotations import moved
 from twin_node.scene import Float64
 
 BOARD = Chessboard(5, 4, 0.06)
 MODELS = ["plumb_bob", "rational_polynomial", "equidistant"]
 
 
-def a_state(model: str, sets: int = 3) -> BundleState:
-    """Two cameras in the first one's frame, and boards."""
+def cameras() -> Float64:
+    """[2, 4, 4] `T_cam_rig` of two cameras in the first one's frame."""
     poses = around(2, radius=1.0)
-    cameras = np.stack([as_vector(inverse_pose(T) @ poses[0]) for T in poses])
-    boards = np.stack([as_vector(inverse_pose(poses[0]) @ waved(1.3 * n)) for n in range(sets)])
-    return BundleState(cameras, boards, (a_lens(model), a_lens(model)), BOARD.points, np.zeros(2))
+    return np.stack([inverse_pose(T) @ poses[0] for T in poses])
+
+
+def in_rig(poses: Float64) -> Float64:
+    """Boards as the first camera's frame has them."""
+    return inverse_pose(around(2, radius=1.0)[0]) @ poses
+
+
+def a_still_state(model: str, sets: int = 3) -> BundleState:
+    boards = in_rig(np.stack([waved(1.3 * n) for n in range(sets)]))
+    return BundleState(cameras(), still_course(boards), (a_lens(model), a_lens(model)), BOARD.points, np.zeros((2, 2)))
+
+
+def a_moving_state(model: str) -> BundleState:
+    times = np.arange(0, 1.5, 0.05)
+    course = smooth_course([times], [in_rig(np.stack([waved(t) for t in times]))], 0.1)
+    clocks = np.array([[0.0, 0.0], [0.02, 1e-4]])
+    return BundleState(cameras(), course, (a_lens(model), a_lens(model)), BOARD.points, clocks, 0.7)
+
+
+def pose_at(course: Course, board: int, time: float) -> Float64:
+    placed = course.at(course.blend(np.array([board]), np.array([time])))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = placed.rotations[0], placed.positions[0]
+    return T
 
 
 def sightings_of(
     state: BundleState, rng: np.random.Generator, noise: float = 0.1, bend: Float64 | None = None
 ) -> list[Sighting]:
     """What a state's cameras see of the board (bent: its points moved)."""
+    moving = state.course.stretches[0].count > 1
+    places = (
+        [(0, t) for t in np.arange(0.1, 1.3, 0.05)] if moving else [(n, 0.0) for n in range(len(state.course.quats))]
+    )
+    bent = _Bent(BOARD.points if bend is None else BOARD.points + bend)
     out = []
     for camera, lens in enumerate(state.lenses):
-        for number, board in enumerate(state.boards):
-            bent = _Bent(BOARD.points if bend is None else BOARD.points + bend)
-            seen = seen_corners(bent, lens, as_pose(state.cameras[camera]) @ as_pose(board))  # type: ignore[arg-type]
+        for board, time in places:
+            at = float(state.rig_times(np.array([camera]), np.array([time]))[0])
+            seen = seen_corners(bent, lens, state.T_cam_rig[camera] @ pose_at(state.course, board, at))  # type: ignore[arg-type]
             if seen is not None and len(seen) > 6:
                 pixels = seen.pixels + rng.normal(0, noise, seen.pixels.shape)
-                out.append(Sighting(camera, number, Corners(seen.ids, pixels), rng.normal(0, 30, pixels.shape)))
+                out.append(Sighting(camera, board, Corners(seen.ids, pixels), time))
     return out
 
 
@@ -54,52 +82,92 @@ class _Bent:
         self.points = points
 
 
+@pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("model", MODELS)
-def test_the_jacobian_is_the_residuals_derivative(model: str) -> None:
+def test_the_normal_equations_are_the_cost_s_derivative(model: str, moving: bool) -> None:
     rng = np.random.default_rng(3)
-    state = a_state(model)
-    problem = BundleProblem(state, sightings_of(state, rng), BundleOptions(lenses=True, board=True, clocks=True))
-    x, noise = problem.pack(state), np.array([0.7, 1.3])
-    x = x + rng.normal(0, 1e-3, len(x))
-    J = problem.jacobian(x, noise).toarray()
-    steps = 1e-6 * np.maximum(1, np.abs(x))
-    for n, step in enumerate(steps):
-        ahead, behind = x.copy(), x.copy()
-        ahead[n] += step
-        behind[n] -= step
-        numeric = problem.weighted_residuals(ahead, noise) - problem.weighted_residuals(behind, noise)
-        numeric /= 2 * step
-        np.testing.assert_allclose(J[:, n], numeric, rtol=1e-4, atol=1e-4 * (1 + np.abs(numeric).max()))
+    state = a_moving_state(model) if moving else a_still_state(model)
+    problem = BundleProblem(state, sightings_of(state, rng, noise=1.0), BundleOptions(lenses=True, board=True))
+    noise, kept = np.array([0.7, 1.3]), problem.seen & (rng.uniform(size=problem.seen.shape) < 0.9)
+    course = state.course.changed(rng.normal(0, 1e-3, (len(state.course.quats), 6)))
+    state = replace(state, course=course, points=state.points + rng.normal(0, 1e-4, state.points.shape))
+    inner, outer = problem.equations(state, problem.look(state), kept, noise).slopes
+
+    def cost(change: Float64) -> float:
+        tried = problem.changed(state, change[: len(inner)], change[len(inner) :])
+        return problem.cost(tried, problem.look(tried), kept, noise)
+
+    expected = -np.concatenate([inner, outer])
+    for n in rng.permutation(len(expected))[:25]:
+        step = np.zeros(len(expected))
+        step[n] = 1e-6 if n < len(inner) + 6 or n >= len(inner) + 6 + problem.layout.lens_sizes[0] * 2 else 1e-4
+        numeric = (cost(step) - cost(-step)) / (2 * step[n])
+        assert numeric == pytest.approx(expected[n], rel=2e-3, abs=2e-3 * (1 + np.abs(expected).max() * 1e-3))
 
 
-def test_packing_and_unpacking_are_inverse() -> None:
-    state = a_state("plumb_bob")
-    problem = BundleProblem(state, sightings_of(state, np.random.default_rng(0)), BundleOptions(board=True))
-    again = problem.unpack(problem.pack(state))
-    np.testing.assert_array_equal(again.cameras, state.cameras)
-    np.testing.assert_array_equal(again.boards, state.boards)
-    np.testing.assert_array_equal(again.points, state.points)
-    np.testing.assert_array_equal(again.lenses[1].parameters, state.lenses[1].parameters)
+def test_eliminating_the_inner_unknowns_changes_no_solution() -> None:
+    rng = np.random.default_rng(1)
+    equations, J = NormalEquations(9, 5, 4), np.zeros((40, 13))
+    residuals = rng.normal(size=40)
+    for row in range(0, 40, 4):
+        first = rng.integers(0, 4)
+        inner, outer = np.arange(first, first + 6), np.arange(4)
+        J[row : row + 4, inner] = rng.normal(size=(4, 6))
+        J[row : row + 4, 9 + outer] = rng.normal(size=(4, 4))
+        A, B, r = J[row : row + 4, inner], J[row : row + 4, 9 + outer], residuals[row : row + 4]
+        equations.add_inner(inner[None], (A.T @ A)[None], (A.T @ r)[None])
+        equations.add_outer(outer, B.T @ B, B.T @ r)
+        equations.add_mixed(inner[None], outer, (A.T @ B)[None])
+    found = np.concatenate(equations.solution(0.0))
+    np.testing.assert_allclose(found, np.linalg.lstsq(J, residuals, rcond=None)[0], atol=1e-7)
+    np.testing.assert_allclose(equations.outer_covariance(), np.linalg.inv(J.T @ J)[9:, 9:], atol=1e-7)
+
+
+@settings(max_examples=10)
+@given(phase=st.floats(0, 6), step=st.floats(0.1, 0.15), bad=st.integers(0, 3))
+def test_a_course_goes_where_the_board_went_whatever_was_misread(phase: float, step: float, bad: int) -> None:
+    rng = np.random.default_rng(bad)
+    times = np.arange(0, 4, 0.04)
+    poses = np.stack([waved(t, phase) for t in times])
+    wrong = rng.permutation(len(times))[: 5 * bad]
+    spoiled = poses.copy()
+    spoiled[wrong] = moved(poses[wrong], rng.normal(0, 0.3, (len(wrong), 6)))
+    course = smooth_course([times], [spoiled], step)
+    placed = course.at(course.blend(np.zeros(len(times), np.int64), times))
+    away = np.linalg.norm(placed.positions - poses[:, :3, 3], axis=1)
+    turned = Rotation.from_matrix(placed.rotations.swapaxes(1, 2) @ poses[:, :3, :3]).magnitude()
+    assert np.quantile(away, 0.8) < (0.005 if bad else 0.001)
+    assert np.quantile(turned, 0.8) < (0.02 if bad else 0.005)
+
+
+def test_the_course_knows_its_speed() -> None:
+    course = a_moving_state("plumb_bob").course
+    ahead, behind = pose_at(course, 0, 0.7 + 1e-4), pose_at(course, 0, 0.7 - 1e-4)
+    speeds = course.at(course.blend(np.zeros(1, np.int64), np.array([0.7]))).speeds[0]
+    turn = Rotation.from_matrix(behind[:3, :3].T @ ahead[:3, :3]).as_rotvec() / 2e-4
+    np.testing.assert_allclose(speeds, [*turn, *(ahead[:3, 3] - behind[:3, 3]) / 2e-4], rtol=1e-4, atol=1e-6)
+
+
+def test_clocks_are_told_by_the_motion() -> None:
+    state = a_moving_state("plumb_bob")
+    seen = sightings_of(state, np.random.default_rng(0), noise=0.05)
+    start = replace(state, clocks=np.zeros((2, 2)))
+    result = adjust(start, seen, BundleOptions(lenses=False))
+    sigma = float(np.sqrt(np.diag(result.covariance)[result.layout.clock(1)])[0])
+    assert 1e-4 < sigma < 0.005
+    assert abs(result.state.clocks[1, 0] - 0.02) < 4 * sigma
 
 
 def test_a_bent_board_is_found_bent_and_a_flat_one_flat() -> None:
     rng = np.random.default_rng(4)
-    state = a_state("plumb_bob", sets=14)
+    state = a_still_state("plumb_bob", sets=14)
     bow = np.zeros_like(BOARD.points)
     x = BOARD.points[:, 0] - BOARD.points[:, 0].mean()
     bow[:, 2] = 0.006 * (1 - (x / x.max()) ** 2)
     for bend, expected in ((None, False), (bow, True)):
-        seen = [Sighting(s.camera, s.board, s.corners) for s in sightings_of(state, rng, bend=bend)]
-        rigid = adjust(state, seen, BundleOptions(board=False))
-        free = adjust(state, seen, BundleOptions(board=True))
-        assert board_pays(rigid, free, seen) is expected
+        seen = sightings_of(state, rng, bend=bend)
+        rigid, free = adjust(state, seen), adjust(state, seen, BundleOptions(board=True))
+        assert board_pays(rigid, free) is expected
         if bend is not None:
             found = (free.state.points - BOARD.points)[:, 2]
             assert abs(np.ptp(found) - np.ptp(bow[:, 2])) < 0.2 * np.ptp(bow[:, 2])
-
-
-def test_the_right_jacobian_is_the_turn_by_a_change_of_the_vector() -> None:
-    for vector in (np.array([0.3, -1.2, 0.8]), np.array([1e-9, 0.0, 0.0])):
-        change = 1e-6 * np.array([0.2, -0.5, 0.4])
-        turned = Rotation.from_rotvec(vector).inv() * Rotation.from_rotvec(vector + change)
-        np.testing.assert_allclose(turned.as_rotvec(), right_jacobian(vector) @ change, atol=1e-11)

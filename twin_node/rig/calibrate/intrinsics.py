@@ -8,12 +8,16 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from twin_node.geometry import transform
+from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Board, Corners
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting, adjust, board_pays
-from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project_points
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
+from twin_node.rig.calibrate.course import still_course
+from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project
 from twin_node.rig.errors import RigError
-from twin_node.scene import Float64
+from twin_node.scene import Bool, Float64
 
 MIN_VIEWS = 3
 """Fewest views of a plane that determine a lens (Zhang, PAMI 2000, section 3.1)."""
@@ -24,11 +28,21 @@ MIN_CORNERS = 6
 MIN_SPREAD = 0.05
 """Narrowest extent of a view's corners as a share of their longest: below it they lie on a line and tell no pose."""
 
-OUTLIER_FACTOR = 3.0
-"""A view whose rms is more than this times the median of all is dropped: a misread board, motion blur."""
+BENT_SHARE = 0.01
+"""Share of an image's width by which the strongest lenses bend the picture of a flat board; corners further than this
+from every flat board are misread."""
 
-OUTLIER_FLOOR_PX = 0.5
-"""No view better than this is dropped, however good the others are."""
+OUTLIER_FACTOR = 4.0
+"""A corner further off than so many times the median of all is left out of the first solution."""
+
+OUTLIER_FLOOR_PX = 1.0
+"""No corner better than this is left out of the first solution, however good the others are."""
+
+MOST = 0.5
+"""Share of a view's corners that must fit, else the board was misread."""
+
+START_ROUNDS = 4
+"""First solutions, each without the corners that fitted the one before badly."""
 
 COVERAGE_CELLS = (6, 8)
 """Rows and columns of cells that coverage is counted in."""
@@ -92,21 +106,20 @@ def calibrate_lens(
     """
     if model not in COEFFICIENTS:
         raise RigError(f"distortion model: expected one of {', '.join(COEFFICIENTS)}, found {model!r}")
-    used, dropped = _usable(board, views)
-    while True:
+    used, dropped = _usable(board, [_flat(board, view, size) for view in views], "too few corners that lie on a plane")
+    for _ in range(START_ROUNDS):
         if len(used) < MIN_VIEWS:
             raise RigError(
                 f"{source}: expected at least {MIN_VIEWS} views of the board ({board}), found {len(used)} "
                 f"among {len(views)} with a board; check the board's size and take more pictures"
             )
         solution = _solve(board, used, size, model, source)
-        residuals = _residuals(board, used, solution)
-        bad = _outliers(residuals)
-        if not bad.any():
-            return _refined(board, used, solution, tuple(dropped))
-        errors = [rms([r]) for r in residuals]
-        dropped += [DroppedView(used[i].name, f"rms {errors[i]:.2f} px") for i in np.flatnonzero(bad)]
-        used = [view for view, is_bad in zip(used, bad, strict=True) if not is_bad]
+        kept = _fitting(_residuals(board, used, solution))
+        if all(own.all() for own in kept):
+            break
+        used, more = _usable(board, [_thinned(v, own) for v, own in zip(used, kept, strict=True)], "fits no other view")
+        dropped += more
+    return _refined(board, used, _solve(board, used, size, model, source), dropped)
 
 
 def usable(board: Board, corners: Corners) -> bool:
@@ -133,35 +146,62 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
     return np.asarray(counts, dtype=np.int64)
 
 
+def evenly(count: int, limit: int) -> list[int]:
+    """At most `limit` of `count` places, evenly spread."""
+    return sorted(set(np.linspace(0, count - 1, min(count, limit)).round().astype(int).tolist()))
+
+
 def _refined(
-    board: Board, views: Sequence[BoardView], start: _Solution, dropped: tuple[DroppedView, ...]
+    board: Board, views: Sequence[BoardView], start: _Solution, dropped: Sequence[DroppedView]
 ) -> LensCalibration:
     """The lens by bundle adjustment, which also tells how sure it is, over a flat board or one that is not."""
     sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
-    state = BundleState(np.zeros((1, 6)), start.poses, (start.lens,), board.points, np.zeros(1))
-    bundle = adjust(state, sightings, BundleOptions(board=False))
-    bent = adjust(replace(bundle.state, points=board.points), sightings, BundleOptions(board=True))
-    bundle = bent if board_pays(bundle, bent, sightings) else bundle
-    sigmas = np.sqrt(np.diag(bundle.covariance)[bundle.layout.lens(0)])
-    return LensCalibration(bundle.state.lenses[0], sigmas, tuple(views), bundle.residuals, dropped)
+    course = still_course(start.poses)
+    state = BundleState(np.eye(4)[None], course, (start.lens,), board.points, np.zeros((1, 2)))
+    bundle = adjust(state, sightings, BundleOptions())
+    bent = adjust(bundle.state, sightings, BundleOptions(board=True))
+    bundle = bent if board_pays(bundle, bent) else bundle
+    return LensCalibration(
+        bundle.state.lenses[0],
+        np.sqrt(np.diag(bundle.covariance)[bundle.layout.lens(0)]),
+        tuple(BoardView(views[s.board].name, s.corners) for s in bundle.sightings),
+        bundle.residuals,
+        (*dropped, *(DroppedView(views[s.board].name, "fits no other view") for s in bundle.left_out)),
+    )
 
 
 @dataclass(frozen=True)
 class _Solution:
     lens: Lens
     poses: Float64
-    """[V, 6] rotation vector and translation that map the board to the optical frame, per view."""
+    """[V, 4, 4] board to optical frame, per view."""
 
 
-def _usable(board: Board, views: Sequence[BoardView]) -> tuple[list[BoardView], list[DroppedView]]:
+def _flat(board: Board, view: BoardView, size: tuple[int, int]) -> BoardView:
+    """The view without corners that no flat board, seen through any lens, has where they are (RANSAC)."""
+    if len(view.corners) < MIN_CORNERS:
+        return view
+    _, mask = cv2.findHomography(
+        board.points[view.corners.ids, :2], view.corners.pixels, cv2.RANSAC, BENT_SHARE * size[0]
+    )
+    return _thinned(view, np.zeros(len(view.corners), bool) if mask is None else np.asarray(mask).ravel() > 0)
+
+
+def _fitting(residuals: Sequence[Float64]) -> list[Bool]:
+    """Per view: [N] which corners fit a solution."""
+    lengths = [np.linalg.norm(residual, axis=1) for residual in residuals]
+    limit = max(OUTLIER_FACTOR * float(np.median(np.concatenate(lengths))), OUTLIER_FLOOR_PX)
+    return [own < limit if (own < limit).mean() >= MOST else np.zeros(len(own), bool) for own in lengths]
+
+
+def _thinned(view: BoardView, kept: Bool) -> BoardView:
+    return replace(view, corners=Corners(view.corners.ids[kept], view.corners.pixels[kept]))
+
+
+def _usable(board: Board, views: Sequence[BoardView], reason: str) -> tuple[list[BoardView], list[DroppedView]]:
+    """The views that tell the board's pose, and the others, left out for a reason."""
     used = [view for view in views if usable(board, view.corners)]
-    few = [DroppedView(v.name, f"only {len(v.corners)} corners") for v in views if not usable(board, v.corners)]
-    return used, few
-
-
-def _outliers(residuals: Sequence[Float64]) -> NDArray[np.bool_]:
-    errors = np.array([rms([r]) for r in residuals])
-    return np.asarray(errors > max(OUTLIER_FACTOR * float(np.median(errors)), OUTLIER_FLOOR_PX))
+    return used, [DroppedView(view.name, reason) for view in views if not usable(board, view.corners)]
 
 
 def _solve(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str, source: str) -> _Solution:
@@ -200,12 +240,14 @@ def _solve_fisheye(board: Board, views: Sequence[BoardView], size: tuple[int, in
 
 
 def _poses(rotations: Sequence[object], translations: Sequence[object]) -> Float64:
-    columns = [np.asarray(part, np.float64).reshape(len(rotations), 3) for part in (rotations, translations)]
-    return np.concatenate(columns, axis=1)
+    T = np.tile(np.eye(4), (len(rotations), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.asarray(rotations, np.float64).reshape(-1, 3)).as_matrix()
+    T[:, :3, 3] = np.asarray(translations, np.float64).reshape(-1, 3)
+    return T
 
 
-def _residuals(board: Board, views: Sequence[BoardView], solution: _Solution) -> tuple[Float64, ...]:
-    return tuple(
-        view.corners.pixels - project_points(solution.lens, pose[:3], pose[3:], board.points[view.corners.ids]).pixels
-        for view, pose in zip(views, solution.poses, strict=True)
-    )
+def _residuals(board: Board, views: Sequence[BoardView], solution: _Solution) -> list[Float64]:
+    return [
+        view.corners.pixels - project(solution.lens, transform(T, board.points[view.corners.ids])).pixels
+        for view, T in zip(views, solution.poses, strict=True)
+    ]

@@ -1,33 +1,21 @@
-"""The lens both ways: raw pixels to rays, and points before a camera to raw pixels."""
+"""The lens of a rig's camera both ways: raw pixels to rays, and points before the camera to raw pixels."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from twin_node.rig.calibrate.lenses import BEHIND_M, lens_of, rays_of
 from twin_node.rig.undistort import distort
 from twin_node.scene import Float64, RigCamera
-
-BEHIND_M = 1e-3
-"""Least depth that is projected: what lies behind it is moved there, far off the image, so that solvers stay finite."""
 
 
 def pixel_rays(camera: RigCamera, pixels: Float64) -> Float64:
     """Rays (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2] (OpenCV convention); undoes `distort`."""
-    if not len(pixels):  # OpenCV gives nothing of the shape asked for
-        return np.zeros((0, 2))
-    shaped = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
-    if camera.distortion_model == "equidistant":
-        rays = cv2.fisheye.undistortPoints(shaped, camera.K, camera.D)
-    else:
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-        rays = cv2.undistortPointsIter(shaped, camera.K, camera.D, np.eye(3), np.eye(3), criteria)
-    out: Float64 = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
-    return out
+    return rays_of(lens_of(camera), pixels)
 
 
 def raw_pixels(camera: RigCamera, points: Float64) -> Float64:
-    """Raw pixels [N, 2] (OpenCV convention) of points [N, 3] m in the optical frame."""
+    """Raw pixels [N, 2] (OpenCV convention) of points [N, 3] m in the optical frame; far off the image behind it."""
     if not len(points):
         return np.zeros((0, 2))
     return distort(camera, points[:, :2] / np.maximum(points[:, 2:], BEHIND_M))

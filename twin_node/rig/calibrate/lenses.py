@@ -21,12 +21,20 @@ CENTRE_SIGMA = 0.03
 calibrations of webcams and industrial cameras lie within 0.04."""
 
 DISTORTION_SIGMAS = {
-    "plumb_bob": (0.5, 1.0, 0.005, 0.005, 1.0),
+    "plumb_bob": (0.5, 1.0, 0.001, 0.001, 1.0),
     "rational_polynomial": (5.0, 5.0, 0.005, 0.005, 5.0, 5.0, 5.0, 5.0),
     "equidistant": (0.5, 0.5, 0.5, 0.5),
 }
 """1 sigma of each coefficient about 0 (assumed): wide for any lens on sale, but no room for the values of hundreds that
 corners in the middle of the image leave open."""
+
+BEHIND_M = 1e-3
+"""Least depth that is projected, m."""
+
+INVERSION_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+"""Rounds of undoing the distortion, and the change that ends them: strong lenses need more than OpenCV's five."""
+
+NO_TURN = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -78,11 +86,9 @@ class Projection:
     """Where points are seen, and how that changes."""
 
     pixels: Float64
-    """[N, 2] OpenCV convention."""
-    by_rotation: Float64
-    """[N, 2, 3] by the rotation vector that maps to the optical frame."""
-    by_translation: Float64
-    """[N, 2, 3] by the translation, pixels per metre."""
+    """[N, 2] raw, OpenCV convention."""
+    by_point: Float64
+    """[N, 2, 3] by the point's place in the optical frame, pixels per metre."""
     by_lens: Float64
     """[N, 2, 4 + D] by `Lens.parameters`."""
 
@@ -92,24 +98,34 @@ def lens_of(camera: RigCamera) -> Lens:
     return Lens(camera.width, camera.height, camera.K, camera.distortion_model, camera.D)
 
 
-def project_points(lens: Lens, rotation: Float64, translation: Float64, points: Float64) -> Projection:
-    """Pixels of points [N, 3] that a rotation vector [3] and a translation [3] map to the optical frame."""
+def project(lens: Lens, points: Float64) -> Projection:
+    """Where a lens sees points [N, 3] m of its optical frame.
+
+    What lies behind it is taken to `BEHIND_M` before it, far off the image, so that solvers stay finite.
+    """
+    count = len(points)
+    if not count:  # OpenCV gives nothing of the shape asked for
+        return Projection(np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros((0, 2, 4 + len(lens.D))))
+    before = np.concatenate([points[:, :2], np.maximum(points[:, 2:], BEHIND_M)], axis=1)[:, None]
     if lens.model == "equidistant":
-        pixels, J = cv2.fisheye.projectPoints(points[:, None], rotation, translation, lens.K, lens.D)
-        J = np.asarray(J, dtype=np.float64).reshape(len(points), 2, -1)
+        pixels, J = cv2.fisheye.projectPoints(before, NO_TURN, NO_TURN, lens.K, lens.D)
+        J = np.asarray(J, dtype=np.float64).reshape(count, 2, -1)
         # Order of the columns: f (2), c (2), k (4), rotation, translation, skew.
-        by_lens, by_rotation, by_translation = J[..., :8], J[..., 8:11], J[..., 11:14]
+        by_lens, by_point = J[..., :8], J[..., 11:14]
     else:
-        pixels, J = cv2.projectPoints(points[:, None], rotation, translation, lens.K, lens.D)
-        J = np.asarray(J, dtype=np.float64).reshape(len(points), 2, -1)
-        by_lens, by_rotation, by_translation = J[..., 6 : 10 + len(lens.D)], J[..., :3], J[..., 3:6]
-    return Projection(np.asarray(pixels, np.float64).reshape(-1, 2), by_rotation, by_translation, by_lens)
+        pixels, J = cv2.projectPoints(before, NO_TURN, NO_TURN, lens.K, lens.D)
+        J = np.asarray(J, dtype=np.float64).reshape(count, 2, -1)
+        by_lens, by_point = J[..., 6 : 10 + len(lens.D)], J[..., 3:6]
+    return Projection(np.asarray(pixels, np.float64).reshape(-1, 2), by_point, by_lens)
 
 
 def rays_of(lens: Lens, pixels: Float64) -> Float64:
-    """Directions (x/z, y/z) [N, 2] in the optical frame of pixels [N, 2]."""
+    """Directions (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2]."""
+    if not len(pixels):
+        return np.zeros((0, 2))
+    shaped = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
     if lens.model == "equidistant":
-        rays = cv2.fisheye.undistortPoints(pixels[:, None], lens.K, lens.D)
+        rays = cv2.fisheye.undistortPoints(shaped, lens.K, lens.D)
     else:
-        rays = cv2.undistortPoints(pixels[:, None], lens.K, lens.D)
+        rays = cv2.undistortPointsIter(shaped, lens.K, lens.D, np.eye(3), np.eye(3), INVERSION_STOP)
     return np.asarray(rays, dtype=np.float64).reshape(-1, 2)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Board, Corners
-from twin_node.rig.calibrate.extrinsics import CameraRecording
 from twin_node.rig.calibrate.intrinsics import BoardView
 from twin_node.rig.calibrate.lenses import lens_of
+from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
 from twin_node.rig.stamps import StampsFile, read_stamps
 from twin_node.scene import Rig, UInt8

@@ -8,18 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.geometry import inverse_pose, transform
+from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.bundle import BundleState
 from twin_node.rig.calibrate.extrinsics import RigSolution
-from twin_node.rig.calibrate.lenses import project_points
-from twin_node.rig.calibrate.rotations import as_pose, cross_matrix, right_jacobian
+from twin_node.rig.calibrate.lenses import project
+from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, Rig, RigCamera
 
 WITNESSES = 24
-"""Board corners, evenly picked of all sets, at which the cameras' agreement is judged."""
+"""Places of the board, evenly picked of its course, at which the cameras' agreement is judged."""
+
+BASE_TOLERANCE_S = 0.5
+"""A board that lies still is taken for seen at a time where an image shows it so near to that."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +47,13 @@ def residuals_of_all(residuals: Sequence[Float64]) -> Residuals:
 
 def camera_residuals(solution: RigSolution, camera: int) -> Float64:
     """[N, 2] residuals of one camera, pixels."""
-    pairs = zip(solution.sightings, solution.bundle.residuals, strict=True)
+    pairs = zip(solution.bundle.sightings, solution.bundle.residuals, strict=True)
     return np.concatenate([residual for sighting, residual in pairs if sighting.camera == camera])
 
 
 def camera_poses(state: BundleState) -> Float64:
     """`T_rig_cam` [C, 4, 4]."""
-    return inverse_pose(np.stack([as_pose(vector) for vector in state.cameras]))
+    return inverse_pose(state.T_cam_rig)
 
 
 def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> RigFile:
@@ -62,7 +65,7 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
     to_base = np.eye(4) if T_base_rig is None else T_base_rig
     state, layout = solution.bundle.state, solution.bundle.layout
     poses, sigmas = camera_poses(state), agreement_sigmas(solution)
-    offsets = np.sqrt(np.diag(solution.bundle.covariance)[layout.clock_offsets])
+    variances, covariances = np.diag(solution.bundle.covariance), pose_covariances(solution, to_base)
     cameras, evidence = [], []
     for i, name in enumerate(solution.names):
         lens = state.lenses[i]
@@ -76,20 +79,24 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
                 lens.model,
                 lens.D,
                 float(sigmas[i]),
-                round(float(state.clocks[i]) * 1e9),
+                round(float(state.clocks[i, 0]) * 1e9),
+                float(state.clocks[i, 1]) * 1e6,
+                solution.reference_ns if state.clocks[i, 1] else 0,
             )
         )
         figures = residuals_of(camera_residuals(solution, i))
-        own = [sighting for sighting in solution.sightings if sighting.camera == i]
+        own = [sighting for sighting in solution.bundle.sightings if sighting.camera == i]
+        clock = np.sqrt(variances[layout.clock(i)]).tolist() or [None, None]
         evidence.append(
             CameraEvidence(
                 figures.rms_px,
                 figures.median_px,
                 len(own),
                 sum(len(sighting.corners) for sighting in own),
-                pose_covariance(solution, i, to_base),
-                np.sqrt(np.diag(solution.bundle.covariance)[layout.lens(i)]) if layout.lens_sizes else None,
-                float(offsets[i - 1]) if layout.clocks and i > 0 else None,
+                covariances[i],
+                np.sqrt(variances[layout.lens(i)]) if layout.lens_sizes else None,
+                clock[0],
+                None if clock[1] is None else 1e6 * clock[1],
             )
         )
     return RigFile(
@@ -104,35 +111,58 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
 def board_as_base(solution: RigSolution, stamp: int) -> Float64:
     """`T_base_rig` [4, 4] that makes the board, as it lay at a time (ns), the base: x along its rows, z to the cameras.
 
-    Raises `RigError` where no set is within half a second of that time.
+    Raises `RigError` where no image with the board is within half a second of that time.
     """
-    number = int(np.abs(solution.set_stamps - stamp).argmin())
-    nearest = int(solution.set_stamps[number])
-    if abs(nearest - stamp) > 500_000_000:
+    bundle, wanted = solution.bundle, (stamp - solution.origin_ns) / 1e9
+    nearest = min(bundle.sightings, key=lambda sighting: abs(sighting.time_s - wanted))
+    if abs(nearest.time_s - wanted) > BASE_TOLERANCE_S:
         raise RigError(
-            f"base: expected the board to be seen at {stamp / 1e9:.3f} s, found it at {nearest / 1e9:.3f} s at the "
-            "nearest; name a time at which it lies on the base in sight of a camera"
+            f"base: expected the board to be seen at {stamp / 1e9:.3f} s, found it at "
+            f"{nearest.time_s + solution.origin_ns / 1e9:.3f} s at the nearest; name a time at which it lies on the "
+            "base in sight of a camera"
         )
-    T_rig_board = as_pose(solution.bundle.state.boards[number])
-    seen_from = transform(inverse_pose(T_rig_board), camera_poses(solution.bundle.state)[:, :3, 3])
+    course = bundle.state.course
+    placed = course.at(course.blend(np.array([nearest.board]), np.array([nearest.time_s])))
+    T_rig_board = pose(placed.rotations[0], placed.positions[0])
+    seen_from = transform(inverse_pose(T_rig_board), camera_poses(bundle.state)[:, :3, 3])
     if seen_from[:, 2].mean() < 0:  # rows of most boards run down the page: their z points into it
         T_rig_board = T_rig_board @ np.diag([1.0, -1.0, -1.0, 1.0])
     return inverse_pose(T_rig_board)
 
 
-def pose_covariance(solution: RigSolution, camera: int, T_base_rig: Float64) -> Float64:
-    """[6, 6] covariance of `T_base_cam`: position (m), turns about the base's axes (rad); 0 for the first."""
-    columns = solution.bundle.layout.camera(camera)
-    if camera == 0:
-        return np.zeros((6, 6))
-    vector = solution.bundle.state.cameras[camera]
-    R_rig_cam = inverse_pose(as_pose(vector))[:3, :3]
-    centre = -R_rig_cam @ vector[3:]
-    turn = right_jacobian(vector[:3])
-    # Where the world-to-camera vector changes by (dr, dt), the camera turns by -turn dr about the rig's axes.
-    J = np.block([[cross_matrix(centre) @ turn, -R_rig_cam], [-turn, np.zeros((3, 3))]])
-    J = np.kron(np.eye(2), T_base_rig[:3, :3]) @ J
-    return np.asarray(J @ solution.bundle.covariance[columns, columns] @ J.T)
+def pose_covariances(solution: RigSolution, T_base_rig: Float64) -> Float64:
+    """[C, 6, 6] covariances of `T_base_cam`: position (m), turns about the base's axes (rad).
+
+    They are of a free network (Triggs et al. 1999, section 9): errors that move the rig as a whole are no errors of
+    calibration, and taken out as `settled` does.
+    """
+    bundle, cameras = solution.bundle, len(solution.names)
+    poses = T_base_rig @ camera_poses(bundle.state)
+    J = np.zeros((6 * cameras, len(bundle.covariance)))
+    for i in range(1, cameras):
+        R_base_cam, shift = poses[i, :3, :3], bundle.state.T_cam_rig[i, :3, 3]
+        by_change = np.block([[-R_base_cam @ cross_matrix(shift), -R_base_cam], [-R_base_cam, np.zeros((3, 3))]])
+        J[6 * i : 6 * i + 6, bundle.layout.camera(i)] = by_change
+    J = settled(poses, J)
+    whole = J @ bundle.covariance @ J.T
+    return np.stack([whole[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(cameras)])
+
+
+def settled(poses: Float64, changes: Float64) -> Float64:
+    """Changes [6 C, n] of poses [C, 4, 4] (positions, m; turns about the base's axes, rad) without what they share.
+
+    That is the motion of the rig as a whole that leaves the least of them, turns counted at the cameras' median
+    distance from their common centre.
+    """
+    centres = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    reach = max(float(np.median(np.linalg.norm(centres, axis=1))), 1e-6)
+    G = np.zeros((len(poses), 6, 6))
+    G[:, :3, :3] = G[:, 3:, 3:] = np.eye(3)
+    G[:, :3, 3:] = -cross_matrix(centres)
+    weights = np.tile([1.0] * 3 + [reach] * 3, len(poses))
+    rigid = G.reshape(-1, 6)
+    shared = np.linalg.lstsq(rigid * weights[:, None], changes * weights[:, None], rcond=None)[0]
+    return np.asarray(changes - rigid @ shared)
 
 
 def agreement_sigmas(solution: RigSolution) -> Float64:
@@ -144,19 +174,19 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
     witnesses = _witnesses(bundle.state)
     moves = np.zeros((cameras, len(witnesses), 2, len(bundle.covariance)))
     rigid = np.zeros((cameras, len(witnesses), 2, 6))
-    for i in range(cameras):
-        vector, lens = bundle.state.cameras[i], bundle.state.lenses[i]
-        projection = project_points(lens, vector[:3], vector[3:], witnesses)
-        depth = transform(as_pose(vector), witnesses)[:, 2]
-        to_metres = (depth / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
+    turns = -cross_matrix(witnesses)
+    for i, (lens, T) in enumerate(zip(bundle.state.lenses, bundle.state.T_cam_rig, strict=True)):
+        seen = transform(T, witnesses)
+        projection = project(lens, seen)
+        to_metres = (seen[:, 2] / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
+        by_point = projection.by_point * to_metres
+        by_pose = np.concatenate([-by_point @ cross_matrix(seen - T[:3, 3]), by_point], axis=2)
         if i > 0:
-            by_pose = np.concatenate([projection.by_rotation, projection.by_translation], axis=2)
-            moves[i, ..., bundle.layout.camera(i)] = by_pose * to_metres
+            moves[i, ..., bundle.layout.camera(i)] = by_pose
         if bundle.layout.lens_sizes:
             moves[i, ..., bundle.layout.lens(i)] = projection.by_lens * to_metres
-        by_point = projection.by_translation @ as_pose(vector)[:3, :3] * to_metres
-        turns = -np.stack([cross_matrix(witness) for witness in witnesses])
-        rigid[i] = np.concatenate([by_point, by_point @ turns], axis=2)
+        by_place = by_point @ T[:3, :3]
+        rigid[i] = np.concatenate([by_place, by_place @ turns], axis=2)
     A, G = moves.reshape(-1, moves.shape[-1]), rigid.reshape(-1, 6)
     A = A - G @ np.linalg.lstsq(G, A, rcond=None)[0]
     variances = np.einsum("ij,jk,ik->i", A, bundle.covariance, A).reshape(cameras, -1)
@@ -164,6 +194,6 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
 
 
 def _witnesses(state: BundleState) -> Float64:
-    """[W, 3] corners of the boards in the rig's frame, spread over all sets."""
-    places = np.concatenate([transform(as_pose(board), state.points) for board in state.boards])
+    """[W, 3] places of the board in the rig's frame, spread over its course."""
+    places = state.course.positions
     return np.asarray(places[np.linspace(0, len(places) - 1, WITNESSES).round().astype(int)])

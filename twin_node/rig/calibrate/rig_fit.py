@@ -10,10 +10,10 @@ import numpy as np
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import Sighting
-from twin_node.rig.calibrate.extrinsics import CameraRecording, simultaneous
-from twin_node.rig.calibrate.lenses import lens_of, project_points
+from twin_node.rig.calibrate.lenses import lens_of, project
 from twin_node.rig.calibrate.pose_graph import board_pose
-from twin_node.rig.calibrate.rotations import as_vector
+from twin_node.rig.calibrate.rig_start import set_stamps, simultaneous
+from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, Rig
 
@@ -49,8 +49,9 @@ def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecordin
                 "the recording or give this rig's file"
             )
     order = [names.index(recording.name) for recording in recordings]
-    clocks = np.array([rig.cameras[i].time_offset_ns for i in order]) / 1e9
-    seen = [Sighting(order[s.camera], s.board, s.corners) for s in simultaneous(board, recordings, clocks)]
+    stamps = set_stamps(recordings)
+    own = np.array([[rig.cameras[i].own_time(int(stamp)) for stamp in stamps] for i in order])
+    seen = [Sighting(order[s.camera], s.board, s.corners) for s in simultaneous(board, recordings, stamps, own)]
     counts = np.bincount([s.board for s in seen]) if seen else np.zeros(1)
     shared = tuple(s for s in seen if counts[s.board] > 1)
     if not shared:
@@ -89,10 +90,10 @@ def _residuals(board: Board, rig: Rig, group: Sequence[Sighting], T_base_board: 
     residuals = []
     for sighting in group:
         camera = rig.cameras[sighting.camera]
-        T, points = inverse_pose(camera.T_base_cam) @ T_base_board, board.points[sighting.corners.ids]
-        vector = as_vector(T)
-        projected = project_points(lens_of(camera), vector[:3], vector[3:], points).pixels
-        behind = transform(T, points)[:, 2] <= 0
+        T = inverse_pose(camera.T_base_cam) @ T_base_board
+        points = transform(T, board.points[sighting.corners.ids])
+        projected = project(lens_of(camera), points).pixels
+        behind = points[:, 2] <= 0
         offset = np.where(behind[:, None], BEHIND_PX, sighting.corners.pixels - projected)
         residuals.append(np.nan_to_num(np.clip(offset, -BEHIND_PX, BEHIND_PX), nan=BEHIND_PX))
     return residuals

@@ -1,35 +1,38 @@
-"""Poses as vectors, which solvers move."""
+"""Poses as solvers move them."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import pose
 from twin_node.scene import Float64
 
 
-def as_vector(T: Float64) -> Float64:
-    """Rotation vector and translation [6] of a pose [4, 4]."""
-    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
+def cross_matrix(v: NDArray[np.floating]) -> Float64:
+    """[..., 3, 3] matrices of the cross product with v [..., 3]."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
 
 
-def as_pose(vector: Float64) -> Float64:
-    """Pose [4, 4] of a rotation vector and translation [6]."""
-    return pose(np.asarray(cv2.Rodrigues(vector[:3])[0], np.float64), vector[3:])
+def moved(T: Float64, change: Float64) -> Float64:
+    """Poses [..., 4, 4] turned by a rotation vector about the outer frame's axes and shifted along them.
+
+    `change` [..., 6]: rad, then m; the turn leaves the translation alone.
+    """
+    out = T.copy()
+    out[..., :3, :3] = (
+        Rotation.from_rotvec(change[..., :3].reshape(-1, 3)).as_matrix().reshape(*change.shape[:-1], 3, 3)
+        @ T[..., :3, :3]
+    )
+    out[..., :3, 3] += change[..., 3:]
+    return out
 
 
-def cross_matrix(v: Float64) -> Float64:
-    """[3, 3] matrix of the cross product with v [3]."""
-    x, y, z = v
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-
-
-def right_jacobian(rotation: Float64) -> Float64:
-    """[3, 3] turn, right of a rotation vector's rotation, by a change of the vector (Sola et al. 2018, eq. 143)."""
-    angle, cross = float(np.linalg.norm(rotation)), cross_matrix(rotation)
-    if angle < 1e-6:
-        return np.asarray(np.eye(3) - cross / 2)
-    linear, square = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) - linear * cross + square * cross @ cross)
+def quat_product(a: Float64, b: Float64) -> Float64:
+    """Hamilton products [..., 4] of quaternions [..., 4] (w, x, y, z)."""
+    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    real = aw * bw - (av * bv).sum(-1, keepdims=True)
+    return np.concatenate([real, aw * bv + bw * av + np.cross(av, bv)], axis=-1)

@@ -1,0 +1,33 @@
+"""`twin_node bench calibration`: made-up rigs against their truth."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import whole
+
+
+def add_bench_calibration(benches: Any) -> None:
+    """Adds `bench calibration`."""
+    parser = benches.add_parser("calibration", help="errors of made-up rigs calibrated from a board, against the truth")
+    parser.add_argument("--rigs", type=whole, default=50, metavar="N", help="how many (default 50)")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="number of the first (default 0)")
+    parser.add_argument("--workers", type=whole, default=2, metavar="N", help="worked on at once (default 2)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=_bench_calibration)
+
+
+def _bench_calibration(options: argparse.Namespace) -> None:
+    from twin_node.bench import calibration
+
+    bench = calibration.run(
+        options.rigs,
+        options.seed,
+        options.workers,
+        lambda rigs: tqdm(rigs, total=options.rigs, unit="rig", desc="calibrate", disable=None),
+    )
+    print(json.dumps(bench.as_json()) if options.json else bench.table())

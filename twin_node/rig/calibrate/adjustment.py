@@ -1,0 +1,126 @@
+"""Solves a bundle: Levenberg and Marquardt's method, noise and outliers told by what it leaves over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.rig.calibrate.boards import Corners
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
+from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.scene import Bool, Float64
+
+OUTLIER_SIGMAS = 6.0
+"""Corners further off than so many sigma are left out; up to there the robust cost deals with the tails, which are
+longer in real pictures than in the normal distribution."""
+
+LEAST_SHARE = 0.5
+"""An image of whose corners fewer than this are any good is left out whole: its board was misread."""
+
+LEAST_CORNERS = 4
+"""An image with fewer good corners says less than its board's pose needs."""
+
+ROUNDS = 6
+"""Solutions, each with noise and outliers found anew from the residuals of the one before; four settle most."""
+
+SETTLED = 1e-3
+"""Share of corners that change sides in a round below which the outliers are found."""
+
+NOISE_FLOOR_PX = 0.02
+"""No corner is better than this, so that synthetic images do not divide by zero."""
+
+MAX_STEPS = 40
+"""A start from the graph converges in about ten."""
+
+ROUGHLY, CONVERGED = 1e-4, 1e-8
+"""Relative gain of a step that ends a round, and below which no figure moves any more."""
+
+MOST_DAMPING = 1e8
+"""A step that is not downhill even with this damping has nowhere to go."""
+
+
+def adjust(start: BundleState, sightings: Sequence[Sighting], options: BundleOptions | None = None) -> BundleResult:
+    """The state that explains all sightings best, from a start within the basin of convergence.
+
+    Each camera's noise is estimated from its own residuals; corners, and images, that do not fit are left out.
+    """
+    problem = BundleProblem(start, sightings, options or BundleOptions())
+    state, kept, noise = start, problem.seen, np.ones(len(start.lenses))
+    for _ in range(ROUNDS):
+        state = minimise(problem, state, kept, noise, ROUGHLY)
+        residuals, before = problem.look(state).residuals, kept
+        noise = _noise(residuals, kept, problem.camera, len(noise))
+        kept = _inliers(residuals, problem.seen, noise[problem.camera])
+        problem.measure_board(state)
+        if (kept != before)[problem.seen].mean() < SETTLED:
+            break
+    state = minimise(problem, state, kept, noise)
+    residuals = problem.look(state).residuals
+    noise = _noise(residuals, kept, problem.camera, len(noise))
+    views = list(zip(sightings, kept, residuals, strict=True))
+    return BundleResult(
+        state,
+        tuple(_thinned(sighting, own) for sighting, own, _ in views if own.any()),
+        tuple(residual[own] for _, own, residual in views if own.any()),
+        noise,
+        problem.covariance(state, kept, noise),
+        problem.layout,
+        tuple(sighting for sighting, own, _ in views if not own.any()),
+    )
+
+
+def board_pays(rigid: BundleResult, bent: BundleResult) -> bool:
+    """Whether a refined board explains enough for its unknowns (Bayesian information criterion, Schwarz 1978)."""
+    counts = np.zeros(len(rigid.noise_px))
+    for sighting in rigid.sightings:
+        counts[sighting.camera] += 2 * len(sighting.corners)
+    gain = float(counts @ np.log(rigid.noise_px / bent.noise_px))
+    unknowns = 3 * bent.layout.points - 6  # where the board as a whole is, its poses say
+    return bool(gain > unknowns / 2 * np.log(counts.sum()))
+
+
+def minimise(
+    problem: BundleProblem, state: BundleState, kept: Bool, noise_px: Float64, enough: float = CONVERGED
+) -> BundleState:
+    """The state of least robust cost, downhill from the one given until a step gains a smaller share than asked."""
+    look, damping = problem.look(state), 1e-4
+    cost = problem.cost(state, look, kept, noise_px)
+    for _ in range(MAX_STEPS):
+        equations = problem.equations(state, look, kept, noise_px)
+        while damping < MOST_DAMPING:
+            tried = problem.changed(state, *equations.solution(damping))
+            seen = problem.look(tried)
+            found = problem.cost(tried, seen, kept, noise_px)
+            if found < cost:
+                break
+            damping *= 10
+        else:
+            return state
+        gain, damping = cost - found, max(damping / 10, 1e-9)
+        state, look, cost = tried, seen, found
+        if gain < enough * cost:
+            break
+    return state
+
+
+def _inliers(residuals: Float64, seen: Bool, noise_px: Float64) -> Bool:
+    """[V, P] corners that fit, of images of which most do."""
+    fits = seen & (np.linalg.norm(residuals, axis=2) < OUTLIER_SIGMAS * noise_px[:, None])
+    counts = fits.sum(1)
+    fits[(counts < LEAST_CORNERS) | (counts < LEAST_SHARE * seen.sum(1))] = False
+    return np.asarray(fits)
+
+
+def _noise(residuals: Float64, kept: Bool, camera: NDArray[np.int64], cameras: int) -> Float64:
+    """[C] 1 sigma per camera and axis, pixels."""
+    noise = [1.4826 * np.median(np.abs(residuals[kept & (camera == i)[:, None]])) for i in range(cameras)]
+    return np.maximum(noise, NOISE_FLOOR_PX)
+
+
+def _thinned(sighting: Sighting, kept: Bool) -> Sighting:
+    corners = sighting.corners
+    own = kept[corners.ids]
+    return replace(sighting, corners=Corners(corners.ids[own], corners.pixels[own]))

@@ -1,0 +1,258 @@
+"""Residuals of a bundle and the normal equations of their change."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Layout, Sighting
+from twin_node.rig.calibrate.course import ACCELERATION, TURN_ACCELERATION, Placed
+from twin_node.rig.calibrate.lenses import project
+from twin_node.rig.calibrate.normal_equations import NOWHERE, NormalEquations
+from twin_node.rig.calibrate.rotations import moved, quat_product
+from twin_node.scene import Bool, Float64
+
+BOARD_TOLERANCE = 0.01
+"""1 sigma of a corner's place as a share of the distance between corners, where the board is refined: at first; from
+the second round on what was measured. Paper bends and printers stretch, but no print is off by several of these."""
+
+BOARD_TOLERANCE_FLOOR = 1e-4
+"""No print is better than this share of the distance between corners."""
+
+CLOCK_SIGMA_S = 0.1
+"""1 sigma of a camera's clock offset: what a frame may wait in drivers and buffers (webcams: up to a few frames)."""
+
+RATE_SIGMA = 100e-6
+"""1 sigma of a clock's rate: crystals are sold as good to 20 to 100 ppm."""
+
+ROBUST_SIGMAS = 2.0
+"""Corners further off than so many sigma count linearly (soft L1): motion blur loses its pull."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """A state's projection of the board's P corners in all V images; zeros for what was not seen."""
+
+    placed: Placed
+    """The board at every image's time."""
+    in_rig: Float64
+    """[V, P, 3] corners in the rig's frame, m."""
+    residuals: Float64
+    """[V, P, 2] found minus projected, pixels."""
+    by_point: Float64
+    """[V, P, 2, 3] of the projection by the corner's place in the optical frame."""
+    by_lens: Float64
+    """[V, P, 2, L] of the projection by the longest lens's parameters; shorter ones leave zeros."""
+
+
+class BundleProblem:
+    """What was seen, with a place for every corner of the board in every image, and what may change."""
+
+    def __init__(self, start: BundleState, sightings: Sequence[Sighting], options: BundleOptions) -> None:
+        self._start = start
+        self.camera = np.array([sighting.camera for sighting in sightings])
+        """[V]."""
+        self.seen: Bool = np.zeros((len(sightings), len(start.points)), dtype=bool)
+        """[V, P] which corners were found."""
+        self._pixels = np.zeros((*self.seen.shape, 2))
+        for view, sighting in enumerate(sightings):
+            self.seen[view, sighting.corners.ids] = True
+            self._pixels[view, sighting.corners.ids] = sighting.corners.pixels
+        self._times = np.array([sighting.time_s for sighting in sightings])
+        self._boards = np.array([sighting.board for sighting in sightings])
+        cameras, moves = len(start.lenses), any(stretch.count > 1 for stretch in start.course.stretches)
+        self.layout = Layout(
+            cameras,
+            tuple(len(lens.parameters) for lens in start.lenses) if options.lenses else (),
+            options.clocks and moves and cameras > 1,
+            len(start.points) if options.board else 0,
+        )
+        self._columns = self._outer_columns(max(len(lens.parameters) for lens in start.lenses))
+        self._step = _step(start.points)
+        self._tolerance = BOARD_TOLERANCE * self._step
+
+    def measure_board(self, state: BundleState) -> None:
+        """Sets what the board's corners may be off by to what they are off by."""
+        displacement = float(np.sqrt(np.mean((state.points - self._start.points) ** 2)))
+        self._tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
+
+    def look(self, state: BundleState) -> Look:
+        """Where a state would have everything be seen."""
+        blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
+        placed = state.course.at(blend)
+        in_rig = state.points @ placed.rotations.swapaxes(1, 2) + placed.positions[:, None]
+        residuals = np.zeros_like(self._pixels)
+        by_point = np.zeros((*residuals.shape, 3))
+        by_lens = np.zeros((*residuals.shape, self._columns.shape[1] - 8))
+        for i, (lens, T) in enumerate(zip(state.lenses, state.T_cam_rig, strict=True)):
+            where = self.seen & (self.camera == i)[:, None]
+            projection = project(lens, in_rig[where] @ T[:3, :3].T + T[:3, 3])
+            residuals[where] = self._pixels[where] - projection.pixels
+            by_point[where] = projection.by_point
+            by_lens[where, :, : projection.by_lens.shape[-1]] = projection.by_lens
+        return Look(placed, in_rig, residuals, by_point, by_lens)
+
+    def cost(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> float:
+        """Half the robust sum of squares, in sigmas, of the corners that are kept and of all priors."""
+        square = (look.residuals[kept] ** 2).sum(-1) / np.repeat(noise_px[self.camera] ** 2, kept.sum(1))
+        robust = 2 * ROBUST_SIGMAS**2 * (np.sqrt(1 + square / ROBUST_SIGMAS**2) - 1)
+        lenses = sum(float((lens.priors() ** 2).sum()) for lens in state.lenses) if self.layout.lens_sizes else 0.0
+        board = float((((state.points - self._start.points) / self._tolerance) ** 2).sum())
+        clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
+        return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((self._roughness(state) ** 2).sum()))
+
+    def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> NormalEquations:
+        """The normal equations about a state."""
+        equations = NormalEquations(6 * len(state.course.quats), 23, self.layout.size)
+        square = (look.residuals**2).sum(-1) / noise_px[self.camera, None] ** 2
+        weights = np.where(kept, (1 + square / ROBUST_SIGMAS**2) ** -0.25, 0.0) / noise_px[self.camera, None]
+        blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
+        for camera in range(self.layout.cameras):
+            # In the order of the course, so that images that share control poses are summed up before they are added.
+            views = np.flatnonzero(self.camera == camera)
+            views = views[np.argsort(blend.controls[views, 0], kind="stable")]
+            self._add_camera(equations, state, look, weights, views, blend.controls[views])
+        self._add_smoothness(equations, state)
+        self._add_priors(equations, state)
+        return equations
+
+    def changed(self, state: BundleState, inner: Float64, outer: Float64) -> BundleState:
+        """The state after changes of the course [6 K] and of what the layout holds."""
+        layout = self.layout
+        cameras = np.concatenate([np.zeros((1, 6)), outer[: 6 * (layout.cameras - 1)].reshape(-1, 6)])
+        lenses = state.lenses
+        if layout.lens_sizes:
+            lenses = tuple(s.with_parameters(s.parameters + outer[layout.lens(i)]) for i, s in enumerate(lenses))
+        clocks = state.clocks
+        if layout.clocks:
+            own = outer[layout.clock(1).start : layout.clock(layout.cameras - 1).stop]
+            clocks = clocks + np.concatenate([np.zeros((1, 2)), own.reshape(-1, 2)])
+        points = state.points + outer[layout.corners].reshape(-1, 3) if layout.points else state.points
+        return replace(
+            state,
+            T_cam_rig=moved(state.T_cam_rig, cameras),
+            course=state.course.changed(inner.reshape(-1, 6)),
+            lenses=lenses,
+            points=points,
+            clocks=clocks,
+        )
+
+    def covariance(self, state: BundleState, kept: Bool, noise_px: Float64) -> Float64:
+        """[n, n] of the unknowns in `layout`, of an M-estimate (Huber, Robust Statistics, 1981, section 7.6)."""
+        look = self.look(state)
+        square = (look.residuals[kept] ** 2).sum(-1) / np.repeat(noise_px[self.camera] ** 2, kept.sum(1))
+        s = square / ROBUST_SIGMAS**2
+        pull, bend = square / (1 + s) / 2, (1 + s) ** -0.5 - 0.5 * s * (1 + s) ** -1.5
+        spare = max(1 - (6 * len(state.course.quats) + self.layout.size) / (2 * len(square)), 0.1)
+        plain = np.zeros_like(look.residuals)
+        equations = self.equations(state, replace(look, residuals=plain), kept, noise_px)
+        return equations.outer_covariance() * float(pull.mean()) / spare / float(bend.mean()) ** 2
+
+    def _outer_columns(self, lens_parameters: int) -> NDArray[np.int64]:
+        """[C, 6 + 2 + L] outer columns of each camera's pose, clock and lens; `NOWHERE` for what is fixed."""
+        columns = np.full((self.layout.cameras, 8 + lens_parameters), NOWHERE)
+        for i in range(self.layout.cameras):
+            for place, own in ((0, self.layout.camera(i)), (6, self.layout.clock(i)), (8, self.layout.lens(i))):
+                columns[i, place : place + own.stop - own.start] = np.arange(own.start, own.stop)
+        return columns
+
+    def _add_camera(
+        self,
+        equations: NormalEquations,
+        state: BundleState,
+        look: Look,
+        weights: Float64,
+        views: NDArray[np.int64],
+        controls: NDArray[np.int64],
+    ) -> None:
+        """The images `views` of one camera, in the order of the `controls` that their boards' poses are made of."""
+        if not len(views):
+            return
+        camera, count = self.camera[views[0]], 2 * len(state.points)
+        R_cam_rig, placed = state.T_cam_rig[camera, :3, :3], look.placed
+        by_point = look.by_point[views] * weights[views, :, None, None]
+        by_rig = (by_point.reshape(-1, 3) @ R_cam_rig).reshape(by_point.shape)
+        by_board = (by_rig.reshape(len(views), count, 3) @ placed.rotations[views]).reshape(by_point.shape)
+        # Where a point x is turned about the origin, a row a of derivatives by its place becomes x cross a.
+        by_pose = np.concatenate([np.cross(state.points[:, None], by_board), by_rig], axis=-1)
+        turned = look.in_rig[views] @ R_cam_rig.T
+        parts = [by_pose.reshape(len(views), count, 6) @ placed.by_control[views]]
+        parts += [np.cross(turned[:, :, None], by_point).reshape(len(views), count, 3)]
+        parts += [by_point.reshape(len(views), count, 3)]
+        flow = by_pose.reshape(len(views), count, 6) @ placed.speeds[views, :, None]
+        parts += [flow, flow * (self._times[views] - state.reference_s)[:, None, None]]
+        parts += [(look.by_lens[views] * weights[views, :, None, None]).reshape(len(views), count, -1)]
+        parts += [(look.residuals[views] * weights[views, :, None]).reshape(len(views), count, 1)]
+        J = np.concatenate(parts, axis=-1)
+        groups = np.flatnonzero(np.diff(controls[:, 0], prepend=-1))
+        squares = np.add.reduceat(J.swapaxes(1, 2) @ J, groups)
+        inner = (6 * controls[groups, :, None] + np.arange(6)).reshape(len(groups), 24)
+        outer = self._columns[camera]
+        equations.add_inner(inner, squares[:, :24, :24], squares[:, :24, -1])
+        equations.add_outer(outer, squares[:, 24:-1, 24:-1].sum(0), squares[:, 24:-1, -1].sum(0))
+        equations.add_mixed(inner, outer, squares[:, :24, 24:-1])
+        if self.layout.points:
+            each = J.reshape(len(views), -1, 2, J.shape[-1]).swapaxes(2, 3)
+            products = np.add.reduceat(each @ by_board, groups).swapaxes(1, 2)
+            products = products.reshape(*products.shape[:2], -1)  # [G, 24 + m + 1, 3 P]
+            corners = np.arange(self.layout.corners.start, self.layout.corners.stop)
+            equations.add_mixed(inner, corners, products[:, :24])
+            equations.add_between(outer, corners, products[:, 24:-1].sum(0))
+            own = (by_board.swapaxes(2, 3) @ by_board).sum(0)
+            for corner, square in enumerate(own):
+                equations.add_outer(corners[3 * corner : 3 * corner + 3], square, np.zeros(3))
+            equations.add_outer(corners, np.zeros((len(corners), len(corners))), products[:, -1].sum(0))
+
+    def _roughness(self, state: BundleState) -> Float64:
+        """[B, 7] second differences of the course's control quaternions and positions, in sigmas."""
+        course = state.course
+        middle, scale = course.bends, self._smoothness(state)
+        values = np.concatenate([course.quats, course.positions], axis=1)
+        return np.asarray((values[middle - 1] - 2 * values[middle] + values[middle + 1]) * scale)
+
+    def _smoothness(self, state: BundleState) -> Float64:
+        """[B, 7] what a second difference is multiplied with to be counted in sigmas."""
+        sigmas = np.array([TURN_ACCELERATION / 2] * 4 + [ACCELERATION] * 3)
+        return np.asarray(1 / (state.course.steps()[:, None] ** 2 * sigmas))
+
+    def _add_smoothness(self, equations: NormalEquations, state: BundleState) -> None:
+        course, middle, scale = state.course, state.course.bends, self._smoothness(state)
+        if not len(middle):
+            return
+        by_neighbour = np.zeros((len(middle), 7, 3, 6))
+        for place, share in enumerate((1.0, -2.0, 1.0)):
+            quats = course.quats[middle + place - 1]
+            for axis in range(3):
+                turn = np.zeros(4)
+                turn[1 + axis] = 0.5
+                by_neighbour[:, :4, place, axis] = share * quat_product(quats, np.broadcast_to(turn, quats.shape))
+            by_neighbour[:, 4:, place, 3:] = share * np.eye(3)
+        J = (by_neighbour * scale[:, :, None, None]).reshape(len(middle), 7, 18)
+        columns = 6 * (middle[:, None, None] + np.arange(-1, 2)[:, None]) + np.arange(6)
+        turned = J.swapaxes(1, 2)
+        slopes = -(turned @ self._roughness(state)[..., None])[..., 0]
+        equations.add_inner(columns.reshape(len(middle), 18), turned @ J, slopes)
+
+    def _add_priors(self, equations: NormalEquations, state: BundleState) -> None:
+        layout = self.layout
+        for i, lens in enumerate(state.lenses if layout.lens_sizes else ()):
+            J, columns = lens.priors_jacobian(), np.arange(layout.lens(i).start, layout.lens(i).stop)
+            equations.add_outer(columns, J.T @ J, -J.T @ lens.priors())
+        if layout.clocks:
+            columns = np.arange(layout.clock(1).start, layout.clock(layout.cameras - 1).stop)
+            weights = np.tile([CLOCK_SIGMA_S**-2, RATE_SIGMA**-2], layout.cameras - 1)
+            equations.add_outer(columns, np.diag(weights), -weights * state.clocks[1:].ravel())
+        if layout.points:
+            columns = np.arange(layout.corners.start, layout.corners.stop)
+            off = (state.points - self._start.points).ravel() / self._tolerance**2
+            equations.add_outer(columns, np.eye(len(columns)) / self._tolerance**2, -off)
+
+
+def _step(points: Float64) -> float:
+    """Median distance, m, from a corner of a board [P, 3] to the nearest other."""
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return float(np.median(distances.min(axis=1)))
