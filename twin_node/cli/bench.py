@@ -11,6 +11,7 @@ import yaml
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
+from twin_node.cli.bench_calibration import add_bench_calibration
 from twin_node.cli.bench_cell import add_bench_collision
 from twin_node.cli.methods import add_methods
 
@@ -39,6 +40,7 @@ def add_bench(commands: Any) -> None:
     raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
     raster.add_argument("--json", action="store_true", help="print one JSON object")
     raster.set_defaults(run=_bench_raster)
+    add_bench_calibration(benches)
     add_bench_collision(benches)
 
 
