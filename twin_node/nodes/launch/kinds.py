@@ -23,6 +23,7 @@ KINDS = {
     "twin": "twin_node.nodes.live.twin:make_twin",
     "ur_driver": "twin_node.nodes.live.arm_driver:make_ur_driver",
     "ur_sim": "twin_node.nodes.live.arm_driver:make_ur_sim",
+    "viewer": "twin_node.nodes.live.viewer:make_viewer",
     "viewer_topics": "twin_node.nodes.live.viewer_topics:make_viewer_topics",
 }
 """Node name -> module and function."""

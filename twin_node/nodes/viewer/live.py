@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,7 +15,6 @@ from twin_node.rig import FrameAssembler
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
-from twin_node.scene import Rig
 
 FRAME_S = 0.05
 """Shortest time between two pictures, s: what people see as motion, at a cost that the twin does not feel."""
@@ -46,14 +45,14 @@ class ViewerNode(Node):
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, page: CellPage, rig: Rig | None, cameras: tuple[CameraTopics, ...], width: int
+        self, bus: Bus, clock: Clock, page: CellPage, cameras: Sequence[CameraTopics], assembler: FrameAssembler
     ) -> None:
-        """`rig` None: without images."""
+        """`assembler` undistorts the images of `cameras` for the page."""
         super().__init__("viewer", bus, clock)
         self._page = page
         self._newest: dict[str, Said] = {}
-        self._assembler = None if rig is None else FrameAssembler(rig.cameras, width)
-        self._cameras: Mapping[str, CameraTopics] = {camera.name: camera for camera in cameras} if rig else {}
+        self._assembler = assembler
+        self._cameras = {camera.name: camera for camera in cameras}
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
