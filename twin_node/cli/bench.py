@@ -12,7 +12,8 @@ from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
 from twin_node.cli.bench_calibration import add_bench_calibration
-from twin_node.cli.bench_cell import add_bench_collision
+from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
+from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.methods import add_methods
 
 
@@ -42,6 +43,8 @@ def add_bench(commands: Any) -> None:
     raster.set_defaults(run=_bench_raster)
     add_bench_calibration(benches)
     add_bench_collision(benches)
+    add_bench_cell(benches)
+    add_bench_forecast(benches)
 
 
 def _bench_occupancy(options: argparse.Namespace) -> None:

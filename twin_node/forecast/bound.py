@@ -90,7 +90,9 @@ class Bound:
         level = self._miss_level + p.correction * elapsed_s * ((1 - p.coverage) - missed)
         self._miss_level = float(np.clip(level, 0, _MOST_LEVEL * (1 - p.coverage)))
         chosen = slice(None, None, -(-len(errors) // _SAMPLE))
-        self._judged.append(_Judged(time, then[chosen], np.log(np.maximum(errors[chosen], 1e-6)), elapsed_s))
+        self._judged.append(
+            _Judged(time, then[chosen], np.log(np.clip(errors[chosen], 1e-6, _SURPRISE * radii[chosen])), elapsed_s)
+        )
         while self._judged[0].time < time - _KEPT * p.memory_s:
             self._judged.popleft()
         self._seen_s += elapsed_s
@@ -105,11 +107,12 @@ class Bound:
     def radii(self, now: Float64, ages: Float64, horizon_s: float) -> Float64:
         """Radii [M] in metres at the horizon, of nodes with cues [M, CUES].
 
-        Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach: their
-        radius is at least a h^2 / 2.
+        Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach, and no
+        expert has shown to be right: their radius is at least a h^2 / 2 and the spread of the experts.
         """
         calibrated = self._quantile * self.scales(now)
-        reachable = self.parameters.acceleration * horizon_s**2 / 2
+        spread = np.exp(now[:, 1]) - LEAST
+        reachable = self.parameters.acceleration * horizon_s**2 / 2 + spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
         return np.minimum(radii, self.parameters.largest_radius)
 
@@ -190,6 +193,9 @@ _STEP_S = 1 / 30
 """Errors of this much time count as one sample in the regression, s."""
 _SAMPLE = 64
 """Most errors per time that enter the quantile: neighbouring nodes err together."""
+_SURPRISE = 1.25
+"""Errors enter the quantile as no more than so many times the radius that ought to have held them: what nobody could
+foresee is met by the reachable set, and widens the bound for good only where it happens again."""
 _KEPT = 4.0
 """Errors are kept for so many time constants."""
 _MOST_LEVEL = 5.0

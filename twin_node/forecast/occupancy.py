@@ -93,9 +93,7 @@ class Forecaster:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         evidence = self._observer.observe(state)
-        succession = self._tracks.follow(
-            state.stamp * 1e-9, evidence.parts.centers, evidence.velocities
-        )
+        succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
         self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)
         layers = self._layers(evidence, horizons)

@@ -81,6 +81,9 @@ _RISE_S, _FALL_S = 0.05, 0.6
 """Time constants in which the error of the mixture grows and shrinks, s."""
 _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
+_STARTLED = 1.5
+"""A node whose forecast is so many times further off than its bound at that time began something new: its record begins
+anew, and until there is one, the reachable set bounds it."""
 _POOLED = 0.5
 """Share of the neighbours in the record that experts are weighed by."""
 
@@ -126,7 +129,7 @@ class Predictor:
         self._around = neighbours(np.zeros((0, 3)))
         self._features = np.zeros((0, 3, 0))
         self._cues = np.zeros((0, 0))
-        self._learnt_at = np.zeros(len(KNOTS))
+        self._learnt_at = np.full(len(KNOTS), -np.inf)
 
     @property
     def weights(self) -> Float64:
@@ -187,15 +190,16 @@ class Predictor:
 
     def _judge(self) -> None:
         """Judges every forecast for a time since the last sample, and learns from it."""
-        now = self._history.times[-1]
+        now = float(self._history.times[-1])
         for issued in self._issued:
             while issued.due < len(KNOTS) and issued.time + KNOTS[issued.due] * issued.horizon_s <= now + _NOW_S:
-                self._come_true(issued, issued.due)
+                self._come_true(issued, issued.due, now)
                 issued.due += 1
         while self._issued and self._issued[0].due == len(KNOTS):
             self._issued.popleft()
 
-    def _come_true(self, issued: _Issued, knot: int) -> None:
+    def _come_true(self, issued: _Issued, knot: int, now: float) -> None:
+        """Learns from what became of one time's forecasts by a knot; `now`: s."""
         known = np.flatnonzero(issued.rows >= 0)
         rows = issued.rows[known]
         valid_at = issued.time + KNOTS[knot] * issued.horizon_s
@@ -207,17 +211,26 @@ class Predictor:
         if len(wrong):
             kept = np.exp(-elapsed / self.bound.parameters.memory_s)
             self._profile[knot] = kept * self._profile[knot] + (1 - kept) * wrong.mean()
+        single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
+        self._weigh(known, single / KNOTS[knot], elapsed)
+        expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
+        self._records.began[known[wrong > _STARTLED * expected]] = now
         if knot == len(KNOTS) - 1:
-            self._record(known, np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1), wrong, elapsed)
+            self._record(known, wrong, elapsed)
             self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed)
 
-    def _record(self, known: Rows, single: Float64, wrong: Float64, elapsed_s: float) -> None:
-        """Enters errors of the experts [E, n] and of the mixture [n] in the records of the nodes `known` [n]."""
-        records = self._records
+    def _weigh(self, known: Rows, single: Float64, elapsed_s: float) -> None:
+        """Enters errors of the experts [E, n], as if at the horizon, in the records of the nodes `known` [n].
+
+        Errors at all knots count: the earlier ones tell sooner which expert is right after motion has changed.
+        """
+        rate = 1 - np.exp(-elapsed_s / _RECORD_S)
+        self._records.squared[:, known] += rate * (single**2 - self._records.squared[:, known])
+
+    def _record(self, known: Rows, wrong: Float64, elapsed_s: float) -> None:
+        """Enters errors of the mixture [n] at the horizon in the records of the nodes `known` [n]."""
+        records, before = self._records, self._records.errors[known]
         first = 1 / (1 + records.judged[known])  # an average of what there is, until there is more than records hold
-        rate = np.maximum(1 - np.exp(-elapsed_s / _RECORD_S), first)
-        records.squared[:, known] += rate * (single**2 - records.squared[:, known])
-        before = records.errors[known]
         rate = np.maximum(1 - np.exp(-elapsed_s / np.where(wrong > before, _RISE_S, _FALL_S)), first)
         records.errors[known] = before + rate * (wrong - before)
         records.judged[known] += 1

@@ -1,0 +1,53 @@
+"""`twin_node bench forecast`: the experts and the bound on trajectories."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from twin_node.cli.arguments import positive, whole
+
+
+def add_bench_forecast(benches: Any) -> None:
+    """Adds `bench forecast`."""
+    forecast = benches.add_parser(
+        "forecast",
+        help="score the experts and the bound on 3D trajectories",
+        description="Forecasts every point of a file of trajectories 200 ms ahead, sample by sample, and scores the "
+        "forecasts beside persistence, constant velocity and the best single expert in hindsight.",
+    )
+    what = forecast.add_mutually_exclusive_group(required=True)
+    what.add_argument("file", nargs="?", type=Path, metavar="FILE", help=".bvh, .trc, or .csv (time,NAME_x,NAME_y,...)")
+    what.add_argument("--made-up", action="store_true", help="sudden stops, reversals, throws, ... instead of a file")
+    forecast.add_argument(
+        "--noise", type=float, default=0.005, metavar="M", help="noise added to every coordinate, m (%(default)s)"
+    )
+    forecast.add_argument("--fps", type=positive, default=30.0, metavar="F", help="samples per second (%(default)s)")
+    forecast.add_argument(
+        "--height", type=positive, default=1.75, metavar="M", help="of a BVH's person, m (%(default)s)"
+    )
+    forecast.add_argument("--joints", nargs="+", default=(), metavar="NAME", help="score points whose names hold one")
+    forecast.add_argument("--seed", type=whole, default=0, help="of the noise (%(default)s)")
+    forecast.add_argument("--json", action="store_true", help="print one JSON object")
+    forecast.set_defaults(run=_bench_forecast)
+
+
+def _bench_forecast(options: argparse.Namespace) -> None:
+    from twin_node.bench import forecast, made_up
+
+    if options.made_up:
+        figures = made_up.run(options.fps, options.noise, options.seed).as_json()
+    else:
+        parameters = forecast.ForecastBenchParameters(
+            fps=options.fps,
+            noise_m=options.noise,
+            height_m=options.height,
+            joints=tuple(options.joints),
+            seed=options.seed,
+        )
+        figures = forecast.run(options.file, parameters).as_json()
+    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
