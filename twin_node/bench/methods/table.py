@@ -151,7 +151,7 @@ def _check(recording: Recording, names: tuple[str, ...]) -> None:
             raise BenchError(f"--methods: expected some of {', '.join(METHODS)}, found '{name}'")
     if not recording.held_out:
         raise BenchError(f"{recording.name}: expected a held-out camera to score on; name one with --hold-out")
-    if len(recording.cameras) < 2 or len(recording.cameras) == len(recording.train) > 1:
+    if len(recording.cameras) < 2 or recording.camera_moves:
         raise BenchError(
             f"{recording.name}: expected two or more cameras that stand still, found {len(recording.cameras)} "
             f"with {len(recording.train)} images; use twin_node train for moving cameras"

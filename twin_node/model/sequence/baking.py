@@ -17,7 +17,13 @@ from twin_node.model.parameters import ModelError
 from twin_node.model.ply import SH_C0, StoredGaussians
 from twin_node.model.sequence.recording import nearest
 from twin_node.model.sequence.sequence_model import MovedGaussians, SequenceModel
-from twin_node.model.sequence.tensor_file import camera_from_record, camera_record, read_tensors, write_tensors
+from twin_node.model.sequence.tensor_file import (
+    camera_from_record,
+    camera_record,
+    colour_from_record,
+    read_tensors,
+    write_tensors,
+)
 from twin_node.scene import Camera, Float32, GaussianCloud, TwinState
 
 FORMAT = "twin_node baked"
@@ -212,8 +218,8 @@ def load_baked(path: Path) -> Baked:
             file.tensors["scales"],
             file.tensors["opacities"],
             file.tensors["sh"],
-            tuple(header["background"]),
+            colour_from_record(header["background"]),
             tuple(camera_from_record(record) for record in header["cameras"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the header of the buffers is damaged ({error}); bake again") from None

@@ -19,7 +19,13 @@ from twin_node.model.sequence.field import Box
 from twin_node.model.sequence.parameters import TrainParameters
 from twin_node.model.sequence.recording import Recording
 from twin_node.model.sequence.sequence_model import SequenceModel, Span
-from twin_node.model.sequence.tensor_file import camera_from_record, camera_record, read_tensors, write_tensors
+from twin_node.model.sequence.tensor_file import (
+    camera_from_record,
+    camera_record,
+    colour_from_record,
+    read_tensors,
+    write_tensors,
+)
 from twin_node.model.sequence.trainer import Trainer, make_field
 from twin_node.runtime.parameters import fill
 from twin_node.scene import Camera
@@ -148,14 +154,14 @@ def load_checkpoint(path: Path) -> Checkpoint:
         parsed = CheckpointHeader(
             fill(TrainParameters, header["parameters"], str(path)),
             int(header["step"]),
-            Span(*header["span"]),
-            tuple(header["stamps"]),
+            Span(*(int(stamp) for stamp in header["span"])),
+            tuple(int(stamp) for stamp in header["stamps"]),
             int(header["steps"]),
-            tuple(header["background"]),
+            colour_from_record(header["background"]),
             tuple(camera_from_record(record) for record in header["cameras"]),
             int(header["images"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the checkpoint's header is damaged ({error}); train again") from None
     return Checkpoint(path, parsed, file.tensors)
 

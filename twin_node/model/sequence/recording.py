@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -42,6 +43,8 @@ class Recording:
     """What is known of the scene's surfaces, where anything is."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Red, green, blue, 0 to 1, where nothing is."""
+    camera_moves: bool = False
+    """Whether every image has a camera of its own; else those of one name stand still."""
 
     def __post_init__(self) -> None:
         if not self.train:
@@ -59,10 +62,8 @@ class Recording:
 
     @property
     def steps(self) -> int:
-        """Time steps: the images of the camera that has most, or the distinct times where each image has its own."""
-        names = [view.camera.name for view in self.train]
-        most = max(names.count(name) for name in set(names))
-        return most if most > 1 else len({view.stamp for view in self.train})
+        """Time steps: the images of the camera that has most; the distinct times where the camera moves."""
+        return len(self._by_step())
 
     @property
     def extent(self) -> float:
@@ -75,21 +76,27 @@ class Recording:
         return EXTENT_MARGIN * (reach if reach > ONE_PLACE * distance else distance)
 
     def sets(self) -> list[FrameSet]:
-        """The training images as sets: each camera's n-th image belongs to the n-th set."""
-        by_camera: dict[str, list[View]] = {}
-        for view in self.train:
-            by_camera.setdefault(view.camera.name, []).append(view)
-        steps = max(map(len, by_camera.values()))
-        sets = []
-        for index in range(steps):
-            views = tuple(views[index] for views in by_camera.values() if index < len(views))
-            sets.append(FrameSet(max(view.stamp for view in views), views, sequence=index))
-        return sets
+        """The training images as sets: each camera's n-th image belongs to the n-th set; to its time's, if it moves."""
+        steps = enumerate(self._by_step())
+        return [FrameSet(max(view.stamp for view in views), tuple(views), sequence=i) for i, views in steps]
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """One per name among the training images, as it was first."""
         return tuple({view.camera.name: view.camera for view in reversed(self.train)}.values())[::-1]
+
+    def _by_step(self) -> list[list[View]]:
+        """The training images of each time step."""
+        if self.camera_moves:
+            return [list(views) for _, views in itertools.groupby(self.train, lambda view: view.stamp)]
+        steps: list[list[View]] = []
+        counts: dict[str, int] = {}
+        for view in self.train:
+            index = counts[view.camera.name] = counts.get(view.camera.name, -1) + 1
+            if index == len(steps):
+                steps.append([])
+            steps[index].append(view)
+        return steps
 
 
 def recording_of(

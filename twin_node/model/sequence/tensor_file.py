@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,3 +55,9 @@ def camera_record(camera: Camera) -> dict[str, Any]:
 def camera_from_record(record: Mapping[str, Any]) -> Camera:
     """What `camera_record` was made of."""
     return Camera(**{**record, "K": np.array(record["K"]), "T_base_cam": np.array(record["T_base_cam"])})
+
+
+def colour_from_record(record: Sequence[float]) -> tuple[float, float, float]:
+    """Red, green and blue of a header."""
+    red, green, blue = (float(value) for value in record)
+    return red, green, blue

@@ -114,7 +114,7 @@ def _pose(image: Any) -> Float64:
 
 
 def _points(model: Any) -> ColouredPoints | None:
-    points = list(model.points3D.values())
+    points = [model.points3D[number] for number in sorted(model.points3D)]
     if not points:
         return None
     rgb = np.stack([np.asarray(point.color) for point in points]).astype(np.float32) / np.float32(255)

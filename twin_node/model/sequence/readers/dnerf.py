@@ -36,7 +36,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     """
     train = _read_split(folder, TRAIN, "train", options)
     test = _read_split(folder, TEST, "test", options) if (folder / TEST).is_file() else []
-    recording = Recording(str(folder), in_order(train), in_order(test), background=WHITE)
+    recording = Recording(str(folder), in_order(train), in_order(test), background=WHITE, camera_moves=True)
     return split(recording, options.hold_out or ())
 
 
@@ -82,15 +82,15 @@ def _on_white(image: UInt8) -> UInt8:
 def _intrinsics(root: dict[str, Any], shape: tuple[int, int], path: Path) -> Float64:
     height, width = shape
     if "fl_x" in root:
-        fx = _number(root, "fl_x", path)
-        fy, cx, cy = (
-            _number({name: root.get(name, default)}, name, path)
-            for name, default in (("fl_y", fx), ("cx", width / 2), ("cy", height / 2))
-        )
-        size = (_number({"w": root.get("w", width)}, "w", path), _number({"h": root.get("h", height)}, "h", path))
-        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        scaled: Float64 = np.diag([width / size[0], height / size[1], 1.0]) @ K
-        return scaled
+
+        def given(name: str, default: float) -> float:
+            return _number({name: root.get(name, default)}, name, path)
+
+        fx, w, h = _number(root, "fl_x", path), given("w", width), given("h", height)
+        K = np.array([[fx, 0, given("cx", w / 2)], [0, given("fl_y", fx), given("cy", h / 2)], [0, 0, 1]])
+        if min(fx, K[1, 1], w, h) <= 0:
+            raise ModelError(f"{path}: expected fl_x, fl_y, w and h above 0, found {fx}, {K[1, 1]}, {w} and {h}")
+        return scaled_intrinsics(K, (w, h), shape)
     angle = _number(root, "camera_angle_x", path)
     if not 0 < angle < math.pi:
         raise ModelError(f"{path}: expected camera_angle_x between 0 and pi rad, found {angle}")

@@ -47,7 +47,7 @@ def shrunk(image: UInt8, width: int | None) -> UInt8:
     return small
 
 
-def scaled_intrinsics(K: Float64, size: tuple[int, int], shape: tuple[int, int]) -> Float64:
+def scaled_intrinsics(K: Float64, size: tuple[float, float], shape: tuple[int, int]) -> Float64:
     """Intrinsics [3, 3] for images of `size` (width, height) turned to `shape` (height, width); corner at 0, 0."""
     scaled: Float64 = np.diag([shape[1] / size[0], shape[0] / size[1], 1.0]) @ K
     return scaled

@@ -1,0 +1,193 @@
+"""Checkpoints and baked buffers: what is written is read, what is damaged is named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from model_scenes import rig, sliding
+from safetensors.torch import load_file, save_file
+from sequence_scenes import block_recording, with_method
+
+from twin_node.errors import TwinError
+from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.ply import read_ply, write_ply
+from twin_node.model.rendering import Splats, render
+from twin_node.model.sequence import (
+    Trainer,
+    bake_clouds,
+    bake_model,
+    load_baked,
+    load_checkpoint,
+    save_baked,
+    save_checkpoint,
+)
+
+
+@pytest.fixture(scope="module")
+def trained() -> Trainer:
+    trainer = Trainer(block_recording(), with_method("hexplane", coarse_share=0.0))
+    while not trainer.finished:
+        trainer.advance()
+    return trainer
+
+
+@pytest.fixture(scope="module")
+def checkpoint(trained: Trainer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("checkpoint") / "model.safetensors"
+    save_checkpoint(trained, path)
+    return path
+
+
+def test_a_checkpoint_is_drawn_as_the_trainer_was(trained: Trainer, checkpoint: Path) -> None:
+    model = load_checkpoint(checkpoint).model
+    for view in trained.recording.train[::5]:
+        np.testing.assert_array_equal(
+            model.render(view.camera, view.stamp), trained.model.render(view.camera, view.stamp)
+        )
+
+
+def test_a_checkpoint_knows_its_cameras_and_times(trained: Trainer, checkpoint: Path) -> None:
+    header = load_checkpoint(checkpoint).header
+    assert header.stamps == tuple(one.stamp for one in trained.recording.sets())
+    assert [one.name for one in header.cameras] == ["cam0", "cam1", "cam2"]
+    np.testing.assert_array_equal(header.cameras[1].K, trained.recording.cameras[1].K)
+    assert header.parameters == trained.parameters
+
+
+def test_another_recording_is_refused(checkpoint: Path) -> None:
+    with pytest.raises(ModelError, match=r"18 images at 6 times.*found 9 at 3"):
+        load_checkpoint(checkpoint).resume(block_recording(3))
+
+
+def test_more_steps_can_be_asked_for(trained: Trainer, checkpoint: Path) -> None:
+    trainer = load_checkpoint(checkpoint).resume(trained.recording, steps=trained.parameters.steps + 2)
+    assert not trainer.finished
+    trainer.advance()
+    assert trainer.step == trained.step + 1
+
+
+def _resave(path: Path, **changes: str) -> None:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    save_file(load_file(path), path, {**metadata, **changes})
+
+
+DAMAGE: list[tuple[Callable[[Path], object], str]] = [
+    (lambda path: path.unlink(), "no file"),
+    (lambda path: path.write_bytes(b"something else"), "safetensors"),
+    (lambda path: path.write_bytes(path.read_bytes()[:-100]), "safetensors"),
+    (lambda path: save_file({"x": torch.zeros(1)}, path), "another kind"),
+    (lambda path: _resave(path, version="99"), "version 1"),
+    (lambda path: _resave(path, header="{}"), "header"),
+    (lambda path: _resave(path, header="{"), "header"),
+]
+
+
+@pytest.mark.parametrize(("damage", "says"), DAMAGE)
+@pytest.mark.parametrize("kind", ["checkpoint", "baked"])
+def test_damaged_files_are_named(
+    checkpoint: Path, trained: Trainer, tmp_path: Path, kind: str, damage: Callable[[Path], object], says: str
+) -> None:
+    path = tmp_path / "file.safetensors"
+    if kind == "checkpoint":
+        path.write_bytes(checkpoint.read_bytes())
+    else:
+        save_baked(bake_model(trained.model, [trained.recording.first], trained.recording.cameras), path)
+    damage(path)
+    with pytest.raises(ModelError, match=says) as caught:
+        (load_checkpoint if kind == "checkpoint" else load_baked)(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    key=st.sampled_from(["parameters", "step", "span", "stamps", "steps", "background", "cameras", "images"]),
+    data=st.data(),
+)
+def test_any_header_is_read_or_refused(checkpoint: Path, tmp_path: Path, key: str, data: st.DataObject) -> None:
+    from safetensors import safe_open
+
+    path = tmp_path / "file.safetensors"
+    path.write_bytes(checkpoint.read_bytes())
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["header"])
+    header[key] = data.draw(st.none() | st.integers(-3, 3) | st.text(max_size=3) | st.lists(st.integers(), max_size=3))
+    _resave(path, header=json.dumps(header))
+    try:
+        load_checkpoint(path)
+    except TwinError as error:
+        assert str(path) in str(error)
+
+
+def test_nothing_half_written_stays(trained: Trainer, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="cannot be written"):
+        save_checkpoint(trained, tmp_path / "gone" / "model.safetensors")
+    save_checkpoint(trained, tmp_path / "model.safetensors")
+    assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]
+
+
+@pytest.mark.parametrize("method", ["hexplane", "static"])
+def test_baked_images_equal_live_ones(method: str, tmp_path: Path) -> None:
+    recording = block_recording()
+    trainer = Trainer(recording, with_method(method, coarse_share=0.0))
+    while not trainer.finished:
+        trainer.advance()
+    stamps = [one.stamp for one in recording.sets()]
+    save_baked(bake_model(trainer.model, stamps, recording.cameras), tmp_path / "baked.safetensors")
+    baked = load_baked(tmp_path / "baked.safetensors")
+    assert baked.stamps == tuple(stamps)
+    for view in recording.train:
+        np.testing.assert_array_equal(
+            baked.render(view.camera, view.stamp + 3), trainer.model.render(view.camera, view.stamp)
+        )
+
+
+def test_buffers_do_not_grow_for_what_does_not_move(trained: Trainer) -> None:
+    still = Trainer(block_recording(), with_method("static"))
+    one, many = (bake_model(still.model, list(range(count)), ()) for count in (1, 9))
+    assert one.bytes == many.bytes
+    moving = [bake_model(trained.model, list(range(count)), ()).bytes for count in (1, 9)]
+    assert moving[1] > 5 * moving[0]
+
+
+def test_a_live_model_is_baked_as_it_was_published() -> None:
+    cameras = rig(40, 30)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=10)))
+    states = [model.update(one) for one in sliding(4, cameras, still=1)]
+    baked = bake_clouds(states)
+    assert baked.counts == tuple(len(state.gaussians.means) for state in states)
+    assert [one.name for one in baked.cameras] == [one.name for one in cameras]
+    for step, state in enumerate(states):
+        cloud = state.gaussians
+        splats = Splats(
+            torch.from_numpy(cloud.means)[None],
+            torch.from_numpy(cloud.quats)[None],
+            *(torch.from_numpy(values) for values in (cloud.scales, cloud.opacities, cloud.rgb)),
+        )
+        with torch.no_grad():
+            expected = render(splats, cameras[:1])[0].rgb.clamp(0, 1).numpy()
+        np.testing.assert_allclose(baked.render_step(cameras[0], step), expected, atol=2e-6)
+
+
+def test_a_time_step_goes_out_as_ply(trained: Trainer, tmp_path: Path) -> None:
+    baked = bake_model(trained.model, [trained.recording.last], trained.recording.cameras)
+    write_ply(baked.stored(0), tmp_path / "last.ply")
+    back = read_ply(tmp_path / "last.ply")
+    np.testing.assert_array_equal(back.means, baked.means[0].numpy())
+    np.testing.assert_allclose(np.exp(back.log_scales), baked.scales[0].numpy(), rtol=1e-5)
+
+
+def test_nothing_to_bake_is_said(trained: Trainer) -> None:
+    with pytest.raises(ModelError, match="time step"):
+        bake_model(trained.model, [], ())
+    with pytest.raises(ModelError, match="time step"):
+        bake_clouds([])

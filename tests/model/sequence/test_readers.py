@@ -1,0 +1,296 @@
+"""Readers of published layouts: what is written by their rules is read back, and what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from model_scenes import rig, sliding
+
+from twin_node.errors import TwinError
+from twin_node.geometry import quat_from_rotation
+from twin_node.model import ModelError
+from twin_node.model.sequence import ReadOptions, Recording, read_folder
+from twin_node.scene import Camera, FrameSet, View
+
+pycolmap = pytest.importorskip("pycolmap")
+
+WIDTH, HEIGHT, FRAMES = 48, 36, 4
+CAMERAS = rig(WIDTH, HEIGHT)
+
+
+def scene() -> list[FrameSet]:
+    return sliding(FRAMES, CAMERAS, still=0)
+
+
+def write_image(path: Path, rgb: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+
+
+def neural_video(folder: Path) -> Path:
+    """poses_bounds.npy in LLFF's axes (down, right, back) and one video per camera."""
+    rows = []
+    for index, camera in enumerate(CAMERAS):
+        right, down, forward, position = camera.T_base_cam[:3].T
+        hwf = np.array([HEIGHT, WIDTH, camera.K[0, 0]])
+        rows.append([*np.stack([down, right, -forward, position, hwf], 1).ravel(), 0.1, 10.0])
+        writer = cv2.VideoWriter(
+            str(folder / f"cam{index:02d}.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (WIDTH, HEIGHT)
+        )
+        assert writer.isOpened()
+        for one in scene():
+            writer.write(cv2.cvtColor(one.views[index].rgb, cv2.COLOR_RGB2BGR))
+        writer.release()
+    np.save(folder / "poses_bounds.npy", np.array(rows))
+    return folder
+
+
+def dnerf(folder: Path) -> Path:
+    """Each image with a camera and a time of its own, OpenGL axes, transparent where the pixel is nearly black."""
+    angle = 2 * np.arctan(WIDTH / 2 / CAMERAS[0].K[0, 0])
+    for name, camera_of in (("train", lambda i: i % 3), ("test", lambda i: (i + 1) % 3)):
+        frames = []
+        for index, one in enumerate(scene()):
+            view = one.views[camera_of(index)]
+            pose = view.camera.T_base_cam.copy()
+            pose[:, 1:3] *= -1
+            file = f"./{name}/r_{index:03d}"
+            frames.append({"file_path": file, "time": index / (FRAMES - 1), "transform_matrix": pose.tolist()})
+            rgba = np.dstack([view.rgb, np.full(view.rgb.shape[:2], 255, np.uint8)])
+            rgba[0, 0, 3] = 0
+            (folder / name).mkdir(exist_ok=True)
+            assert cv2.imwrite(str(folder / f"{file}.png"), cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA))
+        content = {"camera_angle_x": float(angle), "frames": frames}
+        (folder / f"transforms_{name}.json").write_text(json.dumps(content))
+    return folder
+
+
+def colmap(folder: Path) -> Path:
+    """A model in text with one image per camera, and a folder of images per camera."""
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    K = CAMERAS[0].K
+    cameras = [f"{i + 1} PINHOLE {WIDTH} {HEIGHT} {K[0, 0]} {K[1, 1]} {K[0, 2]} {K[1, 2]}" for i in range(len(CAMERAS))]
+    (model / "cameras.txt").write_text("\n".join(cameras) + "\n")
+    images = []
+    for index, camera in enumerate(CAMERAS):
+        q, t = quat_from_rotation(camera.viewmat[:3, :3]), camera.viewmat[:3, 3]
+        images.append(f"{index + 1} {' '.join(map(repr, map(float, [*q, *t])))} {index + 1} {camera.name}.png\n\n")
+        for step, one in enumerate(scene()):
+            write_image(folder / "images" / camera.name / f"{step:04d}.png", one.views[index].rgb)
+    (model / "images.txt").write_text("".join(images))
+    (model / "points3D.txt").write_text("1 0.1 0.2 0.3 255 0 51 0.5\n2 -0.1 0.2 0.0 0 255 0 0.5\n")
+    return folder
+
+
+LAYOUTS = {"neural_video": neural_video, "dnerf": dnerf, "colmap": colmap}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    made = {}
+    for name, write in LAYOUTS.items():
+        made[name] = write(tmp_path_factory.mktemp(name))
+    return made
+
+
+@pytest.fixture
+def copied(folders: dict[str, Path], tmp_path: Path) -> Callable[[str], Path]:
+    """A copy of a layout's folder, to be spoilt."""
+
+    def copy(name: str) -> Path:
+        return Path(shutil.copytree(folders[name], tmp_path / name))
+
+    return copy
+
+
+def assert_camera(found: Camera, expected: Camera) -> None:
+    np.testing.assert_allclose(found.T_base_cam, expected.T_base_cam, atol=1e-6)
+    np.testing.assert_allclose(found.K, expected.K, rtol=1e-6)
+    assert (found.width, found.height) == (expected.width, expected.height)
+
+
+def psnr(view: View, expected: View) -> float:
+    return float(-10 * np.log10(np.mean((view.rgb / 255.0 - expected.rgb / 255.0) ** 2) + 1e-12))
+
+
+def test_neural_video(folders: dict[str, Path]) -> None:
+    recording = read_folder(folders["neural_video"], ReadOptions())
+    assert {view.camera.name for view in recording.held_out} == {"cam00"}
+    assert [view.stamp for view in recording.held_out] == [0, 40_000_000, 80_000_000, 120_000_000]
+    assert len(recording.train) == 2 * FRAMES and recording.steps == FRAMES
+    for view in recording.train:
+        index, step = int(view.camera.name[-1]), round(view.stamp / 40e6)
+        assert_camera(view.camera, CAMERAS[index])
+        assert psnr(view, scene()[step].views[index]) > 25  # what the video's compression leaves
+
+
+def test_dnerf(folders: dict[str, Path]) -> None:
+    recording = read_folder(folders["dnerf"], ReadOptions())
+    assert recording.background == (1.0, 1.0, 1.0)
+    assert len(recording.train) == len(recording.held_out) == recording.steps == FRAMES
+    assert recording.first == 0 and recording.last == 1_000_000_000
+    for index, view in enumerate(recording.train):
+        expected = scene()[index].views[index % 3]
+        assert_camera(view.camera, expected.camera)
+        np.testing.assert_array_equal(view.rgb[1:], expected.rgb[1:])
+        np.testing.assert_array_equal(view.rgb[0, 0], [255, 255, 255])
+
+
+def test_dnerf_with_intrinsics_of_other_tools(copied: Callable[[str], Path]) -> None:
+    folder = copied("dnerf")
+    path = folder / "transforms_train.json"
+    content = json.loads(path.read_text())
+    del content["camera_angle_x"]
+    content |= {"fl_x": 2 * CAMERAS[0].K[0, 0], "cx": WIDTH + 2.0, "w": 2 * WIDTH, "h": 2 * HEIGHT}
+    path.write_text(json.dumps(content))
+    K = read_folder(folder, ReadOptions()).train[0].camera.K
+    np.testing.assert_allclose(K - CAMERAS[0].K, [[0, 0, 1], [0, 0, 0], [0, 0, 0]], atol=1e-9)
+
+
+def test_colmap(folders: dict[str, Path]) -> None:
+    recording = read_folder(folders["colmap"], ReadOptions(hold_out=("cam2",)))
+    assert {view.camera.name for view in recording.held_out} == {"cam2"}
+    assert recording.points is not None
+    np.testing.assert_allclose(recording.points.positions, [[0.1, 0.2, 0.3], [-0.1, 0.2, 0.0]])
+    np.testing.assert_allclose(recording.points.rgb, [[1, 0, 0.2], [0, 1, 0]])
+    assert [view.stamp for view in recording.held_out] == [0, 33_333_333, 66_666_667, 100_000_000]
+    for view in recording.train:
+        index, step = int(view.camera.name[-1]), round(view.stamp / 33.3e6)
+        assert_camera(view.camera, CAMERAS[index])
+        np.testing.assert_array_equal(view.rgb, scene()[step].views[index].rgb)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_smaller_and_shorter(folders: dict[str, Path], name: str) -> None:
+    whole: Recording = read_folder(folders[name], ReadOptions())
+    small = read_folder(folders[name], ReadOptions(width=WIDTH // 2, frames=2))
+    assert small.steps == 2
+    camera = small.train[0].camera
+    assert small.train[0].rgb.shape == (HEIGHT // 2, WIDTH // 2, 3) == (camera.height, camera.width, 3)
+    np.testing.assert_allclose(camera.K, np.diag([0.5, 0.5, 1]) @ whole.train[0].camera.K)
+
+
+def _change(file: str, change: Callable[[Any], Any]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        path = folder / file
+        path.write_text(json.dumps(change(json.loads(path.read_text()))))
+
+    return spoil
+
+
+def _without(key: str) -> Callable[[Any], Any]:
+    return lambda content: {name: value for name, value in content.items() if name != key}
+
+
+def _in_frame(**changes: object) -> Callable[[Any], Any]:
+    def change(content: Any) -> Any:
+        content["frames"][1] |= changes
+        return content
+
+    return change
+
+
+def _save_poses(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        np.save(folder / "poses_bounds.npy", change(np.load(folder / "poses_bounds.npy")))
+
+    return spoil
+
+
+WRONG: list[tuple[str, Callable[[Path], object], str]] = [
+    ("neural_video", lambda f: (f / "poses_bounds.npy").write_bytes(b"nothing"), "NumPy array"),
+    ("neural_video", _save_poses(lambda rows: rows[:, :15]), r"\[cameras, 17\]"),
+    ("neural_video", _save_poses(lambda rows: rows[:2]), "2 rows and 3 videos"),
+    ("neural_video", _save_poses(lambda rows: rows * np.nan), "finite"),
+    ("neural_video", _save_poses(lambda rows: 2 * rows), "no pose"),
+    ("neural_video", lambda f: (f / "cam01.mp4").write_bytes(b"no video"), "cam01.mp4"),
+    ("dnerf", lambda f: (f / "transforms_train.json").write_text("{"), "expected JSON"),
+    ("dnerf", _change("transforms_train.json", _without("frames")), "'frames'"),
+    ("dnerf", _change("transforms_train.json", _without("camera_angle_x")), "camera_angle_x"),
+    ("dnerf", _change("transforms_train.json", _in_frame(time="soon")), "'time' in frame 1"),
+    ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[[1, 2]])), "4 x 4"),
+    (
+        "dnerf",
+        _change("transforms_train.json", _in_frame(transform_matrix=np.diag([2.0, 2, 2, 1]).tolist())),
+        "rotation",
+    ),
+    ("dnerf", _change("transforms_train.json", _in_frame(file_path="./train/gone")), "gone.png"),
+    ("dnerf", _change("transforms_train.json", _in_frame(file_path=None)), "file_path"),
+    ("colmap", lambda f: (f / "sparse" / "0" / "cameras.txt").unlink(), "model of COLMAP"),
+    ("dnerf", _change("transforms_train.json", lambda content: content | {"fl_x": -1}), "above 0"),
+    ("colmap", lambda f: shutil.rmtree(f / "images" / "cam1"), "camera 'cam1'"),
+    ("colmap", lambda f: (f / "images" / "cam1" / "0003.png").unlink(), "as many images"),
+    ("colmap", lambda f: write_image(f / "images" / "cam1" / "0001.png", np.zeros((9, 9, 3), np.uint8)), "0001.png"),
+    ("colmap", lambda f: (f / "images" / "cam1" / "0001.png").write_bytes(b"no image"), "0001.png"),
+]
+
+
+@pytest.mark.parametrize(("name", "spoil", "says"), WRONG)
+def test_wrong_data_is_named(
+    copied: Callable[[str], Path], name: str, spoil: Callable[[Path], object], says: str
+) -> None:
+    folder = copied(name)
+    spoil(folder)
+    with pytest.raises(ModelError, match=says) as caught:
+        read_folder(folder, ReadOptions())
+    assert str(folder) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_distorted_cameras_are_sent_to_the_undistorter(copied: Callable[[str], Path]) -> None:
+    folder = copied("colmap")
+    path = folder / "sparse" / "0" / "cameras.txt"
+    fields = [line.split() for line in path.read_text().splitlines()]
+    path.write_text("".join(f"{f[0]} OPENCV {f[2]} {f[3]} {' '.join(f[4:])} 0.1 0 0 0\n" for f in fields))
+    with pytest.raises(ModelError, match="image_undistorter"):
+        read_folder(folder, ReadOptions())
+
+
+def test_unknown_layouts_say_what_is_known(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing")
+    with pytest.raises(ModelError, match=r"poses_bounds.npy.*transforms_train.json.*sparse.*notes.txt"):
+        read_folder(tmp_path, ReadOptions())
+    with pytest.raises(ModelError, match="no such folder"):
+        read_folder(tmp_path / "gone", ReadOptions())
+
+
+def test_a_camera_that_is_not_there(folders: dict[str, Path]) -> None:
+    with pytest.raises(ModelError, match="cam00, cam01, cam02"):
+        read_folder(folders["neural_video"], ReadOptions(hold_out=("cam09",)))
+
+
+@settings(max_examples=40)
+@given(
+    content=st.recursive(
+        st.none() | st.booleans() | st.floats(allow_nan=False) | st.text(max_size=4),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(["frames", "time", "file_path", "camera_angle_x", "transform_matrix", "fl_x"]), inner
+            )
+        ),
+        max_leaves=8,
+    )
+)
+def test_any_json_is_read_or_refused_in_one_line(content: object, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("any")
+    (folder / "transforms_train.json").write_text(json.dumps(content))
+    with pytest.raises(TwinError) as caught:
+        read_folder(folder, ReadOptions())
+    assert str(folder) in str(caught.value)
+
+
+def test_options_leave_the_layouts_own_convention(folders: dict[str, Path]) -> None:
+    options = ReadOptions(hold_out=())
+    assert not read_folder(folders["neural_video"], options).held_out
+    assert read_folder(folders["dnerf"], replace(options, frames=1)).held_out
