@@ -179,6 +179,8 @@ class Encounter:
         """
         if not (self.shortfall(1.0) > 0).any():
             return 1.0
+        if (self.shortfall(0.0) > 0).any():
+            return 0.0
         low, high = 0.0, 1.0
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
