@@ -114,10 +114,14 @@ async def _until_told(stand_in: Any, greeting: str) -> None:
 
 
 def _timed(text: str) -> Any:
+    from twin_node.cell.errors import CellError
     from twin_node.cell.ur_sim import TimedFault
 
     line, _, after = text.partition("@")
-    return TimedFault(line.strip(), not_negative(after)) if after else TimedFault(line.strip())
+    try:
+        return TimedFault(line.strip(), float(after or 0))
+    except ValueError as error:
+        raise CellError(f"--fault {text}: expected LINE@SECONDS, found {after!r} for the seconds") from error
 
 
 def _version(text: str) -> tuple[int, int, int]:

@@ -106,16 +106,22 @@ _SWITCHES = {
 }
 
 
-def switch(target: Faulty, line: str) -> None:
-    """Carry out a line such as `slow 10`; raises `CellError` for one that is no switch, or a wrong argument."""
+def check(line: str) -> None:
+    """Raises `CellError` for a line that is no switch, or lacks its argument."""
     name, _, argument = line.strip().partition(" ")
     if name not in _SWITCHES:
         raise CellError(f"fault {name!r}: expected one of {', '.join(_SWITCHES)}; correct the name")
     takes_argument = " " in _SWITCHES[name].usage
     if takes_argument != bool(argument.strip()):
         raise CellError(f"fault {line.strip()!r}: expected '{_SWITCHES[name].usage}'; correct the argument")
-    target.note(f"fault: {line.strip()}")
+
+
+def switch(target: Faulty, line: str) -> None:
+    """Carry out a line such as `slow 10`; raises `CellError` as `check` does, and for a wrong argument."""
+    check(line)
+    name, _, argument = line.strip().partition(" ")
     _SWITCHES[name].act(target, argument.strip())
+    target.note(f"fault: {line.strip()}")
 
 
 def overview() -> str:

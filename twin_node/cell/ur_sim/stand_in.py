@@ -14,7 +14,7 @@ from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.connections import Connection, RtdeConnection, ScriptConnection
 from twin_node.cell.ur_sim.controller import PERIOD_S, Controller, ControllerParameters
 from twin_node.cell.ur_sim.dashboard import DashboardConnection
-from twin_node.cell.ur_sim.faults import Faults, switch
+from twin_node.cell.ur_sim.faults import Faults, check, switch
 from twin_node.cell.ur_sim.own_program import OwnProgram
 from twin_node.cell.ur_sim.rtde_types import INPUTS
 from twin_node.cell.ur_sim.status import status_of, to_line
@@ -39,6 +39,12 @@ class TimedFault:
 
     line: str
     after_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises `CellError` for a line that is no fault, and a time that is none."""
+        check(self.line)
+        if not 0 <= self.after_s < float("inf"):
+            raise CellError(f"fault {self.line!r}: expected seconds after the start, 0 or more, found {self.after_s:g}")
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ class StandIn:
                 self.controller.play(OwnProgram())
             loop = asyncio.get_running_loop()
             for fault in self.parameters.faults:
-                self._timers.append(loop.call_later(fault.after_s, switch, self, fault.line))
+                self._timers.append(loop.call_later(fault.after_s, self._switch, fault.line))
             ready()
             await self._tick_for_ever()
 
@@ -142,6 +148,13 @@ class StandIn:
     def release_emergency_stop(self) -> None:
         """Pull the button."""
         self.controller.release_emergency_stop()
+
+    def _switch(self, line: str) -> None:
+        """Carry out a fault of the start; there is nobody to tell that it could not be."""
+        try:
+            switch(self, line)
+        except CellError as error:
+            self.note(str(error))
 
     async def _tick_for_ever(self) -> None:
         ask_for_realtime(_PRIORITY)
