@@ -18,10 +18,10 @@ from twin_node.forecast.experts import (
     constant_velocity,
     damped,
     mix,
-    neighbours,
     persistence,
     steps,
 )
+from twin_node.forecast.neighbours import Neighbours
 
 HORIZONS = np.array([0.0, 0.1, 0.2])
 
@@ -66,7 +66,7 @@ def test_every_expert_copes_with_short_histories(samples: int) -> None:
     short = history(np.zeros((samples, 2, 3)))
     for expert in EXPERTS:
         assert np.array_equal(expert(short, HORIZONS), np.zeros((3, 2, 3)))
-    features = autoregression_features(short, neighbours(short.positions[-1]))
+    features = autoregression_features(short, Neighbours(short.positions[-1]))
     assert np.array_equal(Autoregression().forecast(features, HORIZONS), np.zeros((3, 2, 3)))
 
 
@@ -93,7 +93,7 @@ def test_autoregression_learns_an_oscillation_that_straight_lines_miss() -> None
     features, ours, straight = {}, [], []
     for now in range(20, len(times)):
         recent = History(times[now - 19 : now + 1], positions[now - 19 : now + 1])
-        features[now] = autoregression_features(recent, neighbours(positions[now]))
+        features[now] = autoregression_features(recent, Neighbours(positions[now]))
         if now - ahead >= 20:
             expert.learn(len(KNOTS) - 1, features[now - ahead], positions[now] - positions[now - ahead], 0.0165)
         if now > 200 and now + ahead < len(times):
@@ -126,7 +126,7 @@ def test_a_neighbour_tells_where_a_node_will_go() -> None:
     expert, features, ours, still = Autoregression(), {}, [], []
     for now in range(12, 394):
         recent = History(times[now - 11 : now + 1], positions[now - 11 : now + 1])
-        features[now] = autoregression_features(recent, neighbours(positions[now]))
+        features[now] = autoregression_features(recent, Neighbours(positions[now]))
         if now >= 18:
             expert.learn(len(KNOTS) - 1, features[now - 6][1:], (positions[now] - positions[now - 6])[1:], 0.033)
         if now > 250:
@@ -136,15 +136,16 @@ def test_a_neighbour_tells_where_a_node_will_go() -> None:
     assert np.mean(ours) < 0.6 * np.mean(still)
 
 
-def test_averages_over_neighbours_sum_to_one_and_reach_as_far_as_they_should() -> None:
-    around = neighbours(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.6, 0, 0], [9.0, 0, 0]]))
-    for weights in (around.near, around.body):
-        assert np.allclose(weights.sum(axis=1), 1, atol=1e-6)
-    assert around.near[0, 1] > 0.4
-    assert around.near[0, 2] < 0.001
-    assert around.body[0, 2] > 0.2
-    assert around.body[0, 3] < 1e-6
-    assert neighbours(np.zeros((0, 3))).near.shape == (0, 0)
+def test_averages_reach_as_far_as_they_should() -> None:
+    around = Neighbours(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.6, 0, 0], [9.0, 0, 0]]))
+    near, body = around.near(np.eye(4)), around.body(np.eye(4))
+    for weights in (near, body):
+        assert np.allclose(weights.sum(axis=1), 1)
+    assert near[0, 1] > 0.4
+    assert near[0, 2] < 0.001
+    assert body[0, 2] > 0.2
+    assert body[0, 3] < 1e-6
+    assert Neighbours(np.zeros((0, 3))).body(np.zeros((0, 5))).shape == (0, 5)
 
 
 def test_mixture_prefers_the_expert_that_did_best() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from twin_node.forecast import ForecastError, default_grid
-from twin_node.forecast.grid import decode_runs, encode_runs, grow_by, pack, reach_of, spread, unpack
+from twin_node.forecast.grid import PER_VOXEL, decode_runs, encode_runs, grow_by, pack, reach_of, spread, unpack
 from twin_node.scene import Bool, Grid
 
 
@@ -52,18 +52,23 @@ def test_packed_bits_come_back(dense: Bool) -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(1, 14), st.integers(0, 2**32 - 1))
-def test_growth_holds_the_ball_and_little_more(radius: int, seed: int) -> None:
+@given(st.integers(0, 14 * PER_VOXEL), st.integers(0, 2**32 - 1))
+def test_growth_is_the_ball(reach: int, seed: int) -> None:
     place = np.random.default_rng(seed).integers(0, 64, 3) + 15
     levels = np.zeros((94, 94, 94), np.uint8)
-    levels[tuple(place)] = radius + 1
-    grown = np.argwhere(grow_by(levels, np.array([radius + 1])))
-    distances = np.linalg.norm(grown - place, axis=1)
-    axes = np.arange(-radius, radius + 1)
-    ball = np.stack(np.meshgrid(axes, axes, axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = np.count_nonzero(np.linalg.norm(ball, axis=1) <= radius)
-    assert np.count_nonzero(distances <= radius) == inside
-    assert distances.max() <= 1.42 * radius
+    levels[tuple(place)] = reach + 1
+    grown = grow_by(levels, np.array([reach + 1]))
+    distances = np.linalg.norm(np.indices(levels.shape) - place[:, None, None, None], axis=0)
+    assert np.array_equal(grown, distances <= reach / PER_VOXEL)
+
+
+def test_reach_is_never_less_than_the_radius_and_half_a_voxel_and_little_more() -> None:
+    grid = Grid(np.zeros(3), 0.02, (5, 5, 5))
+    radii = np.linspace(0, 1.0, 500)
+    reach = reach_of(grid, radii) / PER_VOXEL
+    assert np.all(reach >= radii / 0.02 + 0.5 - 1e-6)
+    assert np.all(reach <= 1.17 * (radii / 0.02 + 0.5) + 0.25)
+    assert reach_of(grid, np.zeros(1))[0] / PER_VOXEL == 0.5
 
 
 def test_growth_of_many_levels_is_the_union() -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin_node.forecast.neighbours import Neighbours
 from twin_node.scene import Float64
 
 
@@ -79,36 +80,6 @@ EXPERT_NAMES = ("persistence", "constant_velocity", "damped", "constant_accelera
 """All experts in the order of their weights."""
 
 
-@dataclass(frozen=True)
-class Neighbours:
-    """Who moves with whom: averages over the nodes about each node, itself included."""
-
-    near: Float64
-    """[M, M] weights within a limb's width, `NEAR_SCALE`; rows sum to 1."""
-    body: Float64
-    """[M, M] weights within a person's reach, `BODY_SCALE`; rows sum to 1."""
-
-
-NEAR_SCALE = 0.15
-"""Standard deviation of the nearer average, m: a hand and its forearm."""
-BODY_SCALE = 0.8
-"""Standard deviation of the wider average, m: most of a person."""
-
-
-def neighbours(positions: Float64) -> Neighbours:
-    """Gaussian averages over the nodes about each of the nodes at `positions` [M, 3]."""
-    centered = (positions - positions.mean(axis=0)).astype(np.float32) if len(positions) else positions
-    norms = (centered**2).sum(axis=1)
-    squared = np.maximum(norms[:, None] + norms - 2 * centered @ centered.T, 0)
-    return Neighbours(_averages(squared, NEAR_SCALE), _averages(squared, BODY_SCALE))
-
-
-def _averages(squared: Float64, scale: float) -> Float64:
-    weights = np.exp(squared * (-0.5 / scale**2))
-    averages: Float64 = weights / weights.sum(axis=1, keepdims=True)
-    return averages
-
-
 LAGS = 5
 """Steps that the autoregression looks back on."""
 LAG_S = 0.033
@@ -129,7 +100,7 @@ def autoregression_features(history: History, around: Neighbours) -> Float64:
     """[M, 3, FEATURES] what the autoregression sees of each node along each axis."""
     own = steps(history)
     flat = own.reshape(len(own), 3 * LAGS)
-    near, body = ((weights @ flat).reshape(own.shape) for weights in (around.near, around.body))
+    near, body = around.near(flat).reshape(own.shape), around.body(flat).reshape(own.shape)
     return np.concatenate([own, near, body], axis=-1)
 
 

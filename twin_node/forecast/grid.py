@@ -72,48 +72,60 @@ def unpack(words: Words, nz: int) -> Bool:
     return bits.reshape(nx, ny, width * 64)[:, :, :nz]
 
 
-def grow(words: Words, diagonal: bool) -> Words:
-    """Packed bits grown by one voxel: to the 6 face neighbours, or to the 18 face and edge neighbours."""
-    along_z: Words = words << np.uint64(1)
-    along_z |= words
-    along_z |= words >> np.uint64(1)
-    if words.shape[2] > 1:
-        along_z[:, :, 1:] |= words[:, :, :-1] >> np.uint64(63)
-        along_z[:, :, :-1] |= words[:, :, 1:] << np.uint64(63)
-    spread = along_z if diagonal else words
-    grown: Words = along_z.copy()
-    grown[1:] |= spread[:-1]
-    grown[:-1] |= spread[1:]
-    grown[:, 1:] |= spread[:, :-1]
-    grown[:, :-1] |= spread[:, 1:]
-    if diagonal:
-        beside = words.copy()
-        beside[:, 1:] |= words[:, :-1]
-        beside[:, :-1] |= words[:, 1:]
-        grown[1:] |= beside[:-1]
-        grown[:-1] |= beside[1:]
+def grow(words: Words, radius: float) -> Words:
+    """Packed bits grown by a ball: to every voxel whose centre is at most `radius` voxels from that of a set one.
+
+    Exact. Columns along z are lengthened by each half height of the ball once, then shifted and united row by row.
+    """
+    reach = int(radius)
+    taller = [words]
+    for _ in range(reach):
+        taller.append(_lengthened(taller[-1]))
+    grown = np.zeros_like(words)
+    for dx in range(min(reach, len(words) - 1) + 1):
+        rows = np.zeros_like(words)
+        for dy in range(min(int(np.sqrt(radius**2 - dx**2)), words.shape[1] - 1) + 1):
+            column = taller[int(np.sqrt(max(radius**2 - dx**2 - dy**2, 0)))]
+            _unite(rows[:, dy:], column[:, : words.shape[1] - dy])
+            if dy:
+                _unite(rows[:, :-dy], column[:, dy:])
+        _unite(grown[dx:], rows[: len(words) - dx])
+        if dx:
+            _unite(grown[:-dx], rows[dx:])
     return grown
 
 
+def _unite(to: Words, other: Words) -> None:
+    np.bitwise_or(to, other, out=to)
+
+
+def _lengthened(words: Words) -> Words:
+    """Packed bits grown by one voxel along z, both ways."""
+    longer: Words = words << np.uint64(1)
+    longer |= words
+    longer |= words >> np.uint64(1)
+    if words.shape[2] > 1:
+        longer[:, :, 1:] |= words[:, :, :-1] >> np.uint64(63)
+        longer[:, :, :-1] |= words[:, :, 1:] << np.uint64(63)
+    return longer
+
+
 def grow_by(levels: NDArray[np.uint8], present: NDArray[np.integer]) -> Bool:
-    """Union of balls: every voxel of `levels` [nx, ny, nz] with level l > 0 grows by l - 1 voxels.
+    """Union of balls: every voxel of `levels` [nx, ny, nz] with level l > 0 grows by (l - 1) / `PER_VOXEL` voxels.
 
     `present` [k] lists the levels that occur.
-
-    Three steps to 18 neighbours and one to 6, in turn: their Minkowski sum holds the Euclidean ball (support 1 along
-    the axes and 1.01 along the space diagonals per step) and reaches at most 1.42 times as far.
     """
-    occurring = set(present.tolist())
-    most = max(occurring, default=1)
-    words = pack(levels == most)
     nx, ny, nz = levels.shape
-    highest = cv2.reduce(levels.reshape(nx * ny, nz), 1, cv2.REDUCE_MAX).reshape(nx, ny)
-    for level in range(most - 1, 0, -1):
-        grown = _window(highest > level, margin=most - level)
-        words[grown] = grow(words[grown], diagonal=(level % 4) != 0)
-        if level in occurring:
-            words |= pack(levels == level)
-    return unpack(words, levels.shape[2])
+    reached = np.zeros((nx, ny, -(-nz // 64)), np.uint64)
+    for level in present.tolist():
+        radius = (level - 1) / PER_VOXEL
+        chosen = levels == level
+        if not chosen.any():
+            continue
+        columns = cv2.reduce(chosen.view(np.uint8).reshape(nx * ny, nz), 1, cv2.REDUCE_MAX).reshape(nx, ny)
+        window = _window(columns > 0, margin=int(radius))
+        _unite(reached[window], grow(pack(chosen[window]), radius))
+    return unpack(reached, nz)
 
 
 def _window(mask: Bool, margin: int) -> tuple[slice, slice]:
@@ -135,19 +147,30 @@ class Spread:
     """[n] True for voxels that hold a core point themselves."""
 
 
+PER_VOXEL = 4
+"""Units of reach in a voxel's edge."""
+
+
 def reach_of(grid: Grid, radii: Float64) -> NDArray[np.uint8]:
-    """Radii [n] (m) in whole voxels, rounded up; above six to even numbers, because every level costs time."""
-    reach = np.ceil(radii / grid.voxel_size - 1e-6)
-    even = np.where(reach > 6, 2 * np.ceil(reach / 2), reach)
-    return np.minimum(even, 200).astype(np.uint8)
+    """Radii [n] (m) as reach in quarter voxels, rounded up: by at most a seventh, as every level costs time.
+
+    Half a voxel is added for the rounding of places to voxels.
+    """
+    reach = PER_VOXEL * (radii / grid.voxel_size + 0.5)
+    return np.asarray(_REACHES[np.minimum(np.searchsorted(_REACHES, reach - 1e-6), len(_REACHES) - 1)])
+
+
+_REACHES = np.array(
+    [*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)], np.uint8
+)
 
 
 def spread(grid: Grid, places: NDArray[np.int32], reach: NDArray[np.uint8], core_points: Bool) -> Spread:
-    """Voxels of `grid` within `reach` [n] voxels of the voxels (i, j, k) `places` [3, n], which may lie outside it.
+    """Voxels of `grid` within `reach` [n] quarter voxels of voxels (i, j, k) `places` [3, n], which may lie outside it.
 
     `core_points` [n] says which of the points make their voxel a core.
     """
-    most = int(reach.max(initial=0))
+    most = int(reach.max(initial=0)) // PER_VOXEL
     upper = np.array(grid.dims, np.int32)[:, None] + most
     near = ((places >= -most) & (places < upper)).all(axis=0)
     if not near.all():

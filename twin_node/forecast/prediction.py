@@ -15,11 +15,10 @@ from twin_node.forecast.experts import (
     KNOTS,
     Autoregression,
     History,
-    Neighbours,
     autoregression_features,
     mix,
-    neighbours,
 )
+from twin_node.forecast.neighbours import Neighbours
 from twin_node.scene import Float64
 
 Rows = NDArray[np.int64]
@@ -126,7 +125,7 @@ class Predictor:
         self._issued: deque[_Issued] = deque()
         self._profile = np.array(KNOTS) * _UNTRIED[-1]
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
-        self._around = neighbours(np.zeros((0, 3)))
+        self._around = Neighbours(np.zeros((0, 3)))
         self._features = np.zeros((0, 3, 0))
         self._cues = np.zeros((0, 0))
         self._learnt_at = np.full(len(KNOTS), -np.inf)
@@ -134,7 +133,7 @@ class Predictor:
     @property
     def weights(self) -> Float64:
         """[E, M] of the experts, in the order of `EXPERT_NAMES`."""
-        pooled = self._records.squared @ self._around.body.T
+        pooled = self._around.body(self._records.squared.T).T
         return mix((1 - _POOLED) * self._records.squared + _POOLED * pooled)
 
     @property
@@ -150,7 +149,7 @@ class Predictor:
         """
         self._horizon_s = horizon_s
         self._history = history
-        self._around = neighbours(history.positions[-1])
+        self._around = Neighbours(history.positions[-1])
         self._records = self._records.inherited(succession.records, history.times[-1])
         for issued in self._issued:
             issued.rows = np.where(succession.paths < 0, -1, np.append(issued.rows, -1)[succession.paths])
@@ -242,7 +241,5 @@ def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbour
     by_name = dict(zip(EXPERT_NAMES, single, strict=True))
     way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
     acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)
-    near_way, near_acceleration, near_error = np.sqrt(
-        around.body @ np.stack([way, acceleration, errors], axis=1) ** 2
-    ).T
+    near_way, near_acceleration, near_error = np.sqrt(around.body(np.stack([way, acceleration, errors], axis=1) ** 2)).T
     return cues(spread, acceleration, near_way, near_acceleration, near_error)
