@@ -36,7 +36,11 @@ FOLLOW = "/arm/follow"
 ACKNOWLEDGE = "/arm/acknowledge"
 """`std_msgs/Empty`: somebody has looked at a halted arm; it may go on."""
 TF_STATIC = "/tf_static"
+TF = "/tf"
 CLOCK = "/clock"
+OBSTACLE_MARKERS = "/viewer/obstacles"
+FRUSTA = "/viewer/frusta"
+SEPARATION_MARKER = "/viewer/separation"
 TRUTH_OCCUPANCY = "/truth/occupancy"
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -55,6 +59,10 @@ _MESSAGE_TYPES = {
     TRAJECTORY: TopicKind("trajectory_msgs/msg/JointTrajectory"),
     FOLLOW: TopicKind("trajectory_msgs/msg/JointTrajectory"),
     ACKNOWLEDGE: TopicKind("std_msgs/msg/Empty"),
+    TF: TopicKind("tf2_msgs/msg/TFMessage"),
+    OBSTACLE_MARKERS: TopicKind("visualization_msgs/msg/MarkerArray", NEWEST),
+    FRUSTA: TopicKind("visualization_msgs/msg/MarkerArray", LATCHED),
+    SEPARATION_MARKER: TopicKind("visualization_msgs/msg/Marker"),
     TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", Qos(depth=10, latched=True)),
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),

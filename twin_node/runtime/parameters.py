@@ -7,6 +7,7 @@ import difflib
 import types
 import typing
 from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -62,7 +63,7 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str) -> T:
     return kind(**filled)
 
 
-def _convert(hint: Any, value: Any, where: str) -> Any:
+def _convert(hint: Any, value: Any, where: str) -> Any:  # noqa: PLR0911 (a case per kind of type)
     origin = typing.get_origin(hint)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         if not isinstance(value, Mapping):
@@ -80,6 +81,11 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         if len(inner) != len(value):
             raise ParameterError(f"{where}: expected {len(inner)} values, found {len(value)}")
         return tuple(_convert(a, v, where) for a, v in zip(inner, value, strict=True))
+    if isinstance(hint, type) and issubclass(hint, Enum) and not isinstance(value, hint):
+        members = {str(member.value): member for member in hint}
+        if str(value) not in members:
+            raise ParameterError(f"{where}: expected one of {', '.join(members)}, found {value!r}")
+        return members[str(value)]
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):

@@ -31,6 +31,8 @@ class ZenohParameters:
     """`builtin`: start a router; `external`: there is one; `auto`: start one unless its address is taken."""
     endpoint: str = ROUTER_ENDPOINT
     """The router's address; one that is not on this host opens the graph to the network."""
+    routers: tuple[str, ...] = ()
+    """Addresses of other machines' routers that the built-in one is joined to."""
     config: str = ""
     """zenoh's own configuration file (JSON5): TLS, access control. Empty: the environment's, else ours."""
     router_config: str = ""
@@ -117,7 +119,8 @@ def _session_config(parameters: ZenohParameters) -> Any:
 
 
 def _router_config(parameters: ZenohParameters) -> Any:
-    return _config({"mode": "router", "listen/endpoints": [parameters.endpoint], "connect/endpoints": []})
+    joined = [router for router in parameters.routers if router]
+    return _config({"mode": "router", "listen/endpoints": [parameters.endpoint], "connect/endpoints": joined})
 
 
 def _config(settings: dict[str, Any]) -> Any:

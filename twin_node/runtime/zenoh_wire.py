@@ -6,6 +6,7 @@ attachments of `rmw_zenoh`. A message that is older than one of its publisher's 
 
 from __future__ import annotations
 
+import atexit
 import itertools
 import threading
 import time
@@ -50,6 +51,8 @@ class ZenohWire:
         self._graph: dict[str, Endpoint] = {}
         self._is_watching = False
         self._lock = threading.Lock()
+        self._is_closed = False
+        atexit.register(self.close)  # an open session with callbacks would keep the interpreter from ending
         self.refused = 0
         """Samples that came out of order."""
 
@@ -118,6 +121,10 @@ class ZenohWire:
 
     def close(self) -> None:
         """Ends all traffic and takes this process's tokens from the graph."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        atexit.unregister(self.close)
         self._local.close()
         with self._lock:
             kept, self._kept = self._kept, []

@@ -40,6 +40,12 @@ from twin_node.messages.convert.image import (
     raw_image,
     rgb_from_message,
 )
+from twin_node.messages.convert.markers import (
+    frusta_to_markers,
+    links_to_tf,
+    obstacles_to_markers,
+    separation_to_marker,
+)
 from twin_node.messages.convert.status import (
     Status,
     clock_from_message,
@@ -65,13 +71,16 @@ __all__ = [
     "depth_image",
     "diagnostics_from_message",
     "diagnostics_to_message",
+    "frusta_to_markers",
     "gaussians_from_pointcloud2",
     "gaussians_to_pointcloud2",
     "joint_path_from_message",
     "joint_path_to_message",
     "joint_sample_from_message",
     "joint_sample_to_message",
+    "links_to_tf",
     "obstacles_from_message",
+    "obstacles_to_markers",
     "obstacles_to_message",
     "occupancy_from_message",
     "occupancy_to_message",
@@ -80,6 +89,7 @@ __all__ = [
     "rgb_from_message",
     "rig_camera",
     "separation_from_message",
+    "separation_to_marker",
     "separation_to_message",
     "status_from_message",
     "status_to_message",

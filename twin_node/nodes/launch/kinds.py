@@ -11,7 +11,8 @@ from typing import Any
 from twin_node.nodes.topics import GraphError
 
 ENTRY_POINTS = "twin_node.nodes"
-"""Entry-point group under which other packages offer nodes: functions from a `live.setup.Setup` to a `Node`."""
+"""Entry-point group under which other packages offer nodes: functions from a `live.setup.Setup` to a `Node`.
+One may have the name of a node below, and takes its place."""
 
 KINDS = {
     "arm": "twin_node.nodes.live.twin:make_arm",
@@ -44,8 +45,9 @@ def check_kind(name: str, where: str) -> None:
 
 def find_factory(name: str) -> Callable[[Any], Any]:
     """The function that makes a node; the name has been checked."""
-    if name not in KINDS:
-        made: Callable[[Any], Any] = _foreign()[name].load()
+    foreign = _foreign()
+    if name in foreign:
+        made: Callable[[Any], Any] = foreign[name].load()
         return made
     module, _, function = KINDS[name].partition(":")
     factory: Callable[[Any], Any] = getattr(importlib.import_module(module), function)

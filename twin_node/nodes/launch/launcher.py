@@ -103,16 +103,14 @@ class Launcher:
 
     def _activate_when_ready(self) -> None:
         """Activates all nodes once every process is configured; later, one that was started again by itself."""
-        waiting = [child for child in self._children.values() if child.status is None and not child.is_active]
-        if not waiting or not all(child.is_configured for child in waiting):
-            if not self._is_active:
+        if not self._is_active:
+            if not all(child.is_configured for child in self._children.values()):
                 return
-            waiting = [child for child in waiting if child.is_configured]
-        for child in reversed(waiting):
-            child.activate()
-        if not self._is_active and waiting:
             self._is_active = True
             self._say("active: " + ", ".join(self._children))
+        for child in reversed(self._children.values()):
+            if child.is_configured and not child.is_active:
+                child.activate()
 
     def _start(self, process: ProcessPlan) -> None:
         plan = self._plan

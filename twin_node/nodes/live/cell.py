@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass, field, replace
 
@@ -24,10 +25,10 @@ class CellParameters:
     """What is simulated, and how it is sent."""
 
     rig: RigParameters = field(default_factory=RigParameters)
-    loop: bool = True
-    """Begin again when the scenario is over; stamps go on."""
-    arm: bool = True
-    """Publish the arm's joints and path; False where a driver does."""
+    duration: float = 0.0
+    """Seconds to run, s; the scenario begins again when it is over, and stamps go on. 0: until stopped."""
+    arm: str = "scenario"
+    """`scenario`: its joints and path are published too; anything else: a driver does that."""
 
 
 def make_cell(setup: Setup) -> Node:
@@ -36,13 +37,14 @@ def make_cell(setup: Setup) -> Node:
 
 
 class CellNode(Node):
-    """Renders what is due, when it is due; what it cannot render in time is left out, and counted."""
+    """Renders what is due, when it is due; a set that it cannot begin in time is left out, and counted."""
 
     def __init__(self, setup: Setup, parameters: CellParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
         self._parameters = parameters
         self._finish = setup.finish
         self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario))
+        self._period_ns = int(1e9 / self._simulated.scenario.sensing.rate_hz)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.skipped = 0
@@ -65,20 +67,24 @@ class CellNode(Node):
 
     def _run(self) -> None:
         exposures, start = self._simulated.exposures(), self._simulated.scenario.start_ns
-        period = int(1e9 / self._simulated.scenario.sensing.rate_hz)
-        while True:
-            begun = self.clock.now()
+        until = self._parameters.duration * 1e9 or math.inf
+        begun = first = self.clock.now()
+        tick, is_late = -1, False
+        while not self._stop.is_set():
             for exposure in exposures:
                 stamp = begun + exposure.stamp - start
+                if stamp - first > until:
+                    self._finish()
+                    return
                 if self._stop.wait(max(0.0, (stamp - self.clock.now()) / 1e9)):
                     return
-                if self.clock.now() - stamp > period:
+                if exposure.tick != tick:
+                    tick, is_late = exposure.tick, self.clock.now() - stamp > self._period_ns
+                if is_late:
                     self.skipped += 1
-                    continue
-                self._publish(exposure, stamp)
-            if not self._parameters.loop:
-                self._finish()
-                return
+                else:
+                    self._publish(exposure, stamp)
+            begun = self.clock.now()
 
     def _publish(self, exposure: Exposure, stamp: int) -> None:
         self._publish_arm(exposure.stamp, stamp)
@@ -95,7 +101,7 @@ class CellNode(Node):
 
     def _publish_arm(self, simulated_stamp: int, stamp: int) -> None:
         arm = self._simulated.world.arm
-        if arm is None or not self._parameters.arm:
+        if arm is None or self._parameters.arm != "scenario":
             return
         shift = stamp - simulated_stamp
         sample, path = arm.sample(simulated_stamp), arm.ahead(simulated_stamp)

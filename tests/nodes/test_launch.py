@@ -1,0 +1,151 @@
+"""Launches as users start them: every shipped file comes to decisions, failures have names, nobody is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from launching import Ear, free_endpoint, launched, on_loopback
+
+from twin_node.bag import open_log
+from twin_node.cell.ur_sim import free_loopback
+from twin_node.cli import main
+from twin_node.errors import TwinError
+from twin_node.messages import convert
+from twin_node.nodes.launch.launch_file import LaunchPlan, read_launch_file
+from twin_node.nodes.launch.launcher import FIRST_STATUS
+from twin_node.nodes.topics import DIAGNOSTICS, SEPARATION
+
+pytest.importorskip("zenoh")
+
+QUICK = ["synchronizer.width:=48", "synchronizer.max_rate_hz:=4.0"]
+"""Parameters that make the twin start soon on a busy machine."""
+
+
+def is_of_evidence(message: object) -> bool:
+    return convert.separation_from_message(message).evidence_stamp > 0
+
+
+def decides(plan: LaunchPlan, logs: Path, endpoint: str) -> None:
+    """Asserts that a launch comes to speed decisions by evidence, and that its end leaves no process."""
+    with launched(on_loopback(plan, endpoint), logs) as running:
+        ear = Ear(endpoint)
+        ear.hear(SEPARATION, is_of_evidence)
+        ear.close()
+        children = running.launcher.children()
+        assert set(children) == {process.name for process in plan.processes}
+        assert running.stop().status == 0
+    assert not any(is_alive(pid) for pid in children.values())
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_replay(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    arguments = [f"log:={cell_log(1.2)}", "rate:=0.2"]
+    plan = read_launch_file("launch/replay.yaml", arguments, [*QUICK, "player.loop:=true"])
+    decides(plan, tmp_path, free_endpoint())
+
+
+def test_sim_cell_with_a_driver_and_its_controller(tmp_path: Path) -> None:
+    plan = read_launch_file("launch/sim_cell.yaml", [f"host:={free_loopback()}"], QUICK)
+    decides(plan, tmp_path, free_endpoint())
+
+
+def test_two_machines(tmp_path: Path) -> None:
+    twins, cameras = free_endpoint(), free_endpoint()
+    scenario = ["scenario:=demo", "source:=cell"]
+    twin = read_launch_file("launch/two_machines.yaml", ["role:=twin", f"listen:={twins}", *scenario], QUICK)
+    far = read_launch_file("launch/two_machines.yaml", ["role:=cameras", f"join:={twins}", *scenario])
+    with launched(on_loopback(far, cameras), tmp_path / "far"):
+        decides(twin, tmp_path / "near", twins)
+
+
+def test_lockstep_gives_the_bytes_of_replay(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    log, ours, theirs = cell_log(1.2), tmp_path / "launch.mcap", tmp_path / "replay.mcap"
+    given = [f"log:={log}", f"output:={ours}", "lockstep:=true", "duration:=0.5", "--log-dir", str(tmp_path)]
+    width = ["-p", "synchronizer.width:=64"]
+    assert main(["launch", "launch/replay.yaml", *given, *width]) == 0
+    assert main(["replay", str(log), "-o", str(theirs), "--lockstep", "--duration", "0.5", "--width", "64"]) == 0
+    assert ours.read_bytes() == theirs.read_bytes()
+
+
+ARM_ALONE = """
+launch:
+  processes:
+    write: {nodes: [recorder]}
+    arm: {nodes: [arm], restart: RESTART}
+/**:
+  ros__parameters: {rig: {scenario: demo}}
+recorder:
+  ros__parameters: {output: OUTPUT, topics: [/twin/separation]}
+arm:
+  ros__parameters: {model: ur5e}
+"""
+
+
+def arm_alone(folder: Path, restart: str) -> LaunchPlan:
+    path = folder / "arm.yaml"
+    path.write_text(ARM_ALONE.replace("RESTART", restart).replace("OUTPUT", str(folder / "out")))
+    return read_launch_file(path)
+
+
+def test_a_killed_process_is_started_again_and_the_arm_stands_meanwhile(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with launched(on_loopback(arm_alone(tmp_path, "true"), endpoint), tmp_path) as running:
+        ear = Ear(endpoint)
+        ear.hear(SEPARATION, lambda message: True)
+        killed = running.launcher.children()["arm"]
+        os.kill(killed, signal.SIGKILL)
+        ear.hear(DIAGNOSTICS, lambda message: running.launcher.children().get("arm", killed) != killed)
+        told = convert.separation_from_message(ear.hear(SEPARATION, lambda message: True))
+        ear.close()
+        assert told.speed_fraction == 0.0
+        assert running.stop().restarts == 1
+    assert any("arm: killed by signal 9; starting it again" in line for line in running.said)
+    with open_log(tmp_path / "out") as log:
+        assert log.damage is None
+        assert [topic.name for topic in log.topics] == [SEPARATION]
+
+
+def test_the_exit_status_tells_which_process_failed(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with launched(on_loopback(arm_alone(tmp_path, "false"), endpoint), tmp_path) as running:
+        ear = Ear(endpoint)
+        ear.hear(SEPARATION, lambda message: True)
+        ear.close()
+        os.kill(running.launcher.children()["arm"], signal.SIGKILL)
+        result = running.wait()
+    assert (result.failed, result.status) == ("arm", FIRST_STATUS + 1)
+
+
+def test_processes_end_when_their_launcher_is_killed(tmp_path: Path) -> None:
+    """As after `kill -9`: the ends of their pipes close, and they bring themselves down."""
+    endpoint = free_endpoint()
+    with launched(on_loopback(arm_alone(tmp_path, "true"), endpoint), tmp_path) as running:
+        ear = Ear(endpoint)
+        ear.hear(SEPARATION, lambda message: True)
+        ear.close()
+        child = running.launcher._children["write"]
+        child._process.stdin.close()
+        assert child._process.wait(60) == 0
+
+
+def test_a_node_that_refuses_its_parameters_ends_the_launch_before_anything_is_active(tmp_path: Path) -> None:
+    plan = on_loopback(arm_alone(tmp_path, "true"), free_endpoint())
+    sections = {**plan.sections, "arm": {"model": "ur5e", "modle": "ur3e"}}
+    with (
+        launched(replace(plan, sections=sections), tmp_path) as running,
+        pytest.raises(TwinError, match="unknown parameter 'modle'; did you mean 'model'"),
+    ):
+        running.wait()
+    assert not any(line.startswith("active") for line in running.said)

@@ -1,0 +1,102 @@
+"""Launch files: arguments, conditions, parameters, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twin_node.errors import TwinError
+from twin_node.nodes.chain import load_parameters
+from twin_node.nodes.launch.launch_file import read_arguments, read_launch_file
+
+SMALL = """
+launch:
+  arguments:
+    log: {help: what to play}
+    rate: {default: 1.0}
+    loop: {default: false}
+    who: {default: twin}
+  processes:
+    play: {nodes: [player], ends_launch: true, restart: false}
+    arm: {nodes: [arm], if: $(var who)/x == twin/x}
+    write: {nodes: [recorder], if: $(var loop)}
+player:
+  ros__parameters: {log: $(var log), rate: $(var rate), remap: ["/a:=/$(var who)"]}
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(SMALL)
+    return path
+
+
+def test_arguments_fill_values_of_their_own_type(small: Path) -> None:
+    plan = read_launch_file(small, ["log:=a.mcap", "rate:=2"])
+    assert plan.sections["player"] == {"log": "a.mcap", "rate": 2.0, "remap": ["/a:=/twin"]}
+    assert [(p.name, p.nodes, p.restarts, p.ends_launch) for p in plan.processes] == [
+        ("play", ("player",), False, True),
+        ("arm", ("arm",), True, False),
+    ]
+
+
+def test_conditions_choose_processes(small: Path) -> None:
+    plan = read_launch_file(small, ["log:=a", "who:=nobody", "loop:=true"])
+    assert [p.name for p in plan.processes] == ["play", "write"]
+
+
+def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> None:
+    plan = read_launch_file(small, ["log:=a"], ["player.rate:=0.5", "arm.limiter.deadline_s:=0.2"])
+    assert plan.sections["player"]["rate"] == 0.5
+    assert plan.sections["arm"] == {"limiter": {"deadline_s": 0.2}}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parameters", "words"),
+    [
+        ([], [], r"needs log:=VALUE \(log: what to play\)"),
+        (["log:=a", "rat:=2"], [], "unknown argument 'rat'; did you mean 'rate'"),
+        (["log:=a", "rate:=fast"], [], "rate:=fast: expected a float"),
+        (["log=a"], [], "expected NAME:=VALUE"),
+        (["log:=a"], ["rate:=2"], "expected NODE.KEY:=VALUE"),
+        (["log:=a"], ["plaier.rate:=2"], "unknown node 'plaier'; did you mean 'player'"),
+    ],
+)
+def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], parameters: list[str], words: str) -> None:
+    with pytest.raises(TwinError, match=words):
+        read_launch_file(small, arguments, parameters)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("nodes: [player]", "nodes: [playr]", "unknown node 'playr'; did you mean 'player'"),
+        ("restart: false", "restrt: false", "unknown key 'restrt'; did you mean 'restart'"),
+        ("  processes:", "  proceses:", "unknown key 'proceses'; did you mean 'processes'"),
+        ("launch:", "lunch:", "has no section 'launch'"),
+        ("$(var rate)", "$(var ratio)", "no such argument; did you mean 'rate'"),
+        ("nodes: [player]", "nodes: []", "expected a list of nodes"),
+        ("\nplayer:", "\nsynchroniser:", "unknown node 'synchroniser'"),
+        ("{nodes: [player]", "{nodes: [player", "cannot be read as YAML"),
+    ],
+)
+def test_what_is_wrong_with_the_file_is_named(small: Path, old: str, new: str, words: str) -> None:
+    small.write_text(SMALL.replace(old, new, 1))
+    with pytest.raises(TwinError, match=words):
+        read_launch_file(small, ["log:=a"])
+
+
+@pytest.mark.parametrize("name", ["replay", "sim_cell", "oak_rig", "two_machines"])
+def test_every_launch_file_that_ships_is_whole(name: str) -> None:
+    path = f"launch/{name}.yaml"
+    needed = [f"{a.name}:=x" for a in read_arguments(path) if a.is_required and a.name != "role"]
+    roles = [["role:=twin"], ["role:=cameras"]] if name == "two_machines" else [[]]
+    for role in roles:
+        assert read_launch_file(path, needed + role).processes
+
+
+def test_a_launch_file_is_a_parameter_file_too() -> None:
+    assert load_parameters(None).synchronizer.width == 160
+    assert load_parameters(Path("launch/sim_cell.yaml")).arm.model == "ur5e"

@@ -1,0 +1,109 @@
+"""Real cameras as a node: their images with calibration, and how each is doing."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+
+from twin_node.messages import convert
+from twin_node.nodes.live.rig_messages import publish_calibration
+from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import COMPRESSED, GraphError
+from twin_node.rig.cameras import CameraImage, ImageSource, OpenCvCamera, OpenCvSource
+from twin_node.rig.cameras.oak import FactoryCalibration, OakCamera, OakSource
+from twin_node.runtime.node import Node
+from twin_node.scene import RigCamera
+
+FOCAL_TOLERANCE = 0.02
+"""A rig file whose focal length differs so much from the device's own is named: another lens, mode or device."""
+
+
+@dataclass(frozen=True)
+class CamerasParameters:
+    """Which cameras, by their names in the rig file; those of one kind run in one node."""
+
+    oak: tuple[OakCamera, ...] = ()
+    opencv: tuple[OpenCvCamera, ...] = ()
+    rig: RigParameters = field(default_factory=RigParameters)
+
+
+def make_cameras(setup: Setup) -> Node:
+    """The cameras that the parameters list."""
+    parameters = setup.parameters(CamerasParameters)
+    if bool(parameters.oak) == bool(parameters.opencv):
+        raise GraphError(f"{setup.where}: {setup.name}: expected cameras under 'oak' or under 'opencv'")
+    source: ImageSource = OakSource(parameters.oak) if parameters.oak else OpenCvSource(parameters.opencv)
+    return CamerasNode(setup, source, parameters.rig)
+
+
+class CamerasNode(Node):
+    """Publishes what an image source gives, each image with its CameraInfo.
+
+    Raises `GraphError` for a camera that the rig file does not know.
+    """
+
+    def __init__(self, setup: Setup, source: ImageSource, rig: RigParameters) -> None:
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self._source = source
+        self._rig_parameters = rig
+        self._rig = read_rig(rig).rig
+        self._cameras = {camera.name: camera for camera in self._rig.cameras}
+        unknown = [name for name in source.cameras if name not in self._cameras]
+        if unknown:
+            raise GraphError(
+                f"{setup.where}: {setup.name}: camera '{unknown[0]}' is not in the rig file, which has "
+                f"{', '.join(self._cameras)}; name it as there, or calibrate it"
+            )
+        self._thread: threading.Thread | None = None
+
+    def on_activate(self) -> None:
+        publish_calibration(self.bus, self._rig, self.clock.now())
+        self._thread = threading.Thread(target=self._run, name="cameras", daemon=True)
+        self._thread.start()
+
+    def on_deactivate(self) -> None:
+        self._source.close()
+        if self._thread is not None:
+            self._thread.join()
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """How every camera is doing."""
+        found = []
+        calibrations = self._source.calibrations if isinstance(self._source, OakSource) else {}
+        for health in self._source.health:
+            level = convert.Level.OK if health.is_connected else convert.Level.ERROR
+            message = health.message
+            doubt = _doubt(self._cameras[health.camera], calibrations.get(health.camera))
+            if health.is_connected and doubt is not None:
+                level, message = convert.Level.WARN, doubt
+            readings = (convert.Reading("reconnections", str(health.reconnections)),)
+            found.append(convert.Diagnosis(f"{self.name}: {health.camera}", level, message, readings, health.camera))
+        return tuple(found)
+
+    def _run(self) -> None:
+        for image in self._source.images():
+            self._publish(image)
+
+    def _publish(self, image: CameraImage) -> None:
+        topics = topics_of(image.camera, self._rig_parameters)
+        self.bus.publish(topics.info, convert.camera_info(self._cameras[image.camera], image.stamp))
+        if topics.depth is not None and image.depth is not None:
+            compressed = topics.depth_type == COMPRESSED
+            to_message = convert.compressed_depth_image if compressed else convert.depth_image
+            self.bus.publish(topics.depth, to_message(image.camera, image.stamp, image.depth))
+        colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
+        self.bus.publish(topics.image, colour(image.camera, image.stamp, image.rgb))
+
+
+def _doubt(camera: RigCamera, factory: FactoryCalibration | None) -> str | None:
+    """What speaks against the rig file's lens; None where nothing does, or the device does not say."""
+    if factory is None:
+        return None
+    ratio = camera.K[0, 0] / factory.K[0, 0]
+    if abs(ratio - 1) <= FOCAL_TOLERANCE:
+        return None
+    return (
+        f"the rig file's focal length is {camera.K[0, 0]:.1f} px, the device's own {factory.K[0, 0]:.1f} px; is this "
+        "the right camera, and the mode that it was calibrated in?"
+    )

@@ -1,0 +1,88 @@
+"""What every kind of camera gives: images one by one, and how it is doing."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from twin_node.scene import Float32, UInt8
+
+WAIT_S = 0.2
+"""How long a source that has no image may take to notice that it is closed, s."""
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """One raw image."""
+
+    camera: str
+    stamp: int
+    """Mid-exposure, ns since 1970 on this host's clock; rises with every image of a camera."""
+    rgb: UInt8
+    """[H, W, 3]."""
+    depth: Float32 | None = None
+    """[H, W] m along the optical axis, aligned with `rgb`, 0 where unknown; None: the camera measures none."""
+
+
+@dataclass(frozen=True)
+class CameraHealth:
+    """How one camera is doing."""
+
+    camera: str
+    is_connected: bool
+    message: str
+    reconnections: int = 0
+    """Times that it was lost and has come back."""
+
+
+class ImageSource(Protocol):
+    """One or several running cameras."""
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+
+    @property
+    def health(self) -> tuple[CameraHealth, ...]:
+        """How every camera is doing, in the order of `cameras`."""
+
+    def images(self) -> Iterator[CameraImage]:
+        """Images as they come, until the source is closed; a camera that is lost is waited for while others go on."""
+
+    def close(self) -> None:
+        """Ends `images` and lets go of the cameras."""
+
+
+class ImageQueue:
+    """Images of several cameras' threads on their way to one reader; of those that wait too long the oldest is lost."""
+
+    def __init__(self, size: int) -> None:
+        """`size`: images kept while the reader is busy."""
+        self._waiting: queue.Queue[CameraImage] = queue.Queue(size)
+        self.closed = threading.Event()
+        self.lost = 0
+
+    def put(self, image: CameraImage) -> None:
+        """Takes an image, from any thread."""
+        while True:
+            try:
+                self._waiting.put_nowait(image)
+            except queue.Full:
+                try:
+                    self._waiting.get_nowait()
+                except queue.Empty:
+                    continue
+                self.lost += 1
+            else:
+                return
+
+    def __iter__(self) -> Iterator[CameraImage]:
+        """Images until `closed` is set."""
+        while not self.closed.is_set():
+            try:
+                yield self._waiting.get(timeout=WAIT_S)
+            except queue.Empty:
+                continue

@@ -1,0 +1,305 @@
+"""Luxonis OAK cameras through depthai 3: one or several devices, depth aligned with colour, lost ones found again.
+
+depthai is imported when a source is made. A device that is unplugged, or not there yet, is looked for once a second
+while the others go on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage, ImageQueue
+from twin_node.rig.cameras.stamps import CaptureStamps
+from twin_node.rig.errors import RigError
+from twin_node.scene import Float32, Float64
+
+RETRY_S = 1.0
+"""Between two looks for a device, s."""
+QUEUED_PER_CAMERA = 4
+PAIR_TOLERANCE_NS = 10_000_000
+"""A depth image belongs to the colour image of the same exposure: colour and mono mid-exposures differ by less."""
+SYNC_MODES = ("none", "auto", "output", "input", "ptp")
+"""How a device's shutters keep time with others' (FSYNC cable, or PTP over Ethernet)."""
+RATIONAL_COEFFICIENTS = 8
+"""Of the 14 coefficients in OpenCV's order that a device stores, those that ROS's rational_polynomial has."""
+
+
+@dataclass(frozen=True)
+class OakCamera:
+    """One device and how it is set."""
+
+    name: str
+    device: str = ""
+    """Its identifier or IP address; empty: the first device that no other camera of the rig has."""
+    width: int = 640
+    height: int = 480
+    fps: float = 30.0
+    depth: bool = True
+    """Measure depth by stereo, aligned with the colour image."""
+    depth_preset: str = "ROBOTICS"
+    """A member of depthai's `StereoDepth.PresetMode`."""
+    exposure_us: int = 0
+    """Fixed exposure, microseconds; 0: automatic, whose changing length moves mid-exposure."""
+    iso: int = 400
+    """Sensitivity that goes with a fixed exposure."""
+    sync: str = "none"
+    """One of `SYNC_MODES`."""
+
+    def __post_init__(self) -> None:
+        """Raises `RigError` for a mode that is none."""
+        if self.sync not in SYNC_MODES:
+            raise RigError(f"camera {self.name}: sync: expected one of {', '.join(SYNC_MODES)}, found '{self.sync}'")
+
+
+@dataclass(frozen=True)
+class FactoryCalibration:
+    """What a device knows of its colour camera from the factory."""
+
+    K: Float64
+    """[3, 3] px, OpenCV convention, for the size asked for."""
+    D: Float64
+    """[8] rational_polynomial."""
+
+
+class OakStreams(Protocol):
+    """A device's running pipeline, as far as the driver needs it."""
+
+    @property
+    def colour(self) -> Any:
+        """depthai queue of colour `ImgFrame`s."""
+
+    @property
+    def depth(self) -> Any | None:
+        """depthai queue of depth `ImgFrame`s (uint16, mm), aligned with colour; None: no depth."""
+
+    @property
+    def calibration(self) -> FactoryCalibration | None:
+        """From the device; None where it has none."""
+
+    def close(self) -> None:
+        """Ends the pipeline and lets go of the device."""
+
+
+class OakSource:
+    """A thread per device."""
+
+    def __init__(
+        self, cameras: Sequence[OakCamera], connect: Callable[[OakCamera], OakStreams | None] | None = None
+    ) -> None:
+        """`connect`: opens a camera's device, None where it is not there; the real ones by default.
+
+        Raises `RigError` for no cameras or equal names, and where depthai is not installed.
+        """
+        names = [camera.name for camera in cameras]
+        if not names or len(set(names)) != len(names):
+            raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
+        self._dai = _depthai()
+        self._cameras = tuple(cameras)
+        self._connect = connect or _Devices(self._dai, self._cameras).connect
+        self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
+        self._health = {camera.name: CameraHealth(camera.name, False, "not looked for yet") for camera in cameras}
+        self.calibrations: dict[str, FactoryCalibration] = {}
+        """By camera name, of every device that has been connected."""
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(camera.name for camera in self._cameras)
+
+    @property
+    def health(self) -> tuple[CameraHealth, ...]:
+        """How every camera is doing."""
+        return tuple(self._health[name] for name in self.cameras)
+
+    def images(self) -> Iterator[CameraImage]:
+        """Images as they come, until the source is closed."""
+        for camera in self._cameras:
+            thread = threading.Thread(target=self._run, args=(camera,), name=camera.name, daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        yield from self._queue
+
+    def close(self) -> None:
+        """Ends `images` and lets go of the devices."""
+        self._queue.closed.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _run(self, camera: OakCamera) -> None:
+        stamps = CaptureStamps(steady=lambda: _ns(self._dai.Clock.now()))
+        connections = 0
+        while not self._queue.closed.is_set():
+            message = f"device '{camera.device or 'any'}' not found; looking again every {RETRY_S:g} s"
+            try:
+                streams = self._connect(camera)
+            except RuntimeError as error:  # depthai's own: busy, no permission, wrong firmware
+                streams, message = None, " ".join(str(error).split())
+            if streams is not None:
+                connections += 1
+                self._health[camera.name] = CameraHealth(camera.name, True, "connected", connections - 1)
+                if streams.calibration is not None:
+                    self.calibrations[camera.name] = streams.calibration
+                message = self._read(camera, streams, stamps)
+            self._health[camera.name] = CameraHealth(camera.name, False, message, max(connections - 1, 0))
+            self._queue.closed.wait(RETRY_S)
+
+    def _read(self, camera: OakCamera, streams: OakStreams, stamps: CaptureStamps) -> str:
+        """Images until the device is lost, or the source closed; says why it ended."""
+        depths: list[Any] = []
+        try:
+            while not self._queue.closed.is_set():
+                frame = streams.colour.get(_timeout())
+                if frame is None:
+                    continue
+                depth = None
+                if streams.depth is not None:
+                    depths = [*depths, *streams.depth.tryGetAll()][-QUEUED_PER_CAMERA:]
+                    depth = _paired(frame, depths, streams.depth)
+                stamp = stamps.of_steady(_ns(_mid_exposure(self._dai, frame)))
+                self._queue.put(CameraImage(camera.name, stamp, _rgb(frame), depth))
+        except (RuntimeError, self._dai.MessageQueue.QueueException) as error:
+            return f"lost ({' '.join(str(error).split())}); looking for it every {RETRY_S:g} s"
+        finally:
+            streams.close()
+        return "closed"
+
+
+def factory_calibration(handler: Any, socket: Any, width: int, height: int) -> FactoryCalibration | None:
+    """The colour camera's calibration of a `depthai.CalibrationHandler`, scaled to an image size; None where none."""
+    try:
+        K = np.array(handler.getCameraIntrinsics(socket, width, height), dtype=np.float64)
+        D = np.array(handler.getDistortionCoefficients(socket), dtype=np.float64)
+    except RuntimeError:  # depthai's word for a camera that was never calibrated
+        return None
+    padded = np.zeros(RATIONAL_COEFFICIENTS)
+    padded[: min(len(D), RATIONAL_COEFFICIENTS)] = D[:RATIONAL_COEFFICIENTS]
+    return FactoryCalibration(K, padded)
+
+
+class _Devices:
+    """The devices that are plugged in."""
+
+    def __init__(self, dai: Any, cameras: Sequence[OakCamera]) -> None:
+        self._dai = dai
+        self._named = {camera.device for camera in cameras if camera.device}
+        self._taken: set[str] = set()
+        self._lock = threading.Lock()
+
+    def connect(self, camera: OakCamera) -> OakStreams | None:
+        """Opens a camera's device; None where it is not there.
+
+        What is plugged in is asked first: depthai waits ten seconds for a device that is not.
+        """
+        with self._lock:
+            info = self._find(camera)
+            if info is None:
+                return None
+            identifier = info.getDeviceId()
+            self._taken.add(identifier)
+        try:
+            return _Pipeline(self._dai, camera, info, lambda: self._taken.discard(identifier))
+        except BaseException:
+            self._taken.discard(identifier)
+            raise
+
+    def _find(self, camera: OakCamera) -> Any | None:
+        for info in self._dai.Device.getAllAvailableDevices():
+            names = {info.getDeviceId(), info.name}
+            is_meant = camera.device in names if camera.device else not names & self._named
+            if is_meant and info.getDeviceId() not in self._taken:
+                return info
+        return None
+
+
+class _Pipeline:
+    """A device's pipeline: colour, and depth by stereo aligned with it."""
+
+    def __init__(self, dai: Any, camera: OakCamera, info: Any, on_close: Callable[[], None]) -> None:
+        self._on_close = on_close
+        self._pipeline = dai.Pipeline(dai.Device(info))
+        colour_socket = dai.CameraBoardSocket.CAM_A
+        node = self._pipeline.create(dai.node.Camera).build(colour_socket)
+        _set_camera(dai, node.initialControl, camera)
+        size = (camera.width, camera.height)
+        output = node.requestOutput(size, dai.ImgFrame.Type.BGR888i, fps=camera.fps)
+        self.colour = output.createOutputQueue(maxSize=QUEUED_PER_CAMERA, blocking=False)
+        self.depth = self._stereo(dai, camera) if camera.depth else None
+        handler = self._pipeline.getDefaultDevice().readCalibration()
+        self.calibration = factory_calibration(handler, colour_socket, *size)
+        self._pipeline.start()
+
+    def close(self) -> None:
+        """Ends the pipeline and lets go of the device."""
+        self._pipeline.stop()
+        self._on_close()
+
+    def _stereo(self, dai: Any, camera: OakCamera) -> Any:
+        size = (camera.width, camera.height)
+        sides = []
+        for socket in (dai.CameraBoardSocket.CAM_B, dai.CameraBoardSocket.CAM_C):
+            side = self._pipeline.create(dai.node.Camera).build(socket)
+            _set_camera(dai, side.initialControl, camera)
+            sides.append(side.requestOutput(size, fps=camera.fps))
+        preset = getattr(dai.node.StereoDepth.PresetMode, camera.depth_preset)
+        stereo = self._pipeline.create(dai.node.StereoDepth).build(*sides, presetMode=preset)
+        stereo.setDepthAlign(dai.CameraBoardSocket.CAM_A)
+        stereo.setOutputSize(*size)
+        return stereo.depth.createOutputQueue(maxSize=QUEUED_PER_CAMERA, blocking=False)
+
+
+def _set_camera(dai: Any, control: Any, camera: OakCamera) -> None:
+    modes = dai.CameraControl.FrameSyncMode
+    chosen = {"auto": modes.AUTO, "output": modes.OUTPUT, "input": modes.INPUT, "ptp": modes.TIME_PTP}
+    if camera.sync in chosen:
+        control.setFrameSyncMode(chosen[camera.sync])
+    if camera.exposure_us:
+        control.setManualExposure(camera.exposure_us, camera.iso)
+
+
+def _depthai() -> Any:
+    try:
+        import depthai
+    except ImportError:
+        raise RigError("OAK cameras need depthai: pip install depthai") from None
+    return depthai
+
+
+def _timeout() -> Any:
+    from datetime import timedelta
+
+    return timedelta(seconds=WAIT_S)
+
+
+def _ns(span: Any) -> int:
+    """A `timedelta` in ns, to its microsecond."""
+    return int((span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds) * 1_000
+
+
+def _mid_exposure(dai: Any, frame: Any) -> Any:
+    return frame.getTimestamp(dai.CameraExposureOffset.MIDDLE)
+
+
+def _rgb(frame: Any) -> Any:
+    return np.asarray(cv2.cvtColor(frame.getCvFrame(), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _paired(frame: Any, depths: list[Any], waiting: Any) -> Float32 | None:
+    """The depth image [H, W] in m of the frame's exposure; waits for it as long as a queue may take."""
+    stamp = _ns(frame.getTimestamp())
+    newest = _ns(depths[-1].getTimestamp()) if depths else 0
+    if newest < stamp - PAIR_TOLERANCE_NS:
+        late = waiting.get(_timeout())
+        if late is not None:
+            depths.append(late)
+    near = [d for d in depths if abs(_ns(d.getTimestamp()) - stamp) <= PAIR_TOLERANCE_NS]
+    if not near:
+        return None
+    best = min(near, key=lambda d: abs(_ns(d.getTimestamp()) - stamp))
+    return np.asarray(best.getFrame(), dtype=np.uint16).astype(np.float32) / np.float32(1000)

@@ -1,0 +1,123 @@
+"""Anything that OpenCV opens: USB cameras, RTSP streams, video files."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from twin_node.rig.cameras.image_source import CameraHealth, CameraImage, ImageQueue
+from twin_node.rig.cameras.stamps import CaptureStamps
+from twin_node.rig.errors import RigError
+
+RETRY_S = 1.0
+"""Between two attempts to open a camera, s."""
+QUEUED_PER_CAMERA = 4
+"""Images of a camera that may wait for the reader: a seventh of a second at 30 Hz."""
+
+
+@dataclass(frozen=True)
+class OpenCvCamera:
+    """One camera and how it is opened."""
+
+    name: str
+    address: str
+    """Number of a USB camera, URL of a stream, or path of a video, which is played at its own rate, again and again."""
+    width: int = 0
+    """Pixels to ask of a USB camera; 0: its default."""
+    height: int = 0
+    fps: float = 0.0
+    """Rate to ask of a USB camera, Hz; 0: its default."""
+    latency_ms: float = 0.0
+    """From mid-exposure to the image's arrival, as measured (`calibrate time`); stamps are so much before it."""
+
+
+class OpenCvSource:
+    """A thread per camera; one that fails is opened again every second."""
+
+    def __init__(self, cameras: Sequence[OpenCvCamera], capture: Callable[[int | str], Any] | None = None) -> None:
+        """`capture`: opens an address; OpenCV's own. Raises `RigError` for no cameras or equal names."""
+        names = [camera.name for camera in cameras]
+        if not names or len(set(names)) != len(names):
+            raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
+        self._cameras = tuple(cameras)
+        self._capture = capture or _open_capture
+        self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
+        self._health = {camera.name: CameraHealth(camera.name, False, "not opened yet") for camera in cameras}
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(camera.name for camera in self._cameras)
+
+    @property
+    def health(self) -> tuple[CameraHealth, ...]:
+        """How every camera is doing."""
+        return tuple(self._health[name] for name in self.cameras)
+
+    def images(self) -> Iterator[CameraImage]:
+        """Images as they come, until the source is closed."""
+        for camera in self._cameras:
+            thread = threading.Thread(target=self._run, args=(camera,), name=camera.name, daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        yield from self._queue
+
+    def close(self) -> None:
+        """Ends `images` and lets go of the cameras."""
+        self._queue.closed.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _run(self, camera: OpenCvCamera) -> None:
+        stamps = CaptureStamps()
+        connections = 0
+        while not self._queue.closed.is_set():
+            capture = self._open(camera)
+            if capture.isOpened():
+                connections += 1
+                self._health[camera.name] = CameraHealth(camera.name, True, "connected", connections - 1)
+                self._read(camera, capture, stamps)
+            capture.release()
+            message = f"no image from {camera.address}; trying again every {RETRY_S:g} s"
+            self._health[camera.name] = CameraHealth(camera.name, False, message, max(connections - 1, 0))
+            self._queue.closed.wait(RETRY_S)
+
+    def _open(self, camera: OpenCvCamera) -> Any:
+        capture = self._capture(int(camera.address) if camera.address.isdecimal() else camera.address)
+        for key, value in (
+            (cv2.CAP_PROP_FRAME_WIDTH, camera.width),
+            (cv2.CAP_PROP_FRAME_HEIGHT, camera.height),
+            (cv2.CAP_PROP_FPS, camera.fps),
+        ):
+            if value:
+                capture.set(key, value)
+        return capture
+
+    def _read(self, camera: OpenCvCamera, capture: Any, stamps: CaptureStamps) -> None:
+        """Images until there are none; files, which could be read at once, at their own rate and again and again."""
+        frames = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        period_s = 1 / max(capture.get(cv2.CAP_PROP_FPS), 1.0) if frames > 0 else 0.0
+        due = time.monotonic()
+        while not self._queue.closed.is_set():
+            ok, bgr = capture.read()
+            if not ok and frames > 0 and capture.set(cv2.CAP_PROP_POS_FRAMES, 0):
+                ok, bgr = capture.read()
+            if not ok:
+                return
+            stamp = stamps.of_arrival(int(camera.latency_ms * 1e6))
+            rgb = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+            self._queue.put(CameraImage(camera.name, stamp, rgb))
+            due += period_s
+            if self._queue.closed.wait(max(0.0, due - time.monotonic()) if period_s else 0.0):
+                return
+
+
+def _open_capture(address: int | str) -> Any:
+    return cv2.VideoCapture(address)
