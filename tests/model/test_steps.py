@@ -9,12 +9,13 @@ import pytest
 import torch
 from model_scenes import block, frames, joined, rig, table
 
-from twin_node.model.alignment import FlowSolver, solve_twists
+from twin_node.model.alignment import solve_twists
 from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import SKIRT_PX, held_pixels
+from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import BirthParameters
@@ -127,8 +128,7 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     before = block(0.1)
     moving = Splats(before.means.expand(3, -1, -1), before.quats.expand(3, -1, -1), *list(vars(before).values())[2:])
     renderings = look_at(joined(table(), before))
-    flow = FlowSolver()
-    flows = [flow.flow(seen, one) for seen, one in zip(renderings, observed, strict=True)]
+    flows = FlowSolver().flows(renderings, observed)
     origins = torch.tensor([0.1, 0.0, 0.05], dtype=torch.float64).expand(3, 1, 3)
     carriers = torch.zeros(before.means.shape[1], dtype=torch.int64)
     twists = solve_twists(observed, renderings, flows, moving, carriers, origins, 0.05, 0.5)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -27,14 +27,13 @@ BENEATH = 0.005
 CELL_PX = 4
 """Side of the cells in which what stands before something that moves is looked for, pixels."""
 REFRESH_SETS = 3
-"""Sets between renderings of a background that changes: it changes slowly, and 10 Hz will do."""
+"""Sets between surveys of a background that changes: it changes slowly, and 10 Hz will do."""
 
 
 @dataclass(frozen=True)
-class Background:
-    """One camera and what it sees of what stands still."""
+class _Shown:
+    """What a camera sees of what stands still."""
 
-    camera: Camera
     rgb: Float32
     """[H, W, 3] 0 to 1."""
     depth: Float64
@@ -43,10 +42,17 @@ class Background:
     """[H, W] 0 to 1."""
     backdrop: Tensor
     """[H, W, 4] `rgb` and `depth`, float32 on the model's device."""
-    rays: Float64
-    """[H, W, 3] the pixels' rays, see `pixel_rays`."""
     surface: Float64
     """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
+    rays: Float64
+    """[H, W, 3] the pixels' rays, see `pixel_rays`."""
+
+
+@dataclass(frozen=True)
+class Background(_Shown):
+    """One camera and what it sees of what stands still."""
+
+    camera: Camera
     static: Seen
     """Where the STATIC Gaussians, `Backgrounds.rows`, fall."""
     reach_px: Float32
@@ -58,7 +64,10 @@ class Background:
 
 
 class Backgrounds:
-    """The background of every camera of a rig, rendered anew after the STATIC Gaussians have changed."""
+    """The background of every camera of a rig, rendered anew after the STATIC Gaussians have changed.
+
+    One camera is rendered per set, so that no set pays for all.
+    """
 
     def __init__(self, plane: Plane | None, shell: Shell) -> None:
         self._plane = plane
@@ -66,53 +75,50 @@ class Backgrounds:
         self._known: dict[str, Background] = {}
         self._age = 0
         self._changed = False
+        self._waiting: list[str] = []
         self.rows = torch.zeros(0, dtype=torch.int64)
 
-    @property
-    def due(self) -> bool:
-        """Whether this set's changes are seen by the next: between refreshes, learning on would be blind."""
-        return self._age + 1 >= REFRESH_SETS
-
     def mark(self) -> None:
-        """The STATIC Gaussians have changed: the next refresh renders them anew."""
+        """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
         self._changed = True
 
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera; called once per set."""
         self._age += 1
-        fresh = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
-        if not fresh or (self._changed and self._age >= REFRESH_SETS):
-            self._refresh(gaussians, cameras)
+        if not all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras):
+            self._survey(gaussians, cameras, {camera.name: self._render(gaussians, camera) for camera in cameras})
+        elif self._changed and self._age >= REFRESH_SETS:
+            self._survey(gaussians, cameras, self._known)
+            self._waiting += [camera.name for camera in cameras if camera.name not in self._waiting]
+        if self._waiting:
+            name = self._waiting.pop(0)
+            self._known[name] = replace(self._known[name], **vars(self._render(gaussians, self._known[name].camera)))
         return [self._known[camera.name] for camera in cameras]
 
-    def _refresh(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
+    def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
+        """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`."""
         rows = self.rows = gaussians.static_rows
         values = gaussians.values[rows]
-        with torch.no_grad():
-            renderings = render(gaussians.standing(values), cameras)
-        means = values[:, MEAN].cpu().numpy()
+        means = values[:, MEAN].cpu().double().numpy()
         reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
-        old, self._known = self._known, {}
-        for camera, seen in zip(cameras, renderings, strict=True):
-            known = old.get(camera.name)
-            same = known is not None and known.camera is camera
-            surface = known.surface if known is not None and same else self._surface(camera)
+        for camera in cameras:
             static = look(camera, means)
-            depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
-            behind = torch.from_numpy(depth).to(seen.rgb)
-            self._known[camera.name] = Background(
-                camera,
-                seen.rgb.cpu().numpy(),
-                depth,
-                seen.alpha.cpu().numpy(),
-                torch.cat([seen.rgb, behind[..., None]], -1),
-                known.rays if known is not None and same else pixel_rays(camera),
-                surface,
-                static,
-                _reach_px(camera, static, means, reach),
-            )
+            seen = {name: getattr(shown[camera.name], name) for name in _Shown.__dataclass_fields__}
+            reach_px = _reach_px(camera, static, means, reach)
+            self._known[camera.name] = Background(**seen, camera=camera, static=static, reach_px=reach_px)
         self._changed = False
         self._age = 0
+
+    def _render(self, gaussians: Gaussians, camera: Camera) -> _Shown:
+        known = self._known.get(camera.name)
+        same = known is not None and known.camera is camera
+        surface = known.surface if known is not None and same else self._surface(camera)
+        rays = known.rays if known is not None and same else pixel_rays(camera)
+        with torch.no_grad():
+            seen = render(gaussians.standing(gaussians.values[gaussians.static_rows]), [camera])[0]
+        depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
+        backdrop = torch.cat([seen.rgb, torch.from_numpy(depth).to(seen.rgb)[..., None]], -1)
+        return _Shown(seen.rgb.cpu().numpy(), depth, seen.alpha.cpu().numpy(), backdrop, surface, rays)
 
     def near(self, backgrounds: Sequence[Background], masks: Sequence[Bool]) -> Tensor:
         """[k] those of `rows` that can show in the pixels of some view's mask [H, W]."""

@@ -93,10 +93,8 @@ def _seen_through(one: Observed, seen: Seen) -> Bool:
     return through & (one.nearest[seen.rows, seen.columns] > (1 + SEEN_THROUGH) * seen.depth)
 
 
-def showing_stale(observed: Sequence[Observed]) -> Bool:
-    """[n] STATIC Gaussians that fall where some view's background has to be learnt anew."""
-    out = np.zeros(len(observed[0].background.static.rows), bool)
-    for one in observed:
-        seen = one.background.static
-        out |= seen.inside & ~one.background.occluded(seen) & grow(one.stale, 1)[seen.rows, seen.columns]
-    return out
+def showing_stale(one: Observed) -> Bool:
+    """[n] STATIC Gaussians that fall where a view's background has to be learnt anew."""
+    seen = one.background.static
+    showing: Bool = seen.inside & ~one.background.occluded(seen) & grow(one.stale, 1)[seen.rows, seen.columns]
+    return showing

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node import splat
-from twin_node.model.backgrounds import grow
+from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.carriage import Bend, Carriage, carry
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, WIDTH, Gaussians, activated
 from twin_node.model.motion import Motion
+from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate, targets_of
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Sheet, Splats, join, split
 from twin_node.model.rotations import quat_product
-from twin_node.scene import Bool, View
+from twin_node.scene import Bool, Tier, View
 
 RATES = torch.zeros(WIDTH)
 RATES[MEAN] = 0.08
@@ -38,6 +39,8 @@ CANONICAL_SHARE = 1.5
 """What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
 REVISED_SHARE = 0.3
 """What the rates of STATIC Gaussians are multiplied by when they are revised: noise must not wear them down."""
+REVISION_STEPS = 2
+"""Steps of such a revision: its sets follow each other."""
 SKIRT_PX = 5
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
@@ -59,21 +62,21 @@ def fit_moving(
     gaussians: Gaussians,
     motion: Motion,
     observed: Sequence[Observed],
+    poses: Poses,
     masks: Sequence[Bool],
     bystanders: Tensor,
     parameters: TrackParameters,
 ) -> list[Rendering]:
     """A few steps on the Gaussians that move, before the backgrounds, inside `masks` [H, W].
 
-    Each view is fitted at its own time. `bystanders` are rows that can stand before what moves and are not touched.
-    Where a node is DEFORMABLE the field learns along, from the last step. Returns what the views saw before that step;
-    empty where nothing learns.
+    Each view is fitted at its own time, for which `poses` holds the nodes'. `bystanders` are rows that can stand before
+    what moves and are not touched. Where a node is DEFORMABLE the field learns along, from the last step. Returns what
+    the views saw before that step; empty where nothing learns.
     """
     rows = gaussians.moving_rows
     if not len(rows) or not parameters.steps:
         return []
-    offsets = [one.offset_s for one in observed]
-    poses, stamps = motion.poses(offsets), motion.stamps(offsets)
+    stamps = motion.stamps([one.offset_s for one in observed])
     views = [one.view for one in observed]
     targets = targets_of(views, masks, gaussians.values.device)
     backdrops = [one.background.backdrop for one in observed]
@@ -100,16 +103,18 @@ def revise(
     gaussians: Gaussians,
     motion: Motion,
     observed: Sequence[Observed],
-    near: Tensor,
+    backgrounds: Backgrounds,
     revised: Tensor,
     parameters: TrackParameters,
 ) -> None:
-    """A few steps on the colours and opacities of STATIC rows `revised` [r], where the backgrounds are stale.
+    """A few steps on the colours and opacities of STATIC rows `revised` [r], wherever they show and nothing moves.
 
-    `near` are the STATIC rows that can show there. Their places stay: what stands still is seen to change by light.
+    Their places stay: what stands still is seen to change by light.
     """
     means = gaussians.means[revised].cpu().numpy()
     masks = [(one.stale | _footprint(one, means)) & one.usable & ~one.near_moving for one in observed]
+    near = backgrounds.near([one.background for one in observed], masks)
+    near = near[gaussians.alive[near] & (gaussians.tiers[near] == int(Tier.STATIC))]
     views = [one.view for one in observed]
     backdrops = [torch.zeros_like(one.background.backdrop) for one in observed]
     targets = targets_of(views, masks, gaussians.values.device)
@@ -121,7 +126,7 @@ def revise(
     rates = _rates(gaussians.values[revised], REVISED_SHARE * parameters.learning_rate)
     rates[:, : LOGIT.start] = 0
     path = Path(revised, carry(poses, gaussians.nodes[revised]), rates, static, goal)
-    _descend(gaussians, path, parameters.steps)
+    _descend(gaussians, path, REVISION_STEPS)
 
 
 @dataclass(frozen=True)

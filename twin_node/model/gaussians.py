@@ -76,6 +76,8 @@ class Gaussians:
         self.homeless = torch.zeros(capacity, dtype=torch.bool, device=device)
         self.refused = 0
         """Steps of single Gaussians that were not finite and were therefore not taken, since the model began."""
+        self.static_version = 0
+        """Counts what has happened to STATIC Gaussians: what was made of them is good as long as this stays."""
         self._next_id = 0
 
     def __len__(self) -> int:
@@ -112,6 +114,7 @@ class Gaussians:
 
     def spawn(self, born: Newborns, stamp: int) -> Tensor:
         """Stores as many of `born` as there is room for, in order; returns their rows."""
+        self.static_version += born.tier == Tier.STATIC
         free = torch.nonzero(~self.alive)[: len(born.means), 0]
         n = len(free)
         self.values[free] = born.packed()[:n]
@@ -130,6 +133,7 @@ class Gaussians:
     def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
         """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take."""
         device = self.values.device
+        self._touch(rows)
         turn = conjugate(nodes.quats[carriers])
         means = rotate(turn, self.values[rows, MEAN].cpu().double() - nodes.positions[carriers])
         quats = quat_product(turn, self.values[rows, QUAT].cpu().double())
@@ -143,6 +147,7 @@ class Gaussians:
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""
+        self._touch(rows)
         self.alive[rows] = False
         self.nodes[rows] = -1
 
@@ -152,8 +157,13 @@ class Gaussians:
         self.moment2[rows] = 0
         self.steps[rows] = 0
 
+    def _touch(self, rows: Tensor) -> None:
+        """`rows` [n] are about to change."""
+        self.static_version += bool((self.tiers[rows] == Tier.STATIC).any())
+
     def take(self, rows: Tensor, values: Tensor, moment1: Tensor, moment2: Tensor, steps: Tensor) -> None:
         """Stores attributes [n, 14] and optimiser state of `rows` [n]."""
+        self._touch(rows)
         self.values[rows] = values
         self.moment1[rows], self.moment2[rows], self.steps[rows] = moment1, moment2, steps
 

@@ -122,7 +122,7 @@ class _CameraMask:
         change = _difference(image, reference * _gain(image, reference, free))
         sample = change[::4, ::4][free[::4, ::4]]
         if sample.size > 50:
-            self._sigma += 0.05 * (max(0.5, 1.48 * float(np.median(sample))) - self._sigma)
+            self._sigma += 0.05 * (max(0.5, 1.48 * float(_middle(sample))) - self._sigma)
         last_stamp, last = self._past[-1]
         quiet = _difference(image, last) < 0.7 * self.parameters.change_levels
         self._still_ns = np.where(quiet, self._still_ns + np.float32(stamp - last_stamp), np.float32(0))
@@ -135,7 +135,7 @@ class _CameraMask:
     def _lighting_only(self, image: Float32, expected: Float32, threshold: float) -> Bool:
         """Where the image is the background in a shadow or a glow: same colour, another brightness."""
         ratio = (image * expected).sum(0) / np.maximum((expected * expected).sum(0), 1)
-        residual = np.abs(image - ratio * expected).max(0)
+        residual = _difference(image, ratio * expected)
         low, high = self.parameters.shadow_darkest, self.parameters.reflection_brightest
         lit: Bool = (ratio > low) & (ratio < high) & (residual < 0.6 * threshold)
         return lit
@@ -179,9 +179,10 @@ class _CameraMask:
 
         They continue the free ground beside them, or have a colour of the ground around and not of moving things.
         """
-        self._colours.learn(image, free, object_)
         found = np.zeros(self.shape, np.bool_)
-        share = self._colours.ground_share(image)
+        share = self._colours.learn(image, free, object_)
+        if not settled.any():
+            return found
         ground_coloured = settled & (share > self.parameters.ground_certainty)
         likely_ground = settled & (share > self.parameters.ground_likelihood)
         for _ in range(self.parameters.growth_pixels):
@@ -211,24 +212,24 @@ class _Colours:
         self._ground = np.zeros(16**3)
         self._moving = np.zeros(16**3)
 
-    def learn(self, image: Float32, ground: Bool, moving: Bool) -> None:
-        """Counts the pixels of both; older counts fade over about 50 images."""
+    def learn(self, image: Float32, ground: Bool, moving: Bool) -> Float32:
+        """Counts the pixels of both; older counts fade over about 50 images.
+
+        Returns the probability [H, W] that a pixel of this colour is ground; 0 until moving things have been seen.
+        """
         bins = self._bins(image)
         self._ground = 0.98 * self._ground + np.bincount(bins[ground], minlength=self._ground.size)
         self._moving = 0.98 * self._moving + np.bincount(bins[moving], minlength=self._moving.size)
-
-    def ground_share(self, image: Float32) -> Float32:
-        """Probability [H, W] that a pixel of this colour is ground; 0 until moving things have been seen."""
         if self._moving.sum() < 200:
             return np.zeros(image.shape[1:], np.float32)
-        ground, moving = (_smooth(counts / max(counts.sum(), 1)) for counts in (self._ground, self._moving))
-        share = ground / np.maximum(ground + moving, 1e-9)
-        return share.astype(np.float32)[self._bins(image)]
+        on_ground, on_moving = (_smooth(counts / max(counts.sum(), 1)) for counts in (self._ground, self._moving))
+        share = on_ground / np.maximum(on_ground + on_moving, 1e-9)
+        return share.astype(np.float32)[bins]
 
     @staticmethod
     def _bins(image: Float32) -> NDArray[np.intp]:
-        levels = (np.clip(image, 0, 255) / 16).astype(np.intp)
-        bins: NDArray[np.intp] = (levels[0] * 16 + levels[1]) * 16 + levels[2]
+        levels = (np.clip(image, 0, 255) / 16).astype(np.int16)
+        bins: NDArray[np.intp] = ((levels[0] * 16 + levels[1]) * 16 + levels[2]).astype(np.intp)
         return bins
 
 
@@ -260,7 +261,8 @@ def _seen(view: View, robot: Bool | None) -> Bool:
 
 def _difference(image: Float32, other: Float32) -> Float32:
     """Largest difference over the channels [H, W]."""
-    largest: Float32 = np.abs(image - other).max(0)
+    apart = np.abs(image - other)
+    largest: Float32 = np.maximum(np.maximum(apart[0], apart[1]), apart[2])
     return largest
 
 
@@ -270,5 +272,11 @@ def _gain(image: Float32, reference: Float32, free: Bool) -> Float32:
     if np.count_nonzero(where) < 50:
         return np.ones((3, 1, 1), np.float32)
     ratios = (image[:, ::4, ::4][:, where] + 4) / (reference[:, ::4, ::4][:, where] + 4)
-    gain: Float32 = np.median(ratios, axis=1).astype(np.float32)[:, None, None]
+    gain: Float32 = _middle(ratios)[:, None, None]
     return gain
+
+
+def _middle(values: Float32) -> Float32:
+    """The upper median [...] of values [..., n]: `np.median` takes ten times as long on so few."""
+    half = values.shape[-1] // 2
+    return np.partition(values, half, axis=-1)[..., half]

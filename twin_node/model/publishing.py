@@ -2,33 +2,67 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
-from twin_node.model.nodes import Nodes
+from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
-from twin_node.scene import GaussianCloud, NodeStates, Tier
+from twin_node.scene import Float32, GaussianCloud, NodeStates, Tier, UInt8, UInt32
 
 
-def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
-    """All living Gaussians at the nodes' stamp; `nodes` are rows of `node_states_of`."""
-    rows = torch.nonzero(gaussians.alive)[:, 0]
-    carrier = gaussians.nodes[rows]
+class Publisher:
+    """Makes clouds of a model; what stands still is made ready once and kept for as long as it does."""
+
+    def __init__(self) -> None:
+        self._version = -1
+        self._still: _Part | None = None
+
+    def cloud(self, gaussians: Gaussians, motion: Motion) -> GaussianCloud:
+        """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
+        if self._still is None or self._version != gaussians.static_version:
+            self._still = _part(gaussians, motion, gaussians.static_rows)
+            self._version = gaussians.static_version
+        moving = _part(gaussians, motion, torch.nonzero(gaussians.alive & (gaussians.tiers != int(Tier.STATIC)))[:, 0])
+        joined = {name: np.concatenate([value, getattr(moving, name)]) for name, value in vars(self._still).items()}
+        return GaussianCloud(**joined)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some rows as the fields of a `GaussianCloud`."""
+
+    means: Float32
+    quats: Float32
+    scales: Float32
+    opacities: Float32
+    rgb: Float32
+    velocities: Float32
+    tiers: UInt8
+    ids: UInt32
+    nodes: NDArray[np.int32]
+
+
+def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> _Part:
+    carrier = gaussians.nodes[rows].cpu()
     nodes = motion.nodes
     with torch.no_grad():
-        splats = motion.place(gaussians, rows, motion.poses([0.0]), [nodes.stamp])
+        here = Poses(nodes.positions[None], nodes.quats[None])
+        splats = motion.place(gaussians, rows, here, [nodes.stamp])
     means = splats.means[0].cpu()
-    row = carrier.cpu().clamp_min(0)
+    row = carrier.clamp_min(0)
     arm = means.double() - nodes.positions[row]
     velocities = nodes.velocities[row] + torch.linalg.cross(nodes.angular_velocities[row], arm)
-    velocities = torch.where(carrier.cpu()[:, None] >= 0, velocities, 0.0)
+    velocities = torch.where(carrier[:, None] >= 0, velocities, 0.0)
     position_of = torch.full((nodes.capacity + 1,), -1, dtype=torch.int64)
     published = learned_rows(nodes)
     position_of[published] = torch.arange(len(published))
-    return GaussianCloud(
+    return _Part(
         means.numpy(),
         splats.quats[0].cpu().numpy(),
         splats.scales.cpu().numpy(),
@@ -37,7 +71,7 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
         velocities.float().numpy(),
         gaussians.tiers[rows].cpu().numpy(),
         gaussians.ids[rows].cpu().numpy().astype(np.uint32),
-        position_of[carrier.cpu()].numpy().astype(np.int32),
+        position_of[carrier].numpy().astype(np.int32),
     )
 
 

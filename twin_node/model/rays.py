@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin_node.geometry import project
 from twin_node.scene import Bool, Camera, Float64
+from twin_node.splat.points import find_pixels, has_points
 
 
 def pixel_rays(camera: Camera) -> Float64:
@@ -45,6 +46,9 @@ class Seen:
 
 def look(camera: Camera, points: NDArray[np.floating]) -> Seen:
     """Pixels that hold base-frame points [n, 3]."""
+    if has_points():
+        pixels = find_pixels(np.asarray(points, np.float64), camera.viewmat, camera.K, camera.width, camera.height)
+        return Seen(pixels.columns, pixels.rows, pixels.depths, pixels.inside)
     uvz = project(camera.K, camera.viewmat, points)
     column, row = np.floor(np.clip(uvz[:, :2], -1e6, 1e6)).astype(np.int64).T
     in_image = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)

@@ -33,12 +33,20 @@ class Splats:
 class Rendering:
     """What one camera sees."""
 
-    rgb: Tensor
-    """[H, W, 3] 0 to 1 on black."""
-    depth: Tensor
-    """[H, W] expected depth along the optical axis, m; 0 where nothing is."""
+    rgbd: Tensor
+    """[H, W, 4] colour 0 to 1 on black, and expected depth along the optical axis, m; 0 where nothing is."""
     alpha: Tensor
     """[H, W] 0 to 1."""
+
+    @property
+    def rgb(self) -> Tensor:
+        """[H, W, 3]."""
+        return self.rgbd[..., :3]
+
+    @property
+    def depth(self) -> Tensor:
+        """[H, W] m."""
+        return self.rgbd[..., 3]
 
 
 @dataclass(frozen=True)
@@ -102,11 +110,7 @@ def by_size(cameras: Sequence[Camera]) -> list[list[int]]:
 
 def split(sheets: Sequence[Sheet]) -> list[Rendering]:
     """One rendering per camera, in order."""
-    out = {
-        index: Rendering(sheet.rgbd[i, ..., :3], sheet.rgbd[i, ..., 3], sheet.alpha[i])
-        for sheet in sheets
-        for i, index in enumerate(sheet.indices)
-    }
+    out = {index: Rendering(sheet.rgbd[i], sheet.alpha[i]) for sheet in sheets for i, index in enumerate(sheet.indices)}
     return [out[index] for index in range(len(out))]
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from twin_node.model.adoption import adopt, adopt_points, as_newborns
-from twin_node.model.alignment import FlowSolver, solve_twists
-from twin_node.model.backgrounds import Backgrounds, grow
+from twin_node.model.alignment import Twists, solve_twists
+from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import fit_moving, held_pixels, revise
+from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -24,6 +26,14 @@ from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.model.stages import OnStage, unwatched
 from twin_node.scene import Bool, FrameSet, Tier
+
+
+@dataclass(frozen=True)
+class _Aligned:
+    """What the views saw of the prediction, and the rows that can stand before what moves."""
+
+    renderings: list[Rendering]
+    before: Tensor
 
 
 class Tracker:
@@ -45,6 +55,7 @@ class Tracker:
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
         self._links = links
+        self._turn = 0
 
     def track(
         self,
@@ -55,6 +66,7 @@ class Tracker:
         on_stage: OnStage = unwatched,
     ) -> int:
         """Follows `frames`, taken `dt_s` after the set before; returns how many Gaussians were born."""
+        self._turn += 1
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         on_stage("observe")
@@ -62,46 +74,48 @@ class Tracker:
         self._motion.slide(frames.stamp)
         if self._links is not None and frames.joints is not None:
             self._links.drive(frames.joints, dt_s)
-        renderings = self._align(observed, dt_s)
+        aligned = self._align(observed, dt_s)
         on_stage("align")
-        self._judge_static(observed, renderings)
-        moving_now = self._moving(observed)
-        self._bury_moving(observed, moving_now)
-        g = self._gaussians
-        self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
+        self._judge(observed, aligned.renderings)
         on_stage("judge")
-        fitted = self._fit(observed, moving_now) or renderings
+        fitted = self._fit(observed, aligned.before) or aligned.renderings
         on_stage("fit")
         born = self._bear(observed, fitted)
         on_stage("bear")
         self._nodes.remember()
         return born
 
-    def _align(self, observed: Sequence[Observed], dt_s: float) -> list[Rendering]:
-        """Node poses from the flow between the predicted rendering and the images; returns the last rendering."""
-        splats = self._moving(observed)
-        renderings = self._look(observed, splats)
+    def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
+        """Node poses from the flow between the predicted rendering and the images."""
+        poses = self._poses(observed)
+        splats = self._place(self._gaussians.moving_rows, observed, poses)
+        before = self._before(observed, splats)
+        around = torch.cat([before, self._gaussians.robot_rows])
+        renderings = self._look(observed, splats, self._place(around, observed, poses))
         for step in range(self._parameters.track.alignments):
-            rows = self._gaussians.moving_rows
-            nodes = self._gaussians.nodes[rows].cpu()
+            nodes = self._gaussians.nodes[self._gaussians.moving_rows].cpu()
             if not bool((nodes >= 0).any()):
                 break
             if step:
-                splats = self._moving(observed)
-                renderings = self._look(observed, splats)
-            flows = [self._flow.flow(seen, one) for seen, one in zip(renderings, observed, strict=True)]
-            origins = self._poses(observed).positions
+                poses = self._poses(observed)
+                splats = self._place(self._gaussians.moving_rows, observed, poses)
+                renderings = self._look(observed, splats, self._place(around, observed, poses))
+            flows = self._flow.flows(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
-            twists = solve_twists(observed, renderings, flows, splats, nodes, origins, dt_s, sigma_px)
-            steered = self._nodes.rows[self._nodes.tiers[self._nodes.rows] != int(Tier.ROBOT)]
-            at = self._nodes.extrapolated([0.0])
-            positions = at.positions[0, steered] + twists.linear[steered]
-            quats = quat_product(quat_from_vector(twists.angular[steered]), at.quats[0, steered])
-            self._nodes.correct(steered, positions, quats, at, dt_s)
-            self._nodes.sigmas[steered] = twists.sigmas[steered]
+            twists = solve_twists(observed, renderings, flows, splats, nodes, poses.positions, dt_s, sigma_px)
+            self._steer(twists, dt_s)
             if step == 0:
                 self._weigh(twists.fits)
-        return renderings
+        return _Aligned(renderings, before)
+
+    def _steer(self, twists: Twists, dt_s: float) -> None:
+        """The nodes whose motion is learned take their twists."""
+        steered = self._nodes.rows[self._nodes.tiers[self._nodes.rows] != int(Tier.ROBOT)]
+        at = Poses(self._nodes.positions[None], self._nodes.quats[None])
+        positions = at.positions[0, steered] + twists.linear[steered]
+        quats = quat_product(quat_from_vector(twists.angular[steered]), at.quats[0, steered])
+        self._nodes.correct(steered, positions, quats, at, dt_s)
+        self._nodes.sigmas[steered] = twists.sigmas[steered]
 
     def _weigh(self, fits: Fits) -> None:
         """Nodes that evidence says bend become DEFORMABLE with all they carry, those that no longer do RIGID again."""
@@ -114,6 +128,15 @@ class Tracker:
             if len(rows):
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
+
+    def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
+        """What the images refute goes: what stands still and what moves in turn, one of the two per set."""
+        if self._turn % 2:
+            self._judge_static(observed, renderings)
+        else:
+            self._bury_moving(observed)
+        g = self._gaussians
+        self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
 
     def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """STATIC Gaussians that have left die, those that are part of something that moves join its node."""
@@ -132,31 +155,36 @@ class Tracker:
         housed = carriers >= 0
         self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
 
-    def _fit(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
+    def _fit(self, observed: Sequence[Observed], before: Tensor) -> list[Rendering]:
         """Canonical attributes of what moves by a few gradient steps, and of STATIC Gaussians whose look has changed.
 
-        Returns what the views saw before the last of them; empty where nothing moves.
+        `before` are rows that can stand before what moves. Returns what the views saw before the last step; empty where
+        nothing moves.
         """
-        masks = held_pixels(observed, moving)
         self._revise(observed)
-        before = self._before(observed, moving)
-        return fit_moving(self._gaussians, self._motion, observed, masks, before, self._parameters.track)
+        g = self._gaussians
+        poses = self._poses(observed)
+        moving = self._place(g.moving_rows, observed, poses)
+        before = torch.cat([self._standing(before), g.robot_rows])
+        masks = held_pixels(observed, moving)
+        return fit_moving(g, self._motion, observed, poses, masks, before, self._parameters.track)
 
     def _revise(self, observed: Sequence[Observed]) -> None:
-        if not self._backgrounds.due or not any(one.stale.any() for one in observed):
+        """STATIC Gaussians that show where one view's background is wrong learn their colours anew, views in turn."""
+        one = observed[self._turn % len(observed)]
+        if not one.stale.any():
             return
-        chosen = torch.from_numpy(showing_stale(observed)).to(self._gaussians.alive.device)
+        chosen = torch.from_numpy(showing_stale(one)).to(self._gaussians.alive.device)
         revised = self._standing(self._backgrounds.rows[chosen])
         if len(revised):
-            backgrounds, masks = [one.background for one in observed], [grow(one.stale, 1) for one in observed]
-            near = self._standing(self._backgrounds.near(backgrounds, masks))
-            revise(self._gaussians, self._motion, observed, near, revised, self._parameters.track)
+            revise(self._gaussians, self._motion, observed, self._backgrounds, revised, self._parameters.track)
             self._backgrounds.mark()
 
-    def _bury_moving(self, observed: Sequence[Observed], splats: Splats) -> None:
+    def _bury_moving(self, observed: Sequence[Observed]) -> None:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
         g = self._gaussians
         rows = g.moving_rows
+        splats = self._place(rows, observed, self._poses(observed))
         radii = splats.scales.mean(-1).cpu().numpy()
         carried = (g.nodes[rows] >= 0).cpu().numpy()
         gone = refuted_moving(observed, list(splats.means.cpu().numpy()), radii, carried)
@@ -201,10 +229,10 @@ class Tracker:
         return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]
 
     def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
-        """Rows that nothing is learned about and that can stand before what moves: STATIC ones, and the arm."""
+        """STATIC rows that can stand before what moves."""
         backgrounds = [one.background for one in observed]
         before = self._backgrounds.occluders(backgrounds, list(moving.means.cpu().double().numpy()))
-        return torch.cat([self._standing(before), self._gaussians.robot_rows])
+        return self._standing(before)
 
     def _standing(self, rows: Tensor) -> Tensor:
         """Those of the background's rows that still live and stand: others have boarded a node in this very set."""
@@ -212,21 +240,17 @@ class Tracker:
         return rows[g.alive[rows] & (g.tiers[rows] == int(Tier.STATIC))]
 
     def _poses(self, observed: Sequence[Observed]) -> Poses:
-        """The nodes at each view's own time."""
+        """The nodes, as they are now, at each view's own time."""
         return self._motion.poses([one.offset_s for one in observed])
 
-    def _moving(self, observed: Sequence[Observed]) -> Splats:
-        """What moves, at each view's own time."""
-        return self._place(self._gaussians.moving_rows, observed)
-
-    def _place(self, rows: Tensor, observed: Sequence[Observed]) -> Splats:
-        offsets = [one.offset_s for one in observed]
+    def _place(self, rows: Tensor, observed: Sequence[Observed], poses: Poses) -> Splats:
+        """Gaussians `rows` [n] at each view's own time."""
         with torch.no_grad():
-            return self._motion.place(self._gaussians, rows, self._poses(observed), self._motion.stamps(offsets))
+            stamps = self._motion.stamps([one.offset_s for one in observed])
+            return self._motion.place(self._gaussians, rows, poses, stamps)
 
-    def _look(self, observed: Sequence[Observed], moving: Splats) -> list[Rendering]:
+    def _look(self, observed: Sequence[Observed], moving: Splats, before: Splats) -> list[Rendering]:
         """What the views would see of the model with `moving` in it; beyond their active pixels the background."""
-        before = self._place(self._before(observed, moving), observed)
         masks, backdrops = [one.active for one in observed], [one.background.backdrop for one in observed]
         with torch.no_grad():
             return render(join(before, moving), [one.view.camera for one in observed], masks, backdrops)

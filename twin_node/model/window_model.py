@@ -15,7 +15,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
-from twin_node.model.publishing import cloud_of, node_states_of
+from twin_node.model.publishing import Publisher, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
@@ -59,6 +59,7 @@ class WindowModel:
         self._frozen: Splats | None = None
         self._motion: Motion | None = None
         self._tracker: Tracker | None = None
+        self._publisher = Publisher()
         self._bytes_per_frame = 0
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
@@ -106,7 +107,7 @@ class WindowModel:
         state = TwinState(
             frames.stamp,
             frames,
-            cloud_of(self._gaussians, self._motion),
+            self._publisher.cloud(self._gaussians, self._motion),
             node_states_of(self._gaussians, self._nodes),
             moving,
             robots,

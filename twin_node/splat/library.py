@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import warnings
-from ctypes import c_float, c_int32, c_int64, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
@@ -71,6 +71,29 @@ class DescentRequest(ctypes.Structure):
     )
 
 
+class LookRequest(ctypes.Structure):
+    """`splat::LookRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("points", "viewmat", "K", "columns", "rows", "depths", "inside")),
+    )
+
+
+class MotionRequest(ctypes.Structure):
+    """`splat::MotionRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_double) for name in ("scale", "shown_share", "depth_share", "huber_px", "colour_sigma")),
+        *((name, c_void_p) for name in ("means", "arms", "opacities", "carriers", "viewmat", "K")),
+        *((name, c_void_p) for name in ("counted", "shown", "image", "flow", "depth")),
+        *((name, c_void_p) for name in ("H", "g", "squares", "weights")),
+    )
+
+
 class NonFiniteError(Exception):
     """An argument holds a NaN or an infinity; `index` counts the arguments as the library does."""
 
@@ -107,6 +130,10 @@ class NativeLibrary:
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
+        self._dll.splat_look.argtypes = [ctypes.POINTER(LookRequest)]
+        self._dll.splat_look.restype = None
+        self._dll.splat_gather_motion.argtypes = [ctypes.POINTER(MotionRequest)]
+        self._dll.splat_gather_motion.restype = None
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -142,6 +169,14 @@ class NativeLibrary:
         """Takes steps of Adam. Raises `NonFiniteError` as `image_loss`, `ValueError` or `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.splat_descend(workspace.handle, request))
+
+    def look(self, request: LookRequest) -> None:
+        """Finds the pixels of points; takes one thread."""
+        self._dll.splat_look(request)
+
+    def gather_motion(self, request: MotionRequest) -> None:
+        """Adds to the normal equations of nodes; takes one thread."""
+        self._dll.splat_gather_motion(request)
 
     def _mark_forked(self) -> None:
         self._forked = True

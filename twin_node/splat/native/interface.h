@@ -91,4 +91,35 @@ struct DescentRequest {
   int64_t *refused;                                    // [1]
 };
 
+// Points [count, 3] seen by one camera.
+struct LookRequest {
+  int64_t count;
+  int32_t width, height;
+  const double *points;
+  const double *viewmat, *K;  // [4, 4], [3, 3]
+  int64_t *columns, *rows;    // [count]
+  double *depths;             // [count]
+  uint8_t *inside;            // [count]
+};
+
+// One view's part of the normal equations of moving nodes.
+struct MotionRequest {
+  int64_t count;
+  int32_t width, height;
+  double scale;         // weight of an observation
+  double shown_share;   // of its depth that a Gaussian may differ by from what is shown where it shows
+  double depth_share;   // of the depth that counts as much as a pixel
+  double huber_px, colour_sigma;
+  const double *means, *arms, *opacities;  // [count, 3] m, [count, 3] m from their nodes, [count]
+  const int64_t *carriers;                 // [count] nodes
+  const double *viewmat, *K;
+  const uint8_t *counted;  // [H, W]
+  const float *shown;      // [H, W, 4] rendered colour and depth
+  const float *image;      // [H, W, 3]
+  const float *flow;       // [H, W, 2] pixels
+  const float *depth;      // [H, W] m or null
+  double *H, *g;           // [nodes, 12, 12], [nodes, 12], added to
+  double *squares, *weights;  // [nodes] weighted squared errors, and weights without opacities; added to
+};
+
 }  // namespace splat

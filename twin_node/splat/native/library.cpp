@@ -2,6 +2,7 @@
 #include <omp.h>
 
 #include "descent.h"
+#include "motion.h"
 
 namespace {
 
@@ -58,6 +59,10 @@ int32_t splat_forward(void *workspace, const splat::Request *request) {
 int32_t splat_backward(void *workspace, const splat::Request *request, const splat::Gradients *gradients) {
   return guarded([&] { return splat::backward(*static_cast<splat::Workspace *>(workspace), *request, *gradients); });
 }
+
+void splat_look(const splat::LookRequest *request) { splat::look(*request); }
+
+void splat_gather_motion(const splat::MotionRequest *request) { splat::gather_motion(*request); }
 
 int32_t splat_descend(void *workspace, const splat::DescentRequest *request) {
   splat::LossRequest given = request->loss;

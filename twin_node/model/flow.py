@@ -1,0 +1,77 @@
+"""Optical flow from what is rendered to what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.model.observation import Observed
+from twin_node.model.rendering import Rendering
+from twin_node.scene import Bool, Float32
+
+MARGIN_PX, SMALLEST_PX = 12, 32
+"""Pixels around what moves that the flow is sought in, and the smallest side that its engine takes."""
+
+THREADS = 2
+"""Views whose flow is sought at once: the engine releases the interpreter, and two cores are what there is."""
+
+
+class FlowSolver:
+    """Optical flow of one rig; holds an engine per thread, no state between calls."""
+
+    def __init__(self) -> None:
+        self._engines = [_engine() for _ in range(THREADS)]
+        self._pool = ThreadPoolExecutor(THREADS, "flow")
+
+    def flows(self, renderings: Sequence[Rendering], observed: Sequence[Observed]) -> list[Float32]:
+        """Per view [H, W, 2] pixels from where the rendering shows a thing to where the image does.
+
+        0 far from what moves.
+        """
+        flows: list[Float32] = [np.zeros((0, 0, 2), np.float32)] * len(observed)
+
+        def work(first: int) -> None:
+            for index in range(first, len(observed), THREADS):
+                flows[index] = _flow(self._engines[first], renderings[index], observed[index])
+
+        list(self._pool.map(work, range(min(THREADS, len(observed)))))
+        return flows
+
+
+def _engine() -> cv2.DISOpticalFlow:
+    engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    engine.setFinestScale(0)
+    engine.setPatchStride(4)
+    engine.setGradientDescentIterations(12)
+    engine.setVariationalRefinementIterations(1)
+    return engine
+
+
+def _flow(engine: cv2.DISOpticalFlow, rendering: Rendering, observed: Observed) -> Float32:
+    out = np.zeros((*observed.near_moving.shape, 2), np.float32)
+    window = _window(observed.near_moving)
+    if window is None:
+        return out
+    shown = (rendering.rgb.detach().cpu().numpy()[window].clip(0, 1) * 255).astype(np.uint8)
+    a = cv2.cvtColor(shown, cv2.COLOR_RGB2GRAY)
+    b = cv2.cvtColor(observed.view.rgb[window], cv2.COLOR_RGB2GRAY)
+    out[window] = engine.calc(a, b, np.zeros((*a.shape, 2), np.float32))
+    return out
+
+
+def _window(mask: Bool) -> tuple[slice, slice] | None:
+    """Rows and columns that hold all True pixels and a margin; None without one."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return None
+    return _span(rows, mask.shape[0]), _span(columns, mask.shape[1])
+
+
+def _span(used: NDArray[np.int64], size: int) -> slice:
+    start, stop = int(used[0]) - MARGIN_PX, int(used[-1]) + 1 + MARGIN_PX
+    missing = max(SMALLEST_PX - (stop - start), 0)
+    return slice(max(start - missing, 0), min(stop + missing, size))
