@@ -15,6 +15,7 @@ from twin_node.bench.cell_case import PERFECT, CellCase
 from twin_node.bench.cell_picture import draw
 from twin_node.bench.cell_scores import score
 from twin_node.bench.errors import BenchError
+from twin_node.bench.rig_speed import measure
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters, LoopRecord
 from twin_node.cell.motion import Path
 from twin_node.cell.scenario import load_scenario
@@ -119,3 +120,12 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
     assert "nowhere" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["bench", "cell", str(short), "--seeds", "0"])
+
+
+def test_the_rigs_speed_is_measured(short: FilePath) -> None:
+    scenario = load_scenario(short)
+    small = replace(scenario, sensing=replace(scenario.sensing, width=32, height=24))
+    found = measure(small, threads=2, most_sets=30)
+    assert found.rig_hz_best >= found.rig_hz > 0
+    assert found.cpu_ms_per_set > 0
+    assert (found.cameras, found.width, found.height, found.target_hz) == (3, 32, 24, 30.0)

@@ -150,3 +150,41 @@ def test_nan_depth_never_passes_the_source(small: Scenario) -> None:
         depth = frames.views[1].depth
         assert depth is not None and np.isfinite(depth).all()
         assert (depth.max() == 0) == (frames.views[1].stamp < small.start_ns + 200_000_000)
+
+
+def test_threads_change_nothing(small: Scenario, sets: list[FrameSet]) -> None:
+    for one, two in zip(sets, CellSource(replace(small, duration_s=0.2), threads=2), strict=False):
+        for first, second in zip(one.views, two.views, strict=True):
+            assert np.array_equal(first.rgb, second.rgb)
+
+
+def test_images_arrive_after_their_latency_in_their_order(small: Scenario) -> None:
+    sensing = replace(small.sensing, latency_ms=20.0, latency_jitter_ms=15.0)
+    exposures = SimulatedRig(replace(small, duration_s=10.0, sensing=sensing)).exposures()
+    late_ms = np.array([exposure.arrival - exposure.stamp for exposure in exposures]) / 1e6
+    assert late_ms.min() >= 20.0
+    assert 5.0 < late_ms.mean() - 20.0 < 25.0
+    for camera in range(len(small.cameras)):
+        assert np.all(np.diff([exposure.arrival for exposure in exposures if exposure.camera == camera]) >= 0)
+    assert all(exposure.arrival == exposure.stamp for exposure in SimulatedRig(small).exposures())
+
+
+def test_an_open_shutter_blurs_what_moves_and_nothing_else(small: Scenario) -> None:
+    quiet = replace(small.sensing, rgb_sigma=0.0)
+    sharp, open_long = (
+        SimulatedRig(replace(small, duration_s=3.0, sensing=replace(quiet, exposure_ms=ms))) for ms in (0.0, 30.0)
+    )
+    exposure = next(e for e in sharp.exposures() if e.tick == 80 and e.camera == 0)
+    changed = (sharp.take(exposure).rgb != open_long.take(exposure).rgb).any(axis=2)
+    rendering = sharp.render(exposure)
+    moving = rendering.shows((*sharp.world.moving_owners, len(sharp.world.names) - 1))
+    assert changed[moving].mean() > 0.2
+    assert changed[~moving].mean() < 0.03
+    assert np.array_equal(sharp.take(exposure).depth_mm, open_long.take(exposure).depth_mm)
+
+
+def test_a_camera_may_be_set_brighter(small: Scenario) -> None:
+    bright = replace(small, cameras=(replace(small.cameras[0], gain=1.3), *small.cameras[1:]))
+    exposure = next(e for e in SimulatedRig(small).exposures() if e.camera == 0)
+    as_usual, brighter = SimulatedRig(small).take(exposure).rgb, SimulatedRig(bright).take(exposure).rgb
+    assert np.median(brighter / np.maximum(as_usual, 1.0)) == pytest.approx(1.3, abs=0.05)

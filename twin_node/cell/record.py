@@ -72,7 +72,7 @@ class Recording:
         self._scenario = scenario
         self._simulated = SimulatedRig(scenario)
         self._truth = CellTruth(self._simulated)
-        self._exposures = self._simulated.exposures()
+        self._exposures = sorted(self._simulated.exposures(), key=lambda e: (e.arrival, e.camera))
 
     @property
     def rig(self) -> Rig:
@@ -95,10 +95,10 @@ class Recording:
         for exposure in self._exposures:
             image = self._simulated.take(exposure)
             camera, stamp = self._simulated.rig.cameras[exposure.camera], image.stamp
-            yield Entry(exposure.stamp, f"/{camera.name}/camera_info", camera_info(camera, stamp))
+            yield Entry(exposure.arrival, f"/{camera.name}/camera_info", camera_info(camera, stamp))
             colour = compressed_image(camera.name, stamp, image.rgb)
-            yield Entry(exposure.stamp, f"/{camera.name}/image_raw/compressed", colour)
-            yield Entry(exposure.stamp, f"/{camera.name}/depth/image_rect", _depth(image))
+            yield Entry(exposure.arrival, f"/{camera.name}/image_raw/compressed", colour)
+            yield Entry(exposure.arrival, f"/{camera.name}/depth/image_rect", _depth(image))
 
     def _joint_states(self) -> Iterator[Entry]:
         arm = self._simulated.world.arm

@@ -136,12 +136,16 @@ class CameraSpec:
     """Horizontal field of view."""
     skew_ms: float = 0.0
     """Constant delay of this camera's exposures behind the rig's tick."""
+    gain: float = 1.0
+    """Brightness of its images: cameras are rarely set alike."""
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
             raise CellError(f"camera: name must be letters, digits and _ (it names topics), found '{self.name}'")
         if not 0 < self.fov_deg < 180:
             raise CellError(f"camera '{self.name}': fov_deg must lie between 0 and 180, found {self.fov_deg}")
+        if not 0 < self.gain <= 16:
+            raise CellError(f"camera '{self.name}': gain must lie above 0 and be at most 16, found {self.gain}")
         if self.position == self.look_at:
             raise CellError(f"camera '{self.name}': look_at must differ from position, both are {self.position}")
 
@@ -173,6 +177,12 @@ class Sensing:
     rate_hz: float = 30.0
     jitter_ms: float = 1.0
     """1 sigma of an exposure's time about its tick (cut at 3 sigma); the stamp tells the true time."""
+    latency_ms: float = 0.0
+    """From an exposure until its image arrives: readout, encoding, transport."""
+    latency_jitter_ms: float = 0.0
+    """1 sigma of what arrives later still (half a normal distribution, cut at 3 sigma)."""
+    exposure_ms: float = 0.0
+    """How long the shutter is open: what moves meanwhile is blurred (not in depth). 0: no blur."""
     rgb_sigma: float = 2.0
     """1 sigma of the colour noise, levels of 255."""
     depth_sigma_at_1m_mm: float = 2.0
@@ -192,6 +202,9 @@ class Sensing:
                 f"sensing: jitter_ms must be from 0 to under a sixth of the period ({1000 / self.rate_hz / 6:.2f} ms), "
                 f"so that a camera's images keep their order, found {self.jitter_ms}"
             )
+        for name in ("latency_ms", "latency_jitter_ms", "exposure_ms"):
+            if not 0 <= getattr(self, name) <= 10_000:
+                raise CellError(f"sensing: {name} must lie between 0 and 10000, found {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

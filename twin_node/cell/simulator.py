@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,10 +16,13 @@ from twin_node.cell.rig import make_rig, pinhole
 from twin_node.cell.scenario import Fault, Scenario
 from twin_node.cell.sensor import RawImage, sense
 from twin_node.cell.world import World
-from twin_node.scene import Camera, FrameSet, Rig, View
+from twin_node.scene import Camera, FrameSet, Rig, UInt8, View
 
-_STAMPS, _NOISE = 2, 3
+_STAMPS, _NOISE, _ARRIVALS = 2, 3, 4
 """Distinguish these uses of the scenario's seed from each other and from the world's."""
+
+SHUTTER_SHARES = (-0.4, -0.2, 0.2, 0.4)
+"""Times beside the middle at which an open shutter is sampled, as shares of the exposure."""
 
 UNSORTED_STEP_NS = 50_000_000
 """How early every second image is stamped under the fault `unsorted_stamps`."""
@@ -33,7 +37,9 @@ class Exposure:
     tick: int
     """Number of the set that it belongs to."""
     stamp: int
-    """Its true time, ns."""
+    """Its true time, the middle of the exposure, ns."""
+    arrival: int
+    """When its image has arrived, ns; never before an earlier image of the same camera."""
 
 
 class SimulatedRig:
@@ -46,6 +52,7 @@ class SimulatedRig:
         self.cameras: tuple[Camera, ...] = tuple(pinhole(camera) for camera in self.rig.cameras)
         self.renderers: tuple[Renderer, ...] = tuple(RayCaster(camera, self.world.static) for camera in self.cameras)
         self._stamps = self._draw_stamps()
+        self._arrivals = self._draw_arrivals()
         self._bumped: dict[Fault, Renderer] = {}
 
     @property
@@ -55,11 +62,7 @@ class SimulatedRig:
 
     def exposures(self) -> list[Exposure]:
         """All images that the cameras take, in rising order of true time; those of missing cameras left out."""
-        taken = [
-            Exposure(camera, tick, int(self._stamps[tick, camera]))
-            for tick in range(self.ticks)
-            for camera in range(len(self.cameras))
-        ]
+        taken = [self._exposure(camera, tick) for tick in range(self.ticks) for camera in range(len(self.cameras))]
         seen = [e for e in taken if self._fault(e, "missing") is None]
         return sorted(seen, key=lambda e: (e.stamp, e.camera))
 
@@ -87,9 +90,18 @@ class SimulatedRig:
         return replace(image, depth_is_nan=self._fault(exposure, "nan_depth") is not None)
 
     def _seen(self, exposure: Exposure) -> Rendering:
-        """The noiseless image of a camera that may have been bumped."""
+        """What the sensor, which may have been bumped, collects while the shutter is open, as bright as it is set."""
         fault = self._fault(exposure, "bumped")
-        return self.render(exposure) if fault is None else self._shown(self._renderer_of(fault), exposure.stamp)
+        renderer = self.renderers[exposure.camera] if fault is None else self._renderer_of(fault)
+        sharp, gain = self._shown(renderer, exposure.stamp), self.scenario.cameras[exposure.camera].gain
+        open_ns = self.scenario.sensing.exposure_ms * 1e6
+        if open_ns == 0 and gain == 1:
+            return sharp
+        offsets = [round(open_ns * share) for share in SHUTTER_SHARES if open_ns > 0]
+        frames = [self._shown(renderer, exposure.stamp + offset).rgb for offset in offsets]
+        mean = np.stack([sharp.rgb, *frames]).mean(axis=0, dtype=np.float32)
+        rgb: UInt8 = np.clip(gain * mean + 0.5, 0, 255).astype(np.uint8)
+        return replace(sharp, rgb=rgb)
 
     def _renderer_of(self, fault: Fault) -> Renderer:
         """That of a bumped camera, made once."""
@@ -106,7 +118,10 @@ class SimulatedRig:
     def _first_in(self, fault: Fault, exposure: Exposure) -> Exposure:
         stamps = self._stamps[:, exposure.camera]
         tick = int(np.argmax(stamps >= self.scenario.start_ns + fault.from_s * 1e9))
-        return Exposure(exposure.camera, tick, int(stamps[tick]))
+        return self._exposure(exposure.camera, tick)
+
+    def _exposure(self, camera: int, tick: int) -> Exposure:
+        return Exposure(camera, tick, int(self._stamps[tick, camera]), int(self._arrivals[tick, camera]))
 
     def _fault(self, exposure: Exposure, kind: str) -> Fault | None:
         t = self.world.seconds(exposure.stamp)
@@ -127,12 +142,22 @@ class SimulatedRig:
         stamps: NDArray[np.int64] = np.rint(late_ms * 1e6).astype(np.int64) + self.scenario.start_ns
         return stamps
 
+    def _draw_arrivals(self) -> NDArray[np.int64]:
+        """[ticks, cameras] when the images have arrived, ns."""
+        sensing = self.scenario.sensing
+        rng = np.random.default_rng([self.scenario.seed, _ARRIVALS])
+        late = np.clip(np.abs(rng.normal(size=self._stamps.shape)), 0, 3) * sensing.latency_jitter_ms
+        arrivals = self._stamps + np.rint((sensing.latency_ms + late) * 1e6).astype(np.int64)
+        return np.asarray(np.maximum.accumulate(arrivals, axis=0))
+
 
 class CellSource:
     """The simulated rig as a source of synchronised sets; see `scene.FrameSource`."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, threads: int = 1) -> None:
+        """`threads`: cameras that are rendered at once; the images are the same for any number."""
         self.simulated = SimulatedRig(scenario)
+        self._threads = threads
 
     @property
     def rig(self) -> Rig:
@@ -149,11 +174,12 @@ class CellSource:
         by_tick: dict[int, list[Exposure]] = {}
         for exposure in self.simulated.exposures():
             by_tick.setdefault(exposure.tick, []).append(exposure)
-        for tick in sorted(by_tick):
-            views = tuple(self._view(e) for e in sorted(by_tick[tick], key=lambda e: e.camera))
-            stamp = max(view.stamp for view in views)
-            arm = self.simulated.world.arm
-            yield FrameSet(stamp, views, None if arm is None else arm.sample(stamp), tick)
+        arm = self.simulated.world.arm
+        with ThreadPoolExecutor(self._threads) as pool:
+            for tick in sorted(by_tick):
+                views = tuple(pool.map(self._view, sorted(by_tick[tick], key=lambda e: e.camera)))
+                stamp = max(view.stamp for view in views)
+                yield FrameSet(stamp, views, None if arm is None else arm.sample(stamp), tick)
 
     def _view(self, exposure: Exposure) -> View:
         image = self.simulated.take(exposure)

@@ -66,3 +66,25 @@ class ArmInCell:
         return tuple(
             Solid(Placed(shape, T), self._texture, owner) for shape, T in zip(self._shapes, T_base, strict=True)
         )
+
+
+class DrivenArm(ArmInCell):
+    """The arm where somebody else has driven it along its cycle: it is told step by step how far it has come."""
+
+    def __init__(self, spec: ArmSpec, scenario: Scenario) -> None:
+        super().__init__(spec, scenario)
+        self._stamps = [scenario.start_ns]
+        self._phases = [0.0]
+
+    def drive(self, stamp: int, phase_ns: float) -> None:
+        """At a stamp (ns), later than all before, the arm has gone through so much (ns) of its program."""
+        if stamp > self._stamps[-1]:
+            self._stamps.append(stamp)
+            self._phases.append(phase_ns)
+
+    def positions(self, stamps: NDArray[np.int64]) -> Float64:
+        """Joint angles [T, J] at stamps [T], rad; after the newest stamp it stays."""
+        since = (np.asarray(stamps) - self._stamps[0]).astype(np.float64)
+        known = (np.array(self._stamps) - self._stamps[0]).astype(np.float64)
+        phases = np.rint(np.interp(since, known, self._phases)).astype(np.int64)
+        return sample_path(self.cycle.template, phases % self.cycle.period_ns)

@@ -15,6 +15,7 @@ from twin_node.cli.imports import add_import
 from twin_node.cli.launch import add_launch
 from twin_node.cli.render import add_render
 from twin_node.cli.replay import add_demo, add_replay
+from twin_node.cli.sim import add_sim
 from twin_node.cli.train import add_train
 from twin_node.cli.ur_driver import add_ur_driver
 from twin_node.cli.ur_sim import add_ur_sim
@@ -52,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     add_view(commands)
     add_ur_driver(commands)
     add_ur_sim(commands)
+    add_sim(commands)
     add_train(commands)
     add_bake(commands)
     return parser

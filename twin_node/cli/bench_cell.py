@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +41,16 @@ def add_bench_cell(benches: Any) -> None:
         "--latency", type=not_negative, metavar="MS", help="from the images to the obstacles (default 33)"
     )
     cell.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
+    cell.add_argument("--rig", action="store_true", help="measure how fast the scenario's cameras are rendered instead")
     cell.add_argument("--out", type=Path, metavar="DIR", help="draw cell.png: work, and the first run's distances")
     cell.add_argument("--json", action="store_true", help="print one JSON object")
     cell.set_defaults(run=_bench_cell)
 
 
 def _bench_cell(options: argparse.Namespace) -> None:
+    if options.rig:
+        _bench_rig(options)
+        return
     from twin_node.bench import cell
     from twin_node.bench.cell_picture import draw
 
@@ -59,6 +63,15 @@ def _bench_cell(options: argparse.Namespace) -> None:
     if options.out is not None:
         print(f"drawn: {draw(results, parameters, options.out)}", file=sys.stderr)
     print(json.dumps(figures) if options.json else cell.table(figures))
+
+
+def _bench_rig(options: argparse.Namespace) -> None:
+    from twin_node.bench.rig_speed import measure
+    from twin_node.cell import load_scenario
+
+    name = "demo" if options.scenarios[0] == "all" else options.scenarios[0]
+    figures = asdict(measure(load_scenario(name), options.processes))
+    print(json.dumps(figures) if options.json else "\n".join(f"{key}: {value}" for key, value in figures.items()))
 
 
 def _bench_collision(options: argparse.Namespace) -> None:

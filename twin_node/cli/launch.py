@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +28,25 @@ def add_launch(commands: Any) -> None:
 
 
 def _launch(options: argparse.Namespace) -> int | None:
-    from twin_node.nodes.launch.launch_file import read_arguments, read_launch_file
-    from twin_node.nodes.launch.launcher import Launcher
+    from twin_node.nodes.launch.launch_file import read_arguments
 
     if options.show_args:
         for argument in read_arguments(options.file):
             default = "required" if argument.is_required else f"default: {argument.default!r}"
             print(f"{argument.name}:=  {argument.help} ({default})")
         return None
-    plan = read_launch_file(options.file, options.arguments, options.param)
-    folder = options.log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{options.file.stem}"
+    return launch(options.file, options.arguments, options.param, options.log_dir)
+
+
+def launch(
+    file: Path, arguments: Sequence[str], parameters: Sequence[str] = (), log_dir: Path | None = None
+) -> int | None:
+    """Runs a launch file's graph until it ends or is interrupted; returns the exit status."""
+    from twin_node.nodes.launch.launch_file import read_launch_file
+    from twin_node.nodes.launch.launcher import Launcher
+
+    plan = read_launch_file(file, list(arguments), list(parameters))
+    folder = log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{file.stem}"
     print(f"logs: {folder}", flush=True)
     launcher = Launcher(plan, folder, lambda line: print(line, flush=True))
     for interrupting in (signal.SIGINT, signal.SIGTERM):

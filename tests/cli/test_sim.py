@@ -1,0 +1,42 @@
+"""`twin_node sim`: logs of simulated cells, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twin_node.bag import open_log
+from twin_node.cli import main
+
+
+def test_a_scenario_becomes_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "cell.mcap"
+    assert main(["sim", "cross", "-o", str(log), "--duration", "0.2", "--width", "64", "--seed", "3"]) == 0
+    assert "cross, seed 3, 0.2 s" in capsys.readouterr().out
+    with open_log(log) as opened:
+        counts = {topic.name: topic.count for topic in opened.topics}
+        image = next(item.message for item in opened.messages(["/cam_left/camera_info"]))
+    assert counts["/cam_front/image_raw/compressed"] == counts["/truth/occupancy"] == 6
+    assert (image.width, image.height) == (64, 48)
+
+
+def test_the_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("thrown_ball") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "expected a scenario, found none"),
+        (["demo", "--seed", "2"], "--seed is for logs"),
+        (["nowhere", "-o", "x.mcap"], "nowhere"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["sim", *arguments]) == 2
+    assert message in capsys.readouterr().err
