@@ -195,21 +195,17 @@ def _truth(casters: list[RayCaster], stamps: list[int], scenes: list[tuple[Solid
     """Where points of the movers' surfaces are at all times, and when some training camera first saw each."""
     random = np.random.default_rng(0)
     local = [_surface_points(solid, random) for solid in scenes[0]]
-    owners = np.concatenate([np.full(len(points), solid.owner) for points, solid in zip(local, scenes[0], strict=True)])
-    positions = np.stack(
-        [
-            np.concatenate([transform(solid.placed.T_base_shape, p) for solid, p in zip(scene, local, strict=True)])
-            for scene in scenes
-        ]
-    )
+    movers = [MOVERS[solid.owner - 1] for solid, points in zip(scenes[0], local, strict=True) for _ in points]
+    positions = np.zeros((len(stamps), len(movers), 3))
     seen = np.zeros(positions.shape[:2], bool)
     for step, scene in enumerate(scenes):
+        placed = [transform(one.placed.T_base_shape, points) for one, points in zip(scene, local, strict=True)]
+        positions[step] = np.concatenate([np.zeros((0, 3)), *placed])
         for caster in casters:
             seen[step] |= _in_view(caster, scene, positions[step])
     births = np.where(seen.any(0), seen.argmax(0), -1)
-    names = np.array([MOVERS[owner - 1] for owner in owners])
-    known = births >= 0
-    return MotionTruth(tuple(stamps), positions[:, known], births[known], tuple(names[known]))
+    known = np.flatnonzero(births >= 0)
+    return MotionTruth(tuple(stamps), positions[:, known], births[known], tuple(movers[index] for index in known))
 
 
 def _surface_points(solid: Solid, random: np.random.Generator) -> Float64:

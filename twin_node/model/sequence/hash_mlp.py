@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 
 import torch
 from torch import Tensor, nn
@@ -50,29 +49,27 @@ class HashGrid(nn.Module):
         self.resolutions = resolutions
         self.width = features * len(resolutions)
         """Features that a point has."""
-        axes = len(resolutions[0])
         table = torch.empty(len(resolutions), entries, features).uniform_(-1e-4, 1e-4, generator=generator)
         self.table = nn.Parameter(table)
         self.register_buffer("_cells", torch.tensor(resolutions, dtype=torch.float32), persistent=False)
-        self.register_buffer("_corners", torch.tensor(list(product((0, 1), repeat=axes))), persistent=False)
-        self.register_buffer("_primes", torch.tensor(PRIMES[:axes]), persistent=False)
 
     def forward(self, unit: Tensor) -> Tensor:
         """Features [n, width] of points [n, axes] in -1 to 1."""
         entries, features = self.table.shape[1:]
-        cells, corners = torch.as_tensor(self._cells), torch.as_tensor(self._corners)
+        cells = torch.as_tensor(self._cells)
         place = (unit[:, None] + 1) / 2 * cells
         low = torch.minimum(place.floor(), cells - 1)
-        share = (place - low)[:, :, None]
-        weights = torch.where(corners.bool(), share, 1 - share).prod(-1)
-        hashed = (low.long()[:, :, None] + corners) * torch.as_tensor(self._primes)
-        row = hashed[..., 0]
-        for axis in range(1, hashed.shape[-1]):
-            row = row ^ hashed[..., axis]
+        share, first = place - low, low.long()
+        weights, row = share.new_ones(*share.shape[:2], 1), first.new_zeros(*share.shape[:2], 1)
+        for axis, prime in enumerate(PRIMES[: unit.shape[1]]):
+            both = torch.stack([1 - share[..., axis], share[..., axis]], -1)
+            hashed = torch.stack([first[..., axis], first[..., axis] + 1], -1) * prime
+            weights = (weights[..., None] * both[..., None, :]).flatten(2)
+            row = (row[..., None] ^ hashed[..., None, :]).flatten(2)
         row = (row & (entries - 1)) + torch.arange(len(cells), device=unit.device)[:, None] * entries
-        looked_up = self.table.view(-1, features).index_select(0, row.flatten())
-        corners_of = looked_up.view(-1, len(corners), features)
-        return torch.bmm(weights.view(-1, 1, len(corners)), corners_of).view(len(unit), -1)
+        corners = row.shape[-1]
+        looked_up = self.table.view(-1, features).index_select(0, row.flatten()).view(-1, corners, features)
+        return torch.bmm(weights.view(-1, 1, corners), looked_up).view(len(unit), -1)
 
 
 class SequenceHashMlp(nn.Module):
@@ -108,9 +105,12 @@ class SequenceHashMlp(nn.Module):
         return list(self.heads.parameters())
 
     def motion(self, points: Tensor, times: Tensor) -> SequenceMotion:
-        """Motion of canonical points [N, 3] (m) at times [T] (-1 to 1 over the sequence)."""
+        """Motion of canonical points [N, 3] (m) at times [T] (-1 to 1 over the sequence).
+
+        Sends no gradient back to the points: across hashed cells it would be noise, and take half of the time.
+        """
         at = times[:, None].expand(-1, len(points))
-        return self._motion(self.box.unit(points).expand(len(times), -1, -1), at)
+        return self._motion(self.box.unit(points.detach()).expand(len(times), -1, -1), at)
 
     def regularity(self, random: torch.Generator) -> Tensor:
         """Mean squared second difference of the offsets in time, one time step apart, at random points of the box."""

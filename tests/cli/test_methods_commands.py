@@ -1,0 +1,99 @@
+"""`train`, `bake` and `bench methods` on the command line: what they make, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.cli import main
+from twin_node.model.sequence import load_baked, load_checkpoint
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """`refused(arguments...)` expects status 2 and returns the one line."""
+
+    def run(*arguments: object) -> str:
+        assert main([*map(str, arguments)]) == 2
+        lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
+        assert len(lines) == 1
+        return lines[0]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def checkpoint(cell_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("trained") / "model.safetensors"
+    status = main(["train", str(cell_log(0.5)), "-o", str(path), "--steps", "4", "--width", "48", "--gaussians", "800"])
+    assert status == 0
+    return path
+
+
+def test_a_log_is_learnt_and_baked(checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    header = load_checkpoint(checkpoint).header
+    assert header.step == header.parameters.all_steps == 5 and header.parameters.most_gaussians == 800
+    baked = tmp_path / "baked.safetensors"
+    capfd.readouterr()
+    assert main(["bake", str(checkpoint), "-o", str(baked), "--steps", "3", "--measure", "--json"]) == 0
+    figures = json.loads(capfd.readouterr().out)
+    assert figures["steps"] == 3 and figures["largest_difference"] == 0
+    assert {"live_ms", "baked_ms", "static_ms", "share_of_static_rate", "bytes", "gaussians"} <= set(figures)
+    assert load_baked(baked).stamps[0] == header.span.first
+
+
+def test_a_resumed_run_takes_the_missing_steps(checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    out = tmp_path / "more.safetensors"
+    log = str(cell_log(0.5))
+    assert main(["train", log, "-o", str(out), "--resume", str(checkpoint), "--steps", "6", "--width", "48"]) == 0
+    assert load_checkpoint(out).header.step == load_checkpoint(checkpoint).header.step + 2
+
+
+def test_a_log_is_followed_and_baked(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    out = tmp_path / "live.safetensors"
+    assert main(["bake", str(cell_log(0.5)), "-o", str(out), "--width", "48"]) == 0
+    baked = load_baked(out)
+    assert len(baked.stamps) > 5 and np.all(np.diff(baked.stamps) > 0)
+
+
+def test_one_method_on_a_log(cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--methods", "frozen,previous", "--hold-out", "cam_left", "--width", "48", "--out", str(tmp_path)]
+    assert main(["bench", "methods", str(cell_log(0.5)), *arguments]) == 0
+    assert "frozen first frame" in capfd.readouterr().out
+    assert set(json.loads((tmp_path / "methods.json").read_text())["methods"]) == {"frozen", "previous"}
+    assert (tmp_path / "methods.png").is_file()
+
+
+def test_wrong_training_input(
+    refused: Callable[..., str], checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    out, log = tmp_path / "out.safetensors", cell_log(0.5)
+    assert str(tmp_path / "gone") in refused("train", tmp_path / "gone", "-o", out)
+    assert "-o" in refused("train", log, "-o", tmp_path / "gone" / "out.safetensors")
+    assert "no 'nobody'" in refused("train", log, "-o", out, "--hold-out", "nobody")
+    assert "--method" in refused("train", log, "-o", out, "--resume", checkpoint, "--method", "hash")
+    assert "trained on" in refused("train", log, "-o", out, "--resume", checkpoint, "--frames", 2, "--width", 48)
+    assert "safetensors" in refused("train", log, "-o", out, "--resume", log, "--frames", 2, "--width", 48)
+    (tmp_path / "empty").mkdir()
+    assert "poses_bounds.npy" in refused("train", tmp_path / "empty", "-o", out)
+    assert not out.exists() and not list(tmp_path.glob("*.partial"))
+
+
+def test_wrong_baking_input(
+    refused: Callable[..., str], checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out.safetensors"
+    assert "another file" in refused("bake", checkpoint, "-o", checkpoint)
+    assert "checkpoint" in refused("bake", cell_log(0.5), "-o", out, "--measure")
+    assert "no file" in refused("bake", tmp_path / "gone.safetensors", "-o", out)
+    assert not out.exists()
+
+
+def test_wrong_methods(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    assert "magic" in refused("bench", "methods", "--quick", "--frames", 1, "--methods", "magic")
+    assert "cameras of its own" in refused("bench", "methods", "--quick", "--hold-out", "cam0")
+    assert "--hold-out" in refused("bench", "methods", cell_log(0.5), "--methods", "frozen")
