@@ -185,6 +185,7 @@ def _time(options: argparse.Namespace) -> None:
     from twin_node.nodes.synchronizer import SynchronizerParameters
     from twin_node.rig import save_rig
     from twin_node.rig.calibrate.clocks import ClockParameters, calibrate_clocks
+    from twin_node.rig.evidence import CameraEvidence
     from twin_node.robot import arm_model
 
     with _session(options) as session:
@@ -194,7 +195,7 @@ def _time(options: argparse.Namespace) -> None:
         arm = arm_model(options.arm) if options.arm else None
         result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
     lines = [
-        f"{clock.name}: add {clock.offset_ns / 1e6:+.1f} ms (+- {clock.sigma_ns / 1e6:.1f} ms){_rate(clock)}"
+        f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"
         + ("" if clock.certain else ", not more than it may be wrong by: left as it is")
         for clock in result.cameras
     ]
@@ -202,16 +203,29 @@ def _time(options: argparse.Namespace) -> None:
         given = _given(options, rig)
         notes = f"Clocks timed from {options.log.name} against {result.reference} ({'; '.join(lines)}). {given.notes}"
         cameras = tuple(
-            replace(camera, time_offset_ns=camera.time_offset_ns + clock.offset_ns) if clock.certain else camera
+            clock.applied(camera) if clock.certain else camera
             for camera, clock in zip(rig.cameras, result.cameras, strict=True)
         )
-        save_rig(replace(given, rig=replace(rig, cameras=cameras), date=_today(), notes=notes.strip()), options.output)
+        known = given.evidence or (None,) * len(cameras)
+        evidence = tuple(
+            replace(
+                before or CameraEvidence(),
+                time_offset_sigma=clock.sigma_ns / 1e9,
+                time_rate_sigma_ppm=clock.rate_sigma_ppm,
+            )
+            for before, clock in zip(known, result.cameras, strict=True)
+        )
+        timed = replace(given, rig=replace(rig, cameras=cameras), date=_today(), notes=notes.strip(), evidence=evidence)
+        save_rig(timed, options.output)
     figures = {"reference": result.reference, "cameras": {clock.name: asdict(clock) for clock in result.cameras}}
     print(json.dumps(figures) if options.json else "\n".join(lines))
 
 
 def _rate(clock: CameraClock) -> str:
-    return "" if clock.rate_ppm is None else f", {clock.rate_ppm:+.0f} ppm"
+    if clock.rate_ppm is None:
+        return ""
+    sigma = "" if clock.rate_sigma_ppm is None else f" (+- {clock.rate_sigma_ppm:.0f})"
+    return f", {clock.rate_ppm:+.0f} ppm{sigma}"
 
 
 def _session(options: argparse.Namespace) -> LogSession:

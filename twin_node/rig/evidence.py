@@ -16,12 +16,12 @@ from twin_node.scene import Float64
 class CameraEvidence:
     """What a calibration left over at one camera, and how sure it is of it."""
 
-    rms_px: float
-    """Root mean square distance between what was found and what is projected, pixels."""
-    median_px: float
-    views: int
+    rms_px: float | None = None
+    """Root mean square distance between what was found and what is projected, pixels; None where no board was used."""
+    median_px: float | None = None
+    views: int = 0
     """Images used."""
-    corners: int
+    corners: int = 0
     """Points used in all of them."""
     pose_covariance: Float64 | None = None
     """[6, 6] of `T_base_cam`: x, y, z (m), then turns about the base's x, y, z (rad), as in
@@ -41,10 +41,10 @@ def read_evidence(fields: Fields) -> CameraEvidence:
     if covariance is not None and not np.allclose(covariance, covariance.T, rtol=1e-3, atol=1e-12):
         raise RigError(f"{fields.where}.pose_covariance: expected a symmetric matrix, found another; copy it whole")
     return CameraEvidence(
-        fields.number("rms_px"),
-        fields.number("median_px"),
-        int(fields.number("views")),
-        int(fields.number("corners")),
+        fields.number("rms_px") if fields.has("rms_px") else None,
+        fields.number("median_px") if fields.has("median_px") else None,
+        int(fields.number("views", 0)),
+        int(fields.number("corners", 0)),
         covariance,
         fields.array("lens_sigmas", None) if fields.has("lens_sigmas") else None,
         fields.number("time_offset_sigma") if fields.has("time_offset_sigma") else None,
@@ -54,12 +54,10 @@ def read_evidence(fields: Fields) -> CameraEvidence:
 
 def evidence_entry(evidence: CameraEvidence) -> dict[str, object]:
     """What `read_evidence` reads back."""
-    entry: dict[str, object] = {
-        "rms_px": evidence.rms_px,
-        "median_px": evidence.median_px,
-        "views": evidence.views,
-        "corners": evidence.corners,
-    }
+    entry: dict[str, object] = {}
+    if evidence.rms_px is not None and evidence.median_px is not None:
+        entry |= {"rms_px": evidence.rms_px, "median_px": evidence.median_px}
+        entry |= {"views": evidence.views, "corners": evidence.corners}
     if evidence.pose_covariance is not None:
         entry["pose_covariance"] = evidence.pose_covariance.tolist()
     if evidence.lens_sigmas is not None:

@@ -1,15 +1,16 @@
 """Clock offsets and rates of cameras from what moves: against the arm where its joints are known, else each other.
 
-Against the arm: `arm_motion`. Against each other: every image is summed up as how much of each epipolar plane shows
-something that is not in the median image; how these sums change agrees between two cameras, plane by plane, when their
-clocks do (after Kasten, Ben-Artzi, Peleg and Werman, "Fundamental matrices from moving objects using line motion
-barcodes", ECCV 2016). The two see different sides of a thing, so this is good to 10 or 20 ms only.
+Against the arm: `arm_motion` roughly, then `arm_features`. Against each other: every image is summed up as how much of
+each epipolar plane shows something that is not in the median image; how these sums change agrees between two cameras,
+plane by plane, when their clocks do (after Kasten, Ben-Artzi, Peleg and Werman, "Fundamental matrices from moving
+objects using line motion barcodes", ECCV 2016). The two see different sides of a thing, so this is good to 10 or 20 ms
+only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -17,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from twin_node.rig.calibrate.arm_features import ArmClock, JointCourse, time_by_features
 from twin_node.rig.calibrate.arm_motion import STEP_S, ArmCourse, Film
 from twin_node.rig.calibrate.shifts import Costs, Shift, best_shift
 from twin_node.rig.errors import RigError
 from twin_node.robot import ArmModel
-from twin_node.scene import Camera, Float64, FrameSet, JointSample, UInt8
+from twin_node.scene import Camera, Float64, FrameSet, JointSample, RigCamera, UInt8
 
 PLANES = 64
 """Epipolar planes that a pair's common view is divided into: a few pixels each at the working width."""
@@ -32,6 +34,8 @@ FOREGROUND_LEVELS = 24.0
 MOST_MEDIAN_IMAGES = 60
 LEAST_IMAGES = 20
 """Images per camera below which motion tells no time."""
+FLOW_SIGMA_NS = 4_000_000
+"""1 sigma of what flow alone is off by: measured on simulated cells with known clocks."""
 BARCODE_SIGMA_NS = 15_000_000
 """1 sigma of what outlines seen from different sides are off by, however long the recording: measured on simulated
 cells with known clocks."""
@@ -55,16 +59,34 @@ class CameraClock:
 
     name: str
     offset_ns: int
-    """To be added to the camera's stamps, beside what is added already, at the middle of the recording."""
+    """To be added to the camera's stamps, beside what is added already, at `reference_ns`."""
     sigma_ns: int
     """1 sigma of `offset_ns`."""
+    reference_ns: int
+    """Stamp of the camera at which `offset_ns` holds, in whole seconds: files hold these exactly."""
     rate_ppm: float | None
     """How fast the offset grows, parts per million; None where the recording is too short to tell."""
+    rate_sigma_ppm: float | None
+    """1 sigma of `rate_ppm`; None where it was not estimated."""
 
     @property
     def certain(self) -> bool:
         """Whether the offset is more than what it may be wrong by (2 sigma)."""
         return abs(self.offset_ns) > 2 * self.sigma_ns
+
+    def applied(self, camera: RigCamera) -> RigCamera:
+        """A camera whose clock is corrected by this, beside what corrected its stamps already."""
+        rate = 0.0 if self.rate_ppm is None or self.rate_sigma_ppm is None else self.rate_ppm
+        if abs(rate) < 2 * (self.rate_sigma_ppm or 0.0):
+            rate = 0.0
+        own = camera.own_time(self.reference_ns)
+        both = (1 + rate * 1e-6) * (1 + camera.time_rate_ppm * 1e-6) - 1
+        return replace(
+            camera,
+            time_offset_ns=self.reference_ns + self.offset_ns - own,
+            time_rate_ppm=both * 1e6,
+            time_reference_ns=own if both else 0,
+        )
 
 
 @dataclass(frozen=True)
@@ -90,22 +112,52 @@ def calibrate_clocks(
     joints: list[JointSample] = []
     films = _films(cameras, sets, joints)
     if arm is not None:
-        return ClockResult(arm.name, _against_arm(ArmCourse(arm, joints), films, parameters))
+        distinct = [s for i, s in enumerate(joints) if i == 0 or s.stamp > joints[i - 1].stamp]
+        return ClockResult(arm.name, _against_arm(arm, distinct, films, parameters))
     return ClockResult(cameras[0].name, _against_each_other(films, parameters))
 
 
-def _against_arm(course: ArmCourse, films: Sequence[Film], parameters: ClockParameters) -> tuple[CameraClock, ...]:
-    clocks = []
+def _against_arm(
+    arm: ArmModel, joints: Sequence[JointSample], films: Sequence[Film], parameters: ClockParameters
+) -> tuple[CameraClock, ...]:
+    clocks, rough = [], ArmCourse(arm, joints)
     for film in films:
-        costs = course.costs(film, parameters.max_offset_s)
+        costs = rough.costs(film, parameters.max_offset_s)
         shift = None if costs is None else best_shift(costs, parameters.window_s)
         if shift is None or shift.contrast < parameters.least_contrast:
             raise RigError(
                 f"camera {film.camera.name}: expected to see the arm move, found no motion that fits its joints; "
                 "record it moving fast and with changing speed where all cameras see it, and check the extrinsics"
             )
-        clocks.append(CameraClock(film.camera.name, shift.offset_ns, shift.sigma_ns, shift.rate_ppm))
+        fine = time_by_features(JointCourse(arm, joints), film, shift.offset_ns / 1e9)
+        clocks.append(_by_flow(film, shift) if fine is None else _by_features(film, joints[0].stamp, fine))
     return tuple(clocks)
+
+
+def _by_flow(film: Film, shift: Shift) -> CameraClock:
+    """The clock where the arm shows nothing that can be followed."""
+    sigma = round(float(np.hypot(shift.sigma_ns, FLOW_SIGMA_NS)))
+    return CameraClock(film.camera.name, shift.offset_ns, sigma, _middle(film), shift.rate_ppm, None)
+
+
+def _by_features(film: Film, start: int, clock: ArmClock) -> CameraClock:
+    reference = _middle(film)
+    since = (reference - start) / 1e9 - clock.reference_s
+    by = np.array([1.0, since])
+    sigma = float(np.sqrt(by @ clock.covariance @ by))
+    return CameraClock(
+        film.camera.name,
+        round(1e9 * (clock.offset_s + clock.rate * since)),
+        round(1e9 * sigma),
+        reference,
+        1e6 * clock.rate,
+        1e6 * float(np.sqrt(clock.covariance[1, 1])),
+    )
+
+
+def _middle(film: Film) -> int:
+    """The whole second nearest to the middle of a film, ns."""
+    return round(int(film.stamps[0] + film.stamps[-1]) / 2e9) * 1_000_000_000
 
 
 def _against_each_other(films: Sequence[Film], parameters: ClockParameters) -> tuple[CameraClock, ...]:
@@ -125,7 +177,7 @@ def _against_each_other(films: Sequence[Film], parameters: ClockParameters) -> t
         shift = None if costs is None else best_shift(costs, parameters.window_s)
         if shift is not None and shift.contrast >= parameters.least_contrast:
             edges.append(_Edge(a, b, shift))
-    return _reconciled([film.camera.name for film in films], edges)
+    return _reconciled(films, edges)
 
 
 @dataclass(frozen=True)
@@ -228,8 +280,9 @@ def _moving(film: Film) -> UInt8:
     return out
 
 
-def _reconciled(names: Sequence[str], edges: Sequence[_Edge]) -> tuple[CameraClock, ...]:
+def _reconciled(films: Sequence[Film], edges: Sequence[_Edge]) -> tuple[CameraClock, ...]:
     """Offsets of all cameras that fit those of the pairs best, weighted by how sure each pair is."""
+    names = [film.camera.name for film in films]
     offsets = np.zeros(len(names))
     known = {0}
     rows, wanted, rates, weights = [], [], [], []
@@ -262,7 +315,9 @@ def _reconciled(names: Sequence[str], edges: Sequence[_Edge]) -> tuple[CameraClo
             name,
             round(float(offsets[i])),
             round(float(sigmas[i])),
+            _middle(films[0]),
             None if rate is None else (0.0 if i == 0 else float(rate[i - 1])),
+            None,
         )
         for i, name in enumerate(names)
     )

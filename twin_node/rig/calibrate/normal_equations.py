@@ -15,6 +15,9 @@ from twin_node.scene import Float64
 NOWHERE = -1
 """Column of what is not an unknown."""
 
+HELD = 1e-6
+"""Weight with which inner unknowns are held that nothing speaks of: a board's course where all images were misread."""
+
 
 class NormalEquations:
     """J^T J and J^T r, summed up block by block."""
@@ -59,7 +62,7 @@ class NormalEquations:
     def solution(self, damping: float) -> tuple[Float64, Float64]:
         """Changes of the inner and the outer unknowns that the slopes call for, the diagonal raised by a share."""
         A, B, C = self._A[:-1].T.copy(), self._B[:-1, :-1], self._C[:-1, :-1].copy()
-        A[0] = A[0] * (1 + damping) + 1e-12
+        A[0] = A[0] * (1 + damping) + HELD
         C[np.diag_indices_from(C)] *= 1 + damping
         factor = (cholesky_banded(A, lower=True), True)
         reach = cho_solve_banded(factor, np.concatenate([B, self._a[:-1, None]], axis=1))
@@ -70,6 +73,6 @@ class NormalEquations:
     def outer_covariance(self) -> Float64:
         """[outer, outer] inverse of the Schur complement."""
         A, B, C = self._A[:-1].T.copy(), self._B[:-1, :-1], self._C[:-1, :-1]
-        A[0] += 1e-12
+        A[0] += HELD
         reach = cho_solve_banded((cholesky_banded(A, lower=True), True), B)
         return np.asarray(np.linalg.pinv(C - B.T @ reach, hermitian=True))

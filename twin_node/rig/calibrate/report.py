@@ -81,7 +81,7 @@ def _row(rig_file: RigFile, number: int, fit: RigFit | None) -> CameraRow:
     camera = rig_file.rig.cameras[number]
     evidence = rig_file.evidence[number] if rig_file.evidence else None
     views, median, rms = ("-", "-", "-")
-    if evidence is not None:
+    if evidence is not None and evidence.rms_px is not None:
         views, median, rms = str(evidence.views), f"{evidence.median_px:.3f}", f"{evidence.rms_px:.3f}"
     if fit is not None and (own := fit.of_camera(number)) is not None:
         figures = residuals_of(own)
