@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,17 +15,32 @@ from twin_node.cli.arguments import positive
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.boards import Board
-    from twin_node.rig.calibrate.extrinsics import CameraRecording
+    from twin_node.rig.calibrate.check import Verdict
+    from twin_node.rig.calibrate.tracks import CameraRecording
+    from twin_node.scene import Rig
 
+UNTOLD_STATUS = 3
+"""Exit status of `check` where nothing was found wrong, but not everything could be told."""
+CHECK_WIDTH, CHECK_RATE_HZ = 160, 4.0
+"""Size and rate of the images that `check` looks at in a log: mistakes are gross, and motion is slow."""
 FORMATS = ("camera_info", "colmap", "kalibr", "opencv", "qualisys", "toml")
 
 
 def add_check(kinds: Any) -> None:
     """Adds `calibrate check`."""
-    parser = kinds.add_parser("check", help="look for the customary mistakes in a rig file")
+    parser = kinds.add_parser(
+        "check",
+        help="look for the customary mistakes in a rig file",
+        epilog="Exit status: 0 nothing is wrong; 2 something is, and is named; 3 nothing was found wrong, but some "
+        "mistakes could not have been told from what was given.",
+    )
     parser.add_argument("rig", type=Path, metavar="RIG.yaml")
-    parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="recordings of a board, as for `rig`")
+    parser.add_argument(
+        "recording", type=Path, nargs="?", metavar="LOG|DIR", help="a log, or recordings of a board as for `rig`"
+    )
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
+    parser.add_argument("--arm", metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF")
+    parser.add_argument("--duration", type=positive, default=20.0, metavar="S", help="of the log to read (default 20)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_check)
 
@@ -49,24 +65,64 @@ def add_report(kinds: Any) -> None:
     parser.set_defaults(run=_report)
 
 
-def _check(options: argparse.Namespace) -> None:
+def _check(options: argparse.Namespace) -> int:
     from twin_node.rig import RigError, load_rig
-    from twin_node.rig.calibrate.check import check_against_board, check_numbers
+    from twin_node.rig.calibrate.check import check_numbers
+
+    rig = load_rig(options.rig, facing=False).rig
+    verdict = check_numbers(rig) if options.recording is None else _against_recording(options, rig)
+    untold = sorted(mistake.value for mistake in verdict.untold)
+    if options.json:
+        findings = [
+            {"camera": found.camera, "cause": found.cause, "mistake": found.mistake and found.mistake.value}
+            for found in verdict.findings
+        ]
+        told = {"ok": not findings, "findings": findings, "untold": untold, "agreement": verdict.agreement}
+        print(json.dumps(told))
+    if verdict.findings:
+        raise RigError(f"{options.rig}: {'; '.join(str(finding) for finding in verdict.findings)}")
+    if not options.json:
+        seen = "" if options.recording is None else f" or against {options.recording}"
+        print(f"{options.rig}: {len(rig.cameras)} cameras, nothing wrong in the numbers{seen}")
+        if verdict.agreement is not None:
+            print(f"what moves fits together by {verdict.agreement:.2f} (1: fully, 0: by chance)")
+    if not untold:
+        return 0
+    print(
+        f"twin_node: warning: not told by this: {', '.join(untold)}; give a log of ten seconds in which a person or "
+        "the arm moves where all cameras see it",
+        file=sys.stderr,
+    )
+    return UNTOLD_STATUS
+
+
+def _against_recording(options: argparse.Namespace, rig: Rig) -> Verdict:
+    from twin_node.rig.calibrate.check import check_against_board
     from twin_node.rig.calibrate.rig_fit import common_sightings
 
-    rig = load_rig(options.rig).rig
-    findings = check_numbers(rig)
-    if options.folder is not None and not findings:
-        board = _board(options.folder, options.board)
-        sightings = common_sightings(board, rig, _recordings(options.folder, board))
-        findings = check_against_board(board, rig, sightings)
-    if options.json:
-        print(json.dumps({"ok": not findings, "findings": [asdict(finding) for finding in findings]}))
-    if findings:
-        raise RigError(f"{options.rig}: {'; '.join(str(finding) for finding in findings)}")
-    if not options.json:
-        seen = "" if options.folder is None else f" and explains the board in {options.folder}"
-        print(f"{options.rig}: {len(rig.cameras)} cameras, nothing wrong in the numbers{seen}")
+    if options.recording.is_dir() and not (options.recording / "metadata.yaml").is_file():
+        board = _board(options.recording, options.board)
+        sightings = common_sightings(board, rig, _recordings(options.recording, board))
+        return check_against_board(board, rig, sightings)
+    return _against_log(options, rig)
+
+
+def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
+    """Raw images are wanted, small ones do: the log is read as if the lenses had no distortion."""
+    import numpy as np
+
+    from twin_node.nodes.log_source import LogSession, LogSource
+    from twin_node.nodes.synchronizer import SynchronizerParameters
+    from twin_node.rig.calibrate.check import check_against_recording
+    from twin_node.robot import arm_model
+
+    lenses = (replace(camera, distortion_model="plumb_bob", D=np.zeros(5)) for camera in rig.cameras)
+    raw = replace(rig, cameras=tuple(lenses))
+    arm = arm_model(options.arm) if options.arm else None
+    with LogSession(options.recording, raw, duration_s=options.duration) as session:
+        source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ))
+        sets = list(tqdm(source, unit="set", desc="read", disable=None))
+    return check_against_recording(rig, sets, arm)
 
 
 def _import(options: argparse.Namespace) -> None:

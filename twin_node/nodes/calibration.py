@@ -16,22 +16,24 @@ from twin_node.rig import load_rig
 from twin_node.scene import Rig
 
 
-def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | None) -> Rig:
-    """The rig of the cameras that the log has images of: `rig_file` where given, else the log's own calibration.
+def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None) -> Rig:
+    """The rig of the cameras that the log has images of: the one given (or its file), else the log's own calibration.
 
     Raises `GraphError` naming the camera that lacks images or calibration.
     """
+    if isinstance(rig_file, Rig):
+        return _matched(rig_file, cameras, "the rig", log.path)
     if rig_file is not None:
-        return _matched(load_rig(rig_file).rig, cameras, rig_file, log.path)
+        return _matched(load_rig(rig_file).rig, cameras, str(rig_file), log.path)
     return _rig_of_log(log, cameras)
 
 
-def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_file: Path, log: Path) -> Rig:
+def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path) -> Rig:
     seen = {camera.name for camera in cameras}
     missing = [camera.name for camera in rig.cameras if camera.name not in seen]
     if missing:
         raise GraphError(
-            f"{log}: no images of camera '{missing[0]}' of {rig_file}; the log has {', '.join(sorted(seen))}; "
+            f"{log}: no images of camera '{missing[0]}' of {rig_name}; the log has {', '.join(sorted(seen))}; "
             "give the rig file of this log, or --remap its topic to /<camera>/image_raw"
         )
     return rig

@@ -25,7 +25,7 @@ class LogSession:
     def __init__(
         self,
         path: Path,
-        rig_file: Path | None = None,
+        rig_file: Path | Rig | None = None,
         remaps: dict[str, str] | None = None,
         start_offset_s: float = 0.0,
         duration_s: float | None = None,

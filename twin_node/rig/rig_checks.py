@@ -81,7 +81,7 @@ def check_pose(where: str, T: Float) -> None:
     if distance > MAX_DISTANCE_M:
         raise RigError(
             f"{where}.T_base_cam: expected a translation in metres, found {_text(T[:3, 3])}, "
-            f"{distance:.0f} m from the base; if it is in millimetres divide it by 1000"
+            f"{distance:.0f} m from the base; if it is in millimetres divide it by 1000 (in centimetres by 100)"
         )
 
 
@@ -92,7 +92,7 @@ def check_facing(where: str, names: tuple[str, ...], poses: Float) -> None:
     of sight, and undoing a customary mistake (world-to-camera poses, OpenGL axes, transposed rotations) puts it into
     the middle of every image, that is named. Axes nearer to parallel than `TELLING_SPREAD` tell nothing.
     """
-    if axes_spread(poses) < TELLING_SPREAD or _aims_off(poses) < OUT_OF_SIGHT:
+    if axes_spread(poses) < TELLING_SPREAD or aims_off(poses) < OUT_OF_SIGHT:
         return
     transposed = poses.copy()
     transposed[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
@@ -101,15 +101,15 @@ def check_facing(where: str, names: tuple[str, ...], poses: Float) -> None:
         "T_base_cam holds base-to-camera poses (extrinsics R, t): invert them": inverse_pose(poses),
         "the cameras have OpenGL axes (z backward): negate columns 2 and 3 of each": poses * [1.0, -1.0, -1.0, 1.0],
     }
-    cause = min(readings, key=lambda reading: _aims_off(readings[reading]))
-    if _aims_off(readings[cause]) < IN_SIGHT:
+    cause = min(readings, key=lambda reading: aims_off(readings[reading]))
+    if aims_off(readings[cause]) < IN_SIGHT:
         raise RigError(
             f"{where}: cameras {', '.join(names)}: expected optical axes that meet in front of the cameras, "
             f"found none that do; {cause}"
         )
 
 
-def _aims_off(poses: Float) -> float:
+def aims_off(poses: Float) -> float:
     """Largest angle (rad) between an optical axis of poses [N, 4, 4] and the way to the point nearest to all axes."""
     to_focus = axes_focus(poses) - poses[:, :3, 3]
     cosines = (to_focus * poses[:, :3, 2]).sum(1) / np.linalg.norm(to_focus, axis=1)

@@ -85,10 +85,11 @@ class RigFile:
         return tuple(videos)
 
 
-def load_rig(path: str | Path) -> RigFile:
+def load_rig(path: str | Path, *, facing: bool = True) -> RigFile:
     """Reads and checks a rig file; the videos that it names need not exist yet (`RigFile.videos` sees to that).
 
-    `path` may be that of a file which ships with the package (`calibration/walker_4cam.yaml`).
+    `facing`: whether cameras that see nothing together are refused. `path` may be that of a file which ships with the
+    package (`calibration/walker_4cam.yaml`).
 
     Raises `ResourceError` where there is no such file; `RigError` where it is wrong: one line with the file, the camera
     and the field, what was expected, what was found and what to do.
@@ -107,7 +108,8 @@ def load_rig(path: str | Path) -> RigFile:
     for name in names:
         if names.count(name) > 1:
             raise RigError(f"{path}: expected cameras with distinct names, found {name!r} {names.count(name)} times")
-    check_facing(str(path), names, np.stack([camera.T_base_cam for camera in cameras]))
+    if facing:
+        check_facing(str(path), names, np.stack([camera.T_base_cam for camera in cameras]))
     sources = tuple(_source(entry, name, folder) for entry, name in zip(fields.entries("cameras"), names, strict=True))
     return RigFile(
         Rig(cameras, _workspace(fields)),

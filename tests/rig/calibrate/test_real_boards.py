@@ -66,9 +66,9 @@ def test_four_free_running_cameras_are_calibrated_from_their_videos_alone(record
     assert disagreement(found, np.stack([c.T_base_cam[:3, 3] for c in reference.cameras])).max() < 0.01
 
     sightings = common_sightings(board, rig, cameras)
-    assert not check_against_board(board, rig, sightings)
+    assert not check_against_board(board, rig, sightings).findings
     for cause, wrong in mistakes(rig).items():
-        (finding,) = check_against_board(board, wrong, sightings)
+        (finding,) = check_against_board(board, wrong, sightings).findings
         assert cause in str(finding)
 
 

@@ -1,97 +1,270 @@
-"""Looks for the customary mistakes in a rig file: by its own numbers, and by a board that its cameras saw."""
+"""Looks for the customary mistakes in a rig: by its own numbers, by a board that it saw, or by an ordinary recording.
+
+Every customary mistake is undone in turn (`mistakes`). By numbers alone, a rig is objected to where no cell looks like
+that, and the mistake whose undoing leaves no objection is named; mistakes that leave none either way cannot be told.
+A board, or what moves in a recording, tells by how well it fits together.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
-from twin_node.geometry import inverse_pose
+from twin_node.geometry import inverse_pose, transform
+from twin_node.rig.calibrate.barcodes import Barcodes
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import Sighting
+from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.mistakes import RATIOS, UNITS_M, Finding, Mistake, Undone, undone
 from twin_node.rig.calibrate.rig_fit import fit
-from twin_node.scene import Float64, Rig, RigCamera
+from twin_node.rig.calibrate.scales import ArmInSight, depth_agreement
+from twin_node.rig.rig_checks import IN_SIGHT, OUT_OF_SIGHT, TELLING_SPREAD, aims_off
+from twin_node.rig.workspace import axes_focus, axes_spread
+from twin_node.robot import ArmModel
+from twin_node.scene import Float64, FrameSet, Rig, RigCamera
 
 GOOD_SHARE = 0.003
-"""Median error of every camera of a rig that is usable, as a share of the image's width (2 pixels of 640)."""
-
+"""Median error on a board of every camera of a usable rig, as a share of the image's width (2 pixels of 640)."""
 TELLING_FACTOR = 3.0
-"""A mistake is named where undoing it divides the worst camera's median error by this."""
-
+"""On a board a mistake is named where undoing it divides the worst camera's median error by this."""
 SETS_JUDGED = 12
 """Sets, evenly picked, on which the mistakes are compared: each is off by far more than single sets err."""
-
-RATIOS = (1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0)
-"""Of customary resolutions to each other."""
-
-CENTRE_LIMIT = 0.2
-"""A principal point further from the middle of the image than this share of its size is suspicious."""
-
-SAME_SHARE = 0.1
-"""Largest difference between the horizontal and the vertical place of a principal point that a rescaled K leaves."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something wrong with a rig, in one line."""
-
-    camera: str
-    """Its name; several, joined by commas; empty for all."""
-    cause: str
-    """The likely mistake, and what to do."""
-
-    def __str__(self) -> str:
-        return f"camera {self.camera}: {self.cause}" if self.camera else f"all cameras: {self.cause}"
+NEAREST_M, FARTHEST_M = 0.04, 12.0
+"""No camera of a cell is nearer to, or further from, what all look at."""
+NARROWEST, WIDEST = np.radians(12), np.radians(150)
+"""Horizontal fields of view of lenses in cells, without distortion."""
+CENTRE_SHARE = 0.03
+"""A principal point so near, as a share of the image's size, to that of a customary resolution belongs to it."""
+LEAST_SEEN = 0.05
+"""Share of the workspace that every camera of a rig sees."""
+CLEARLY_BETTER, BETTER_OF_TWO, SURE_SIGMAS = 0.03, 0.2, 3.0
+"""A mistake is named where undoing it explains the motion so much better, and by so many standard errors. A rig of two
+cameras has a single pair, in which outlines fit by chance more often."""
+SHOWN_IN_IMAGES = set(Mistake) - {Mistake.UNITS, Mistake.BASE}
+"""Mistakes that images can show. Scale and place they cannot; of those the numbers tell all but feet and `base`."""
+EXPLAINED = 0.35
+"""Agreement with the motion below which nothing is explained: real rigs reach 0.7, by chance it is 0."""
+DEPTH_AGREES = 0.25
+"""Share of depths that agree between cameras of a rig in the right unit; hidden surfaces are the rest."""
+ARM_AGREES = 0.2
+"""Agreement with the arm's motion of a rig that is right in the base."""
 
 
 @dataclass(frozen=True)
-class _Undone:
-    """The rig as it would be without a mistake."""
+class Verdict:
+    """What a check came to."""
 
-    finding: Finding
-    rig: Rig
+    findings: tuple[Finding, ...]
+    untold: frozenset[Mistake] = frozenset()
+    """Mistakes that could be there without showing in what was looked at."""
+    agreement: float | None = None
+    """How well the rig explains the motion of a recording, 0 to 1; None where that was not looked at."""
 
 
-def check_numbers(rig: Rig) -> list[Finding]:
-    """What the numbers alone tell, beyond what `load_rig` refuses."""
-    return [
-        Finding(
-            camera.name,
-            f"expected a principal point near the middle of {camera.width}x{camera.height}, found "
-            f"({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}); is K of another resolution "
-            f"(about {2 * camera.K[0, 2]:.0f}x{2 * camera.K[1, 2]:.0f})?",
-        )
-        for camera in rig.cameras
-        if _of_other_resolution(camera)
+def check_numbers(rig: Rig) -> Verdict:
+    """What the numbers alone tell."""
+    complaint = _objection(rig)
+    alternatives = [
+        mistake for mistake in undone(rig) if _kind(mistake) in SHOWN_IN_IMAGES and _objection(mistake.rig) is None
     ]
+    if complaint is None:
+        return Verdict((), frozenset(_kind(mistake) for mistake in alternatives))
+    if not alternatives or complaint.mistake is not None:
+        return Verdict((complaint,))
+    best, *others = _one_of_each_kind(alternatives)
+    rivals = [other for other in others if _aims_off(other.rig) < IN_SIGHT]
+    cause = ", or ".join(mistake.finding.cause for mistake in (best, *rivals))
+    finding = replace(best.finding, cause=f"{cause} ({complaint.cause})", rivals=tuple(map(_kind, rivals)))
+    return Verdict((finding,))
 
 
-def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -> list[Finding]:
+def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -> Verdict:
     """What sightings of a board by several cameras at once tell.
 
     The rig is good where it explains them; else every customary mistake is undone in turn, and the one that explains
-    them best is named. Where none does, the camera that fits worst is. `rig` may be any that `load_rig` reads; what it
-    refuses needs no picture.
+    them best is named. Where none does, the camera that fits worst is.
     """
     limit = GOOD_SHARE * max(camera.width for camera in rig.cameras)
     if _Misfit.of(board, rig, sightings).worst_px < limit:
-        return []
+        return Verdict(())
     few = _some_sets(sightings)
-    now, undone = _Misfit.of(board, rig, few), list(_undone(rig))
-    errors = [_Misfit.of(board, mistake.rig, few).worst_px for mistake in undone]
+    now, mistakes = _Misfit.of(board, rig, few), list(undone(rig))
+    errors = [_Misfit.of(board, mistake.rig, few).worst_px for mistake in mistakes]
     best = int(np.argmin(errors))
     if errors[best] < now.worst_px / TELLING_FACTOR:
-        found = undone[best].finding
-        return [
-            Finding(found.camera, f"{found.cause} (median error {now.worst_px:.1f} px, then {errors[best]:.1f} px)")
-        ]
-    return [
-        Finding(
-            now.worst, f"its median error is {now.worst_px:.1f} px and no customary mistake explains it: calibrate anew"
+        found = mistakes[best].finding
+        cause = f"{found.cause} (median error {now.worst_px:.1f} px, then {errors[best]:.1f} px)"
+        return Verdict((replace(found, cause=cause),))
+    cause = f"its median error is {now.worst_px:.1f} px and no customary mistake explains it: calibrate anew"
+    return Verdict((Finding(now.worst, cause),))
+
+
+def check_against_recording(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | None = None) -> Verdict:
+    """What an ordinary recording tells: `sets` of raw images of any size, with the arm's joints where `arm` is given.
+
+    What moves tells wrong poses and lenses; measured depth and the arm tell the unit, which else the numbers do as far
+    as they can.
+    """
+    by_numbers = check_numbers(rig)
+    if any(finding.mistake in (Mistake.UNITS, Mistake.RESOLUTION) for finding in by_numbers.findings):
+        return by_numbers
+    barcodes = Barcodes(rig, sets)
+    if not barcodes.tells or len(rig.cameras) < 2:
+        found = _of_other_unit(rig, sets, arm)
+        return by_numbers if found is None else Verdict((found,))
+    motion = _Motion.of(rig, barcodes)
+    finding = motion.finding(not by_numbers.findings) or _of_other_unit(rig, sets, arm)
+    if finding is None and motion.now < EXPLAINED:
+        cause = (
+            f"what moves fits together by {motion.now:.2f} only and no customary mistake explains it: calibrate anew"
         )
-    ]
+        finding = Finding("", cause)
+    if finding is not None:
+        return Verdict((finding,), agreement=motion.now)
+    return Verdict(by_numbers.findings, motion.untold, motion.now)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """How well a rig explains what moves, and how much better it would with each mistake undone."""
+
+    now: float
+    mistakes: tuple[Undone, ...]
+    """Those whose undoing leaves a rig that cells may have."""
+    gains: Float64
+    """[M, B] what undoing each adds in each block of the recording."""
+    needed: float
+    """Gain that counts."""
+
+    @classmethod
+    def of(cls, rig: Rig, barcodes: Barcodes) -> _Motion:
+        """Of all mistakes that show in images."""
+        now = barcodes.agreement(rig)
+        mistakes = tuple(m for m in undone(rig) if _kind(m) in SHOWN_IN_IMAGES and _objection(m.rig) is None)
+        gains = np.array([barcodes.agreement(mistake.rig) - now for mistake in mistakes]).reshape(-1, len(now))
+        return cls(float(now.mean()), mistakes, gains, CLEARLY_BETTER if len(rig.cameras) > 2 else BETTER_OF_TWO)
+
+    def finding(self, plausible: bool) -> Finding | None:
+        """The mistake whose undoing explains the motion best: clearly better than the rig, where that is plausible."""
+        if not self.mistakes:
+            return None
+        best = int(np.argmax(self.gains.mean(1)))
+        gain, scatter = float(self.gains[best].mean()), float(self.gains[best].std(ddof=1))
+        if plausible and gain < max(self.needed, SURE_SIGMAS * scatter / np.sqrt(self.gains.shape[1])):
+            return None
+        found = self.mistakes[best].finding
+        after = f"what moves then fits together by {self.now + gain:.2f}, not {self.now:.2f}"
+        return replace(found, cause=f"{found.cause} ({after})")
+
+    @property
+    def untold(self) -> frozenset[Mistake]:
+        """Mistakes whose undoing explains the motion about as well."""
+        near = self.gains.mean(1) > -self.needed
+        return frozenset(_kind(mistake) for mistake, is_near in zip(self.mistakes, near, strict=True) if is_near)
+
+
+def _of_other_unit(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | None) -> Finding | None:
+    """The unit that measured depth or the arm gives away, where it is not the metre; or the base that the arm does."""
+    readings: list[Undone | None] = [None, *(m for m in undone(rig) if _kind(m) in (Mistake.UNITS, Mistake.BASE))]
+    depths = [depth_agreement(rig if m is None else m.rig, sets) for m in readings]
+    if (found := _clear(readings, depths, DEPTH_AGREES)) is not None or arm is None:
+        return found
+    sight = ArmInSight(arm, rig, sets)
+    return _clear(readings, [sight.agreement(rig if m is None else m.rig) for m in readings], ARM_AGREES)
+
+
+def _clear(readings: Sequence[Undone | None], agreements: Sequence[float | None], good: float) -> Finding | None:
+    """The finding of the reading that agrees best, where it is good and twice as good as the rig as it is."""
+    scores = [-1.0 if agreement is None else agreement for agreement in agreements]
+    best = int(np.argmax(scores))
+    reading = readings[best]
+    return reading.finding if reading is not None and scores[best] > max(good, 2 * scores[0]) else None
+
+
+def _objection(rig: Rig) -> Finding | None:
+    """Why no cell looks like this rig; None where one might."""
+    for camera in rig.cameras:
+        if (finding := _lens_objection(camera)) is not None:
+            return finding
+    poses = np.stack([camera.T_base_cam for camera in rig.cameras])
+    reach = _reach_m(poses)
+    if reach is not None and not NEAREST_M <= reach <= FARTHEST_M:
+        unit = _likely_unit(reach)
+        return Finding(
+            "",
+            f"cameras stand {reach:.3g} m from what they look at: translations seem to be in {unit}: write metres",
+            Mistake.UNITS,
+        )
+    if axes_spread(poses) >= TELLING_SPREAD and aims_off(poses) > OUT_OF_SIGHT:
+        return Finding("", "the optical axes do not meet before the cameras")
+    for camera in rig.cameras:
+        if rig.workspace is not None and _seen_share(camera, rig.workspace) < LEAST_SEEN:
+            return Finding(camera.name, "it does not see the workspace")
+    return None
+
+
+def _lens_objection(camera: RigCamera) -> Finding | None:
+    centre = (camera.K[:2, 2] + 0.5) / (camera.width, camera.height)
+    customary = np.array([1.0, *RATIOS]) / 2
+    nearest = customary[np.abs(centre[:, None] - customary).argmin(1)]
+    if np.abs(centre - nearest).max() < CENTRE_SHARE and (nearest != 0.5).any():
+        size = 2 * centre * (camera.width, camera.height)
+        return Finding(
+            camera.name,
+            f"expected a principal point near the middle of {camera.width}x{camera.height}, found "
+            f"({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}); K seems to be of {size[0]:.0f}x{size[1]:.0f}: scale it",
+            Mistake.RESOLUTION,
+        )
+    view = 2 * np.arctan(camera.width / 2 / abs(camera.K[0, 0]))
+    if camera.distortion_model != "equidistant" and not NARROWEST < view < WIDEST:
+        return Finding(
+            camera.name,
+            f"expected a field of view from {np.degrees(NARROWEST):.0f} to {np.degrees(WIDEST):.0f} degrees, found "
+            f"{np.degrees(view):.0f}; is K of another resolution?",
+        )
+    return None
+
+
+def _one_of_each_kind(mistakes: Sequence[Undone]) -> list[Undone]:
+    """Of each kind the one whose undoing makes the cameras look best at one place, the best of all first."""
+    best: dict[Mistake, Undone] = {}
+    for mistake in sorted(mistakes, key=lambda mistake: _aims_off(mistake.rig)):
+        best.setdefault(_kind(mistake), mistake)
+    return list(best.values())
+
+
+def _reach_m(poses: Float64) -> float | None:
+    """Median distance of cameras from the point that all look at, or of each other, m; None for one camera."""
+    if len(poses) < 2:
+        return None
+    middle = axes_focus(poses) if axes_spread(poses) >= TELLING_SPREAD else poses[:, :3, 3].mean(0)
+    return float(np.median(np.linalg.norm(poses[:, :3, 3] - middle, axis=1)))
+
+
+def _likely_unit(reach: float) -> str:
+    """The unit in which cameras would be about as far away as they usually are, 1.5 m."""
+    return min(UNITS_M, key=lambda unit: abs(np.log(reach * UNITS_M[unit] / 1.5)))
+
+
+def _aims_off(rig: Rig) -> float:
+    return aims_off(np.stack([camera.T_base_cam for camera in rig.cameras]))
+
+
+def _seen_share(camera: RigCamera, workspace: Float64) -> float:
+    """Share of a workspace [2, 3] that falls into a camera's image."""
+    steps = np.linspace(0, 1, 6)
+    grid = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    points = transform(inverse_pose(camera.T_base_cam), workspace[0] + grid * (workspace[1] - workspace[0]))
+    pixels = raw_pixels(camera, points)
+    seen = (points[:, 2] > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+    return float(seen.mean())
+
+
+def _kind(mistake: Undone) -> Mistake:
+    assert mistake.finding.mistake is not None
+    return mistake.finding.mistake
 
 
 @dataclass(frozen=True)
@@ -116,86 +289,3 @@ def _some_sets(sightings: Sequence[Sighting]) -> list[Sighting]:
     boards = sorted({sighting.board for sighting in sightings})
     chosen = {boards[i] for i in np.linspace(0, len(boards) - 1, SETS_JUDGED).round().astype(int)}
     return [sighting for sighting in sightings if sighting.board in chosen]
-
-
-def _undone(rig: Rig) -> Iterator[_Undone]:
-    """The rig with each mistake undone, of all cameras and of each alone."""
-    cameras = rig.cameras
-    for factor, unit in ((1e-3, "millimetres"), (1e-2, "centimetres"), (0.0254, "inches"), (1e3, "kilometres")):
-        scaled = [_moved(c, _scaled(c.T_base_cam, factor)) for c in cameras]
-        yield _Undone(Finding("", f"translations seem to be in {unit}: write metres"), _with(rig, scaled))
-    readings = {
-        "axes seem to be OpenGL's (z backward): negate columns 2 and 3 of the rotation": _opengl,
-        "the rotation seems to be transposed: transpose it and keep the translation": _transposed,
-        "the pose seems to be base-to-camera (R, t): invert it": inverse_pose,
-    }
-    for cause, undo in readings.items():
-        everywhere = [_moved(c, undo(c.T_base_cam)) for c in cameras]
-        yield _Undone(Finding("", cause), _with(rig, everywhere))
-        for i, camera in enumerate(cameras):
-            alone = [*cameras[:i], everywhere[i], *cameras[i + 1 :]]
-            yield _Undone(Finding(camera.name, cause), _with(rig, alone))
-    yield from _swapped(rig)
-    yield from _rescaled(rig)
-
-
-def _swapped(rig: Rig) -> Iterator[_Undone]:
-    """Two cameras under each other's names, or only their poses."""
-    for a, b in combinations(range(len(rig.cameras)), 2):
-        first, second = rig.cameras[a], rig.cameras[b]
-        names = f"{first.name}, {second.name}"
-        whole = {a: replace(second, name=first.name), b: replace(first, name=second.name)}
-        poses = {a: _moved(first, second.T_base_cam), b: _moved(second, first.T_base_cam)}
-        for swapped, what in ((whole, "they"), (poses, "their poses")):
-            cameras = [swapped.get(i, camera) for i, camera in enumerate(rig.cameras)]
-            yield _Undone(Finding(names, f"{what} seem to be swapped: exchange them"), _with(rig, cameras))
-
-
-def _rescaled(rig: Rig) -> Iterator[_Undone]:
-    """K of another resolution, of all cameras or of one."""
-    for ratio in RATIOS:
-        scaled = [_resized(camera, ratio) for camera in rig.cameras]
-        of = f"K seems to be of {ratio:.3g} times the image's resolution: scale it"
-        yield _Undone(Finding("", of), _with(rig, scaled))
-        for i, camera in enumerate(rig.cameras):
-            alone = [*rig.cameras[:i], scaled[i], *rig.cameras[i + 1 :]]
-            yield _Undone(Finding(camera.name, of), _with(rig, alone))
-
-
-def _resized(camera: RigCamera, ratio: float) -> RigCamera:
-    """The camera with K divided by a ratio of resolutions; pixel centres are whole numbers."""
-    K = camera.K / ratio
-    K[:2, 2] = (camera.K[:2, 2] + 0.5) / ratio - 0.5
-    K[2, 2] = 1
-    return replace(camera, K=K)
-
-
-def _scaled(T: Float64, factor: float) -> Float64:
-    """A pose with its translation multiplied."""
-    scaled = T.copy()
-    scaled[:3, 3] *= factor
-    return scaled
-
-
-def _opengl(T: Float64) -> Float64:
-    return np.asarray(T * np.array([1.0, -1.0, -1.0, 1.0]))
-
-
-def _transposed(T: Float64) -> Float64:
-    transposed = T.copy()
-    transposed[:3, :3] = T[:3, :3].T
-    return transposed
-
-
-def _moved(camera: RigCamera, T_base_cam: Float64) -> RigCamera:
-    return replace(camera, T_base_cam=T_base_cam)
-
-
-def _with(rig: Rig, cameras: Sequence[RigCamera]) -> Rig:
-    return replace(rig, cameras=tuple(cameras))
-
-
-def _of_other_resolution(camera: RigCamera) -> bool:
-    """Whether the principal point is off along both axes alike."""
-    shares = np.array([(camera.K[0, 2] + 0.5) / camera.width, (camera.K[1, 2] + 0.5) / camera.height])
-    return bool(abs(shares.mean() - 0.5) > CENTRE_LIMIT and abs(shares[0] - shares[1]) < SAME_SHARE)

@@ -1,0 +1,114 @@
+"""What is measured in metres beside a rig, depth and the arm, and what it says of the rig's unit and place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import permutations
+
+import cv2
+import numpy as np
+
+from twin_node.geometry import inverse_pose, transform
+from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.robot import ArmModel, robot_mask
+from twin_node.scene import Bool, Camera, FrameSet, Rig, RigCamera, View
+
+MOST_SETS = 12
+"""Sets looked at, evenly picked."""
+DEPTH_PIXELS, LEAST_DEPTHS = 400, 200
+"""Pixels per view whose depth is looked up in another view, and how many must be found in all for a verdict."""
+DEPTH_TOLERANCE_M, DEPTH_SHARE = 0.02, 0.03
+"""Depths agree within this and a share of their own: three sigma of stereo at arm's length."""
+MOVING_LEVELS = 25
+"""Difference from the median image, 8-bit levels in some channel, from which a pixel counts as moving."""
+
+
+def depth_agreement(rig: Rig, sets: Sequence[FrameSet]) -> float | None:
+    """Share of the points that one camera measures which another measures at the same place, 0 to 1.
+
+    `sets` of raw images of any size. None where too few are measured by two cameras to tell.
+    """
+    agreed = judged = 0
+    cameras = {camera.name: camera for camera in rig.cameras}
+    for frames in _some(sets):
+        for a, b in permutations([view for view in frames.views if view.depth is not None], 2):
+            near = _near(cameras[a.camera.name], a, cameras[b.camera.name], b)
+            agreed, judged = agreed + int(near.sum()), judged + len(near)
+    return agreed / judged if judged >= LEAST_DEPTHS else None
+
+
+def _near(camera_a: RigCamera, a: View, camera_b: RigCamera, b: View) -> Bool:
+    """[n] whether the points that a measures and that fall on measured pixels of b are at the depth measured there."""
+    assert a.depth is not None
+    assert b.depth is not None
+    rows, columns = np.nonzero(a.depth > 0)
+    chosen = np.linspace(0, len(rows) - 1, min(DEPTH_PIXELS, len(rows))).round().astype(int)
+    rows, columns = rows[chosen], columns[chosen]
+    pixels = (np.column_stack([columns, rows]) + 0.5) * (camera_a.width / a.depth.shape[1]) - 0.5
+    rays = np.column_stack([pixel_rays(camera_a, pixels), np.ones(len(pixels))])
+    points = transform(inverse_pose(camera_b.T_base_cam) @ camera_a.T_base_cam, rays * a.depth[rows, columns, None])
+    there = ((raw_pixels(camera_b, points) + 0.5) * (b.depth.shape[1] / camera_b.width)).astype(np.int64)
+    inside = (points[:, 2] > 0) & (there >= 0).all(1) & (there < b.depth.shape[::-1]).all(1)
+    measured = b.depth[there[inside, 1], there[inside, 0]]
+    off = np.abs(points[inside, 2] - measured)
+    return np.asarray((off < DEPTH_TOLERANCE_M + DEPTH_SHARE * measured)[measured > 0])
+
+
+class ArmInSight:
+    """When and where the images change, and where the arm was then: they fit under a rig that is right in the base."""
+
+    def __init__(self, arm: ArmModel, rig: Rig, sets: Iterable[FrameSet]) -> None:
+        """`sets` of raw images of any size."""
+        self._arm = arm
+        self._sets = _some([frames for frames in sets if frames.joints is not None])
+        views = [view for frames in self._sets for view in frames.views]
+        by_camera = {c.name: [view.rgb for view in views if view.camera.name == c.name] for c in rig.cameras}
+        self._still = {name: np.median(own, axis=0) for name, own in by_camera.items() if own}
+
+    def agreement(self, rig: Rig) -> float | None:
+        """How much more the images change where the arm is than where it was at other times, -1 to 1; None: unknown.
+
+        The difference between the changed shares inside the arm's outline, at its own time and at others.
+        """
+        cameras = {camera.name: camera for camera in rig.cameras}
+        gains = []
+        for name, still in self._still.items():
+            own = [(frames, view) for frames in self._sets for view in frames.views if view.camera.name == name]
+            changed = [np.abs(view.rgb.astype(np.int16) - still).max(-1) > MOVING_LEVELS for _, view in own]
+            camera = _pinhole(cameras[name], still.shape[1], still.shape[0])
+            masks = [self._mask(frames, camera) for frames, _ in own]
+            gains += _gains(masks, changed)
+        return float(np.mean(gains)) if len(gains) >= LEAST_GAINS else None
+
+    def _mask(self, frames: FrameSet, camera: Camera) -> Bool:
+        assert frames.joints is not None
+        return robot_mask(self._arm, self._arm.ordered_positions(frames.joints), camera, 0.0)
+
+
+LEAST_GAINS = 8
+"""Images in which the arm moves that are needed for a verdict."""
+
+
+def _gains(masks: Sequence[Bool], changed: Sequence[Bool]) -> list[float]:
+    """Per image: changed share in what the arm newly covers, less the same of the image half a recording later."""
+    gains = []
+    for i, mask in enumerate(masks):
+        other = (i + len(masks) // 2) % len(masks)
+        new = mask & ~masks[other]
+        new = cv2.erode(new.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        if new.sum() >= 20:
+            gains.append(float(changed[i][new].mean() - changed[other][new].mean()))
+    return gains
+
+
+def _pinhole(camera: RigCamera, width: int, height: int) -> Camera:
+    """The camera of reduced images, its lens's distortion left out: outlines are compared to some pixels."""
+    K = camera.K.copy()
+    K[:2, 2] += 0.5
+    K[:2] *= width / camera.width
+    return Camera(camera.name, width, height, K, camera.T_base_cam)
+
+
+def _some(sets: Sequence[FrameSet]) -> list[FrameSet]:
+    chosen = np.linspace(0, len(sets) - 1, min(MOST_SETS, len(sets))).round().astype(int)
+    return [sets[i] for i in chosen]
