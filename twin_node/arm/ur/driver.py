@@ -162,6 +162,8 @@ class UrDriver:
         self._can_resume = self._parameters.resumes and not is_safety
 
     def _acknowledge(self, now: int) -> None:
+        if self._halt is None:
+            return
         problem = self._look(now)
         if problem is None and self._sample is None:
             problem = "no state from the controller yet"
