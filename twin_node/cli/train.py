@@ -47,6 +47,7 @@ def add_train(commands: Any) -> None:
     train.add_argument("--gaussians", type=whole, metavar="N", help="at most N Gaussians (default 20000)")
     train.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint, exactly")
+    train.add_argument("--device", metavar="NAME", help="torch device, cuda for one (default cpu)")
     train.add_argument("--seed", type=int, metavar="N", help="seed of all that is drawn (default 0)")
     train.set_defaults(run=_train)
 
@@ -88,11 +89,11 @@ def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
     from twin_node.model.sequence import Trainer, TrainParameters, load_checkpoint
 
     if options.resume is not None:
-        for name in ("method", "seed", "gaussians"):
+        for name in ("method", "seed", "gaussians", "device"):
             if getattr(options, name) is not None:
                 raise TwinError(f"--{name}: expected without --resume, which goes on as {options.resume} began")
         return load_checkpoint(options.resume).resume(recording, options.steps)
-    given = {"method": options.method, "steps": options.steps, "seed": options.seed}
+    given = {"method": options.method, "steps": options.steps, "seed": options.seed, "device": options.device}
     parameters = replace(TrainParameters(), **{name: value for name, value in given.items() if value is not None})
     if options.gaussians is not None:
         start = min(parameters.start_gaussians, options.gaussians)

@@ -242,3 +242,8 @@ def test_outliers_do_not_stretch_the_box() -> None:
     start.means[0] = 1e4
     box = box_around(recording, start)
     assert box.reach < 1
+
+
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(ModelError, match="abacus"):
+        Trainer(block_recording(1), with_method("static", device="abacus"))

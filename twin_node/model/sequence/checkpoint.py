@@ -174,4 +174,5 @@ def _restore_adam(optimizer: torch.optim.Adam, tensors: Mapping[str, Tensor]) ->
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     for name, value in tensors.items():
         index, key = name.split(".")
-        optimizer.state[parameters[int(index)]][key] = value
+        parameter = parameters[int(index)]
+        optimizer.state[parameter][key] = value.to(parameter.device)

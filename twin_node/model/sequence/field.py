@@ -37,6 +37,10 @@ class Box:
         """Points [..., 3] in m as -1 to 1."""
         return (2 * (points - self.lower) / (self.upper - self.lower) - 1).clamp(-1, 1)
 
+    def to(self, device: torch.device) -> Box:
+        """The same box on a device."""
+        return Box(self.lower.to(device), self.upper.to(device))
+
     @property
     def reach(self) -> float:
         """Half the longest side, m: the unit that the decoder speaks in, so that rates do not depend on the scene."""

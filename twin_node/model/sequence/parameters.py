@@ -62,6 +62,8 @@ class TrainParameters:
 
     method: str = "hexplane"
     """One of `METHODS`."""
+    device: str = "cpu"
+    """Torch device that all of it happens on."""
     steps: int = 3000
     """Steps with the field. Published: 14,000 for 300 frames of 20 cameras."""
     coarse_share: float = 0.2

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
+from twin_node.model.parameters import ModelError
 from twin_node.model.ply import StoredGaussians
 from twin_node.model.sequence.canonical import CanonicalGaussians
 from twin_node.model.sequence.densify import PositionGradients, densify
@@ -16,16 +17,24 @@ from twin_node.model.sequence.parameters import TrainParameters
 from twin_node.model.sequence.recording import Recording
 from twin_node.model.sequence.seeding import box_around, start_gaussians
 from twin_node.model.sequence.sequence_model import SequenceModel, Span, draw
-from twin_node.scene import View
 
 
 def make_field(box: Box, steps: int, parameters: TrainParameters) -> SequenceField | None:
-    """The field of a method, for a sequence of `steps` time steps; None for the static one."""
+    """The field of a method, for a sequence of `steps` time steps, on the box's device; None for the static one."""
+    device = box.lower.device
     if parameters.method == "hexplane":
-        return SequenceHexPlane(box, steps, parameters.hexplane, parameters.seed)
+        return SequenceHexPlane(box, steps, parameters.hexplane, parameters.seed).to(device)
     if parameters.method == "hash":
-        return SequenceHashMlp(box, steps, parameters.hash, parameters.seed)
+        return SequenceHashMlp(box, steps, parameters.hash, parameters.seed).to(device)
     return None
+
+
+def usable_device(name: str) -> torch.device:
+    """The torch device of a name. Raises `ModelError` where there is none."""
+    try:
+        return torch.empty(0, device=name).device
+    except (RuntimeError, AssertionError):
+        raise ModelError(f"device: expected cpu or a CUDA device that is there, found '{name}'") from None
 
 
 class Trainer:
@@ -47,8 +56,8 @@ class Trainer:
         self.extent = recording.extent
         if start is None:
             start = start_gaussians(recording, p.start_gaussians, p.degree, p.seed)
-        self.box = box or box_around(recording, start)
-        self._device = torch.device("cpu")
+        self._device = usable_device(p.device)
+        self.box = (box or box_around(recording, start)).to(self._device)
         gaussians = CanonicalGaussians(start, p.rates, self.extent, self._device)
         field = make_field(self.box, recording.steps, p)
         self.model = SequenceModel(gaussians, field, Span(recording.first, recording.last), recording.background)
@@ -56,8 +65,6 @@ class Trainer:
         self.field_optimizer = None if field is None else self._field_optimizer(field)
         self.step = 0
         """Steps taken, of both stages."""
-        self._images = [_image(view) for view in recording.train]
-        self._weights = [None if view.valid is None else torch.from_numpy(view.valid) for view in recording.train]
 
     @property
     def finished(self) -> bool:
@@ -110,8 +117,10 @@ class Trainer:
 
     def _loss(self, rgb: Tensor, index: int) -> Tensor:
         p = self.parameters
-        target = self._images[index].float() / 255
-        return splat.image_loss(rgb, target, weights=self._weights[index], l1=p.l1, ssim=p.ssim)
+        view = self.recording.train[index]
+        target = torch.from_numpy(view.rgb).to(self._device).float() / 255
+        weights = None if view.valid is None else torch.from_numpy(view.valid).to(self._device)
+        return splat.image_loss(rgb, target, weights=weights, l1=p.l1, ssim=p.ssim)
 
     def _apply(self) -> None:
         for optimizer in (self.model.gaussians.optimizer, self.field_optimizer if self.moving else None):
@@ -149,8 +158,3 @@ class Trainer:
         """Draws that depend on the seed, what they are for, and a number alone."""
         mixed = ((self.parameters.seed * 8 + purpose) << 40) + number
         return torch.Generator().manual_seed(mixed % 2**63)
-
-
-def _image(view: View) -> Tensor:
-    """[H, W, 3] uint8: four times smaller than floats, for long recordings."""
-    return torch.from_numpy(view.rgb)
