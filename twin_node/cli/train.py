@@ -76,8 +76,10 @@ def _train(options: argparse.Namespace) -> None:
                 bar.set_postfix(loss=f"{loss:.4f}", gaussians=len(trainer.model.gaussians), refresh=False)
                 if trainer.step % SAVE_EVERY == 0:
                     save_checkpoint(trainer, options.output)
-        finally:
+        except KeyboardInterrupt:
             save_checkpoint(trainer, options.output)
+            raise
+    save_checkpoint(trainer, options.output)
     _report(trainer, options.output)
 
 
@@ -113,3 +115,5 @@ def _report(trainer: Trainer, path: Path) -> None:
         f"{path}: {len(model.gaussians)} Gaussians, {model.parameters_count} parameters, "
         f"PSNR {mean_psnr(model, chosen):.2f} dB on {len(chosen)} {kind} images"
     )
+    if trainer.refused:
+        print(f"{trainer.refused} steps were not taken: their gradients were not finite")

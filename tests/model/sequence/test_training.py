@@ -247,3 +247,18 @@ def test_outliers_do_not_stretch_the_box() -> None:
 def test_a_device_that_is_not_there_is_named() -> None:
     with pytest.raises(ModelError, match="abacus"):
         Trainer(block_recording(1), with_method("static", device="abacus"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_gradient_that_is_not_finite_is_not_followed(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    trainer = Trainer(block_recording(), with_method(method, coarse_share=0.0))
+    run(trainer, 2)
+    before = trainer.model.gaussians.stored()
+    with monkeypatch.context() as patch:
+        patch.setattr("twin_node.splat.image_loss", lambda rgb, *_, **__: rgb.sum() * float("nan"))
+        trainer.advance()
+    assert trainer.refused == 1
+    for name, value in vars(trainer.model.gaussians.stored()).items():
+        np.testing.assert_array_equal(value, vars(before)[name])
+    assert np.isfinite(trainer.advance()) and bool(torch.isfinite(trainer.gradients.sums).all())
+    assert trainer.refused == 1

@@ -65,6 +65,8 @@ class Trainer:
         self.field_optimizer = None if field is None else self._field_optimizer(field)
         self.step = 0
         """Steps taken, of both stages."""
+        self.refused = 0
+        """Steps since the start (or the checkpoint) whose gradients were not finite and were therefore not followed."""
 
     @property
     def finished(self) -> bool:
@@ -111,7 +113,8 @@ class Trainer:
         torch.autograd.backward(whole)
         for view, placed, drawn_radii in zip(views, means, radii, strict=True):
             if placed.grad is not None:
-                self.gradients.add(view.camera, placed, placed.grad * len(views), drawn_radii)
+                pull = torch.nan_to_num(placed.grad * len(views), 0.0, 0.0, 0.0)
+                self.gradients.add(view.camera, placed, pull, drawn_radii)
         self._apply()
         return float(total.detach())
 
@@ -123,10 +126,17 @@ class Trainer:
         return splat.image_loss(rgb, target, weights=weights, l1=p.l1, ssim=p.ssim)
 
     def _apply(self) -> None:
-        for optimizer in (self.model.gaussians.optimizer, self.field_optimizer if self.moving else None):
-            if optimizer is not None:
+        """Follows the gradients that were just computed, if all of them are finite."""
+        taking_part = (self.model.gaussians.optimizer, self.field_optimizer if self.moving else None)
+        optimizers = [optimizer for optimizer in taking_part if optimizer is not None]
+        groups = [group for optimizer in optimizers for group in optimizer.param_groups]
+        gradients = [p.grad for group in groups for p in group["params"] if p.grad is not None]
+        finite = all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
+        self.refused += not finite
+        for optimizer in optimizers:
+            if finite:
                 optimizer.step()
-                optimizer.zero_grad(set_to_none=True)
+            optimizer.zero_grad(set_to_none=True)
 
     def _schedule(self) -> None:
         """Rates fall exponentially: the means' over both stages, the field's over its own."""
