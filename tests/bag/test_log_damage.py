@@ -150,7 +150,7 @@ def test_missing_paths_and_folders_without_a_bag_are_refused(tmp_path: Path) -> 
         (
             "rosbag2_bagfile_information: "
             "{relative_file_paths: [a], topics_with_message_count: [], compression_mode: FILE}",
-            "FILE compression",
+            "compressed with ''; expected zstd",
         ),
     ],
 )

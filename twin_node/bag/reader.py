@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from twin_node.bag import mcap_storage, sqlite_storage
+from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
 from twin_node.bag.mcap_storage import McapStorage
 from twin_node.bag.sqlite_storage import SqliteStorage
@@ -155,18 +156,14 @@ def _open_folder(folder: Path) -> LogReader:
     formats = {topic["topic_metadata"]["serialization_format"] for topic in information["topics_with_message_count"]}
     if formats - {"cdr"}:
         raise BagError(f"{file}: expected messages in cdr, found {', '.join(sorted(formats))}; convert the bag to cdr")
-    if information.get("compression_mode"):
-        raise BagError(
-            f"{file}: rosbag2 {information['compression_mode']} compression; expected none (or MCAP's own); convert it "
-            "with `ros2 bag convert`"
-        )
+    compression = Compression.of(information, file)
     paths = [folder / PurePosixPath(name).name for name in information["relative_file_paths"]]
     missing = [path.name for path in paths if not path.is_file()]
     if missing or not paths:
         raise BagError(
             f"{file}: names files that are not there: {', '.join(missing) or 'none at all'}; copy the whole bag"
         )
-    return _open_files(folder, paths, _custom_data(information))
+    return _open_files(folder, paths, _custom_data(information), compression)
 
 
 def _bag_information(file: Path) -> Any:
@@ -193,10 +190,19 @@ def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
     return records
 
 
-def _open_files(path: Path, files: Collection[Path], metadata: Mapping[str, Mapping[str, str]]) -> LogReader:
+def _open_files(
+    path: Path,
+    files: Collection[Path],
+    metadata: Mapping[str, Mapping[str, str]],
+    compression: Compression = Compression.NONE,
+) -> LogReader:
     storages: list[Storage] = []
     try:
-        storages.extend(_open_file(file) for file in files)
+        for file in files:
+            with unpacked(file, compression) as plain:
+                storages.append(_open_file(plain))
+        if compression is Compression.MESSAGE:
+            storages = [UnpackedMessages(path, storage) for storage in storages]
         return LogReader(path, storages, metadata)
     except BaseException:
         for storage in storages:

@@ -63,7 +63,7 @@ class RecordingWriter:
     """Writes messages as they come. Nothing is lost of what is older than half a second, however it ends.
 
     `path` ends in `.mcap` for one file, which cannot be split, or is a new folder: NAME_0.mcap, NAME_1.mcap and so on,
-    and `metadata.yaml` at the end. Latched messages stand at the beginning of every file again, so that each is whole.
+    and `metadata.yaml`. Latched messages stand at the beginning of every file again, so that each is whole.
     Raises `BagError` for a path that exists, and where the disk refuses; what was written by then can be read.
     """
 
@@ -137,9 +137,7 @@ class RecordingWriter:
         self._is_closed = True
         try:
             self._end_file()
-            if self.path.is_dir():
-                text = yaml.safe_dump(self._metadata(), sort_keys=False)
-                (self.path / METADATA_FILE).write_text(text, encoding="utf-8")
+            self._write_metadata()
         except OSError as error:
             raise self._refused(error) from None
 
@@ -157,6 +155,14 @@ class RecordingWriter:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
         writer.start(PROFILE, LIBRARY)
         self._files.append(_File(path, stream, writer))
+        self._write_metadata()
+
+    def _write_metadata(self) -> None:
+        """Puts a folder's metadata in place, whole: it names all files, so that an interrupted recording opens too."""
+        if self.path.suffix != ".mcap":
+            new = self.path / f"{METADATA_FILE}.new"
+            new.write_text(yaml.safe_dump(self._metadata(), sort_keys=False), encoding="utf-8")
+            new.replace(self.path / METADATA_FILE)
 
     def _end_file(self) -> None:
         self._files[-1].writer.finish()

@@ -7,12 +7,15 @@ import os
 import sys
 
 from twin_node import __version__
+from twin_node.cli.bag import add_play, add_record
 from twin_node.cli.bake import add_bake
 from twin_node.cli.bench import add_bench
 from twin_node.cli.calibrate import add_calibrate
+from twin_node.cli.doctor import add_doctor
 from twin_node.cli.export import add_export
 from twin_node.cli.imports import add_import
 from twin_node.cli.launch import add_launch
+from twin_node.cli.logs import add_check, add_info
 from twin_node.cli.render import add_render
 from twin_node.cli.replay import add_demo, add_replay
 from twin_node.cli.sim import add_sim
@@ -44,6 +47,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     add_replay(commands)
     add_launch(commands)
+    add_record(commands)
+    add_play(commands)
+    add_info(commands)
+    add_check(commands)
+    add_doctor(commands)
     add_import(commands)
     add_demo(commands)
     add_bench(commands)

@@ -73,10 +73,11 @@ def open_router(parameters: ZenohParameters) -> Any | None:
     if parameters.router == "external":
         return None
     path = parameters.router_config or os.environ.get(ROUTER_CONFIG_VARIABLE, "")
+    config = _from_file(path) if path else _router_config(parameters)
     try:
-        return _open(_from_file(path) if path else _router_config(parameters))
+        return _open(config)
     except WireError:
-        if parameters.router == "builtin" or path:
+        if parameters.router == "builtin":
             raise
         return None
 

@@ -15,7 +15,7 @@ from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameters import fill
-from twin_node.runtime.wire import Encoded, Wire
+from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import Traffic, WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -30,7 +30,7 @@ DIAGNOSTICS_PERIOD_S = 1.0
 class NodeThread:
     """One node, made anew whenever time jumps: nothing that it knew is true then."""
 
-    def __init__(self, name: str, order: Order, wire: Wire, clock: Clock, on_end: Callable[[], None]) -> None:
+    def __init__(self, name: str, order: Order, wire: ZenohWire, clock: Clock, on_end: Callable[[], None]) -> None:
         """`on_end()` is called, in the node's thread, when it has finished or failed."""
         self.name = name
         self.error: BaseException | None = None
@@ -70,7 +70,16 @@ class NodeThread:
 
     def _make(self, timers: Executor) -> None:
         self._bus = WireBus(self._wire, self._executor, self.name, kind_of)
-        setup = Setup(self.name, self._bus, self._clock, timers, self._order.sections, self._order.where, self._finish)
+        setup = Setup(
+            self.name,
+            self._bus,
+            self._clock,
+            timers,
+            self._order.sections,
+            self._order.where,
+            self._finish,
+            self._wire.endpoints,
+        )
         self._node = find_factory(self.name)(setup)
         self._node.configure()
 

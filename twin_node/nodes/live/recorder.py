@@ -8,13 +8,16 @@ from functools import partial
 from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter, SplitParameters
-from twin_node.messages import convert
+from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import RECORDED, GraphError, kind_of
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import EVERY, LATCHED, Qos, TopicKind
+from twin_node.runtime.rmw_zenoh import EntityKind
 from twin_node.runtime.wire import Encoded
 
+DISCOVERY_S = 0.2
+"""How often the graph is looked over for topics to record, s."""
 FLUSH_TIMER_S = 0.25
 """How often a recorder without messages looks whether a chunk is due, s: half of its time."""
 
@@ -26,6 +29,8 @@ class RecordParameters:
     output: str = ""
     """New `.mcap` file, or new folder."""
     topics: tuple[str, ...] = RECORDED
+    all: bool = False
+    """Every topic of the graph whose type is known here, also those that come later."""
     split: SplitParameters = field(default_factory=SplitParameters)
 
 
@@ -45,7 +50,10 @@ class LiveRecorderNode(Node):
         super().__init__(setup.name, setup.bus, setup.clock)
         self._bus = setup.bus
         self._timers = setup.timers
-        self._topics: Sequence[str] = parameters.topics
+        self._topics: Sequence[str] = () if parameters.all else parameters.topics
+        self._is_all = parameters.all
+        self._endpoints = setup.endpoints
+        self._added: set[str] = set()
         self._writer: RecordingWriter | None = RecordingWriter(_unused(Path(parameters.output)), parameters.split)
         self._error: BagError | None = None
 
@@ -56,7 +64,10 @@ class LiveRecorderNode(Node):
 
     def on_configure(self) -> None:
         for topic in self._topics:
-            self.add(topic, kind_of(topic))
+            if kind_of(topic).msgtype is not None:
+                self.add(topic, kind_of(topic))
+        self._find_more()
+        self._timers.every(DISCOVERY_S, self._find_more)
         self._timers.every(FLUSH_TIMER_S, self._flush)
 
     def on_cleanup(self) -> None:
@@ -64,9 +75,20 @@ class LiveRecorderNode(Node):
 
     def add(self, topic: str, kind: TopicKind) -> None:
         """Record a topic from now on."""
+        self._added.add(topic)
         qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos == LATCHED or kind.qos.latched else EVERY
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
         self._bus.subscribe_raw(topic, partial(self._write, topic))
+
+    def _find_more(self) -> None:
+        """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
+        if not self._is_all and all(topic in self._added for topic in self._topics):
+            return
+        for endpoint in self._endpoints():
+            is_wanted = self._is_all or endpoint.topic in self._topics
+            is_new = endpoint.kind is EntityKind.PUBLISHER and endpoint.topic not in self._added
+            if is_wanted and is_new and endpoint.msgtype in builtin_types():
+                self.add(endpoint.topic, TopicKind(endpoint.msgtype, endpoint.qos))
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How much was written, or why no more is."""

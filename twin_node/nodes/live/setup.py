@@ -13,6 +13,7 @@ from twin_node.nodes.live.sections import Sections
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
 from twin_node.runtime.parameters import EVERY_NODE, fill
+from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
 
 T = TypeVar("T")
@@ -31,6 +32,8 @@ class Setup:
     """What errors about parameters name: the launch file, or the command."""
     finish: Callable[[], None]
     """The node calls this when it has nothing more to do."""
+    endpoints: Callable[[], tuple[Endpoint, ...]]
+    """Publishers and subscribers of the whole graph, as far as they are known by now."""
 
     def parameters(self, kind: type[T], section: str | None = None) -> T:
         """The dataclass `kind` filled from the node's section and, for keys that it has, from `/**`.

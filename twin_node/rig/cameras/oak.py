@@ -303,3 +303,9 @@ def _paired(frame: Any, depths: list[Any], waiting: Any) -> Float32 | None:
         return None
     best = min(near, key=lambda d: abs(_ns(d.getTimestamp()) - stamp))
     return np.asarray(best.getFrame(), dtype=np.uint16).astype(np.float32) / np.float32(1000)
+
+
+def plugged_in() -> tuple[str, ...]:
+    """One line for every device that depthai finds. Raises `RigError` where depthai is not installed."""
+    found = _depthai().Device.getAllAvailableDevices()
+    return tuple(f"{info.getDeviceId()}  {info.name}  {info.state.name}" for info in found)

@@ -1,0 +1,142 @@
+"""Recordings: split files, what an interrupted one holds, a full disk, and bags that rosbag2 has compressed."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+
+from twin_node.bag import BagError, RecordingWriter, SplitParameters, open_log
+from twin_node.messages import builtin_types, message_type, serialize
+
+STRING = "std_msgs/msg/String"
+STEP = 100_000_000
+
+
+def text(data: str) -> bytes:
+    return bytes(serialize(message_type(STRING)(data=data)))
+
+
+def fill(writer: RecordingWriter, count: int, size: int = 100) -> None:
+    types = builtin_types()
+    writer.write("/tf_static", STRING, text("where things are"), 0, types)
+    for i in range(1, count):
+        writer.write("/a", STRING, text(str(i).zfill(size)), i * STEP, types)
+
+
+def stamps_of(path: Path, topic: str = "/a") -> list[int]:
+    with open_log(path) as log:
+        return [message.stamp for message in log.messages([topic])]
+
+
+def test_a_folder_is_split_by_time_and_each_file_stands_alone(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        fill(writer, 30)
+    files = sorted(path.name for path in (tmp_path / "run").iterdir())
+    assert files == ["metadata.yaml", "run_0.mcap", "run_1.mcap", "run_2.mcap"]
+    assert stamps_of(tmp_path / "run") == [i * STEP for i in range(1, 30)]
+    for name in files[1:]:
+        with open_log(tmp_path / "run" / name) as log:
+            assert [m.message.data for m in log.messages(["/tf_static"])] == ["where things are"]
+    with Reader(tmp_path / "run") as bag:
+        assert bag.message_count == 29 + 3
+        assert sum(1 for _ in bag.messages()) == 29 + 3
+
+
+def test_a_folder_is_split_by_size(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_size_mb=0.01)) as writer:
+        fill(writer, 30, size=1000)
+    assert len(writer.files) == 3
+    assert len(stamps_of(tmp_path / "run")) == 29
+
+
+def test_one_file_is_read_by_mcap_s_own_reader(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        fill(writer, 10)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file)
+        assert reader.get_header().profile == "ros2"
+        assert sum(1 for _ in reader.iter_messages()) == 10
+
+
+def record_and_die(path: Path) -> None:
+    writer = RecordingWriter(path, SplitParameters(max_duration_s=1.0) if not path.suffix else None)
+    fill(writer, 25)
+    writer._flushed_at = 0.0  # as if its half second had passed
+    writer.flush_if_due()
+    os._exit(9)
+
+
+@pytest.mark.parametrize("name", ["run", "run.mcap"])
+def test_what_a_killed_recorder_has_written_is_read(tmp_path: Path, name: str) -> None:
+    process = multiprocessing.get_context("spawn").Process(target=record_and_die, args=(tmp_path / name,))
+    process.start()
+    process.join()
+    assert process.exitcode == 9
+    assert stamps_of(tmp_path / name) == [i * STEP for i in range(1, 25)]
+    with open_log(tmp_path / name) as log:
+        assert log.damage is not None
+        assert "ends in the middle" in log.damage
+
+
+class FullDisk:
+    """A file on a disk that takes no more than so many bytes."""
+
+    def __init__(self, stream: Any, room: int) -> None:
+        self._stream, self._room = stream, room
+
+    def write(self, data: bytes) -> int:
+        self._room -= len(data)
+        if self._room < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return int(self._stream.write(data))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, open_file = tmp_path / "run.mcap", Path.open
+    monkeypatch.setattr(Path, "open", lambda p, *a, **k: FullDisk(open_file(p, *a, **k), 20_000))
+    writer = RecordingWriter(path)
+    with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\).*can be read; free space"):
+        for i in range(1, 1000):
+            writer.write("/a", STRING, text("x" * 500), i * STEP, builtin_types())
+            writer._flushed_at = 0.0
+    monkeypatch.undo()
+    stamps = stamps_of(path)
+    assert len(stamps) > 20
+    assert stamps == [i * STEP for i in range(1, len(stamps) + 1)]
+
+
+def test_wrong_places_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    for name, split, words in (
+        ("there", None, "exists already"),
+        ("run.bag", None, "expected a name ending in .mcap"),
+        ("run.mcap", SplitParameters(max_size_mb=1), "one file cannot be split"),
+        ("no/such/run.mcap", None, "cannot be written"),
+    ):
+        with pytest.raises(BagError, match=words):
+            RecordingWriter(tmp_path / name, split)
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_bags_that_rosbag2_compressed_are_read(
+    tmp_path: Path, plugin: StoragePlugin, mode: Literal["FILE", "MESSAGE"]
+) -> None:
+    packed = Writer(tmp_path / "packed", version=8, storage_plugin=plugin)
+    packed.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with packed as bag:
+        connection = bag.add_connection("/a", STRING, msgdef="string data", rihs01=builtin_types().type_hash(STRING))
+        for i in range(1, 5):
+            bag.write(connection, i, text(f"message {i}"))
+    with open_log(tmp_path / "packed") as log:
+        assert [m.message.data for m in log.messages()] == [f"message {i}" for i in range(1, 5)]

@@ -1,0 +1,151 @@
+"""`record`, `play`, `info`, `check` and `doctor` as a user runs them, with zenoh's own configuration files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from twin_node.bag import RecordingWriter, open_log
+from twin_node.cell.scenario import Fault
+from twin_node.cli import main
+from twin_node.messages import builtin_types, message_type, serialize
+
+PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    """Environment whose zenoh files lead to a port of the test's own."""
+    pytest.importorskip("zenoh")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    common = "scouting: {multicast: {enabled: false}}, timestamping: {enabled: true}"
+    session, router = tmp_path / "session.json5", tmp_path / "router.json5"
+    session.write_text(f"{{mode: 'peer', connect: {{endpoints: ['{endpoint}']}}, {common}}}")
+    router.write_text(f"{{mode: 'router', listen: {{endpoints: ['{endpoint}']}}, {common}}}")
+    own = {"ZENOH_SESSION_CONFIG_URI": str(session), "ZENOH_ROUTER_CONFIG_URI": str(router), "ROS_DOMAIN_ID": "7"}
+    return {**os.environ, **own}
+
+
+@pytest.fixture
+def start(environment: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """`start(*arguments)`: a `twin_node` process, ended with the test."""
+    running: list[subprocess.Popen[str]] = []
+
+    def begin(*arguments: str, **more: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", "import sys; from twin_node.cli import main; sys.exit(main())", *arguments]
+        process = subprocess.Popen(command, env={**environment, **more}, stdout=subprocess.PIPE, text=True)
+        running.append(process)
+        return process
+
+    yield begin
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def small_log(path: Path) -> Path:
+    string = message_type("std_msgs/msg/String")
+    with RecordingWriter(path) as log:
+        for i in range(20):
+            log.write(
+                "/chatter",
+                "std_msgs/msg/String",
+                bytes(serialize(string(data=str(i)))),
+                i * 50_000_000,
+                builtin_types(),
+            )
+    return path
+
+
+def wait_for_messages(folder: Path, recorder: subprocess.Popen[str]) -> None:
+    """Until a recording holds something."""
+    until = time.monotonic() + PATIENCE_S
+    file = folder / f"{folder.name}_0.mcap"
+    while time.monotonic() < until:
+        if file.exists() and b"/chatter" in file.read_bytes():
+            return
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            recorder.wait(0.2)
+    raise AssertionError("nothing was recorded")
+
+
+def test_what_is_played_is_recorded(tmp_path: Path, start: Callable[..., subprocess.Popen[str]]) -> None:
+    log, out = small_log(tmp_path / "small.mcap"), tmp_path / "out"
+    recorder = start("record", "--all", "-o", str(out))
+    assert recorder.stdout is not None and recorder.stdout.readline().startswith("recording into")
+    player = start("play", str(log), "--loop", "--rate", "2")
+    wait_for_messages(out, recorder)
+    for process in (player, recorder):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 0
+    with open_log(out) as written, open_log(log) as read:
+        assert written.damage is None
+        known = {bytes(m.data) for m in read.messages()}
+        heard = [bytes(m.data) for m in written.messages(["/chatter"])]
+    assert heard
+    assert set(heard) <= known
+
+
+def test_info_and_check_of_a_sound_log(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(cell_log(1.2)), "--json"]) == 0
+    held = json.loads(capsys.readouterr().out)
+    assert held["damage"] is None
+    assert {"/tf_static", "/joint_states"} <= {topic["name"] for topic in held["topics"]}
+    assert main(["check", str(cell_log(1.2))]) == 0
+    assert "sound" in capsys.readouterr().out
+
+
+def test_check_names_what_is_wrong(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    faults = (
+        Fault("missing", "cam_left", 0.4, 0.8),
+        Fault("nan_depth", "cam_back", 0.0, 9.0),
+        Fault("unsorted_stamps", "cam_front", 0.0, 9.0),
+    )
+    assert main(["check", str(cell_log(1.2, *faults)), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    said = {topic["name"]: " ".join(topic["faults"]) for topic in found["topics"]}
+    assert "gaps" in said["/cam_left/image_raw/compressed"]
+    assert "none of the" in said["/cam_back/depth/image_rect"]
+    assert "run backwards" in said["/cam_front/image_raw/compressed"]
+    assert said["/joint_states"] == ""
+
+
+def test_check_tells_degrees_from_radians_and_missing_calibration(
+    tmp_path: Path, cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_log(cell_log(1.2)) as log, RecordingWriter(tmp_path / "odd.mcap") as odd:
+        for message in log.messages():
+            if message.topic == "/tf_static":
+                continue
+            data = message.data
+            if message.topic == "/joint_states":
+                content = message.message
+                content.position = content.position * 57.3
+                data = bytes(serialize(content))
+            odd.write(message.topic, message.msgtype, data, message.stamp, log.types)
+    assert main(["check", str(tmp_path / "odd.mcap")]) == 1
+    said = capsys.readouterr().out
+    assert "are they degrees?" in said
+    assert "no transforms join it to base_link" in said
+
+
+def test_doctor_says_that_nobody_is_there(
+    environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("ZENOH_SESSION_CONFIG_URI", "ZENOH_ROUTER_CONFIG_URI", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, environment[name])
+    assert main(["doctor", "--seconds", "0.1"]) == 1
+    assert "found: nobody is there" in capsys.readouterr().out

@@ -1,0 +1,83 @@
+"""`twin_node record` and `twin_node play`: logs of a live graph, under the flags of `ros2 bag`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from twin_node.cli.arguments import not_negative, positive
+
+
+def add_record(commands: Any) -> None:
+    """Adds `record` to the subcommands."""
+    record = commands.add_parser(
+        "record",
+        help="record topics of a live graph",
+        description="Record until Ctrl-C. What was written can be read whatever ends the recorder.",
+    )
+    record.add_argument("topics", nargs="*", metavar="TOPIC", help="default: what a twin publishes")
+    record.add_argument("-a", "--all", action="store_true", help="all topics, also those that come later")
+    record.add_argument("-o", "--output", type=Path, metavar="OUT", help="new .mcap file or folder")
+    record.add_argument("-b", "--max-bag-size", type=not_negative, default=0.0, metavar="BYTES", help="split at a size")
+    record.add_argument("-d", "--max-bag-duration", type=not_negative, default=0.0, metavar="S", help="split at a time")
+    record.set_defaults(run=_record)
+
+
+def add_play(commands: Any) -> None:
+    """Adds `play` to the subcommands."""
+    play = commands.add_parser(
+        "play",
+        help="play a log to a live graph",
+        description="Play a log under the flags of `ros2 bag play`. Enter pauses and goes on.",
+    )
+    play.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    play.add_argument("-r", "--rate", type=positive, default=1.0, metavar="R", help="speed (default 1)")
+    play.add_argument("-l", "--loop", action="store_true", help="again and again; time jumps back each time")
+    play.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so much later")
+    play.add_argument("--playback-duration", type=not_negative, default=0.0, metavar="S", help="end so much after")
+    play.add_argument("--delay", type=not_negative, default=0.5, metavar="S", help="wait before the first message")
+    play.add_argument(
+        "--clock", type=positive, nargs="?", const=40.0, default=0.0, metavar="HZ", help="publish /clock (default 40)"
+    )
+    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these")
+    play.add_argument("-m", "--remap", nargs="+", default=[], metavar="A:=B", help="publish topic A as B")
+    play.add_argument("-p", "--start-paused", action="store_true")
+    play.add_argument("--read-ahead-queue-size", type=int, default=1000, metavar="N", help="messages (default 1000)")
+    play.set_defaults(run=_play)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from twin_node.nodes.live.single import run_single
+
+    output = options.output or Path(f"rosbag2_{time.strftime('%Y_%m_%d-%H_%M_%S')}")
+    parameters: dict[str, Any] = {
+        "output": str(output),
+        "all": options.all,
+        "split": {"max_size_mb": options.max_bag_size / 1e6, "max_duration_s": options.max_bag_duration},
+    }
+    if options.topics:
+        parameters["topics"] = [topic if topic.startswith("/") else f"/{topic}" for topic in options.topics]
+    print(f"recording into {output}; Ctrl-C ends it", flush=True)
+    run_single("recorder", parameters, "record")
+
+
+def _play(options: argparse.Namespace) -> None:
+    from twin_node.nodes.live.single import run_single
+
+    names = ("rate", "loop", "start_offset", "playback_duration", "delay", "clock", "topics", "remap", "start_paused")
+    parameters = {name: getattr(options, name) for name in (*names, "read_ahead_queue_size")}
+
+    def listen(node: Any) -> None:
+        threading.Thread(target=_toggle_pause, args=(node,), name="keyboard", daemon=True).start()
+
+    run_single("player", {"log": str(options.log), **parameters}, "play", listen if sys.stdin.isatty() else None)
+
+
+def _toggle_pause(player: Any) -> None:
+    for _ in sys.stdin:
+        player.pause(not player.is_paused)
+        print("paused" if player.is_paused else "playing", flush=True)

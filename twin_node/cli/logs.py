@@ -1,0 +1,92 @@
+"""`twin_node info` and `twin_node check`: what a log holds, and what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+
+def add_info(commands: Any) -> None:
+    """Adds `info` to the subcommands."""
+    info = commands.add_parser("info", help="say what a log holds")
+    info.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    info.add_argument("--json", action="store_true", help="print one JSON object")
+    info.set_defaults(run=_info)
+
+
+def add_check(commands: Any) -> None:
+    """Adds `check` to the subcommands."""
+    check = commands.add_parser(
+        "check",
+        help="look a log over: gaps, jitter, skew, calibration, units",
+        description="Read a whole log and name what would trouble the twin. Exit status: 0 sound, 1 something found.",
+    )
+    check.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    check.add_argument("--json", action="store_true", help="print one JSON object")
+    check.set_defaults(run=_check)
+
+
+def _info(options: argparse.Namespace) -> None:
+    from twin_node.bag import open_log
+
+    with open_log(options.log) as log:
+        seconds = (log.end_ns - log.start_ns) / 1e9
+        messages = sum(topic.count for topic in log.topics)
+        if options.json:
+            topics = [dataclasses.asdict(topic) for topic in log.topics]
+            print(
+                json.dumps(
+                    {
+                        "start_ns": log.start_ns,
+                        "seconds": seconds,
+                        "messages": messages,
+                        "topics": topics,
+                        "metadata": {k: dict(v) for k, v in log.metadata.items()},
+                        "damage": log.damage,
+                    }
+                )
+            )
+            return
+        start = datetime.fromtimestamp(log.start_ns / 1e9, tz=timezone.utc)
+        print(f"{log.path}: {seconds:.2f} s from {start:%Y-%m-%d %H:%M:%S} UTC, {messages} messages")
+        width = max(len(topic.name) for topic in log.topics)
+        for topic in log.topics:
+            kept = ", latched" if topic.latched else ""
+            print(f"  {topic.name:{width}}  {topic.count:7d}  {topic.msgtype}{kept}")
+        for name in log.metadata:
+            print(f"  metadata: {name}")
+        if log.damage:
+            print(f"damage: {log.damage}")
+
+
+def _check(options: argparse.Namespace) -> int:
+    from twin_node.bag import open_log
+    from twin_node.nodes.log_check import check_log
+
+    with open_log(options.log) as log:
+        found = check_log(log)
+    if options.json:
+        print(json.dumps(_without_nan({"sound": found.is_sound, **dataclasses.asdict(found)})))
+    else:
+        width = max(len(topic.name) for topic in found.topics)
+        for topic in found.topics:
+            rate = "" if math.isnan(topic.statistics.rate_hz) else f"{topic.statistics.rate_hz:8.2f} Hz"
+            print(f"{topic.name:{width}}  {topic.statistics.count:7d}  {rate:>11}  {'; '.join(topic.faults) or 'ok'}")
+        for fault in found.faults:
+            print(f"found: {fault}")
+        print("sound" if found.is_sound else "not sound: see above")
+    return 0 if found.is_sound else 1
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON knows no NaN and no infinity: null stands for what is not known."""
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,99 @@
+"""Listens to a live graph for a while and says what it found."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from twin_node.messages import builtin_types, convert, header_stamp
+from twin_node.nodes.stream_statistics import FEWEST, faults_of, statistics_of
+from twin_node.nodes.topics import COMPRESSED, DIAGNOSTICS, RAW, kind_of
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind
+from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.runtime.zenoh_wire import ZenohWire
+
+REGULAR_TYPES = (COMPRESSED, RAW, "sensor_msgs/msg/JointState")
+DISCOVERY_S = 0.5
+"""Time given to the graph to make itself known, s."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a doctor has to say."""
+
+    lines: tuple[str, ...]
+    faults: tuple[str, ...]
+
+
+def examine(wire: ZenohWire, seconds: float) -> Findings:
+    """Listens to every topic of the graph for `seconds`."""
+    executor = Executor()
+    bus = WireBus(wire, executor, "doctor", kind_of)
+    stamps: dict[str, list[int]] = defaultdict(list)
+    delays: dict[str, list[int]] = defaultdict(list)
+    newest: dict[str, convert.Diagnosis] = {}
+
+    def hear(topic: str, message: Encoded) -> None:
+        stamp = time.time_ns()
+        if message.msgtype in REGULAR_TYPES:
+            taken = header_stamp(message.decode())
+            delays[topic].append(stamp - taken)
+            stamp = taken
+        stamps[topic].append(stamp)
+        if topic == DIAGNOSTICS:
+            newest.update(
+                {diagnosis.name: diagnosis for diagnosis in convert.diagnostics_from_message(message.decode())}
+            )
+
+    _spin(executor, wire, DISCOVERY_S)
+    endpoints = [endpoint for endpoint in wire.endpoints() if endpoint.node.name != "doctor"]
+    published = {e.topic: e for e in endpoints if e.kind is EntityKind.PUBLISHER}
+    for topic, endpoint in published.items():
+        if endpoint.msgtype in builtin_types():
+            bus.declare(topic, TopicKind(endpoint.msgtype, endpoint.qos))
+            bus.subscribe_raw(topic, partial(hear, topic))
+    _spin(executor, wire, seconds)
+    lines, faults = [], [*_graph_faults(endpoints)]
+    if not endpoints:
+        faults.append("nobody is there: start a graph ('twin_node launch'), or check the router and ROS_DOMAIN_ID")
+    width = max((len(topic) for topic in published), default=0)
+    for topic, endpoint in sorted(published.items()):
+        statistics = statistics_of(stamps[topic])
+        rate = f"{statistics.rate_hz:8.2f} Hz" if statistics.count >= FEWEST else ""
+        lag = f"  {np.median(delays[topic]) / 1e6:6.1f} ms old" if delays[topic] else ""
+        lines.append(
+            f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {endpoint.msgtype} of {endpoint.node.name}"
+        )
+        if endpoint.msgtype in REGULAR_TYPES:
+            faults += [f"{topic}: {fault}" for fault in faults_of(statistics)]
+    bad = [d for d in newest.values() if d.level is not convert.Level.OK]
+    faults += [f"{d.name}: {d.level.name}: {d.message}" for d in bad]
+    bus.close()
+    return Findings(tuple(lines), tuple(faults))
+
+
+def _spin(executor: Executor, wire: ZenohWire, seconds: float) -> None:
+    wire.endpoints()
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        executor.step(max(0.0, until - time.monotonic()))
+
+
+def _graph_faults(endpoints: list[Endpoint]) -> list[str]:
+    """Topics whose ends cannot hear each other."""
+    faults = []
+    for topic in sorted({endpoint.topic for endpoint in endpoints}):
+        ends = [endpoint for endpoint in endpoints if endpoint.topic == topic]
+        kinds = {(end.msgtype, end.type_hash) for end in ends}
+        if len(kinds) > 1:
+            names = "; ".join(sorted(f"{e.node.name}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
+            why = "ros_distro differs" if any(e.type_hash == HUMBLE_HASH for e in ends) else "their types differ"
+            faults.append(f"{topic}: {why}, so they do not hear each other ({names})")
+    return faults

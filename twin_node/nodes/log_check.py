@@ -1,0 +1,166 @@
+"""Looks a log over before the twin is run on it: gaps, jitter, skew, calibration, units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twin_node.bag import LogMessage, LogReader
+from twin_node.errors import TwinError
+from twin_node.messages import convert, from_time
+from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
+from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
+
+REGULAR_TYPES = (COMPRESSED, RAW, "sensor_msgs/msg/JointState")
+"""Types of topics that come at a rate."""
+LARGEST_ANGLE_RAD = 2 * np.pi + 0.1
+"""Joints of UR arms turn by one turn each way; more is degrees, or not their angle."""
+FARTHEST_M, NEAREST_M = 30.0, 0.05
+"""Depth that cameras of a cell can measure, m; outside of it the unit is wrong."""
+DELAY_NS = 1_000_000_000
+"""A header stamp further than this from the time of recording was made by another clock."""
+SAMPLES = 5
+"""Messages of a topic whose content is looked at, spread over the log."""
+SKEW_SHARE = 0.5
+"""Cameras further apart than this share of a period do not belong to one exposure."""
+
+
+@dataclass(frozen=True)
+class TopicCheck:
+    """What was found of one topic."""
+
+    name: str
+    msgtype: str
+    statistics: StreamStatistics
+    faults: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class LogCheck:
+    """What was found of a log."""
+
+    topics: tuple[TopicCheck, ...]
+    faults: tuple[str, ...]
+    """Of the log as a whole: damage, cameras, calibration, skew."""
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing was found."""
+        return not self.faults and not any(topic.faults for topic in self.topics)
+
+
+@dataclass
+class _Seen:
+    """One topic while the log is read."""
+
+    stamps: list[int] = field(default_factory=list)
+    delays: list[int] = field(default_factory=list)
+    contents: list[Any] = field(default_factory=list)
+
+
+def check_log(log: LogReader) -> LogCheck:
+    """Reads the whole log once."""
+    seen: dict[str, _Seen] = {topic.name: _Seen() for topic in log.topics}
+    every = {topic.name: max(1, topic.count // SAMPLES) for topic in log.topics}
+    unreadable: dict[str, str] = {}
+    for message in log.messages():
+        try:
+            _look_at(message, seen[message.topic], every[message.topic])
+        except TwinError as error:
+            unreadable.setdefault(message.topic, str(error))
+    checks = []
+    for topic in log.topics:
+        found = seen[topic.name]
+        statistics = statistics_of(found.stamps)
+        faults = [unreadable[topic.name]] if topic.name in unreadable else []
+        if topic.msgtype in REGULAR_TYPES:
+            faults += faults_of(statistics)
+        if found.delays and abs(float(np.median(found.delays))) > DELAY_NS:
+            faults.append(f"stamped {np.median(found.delays) / 1e9:+.1f} s from the time of recording: another clock")
+        faults += _unit_faults(topic.name, topic.msgtype, found.contents)
+        checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
+    whole = [log.damage] if log.damage else []
+    whole += _camera_faults(log, {topic.name: seen[topic.name].stamps for topic in log.topics})
+    return LogCheck(tuple(checks), tuple(whole))
+
+
+def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
+    """Takes note of a message's times, and of every so many's content."""
+    is_regular = message.msgtype in REGULAR_TYPES
+    stamp = message.stamp
+    if is_regular or message.msgtype == CAMERA_INFO:
+        content = message.message
+        header_stamp = from_time(content.header.stamp)
+        seen.delays.append(message.stamp - header_stamp)
+        stamp = header_stamp
+        if len(seen.stamps) % every == 0:
+            seen.contents.append(content)
+    seen.stamps.append(stamp)
+
+
+def _unit_faults(topic: str, msgtype: str, contents: Sequence[Any]) -> list[str]:
+    """What speaks against the units of a topic's messages."""
+    if msgtype == "sensor_msgs/msg/JointState" and contents:
+        largest = max((float(np.abs(c.position).max(initial=0.0)) for c in contents), default=0.0)
+        if not np.isfinite(largest):
+            return ["positions that are not finite"]
+        if largest > LARGEST_ANGLE_RAD:
+            return [f"positions up to {largest:.1f} rad: more than a turn; are they degrees?"]
+    if msgtype in (COMPRESSED, RAW) and "depth" in topic:
+        return _depth_faults(contents)
+    return []
+
+
+def _depth_faults(contents: Sequence[Any]) -> list[str]:
+    medians = []
+    for content in contents:
+        try:
+            depth = convert.depth_from_message(content)
+        except TwinError as error:
+            return [str(error)]
+        known = depth[depth > 0]
+        if len(known):
+            medians.append(float(np.median(known)))
+    if not medians:
+        return ["no depth is known in any image that was looked at"] if contents else []
+    middle = float(np.median(medians))
+    if not NEAREST_M <= middle <= FARTHEST_M:
+        return [f"median depth of {middle:.3g} m: the unit is wrong (16UC1 is mm, 32FC1 is m)"]
+    return []
+
+
+def _camera_faults(log: LogReader, stamps: Mapping[str, Sequence[int]]) -> list[str]:
+    types = {topic.name: topic.msgtype for topic in log.topics}
+    try:
+        cameras = find_cameras(types, str(log.path))
+    except GraphError as error:
+        return [str(error)]
+    faults = _skew_faults(cameras, stamps)
+    try:
+        rig_for(log, cameras, None)
+    except TwinError as error:
+        faults.append(str(error))
+    return faults
+
+
+def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> list[str]:
+    """Cameras whose images lie too far from those of the first one."""
+    first = np.array(stamps[cameras[0].image], dtype=np.int64)
+    faults = []
+    for camera in cameras[1:]:
+        own = np.array(stamps[camera.image], dtype=np.int64)
+        if len(first) < 2 or len(own) < 2:
+            continue
+        right = np.clip(np.searchsorted(own, first), 1, len(own) - 1)
+        skew = np.minimum(np.abs(own[right] - first), np.abs(own[right - 1] - first))
+        period = float(np.median(np.diff(first)))
+        if float(np.median(skew)) > SKEW_SHARE * period / 2:
+            faults.append(
+                f"camera '{camera.name}': images lie {np.median(skew) / 1e6:.1f} ms from those of "
+                f"'{cameras[0].name}'; trigger them together, or calibrate their clocks ('twin_node calibrate time')"
+            )
+    return faults
