@@ -32,7 +32,7 @@ from twin_node.model.sequence import (
 
 @pytest.fixture(scope="module")
 def trained() -> Trainer:
-    trainer = Trainer(block_recording(), with_method("hexplane", coarse_share=0.0))
+    trainer = Trainer(block_recording(), with_method("hexplane", coarse_share=0.25))
     while not trainer.finished:
         trainer.advance()
     return trainer
@@ -68,7 +68,7 @@ def test_another_recording_is_refused(checkpoint: Path) -> None:
 
 def test_more_steps_can_be_asked_for(trained: Trainer, checkpoint: Path) -> None:
     trainer = load_checkpoint(checkpoint).resume(trained.recording, steps=trained.parameters.steps + 2)
-    assert not trainer.finished
+    assert not trainer.finished and trainer.parameters.coarse_steps == trained.parameters.coarse_steps
     trainer.advance()
     assert trainer.step == trained.step + 1
 

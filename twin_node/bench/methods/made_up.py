@@ -40,7 +40,7 @@ class MadeUpParameters:
 
     movers: tuple[str, ...] = MOVERS
     """What moves; some of `MOVERS`."""
-    width: int = 160
+    width: int = 128
     """Of the images, px; height is three quarters of it."""
     frames: int = 45
     """Sets of images."""

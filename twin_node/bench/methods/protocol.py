@@ -29,7 +29,7 @@ class NerfParameters:
 class Budget:
     """What the methods may spend; one budget for all methods of a run."""
 
-    gaussians: int = 8000
+    gaussians: int = 4000
     """At most, of any method but the online one, whose capacity follows its own parameters."""
     offline_steps: int = 6000
     """Of the offline methods: their plateau (twice as many gain less than the table's last digit but one)."""

@@ -97,7 +97,8 @@ class Checkpoint:
             )
         parameters = header.parameters
         if steps is not None:
-            parameters = dataclasses.replace(parameters, steps=steps)
+            share = parameters.coarse_steps / steps  # the static stage stays as long as it was
+            parameters = dataclasses.replace(parameters, steps=steps, coarse_share=share)
         trainer = Trainer(recording, parameters, self.stored, self.box)
         trainer.step = header.step
         trainer.model.gaussians.restore(self._part("adam."))
