@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import multiprocessing
-import os
 import random
 import signal
 import socket
@@ -13,7 +12,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 
 from twin_node.cell.errors import CellError
-from twin_node.cell.ur_sim.stand_in import RTDE_PORT, StandIn, StandInParameters
+from twin_node.cell.ur_sim.stand_in import DASHBOARD_PORT, RTDE_PORT, StandIn, StandInParameters
 from twin_node.cell.ur_sim.status import Status, from_line
 
 _START_S = 30.0
@@ -61,13 +60,17 @@ class StandInProcess:
         """How the controller is."""
         return from_line(self._ask("status"))
 
-    def suspend(self) -> None:
-        """Let no instruction of it run (SIGSTOP)."""
-        self._signal(signal.SIGSTOP)
+    def dashboard(self, order: str) -> str:
+        """Send an order to its dashboard; gives back the answer."""
+        with socket.create_connection((self.host, DASHBOARD_PORT), timeout=_ANSWER_S) as connection:
+            connection.sendall(f"{order}\n".encode())
+            with connection.makefile("r") as lines:
+                lines.readline()  # the greeting
+                return lines.readline().rstrip("\n")
 
     def kill(self) -> None:
         """End it at once (SIGKILL), as when power fails."""
-        self._signal(signal.SIGKILL)
+        self._process.kill()
         self._process.join()
 
     def revived(self) -> StandInProcess:
@@ -90,10 +93,6 @@ class StandInProcess:
     def _ask(self, line: str) -> str:
         self._admin.sendall(f"{line}\n".encode())
         return self._lines.readline().rstrip("\n")
-
-    def _signal(self, number: signal.Signals) -> None:
-        if self._process.pid is not None:
-            os.kill(self._process.pid, number)
 
 
 def free_loopback() -> str:

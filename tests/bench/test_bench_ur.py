@@ -1,0 +1,32 @@
+"""The bench of the UR driver: figures of the right shape, reasons, and what it refuses. No test asserts a time."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from twin_node.bench import ur
+from twin_node.bench.errors import BenchError
+from twin_node.cli import main
+
+pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
+
+
+def test_a_fault_is_injected_answered_and_scored(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "ur", "--repeats", "1", "--fault", "joints_nan", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    score = told["faults"]["joints_nan"]
+    assert score["answered"]["repeats"] == 1
+    assert (told["unanswered"], told["not_latched"]) == (0, 0)
+    assert "not finite" in score["reason"]
+    assert told["worst_ms"] == score["answered"]["max_ms"] > 0
+
+
+def test_faults_that_are_not_known_are_refused() -> None:
+    with pytest.raises(BenchError, match="controller_frozen"):
+        ur.run(1, ["earthquake"])
+
+
+def test_every_fault_has_one_name() -> None:
+    assert len(set(ur.FAULT_NAMES)) == len(ur.FAULTS) == 15
