@@ -42,7 +42,7 @@ class MadeUpParameters:
     """What moves; some of `MOVERS`."""
     width: int = 128
     """Of the images, px; height is three quarters of it."""
-    frames: int = 45
+    frames: int = 30
     """Sets of images."""
     rate_hz: float = 30.0
     """Sets per second."""

@@ -16,13 +16,16 @@ class NerfParameters:
     """Size of the dynamic NeRF and of its training."""
 
     steps: int = 2000
-    rays: int = 768
+    rays: int = 512
     """Per step; half of them where something moves, as in Neural 3D Video."""
     samples: int = 48
     """Per ray."""
-    resolution: int = 64
+    resolution: int = 48
+    """Cells of a plane along each axis, at the coarser of two levels."""
     features: int = 12
-    hidden: int = 48
+    """Channels of a plane."""
+    hidden: int = 32
+    """Width of the decoder."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +36,10 @@ class Budget:
     """At most, of any method but the online one, whose capacity follows its own parameters."""
     offline_steps: int = 6000
     """Of the offline methods: their plateau (twice as many gain less than the table's last digit but one)."""
-    per_frame_steps: int = 200
+    per_frame_steps: int = 120
     """Of per-frame 3DGS, for each set of images from scratch."""
-    stream_steps: int = 100
-    """Of each of the two stages of the streaming method, per set; 150 and 100 as published."""
+    stream_steps: int = 60
+    """Of each of the two stages of the streaming method, per set; 150 and 100 as published, at ten times the width."""
     degree: int = 0
     """Of the harmonics of all methods: the online model has none."""
     hexplane: HexPlaneParameters = field(default_factory=lambda: HexPlaneParameters(resolution=32))
