@@ -8,10 +8,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from launching import Ear, free_endpoint, launched, on_loopback
 
 from twin_node.bag import open_log
+from twin_node.cell import load_scenario
+from twin_node.cell.rig import make_rig
 from twin_node.cell.ur_sim import free_loopback
 from twin_node.cli import main
 from twin_node.errors import TwinError
@@ -19,6 +22,8 @@ from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import LaunchPlan, read_launch_file
 from twin_node.nodes.launch.launcher import FIRST_STATUS
 from twin_node.nodes.topics import DIAGNOSTICS, SEPARATION
+from twin_node.rig import RigFile, save_rig
+from twin_node.scene import Rig, RigCamera
 
 pytest.importorskip("zenoh")
 
@@ -68,6 +73,29 @@ def test_two_machines(tmp_path: Path) -> None:
     far = read_launch_file("launch/two_machines.yaml", ["role:=cameras", f"join:={twins}", *scenario])
     with launched(on_loopback(far, cameras), tmp_path / "far"):
         decides(twin, tmp_path / "near", twins)
+
+
+def test_oak_rig_on_host_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The launch file as it ships; another package's entry point puts host nodes in the place of the devices."""
+    pytest.importorskip("depthai")
+    package = tmp_path / "packages" / "host_cameras-1.dist-info"
+    package.mkdir(parents=True)
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: host_cameras\nVersion: 1\n")
+    (package / "entry_points.txt").write_text("[twin_node.nodes]\ncameras = host_cameras:make_cameras\n")
+    here = Path(__file__).parent
+    paths = [str(package.parent), str(here), str(here.parent / "rig" / "cameras")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    scene = load_scenario("demo")
+    cameras = [twice_as_large(c, n) for c, n in zip(make_rig(scene).cameras, ("front", "left", "right"), strict=True)]
+    save_rig(RigFile(Rig(tuple(cameras), np.array(scene.workspace))), tmp_path / "rig.yaml")
+    plan = read_launch_file("launch/oak_rig.yaml", [f"rig:={tmp_path / 'rig.yaml'}"], QUICK)
+    decides(plan, tmp_path, free_endpoint())
+
+
+def twice_as_large(camera: RigCamera, name: str) -> RigCamera:
+    """The camera under another name, with images of twice the size."""
+    scale = np.diag([2.0, 2.0, 1.0])
+    return replace(camera, name=name, width=2 * camera.width, height=2 * camera.height, K=scale @ camera.K)
 
 
 def test_lockstep_gives_the_bytes_of_replay(cell_log: Callable[..., Path], tmp_path: Path) -> None:

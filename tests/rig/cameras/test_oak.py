@@ -1,0 +1,109 @@
+"""The OAK driver on depthai's host nodes: stamps, aligned depth, unplugging and return, factory calibration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+dai = pytest.importorskip("depthai")
+
+from host_oak import DEPTH_MM, HostStreams  # noqa: E402 (needs depthai)
+
+from twin_node.rig import RigError  # noqa: E402
+from twin_node.rig.cameras import CameraImage  # noqa: E402
+from twin_node.rig.cameras.oak import OakCamera, OakSource, factory_calibration  # noqa: E402
+
+FRONT = OakCamera("front", width=64, height=48)
+LEFT = OakCamera("left", width=64, height=48, depth=False)
+
+
+class Bench:
+    """Devices that can be unplugged."""
+
+    def __init__(self) -> None:
+        self.streams: dict[str, list[HostStreams]] = {}
+
+    def connect(self, camera: OakCamera) -> HostStreams:
+        streams = HostStreams(camera)
+        self.streams.setdefault(camera.name, []).append(streams)
+        return streams
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def source(bench: Bench) -> Iterator[OakSource]:
+    source = OakSource([FRONT, LEFT], bench.connect)
+    yield source
+    source.close()
+
+
+def take(images: Iterator[CameraImage], camera: str, count: int) -> list[CameraImage]:
+    return [image for image, _ in zip((i for i in images if i.camera == camera), range(count), strict=False)]
+
+
+def test_images_come_with_rising_stamps_of_this_host_and_aligned_depth(source: OakSource) -> None:
+    begun = time.time_ns()
+    images = source.images()
+    front = take(images, "front", 6)
+    stamps = [image.stamp for image in front]
+    assert stamps == sorted(set(stamps))
+    assert begun - 1_000_000_000 < stamps[0] and stamps[-1] <= time.time_ns()
+    assert front[0].rgb.shape == (48, 64, 3)
+    assert tuple(front[0].rgb[0, 0]) == (200, 20, 10)
+    with_depth = [image for image in front if image.depth is not None]
+    assert len(with_depth) >= 3
+    assert np.allclose(with_depth[0].depth, DEPTH_MM / 1000)
+    assert take(images, "left", 1)[0].depth is None
+
+
+def test_an_unplugged_device_is_told_and_taken_back_while_the_other_goes_on(source: OakSource, bench: Bench) -> None:
+    images = source.images()
+    take(images, "front", 2)
+    bench.streams["front"][0].unplug()
+    while len(bench.streams["front"]) < 2:
+        take(images, "left", 1)
+    take(images, "front", 2)
+    [front, left] = source.health
+    assert (front.is_connected, front.reconnections) == (True, 1)
+    assert (left.is_connected, left.reconnections) == (True, 0)
+
+
+def test_a_device_that_is_not_there_is_said_to_be_missing() -> None:
+    source = OakSource([FRONT, LEFT], lambda camera: HostStreams(camera) if camera is LEFT else None)
+    images = source.images()
+    take(images, "left", 2)
+    assert not source.health[0].is_connected
+    assert "device 'any' not found; looking again" in source.health[0].message
+    source.close()
+
+
+def test_without_a_device_nothing_waits_for_one() -> None:
+    from twin_node.rig.cameras.oak import plugged_in
+
+    assert plugged_in() == ()
+
+
+def test_factory_calibration_is_scaled_to_the_image() -> None:
+    handler = dai.CalibrationHandler()
+    socket = dai.CameraBoardSocket.CAM_A
+    handler.setCameraIntrinsics(socket, [[800.0, 0.0, 640.0], [0.0, 800.0, 360.0], [0.0, 0.0, 1.0]], 1280, 720)
+    handler.setDistortionCoefficients(socket, [0.1, -0.2, 0.0, 0.0, 0.05] + [0.0] * 9)
+    found = factory_calibration(handler, socket, 640, 360)
+    assert found is not None
+    assert found.K[0, 0] == pytest.approx(400.0)
+    assert found.D.tolist() == pytest.approx([0.1, -0.2, 0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+    assert factory_calibration(handler, dai.CameraBoardSocket.CAM_B, 640, 360) is None
+
+
+def test_wrong_settings_are_named() -> None:
+    with pytest.raises(RigError, match="sync: expected one of none, auto, output, input, ptp, found 'cable'"):
+        OakCamera("front", sync="cable")
+    with pytest.raises(RigError, match="distinct names"):
+        OakSource([FRONT, FRONT])

@@ -1,0 +1,94 @@
+"""OpenCV's cameras: a video as a camera, one that fails and comes back, and sets made of several."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from twin_node.rig import RigError
+from twin_node.rig.cameras import OpenCvCamera, OpenCvSource, SynchronizedSource
+from twin_node.scene import Rig, RigCamera
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> Path:
+    path = tmp_path / "grey.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 100.0, (32, 24))
+    for level in range(5):
+        writer.write(np.full((24, 32, 3), 40 * level, np.uint8))
+    writer.release()
+    return path
+
+
+def test_a_video_is_played_again_and_again(video: Path) -> None:
+    source = OpenCvSource([OpenCvCamera("front", str(video))])
+    images = [image for image, _ in zip(source.images(), range(12), strict=False)]
+    source.close()
+    levels = [int(image.rgb.mean()) for image in images]
+    assert levels[0] < levels[4]
+    assert max(np.diff(levels).min(), -300) < -100  # it has begun again
+    assert all(a.stamp < b.stamp for a, b in itertools.pairwise(images))
+    assert source.health[0].is_connected is False
+
+
+class FailsOnce:
+    """A camera that gives two images, is gone, and is back."""
+
+    def __init__(self, opened: list[int]) -> None:
+        opened.append(1)
+        self._left = 2
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, key: int) -> float:
+        return 0.0
+
+    def set(self, key: int, value: float) -> bool:
+        return True
+
+    def read(self) -> tuple[bool, Any]:
+        self._left -= 1
+        return self._left >= 0, np.zeros((4, 4, 3), np.uint8)
+
+    def release(self) -> None:
+        pass
+
+
+def test_a_camera_that_fails_is_opened_again() -> None:
+    opened: list[int] = []
+    open_capture: Callable[[int | str], Any] = lambda address: FailsOnce(opened)  # noqa: E731
+    source = OpenCvSource([OpenCvCamera("usb", "0", width=640)], open_capture)
+    images = [image for image, _ in zip(source.images(), range(3), strict=False)]
+    assert len(images) == 3
+    assert len(opened) == 2
+    source.close()
+
+
+def rig_of(*names: str) -> Rig:
+    K = np.array([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
+    poses = np.stack([np.eye(4)] * len(names))
+    return Rig(tuple(RigCamera(name, 32, 24, K, pose) for name, pose in zip(names, poses, strict=True)))
+
+
+def test_sets_of_running_cameras(video: Path) -> None:
+    cameras = OpenCvSource([OpenCvCamera("a", str(video)), OpenCvCamera("b", str(video))])
+    source = SynchronizedSource(cameras, rig_of("a", "b"))
+    frames = next(iter(source))
+    cameras.close()
+    assert [view.camera.name for view in frames.views] == ["a", "b"]
+    assert source.report.sets >= 1
+
+
+def test_wrong_names_are_told(video: Path) -> None:
+    with pytest.raises(RigError, match="distinct names, found none"):
+        OpenCvSource([])
+    cameras = OpenCvSource([OpenCvCamera("a", str(video))])
+    with pytest.raises(RigError, match=r"expected those of the rig file \(left\), found a"):
+        SynchronizedSource(cameras, rig_of("left"))
