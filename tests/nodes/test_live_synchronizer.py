@@ -1,0 +1,166 @@
+"""The live synchroniser among faulty cameras: the twin goes on, and each fault is named with its camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from twin_node.messages import convert
+from twin_node.messages.convert import Level
+from twin_node.nodes.live.rig_source import RigParameters, topics_of
+from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
+from twin_node.nodes.topics import FRAMES
+from twin_node.runtime.bus import LocalBus
+from twin_node.scene import FrameSet, Rig, RigCamera
+
+MS = 1_000_000
+PERIOD = 33 * MS
+START = 1_700_000_000_000 * MS
+NAMES = ("back", "front", "left")
+SECOND = 30
+"""Images of a second."""
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.stamp = START
+
+    def now(self) -> int:
+        return self.stamp
+
+
+class Timers:
+    """Timers that the test lets pass."""
+
+    def __init__(self) -> None:
+        self.callbacks: list[Callable[[], None]] = []
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> None:
+        self.callbacks.append(callback)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with one camera from the second second on."""
+
+    stamp_shift: int = 0
+    arrival_delay: int = 0
+    keeps: Callable[[int], bool] = lambda i: True
+
+
+class Cell:
+    """Three cameras and a live synchroniser in a time of the test's own."""
+
+    def __init__(self) -> None:
+        K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+        rig = Rig(tuple(RigCamera(name, 16, 12, K, np.eye(4)) for name in NAMES))
+        self.topics = {name: topics_of(name, RigParameters(image="image_raw")) for name in NAMES}
+        self.bus, self.clock, self.timers = LocalBus(), Clock(), Timers()
+        cameras = tuple(self.topics.values())
+        self.node = SynchronizerNode(self.bus, self.clock, cameras, rig, SynchronizerParameters(), self.timers)
+        self.node.configure()
+        self.sets: list[FrameSet] = []
+        self.bus.subscribe(FRAMES, self.sets.append)
+
+    def run(self, first: int, count: int, **faults: Fault) -> None:
+        """Images `first` to `first + count` of every camera, in the order of their arrival; timers in between."""
+        for arrival, stamp, name in sorted(self._arrivals(first, count, faults)):
+            while self.clock.stamp + 25 * MS < arrival:
+                self._pass_time(self.clock.stamp + 25 * MS)
+            self._pass_time(arrival)
+            image = np.full((12, 16, 3), 90, np.uint8)
+            self.bus.publish(self.topics[name].image, convert.raw_image(name, stamp, image))
+
+    def _pass_time(self, stamp: int) -> None:
+        self.clock.stamp = stamp
+        for callback in self.timers.callbacks:
+            callback()
+
+    def _arrivals(self, first: int, count: int, faults: dict[str, Fault]) -> Iterator[tuple[int, int, str]]:
+        for i in range(first, first + count):
+            for place, name in enumerate(NAMES):
+                fault = faults.get(name, Fault())
+                if fault.keeps(i):
+                    taken = START + i * PERIOD + place * MS
+                    yield taken + 5 * MS + fault.arrival_delay, taken + fault.stamp_shift, name
+
+    def said(self) -> dict[str, tuple[Level, str]]:
+        """What the diagnostics say of each camera since the last call."""
+        return {d.hardware: (d.level, d.message) for d in self.node.diagnoses()}
+
+
+@pytest.fixture
+def cell() -> Cell:
+    cell = Cell()
+    cell.run(0, SECOND)
+    assert {level for level, _ in cell.said().values()} == {Level.OK}
+    return cell
+
+
+def others_are_well(cell: Cell, camera: str) -> tuple[Level, str]:
+    said = cell.said()
+    assert all(said[name][0] is Level.OK for name in NAMES if name != camera)
+    return said[camera]
+
+
+def test_a_dead_camera_costs_one_deadline_and_is_named(cell: Cell) -> None:
+    before = len(cell.sets)
+    cell.run(SECOND, SECOND, front=Fault(keeps=lambda i: False))
+    level, message = others_are_well(cell, "front")
+    assert (level, message.partition(":")[0]) == (Level.ERROR, "silent")
+    made = cell.sets[before:]
+    assert len(made) >= SECOND - 5
+    assert all(len(frames.views) == 2 for frames in made[4:])
+    waits = np.diff([frames.stamp for frames in made])
+    assert (waits > 0).all()
+
+
+def test_the_last_images_before_silence_leave_by_the_timer(cell: Cell) -> None:
+    """When all cameras but one fall silent at once no image comes to look at the deadline: only the timer does."""
+    cell.run(SECOND, 1, front=Fault(keeps=lambda i: False))
+    before = len(cell.sets)
+    for _ in range(8):
+        cell._pass_time(cell.clock.stamp + 25 * MS)
+    assert len(cell.sets) > before
+
+
+def test_a_camera_at_half_rate_is_named(cell: Cell) -> None:
+    before = len(cell.sets)
+    cell.run(SECOND, SECOND, left=Fault(keeps=lambda i: i % 2 == 0))
+    level, message = others_are_well(cell, "left")
+    assert (level, message) == (Level.WARN, "slow: 15 images where the fastest camera sent 30")
+    assert len(cell.sets) - before >= SECOND // 2 - 2
+
+
+def test_a_camera_whose_images_are_late_is_named(cell: Cell) -> None:
+    before = len(cell.sets)
+    cell.run(SECOND, SECOND, back=Fault(arrival_delay=40 * MS))
+    level, message = others_are_well(cell, "back")
+    assert level is Level.WARN
+    assert "images arrive 40 ms later" in message
+    assert sum(len(frames.views) == 3 for frames in cell.sets[before:]) >= SECOND - 5
+
+
+@pytest.mark.parametrize(("shift", "word"), [(1_000 * MS, "future"), (-1_000 * MS, "late")])
+def test_a_clock_that_steps_is_named_and_taken_back(cell: Cell, shift: int, word: str) -> None:
+    before = len(cell.sets)
+    cell.run(SECOND, SECOND, front=Fault(stamp_shift=shift))
+    level, message = cell.said()["front"]
+    assert level is Level.WARN
+    assert f"{word}: " in message
+    assert len(cell.sets) - before >= SECOND - 6
+    cell.run(2 * SECOND, 2 * SECOND)
+    cell.said()
+    cell.run(4 * SECOND, SECOND)
+    assert cell.said()["front"][0] is Level.OK
+    assert len(cell.sets[-1].views) == 3
+
+
+def test_duplicates_are_counted_and_named(cell: Cell) -> None:
+    cell.run(SECOND, 3)
+    image = convert.raw_image("left", START + (SECOND + 2) * PERIOD + 2 * MS, np.zeros((12, 16, 3), np.uint8))
+    cell.bus.publish(cell.topics["left"].image, image)
+    assert "duplicate: 1 images" in cell.said()["left"][1]
