@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.forecast.bound import Bound, BoundParameters, CoverageControl, cues
+from twin_node.forecast.bound import CUES, Bound, BoundParameters, CoverageControl, CueLengths, cues
 
 PERIOD = 1 / 30
 HORIZON = 0.2
@@ -12,7 +12,7 @@ HORIZON = 0.2
 
 def like(scale: np.ndarray) -> np.ndarray:
     """Cues of nodes whose every length is `scale` [M]."""
-    return cues(scale, scale, scale, scale, scale)
+    return cues(CueLengths(scale, scale, scale, scale, scale, scale))
 
 
 def followed(bound: Bound, seconds: float, spread_of_errors: np.ndarray, start: float = 0.0) -> list[np.ndarray]:
@@ -82,7 +82,7 @@ def test_nothing_to_judge_changes_nothing() -> None:
     bound = Bound()
     followed(bound, 2.0, np.full(5, 0.05))
     before = bound.radii(like(np.full(5, 0.05)), np.ones(5), HORIZON)
-    bound.observe(2.0, np.zeros((0, 6)), np.zeros(0), np.zeros(0), PERIOD)
+    bound.observe(2.0, np.zeros((0, CUES)), np.zeros(0), np.zeros(0), PERIOD)
     assert np.array_equal(bound.radii(like(np.full(5, 0.05)), np.ones(5), HORIZON), before)
 
 

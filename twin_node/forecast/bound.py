@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from twin_node.scene import Float64
 PERSON_SPEED = 1.6
 """Speed of approach of a person, m/s (ISO 13855)."""
 
-CUES = 6
-"""Cues of a node's error scale, `cues`: one constant and five logarithms of lengths."""
+CUES = 7
+"""Cues of a node's error scale, `cues`: one constant and six logarithms of lengths."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,11 @@ class BoundParameters:
     """Time constant in which old errors lose their say, s: a gesture or two."""
     correction: float = 0.02
     """How fast the miss rate aimed at follows what was missed, per second (Gibbs and Candes 2021)."""
-    grow: float = 12.0
-    """Relative growth of the common factor per unit of coverage missed in the images, per horizon."""
-    shrink: float = 0.15
-    """Relative shrinkage of the common factor per horizon in which the target is kept."""
+    follow: float = 6.0
+    """Relative growth of the common factor per unit of coverage missed in the images, per horizon; where nothing is
+    missed at all, that is a shrinkage by 6 % per horizon."""
+    first_factor: float = 0.55
+    """Common factor before there is a record: parts of a hull hold more than what moves."""
     least_factor: float = 0.05
     """Smallest common factor: below it the radii are those of voxels, whatever they are multiplied by."""
     most_factor: float = 6.0
@@ -40,17 +41,28 @@ class BoundParameters:
     """No radius exceeds this at the last horizon, m: 99 % of human motion stays within half of it in 200 ms."""
 
 
-def cues(
-    spread: Float64, acceleration: Float64, near_speed: Float64, near_acceleration: Float64, near_error: Float64
-) -> Float64:
-    """Cues [M, CUES] of the error scale of nodes, from lengths [M] in metres over one horizon.
+@dataclass(frozen=True)
+class CueLengths:
+    """What the errors of M nodes are foreseen from: lengths over one horizon, m, [M] each."""
 
-    `spread`: root mean square distance of the experts from the mixture; `acceleration`: how far constant acceleration
-    and constant velocity are apart; `near_*`: root mean squares over the body of the way at constant velocity, of
-    `acceleration` and of the recent error.
-    """
-    lengths = np.stack([spread, acceleration, near_speed, near_acceleration, near_error], axis=1)
-    return np.concatenate([np.ones((len(lengths), 1)), np.log(lengths + LEAST)], axis=1)
+    spread: Float64
+    """Root mean square distance of the experts from the mixture."""
+    way: Float64
+    """Travelled at constant velocity."""
+    acceleration: Float64
+    """How far constant acceleration and constant velocity are apart."""
+    body_way: Float64
+    """Root mean square of `way` over the body."""
+    body_acceleration: Float64
+    """The same of `acceleration`."""
+    body_error: Float64
+    """The same of the recent errors."""
+
+
+def cues(lengths: CueLengths) -> Float64:
+    """Cues [M, CUES] of the error scale of nodes."""
+    columns = np.stack([getattr(lengths, column.name) for column in fields(lengths)], axis=1)
+    return np.concatenate([np.ones((len(columns), 1)), np.log(columns + LEAST)], axis=1)
 
 
 LEAST = 0.05
@@ -153,7 +165,7 @@ class CoverageControl:
 
     def __init__(self, parameters: BoundParameters) -> None:
         self.parameters = parameters
-        self.factor = 1.0
+        self.factor = parameters.first_factor
         self._covered: deque[float] = deque(maxlen=120)
 
     @property
@@ -168,8 +180,7 @@ class CoverageControl:
         """
         p = self.parameters
         self._covered.append(covered)
-        missed = (1 - covered) - (1 - p.coverage)
-        rate = p.grow * missed if missed > 0 else -p.shrink
+        rate = p.follow * (p.coverage - covered)
         self.factor = float(np.clip(self.factor * np.exp(rate * min(elapsed, 1.0)), p.least_factor, p.most_factor))
 
 

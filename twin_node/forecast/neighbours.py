@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from twin_node.scene import Float64
@@ -46,8 +47,9 @@ class Neighbours:
 
     def _cell_means(self, values: Float64) -> Float64:
         cells = len(self._sizes)
-        sums = [np.bincount(self._cells, column, cells) for column in values.T]
-        means: Float64 = np.stack(sums, axis=1) / self._sizes[:, None]
+        rows = np.arange(len(self._cells))
+        members = csr_array((1 / self._sizes[self._cells], (self._cells, rows)), shape=(cells, len(rows)))
+        means: Float64 = members @ values
         return means
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
 from twin_node.forecast.carving import CarvingParameters
@@ -15,7 +16,7 @@ from twin_node.forecast.grid import reach_of, spread
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.prediction import Predictor
 from twin_node.forecast.static import StaticParameters
-from twin_node.forecast.tracks import Tracks
+from twin_node.forecast.tracks import REACH, Tracks
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
 CORE_PROBABILITY = 230
@@ -96,9 +97,10 @@ class Forecaster:
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
         self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)
+        places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
         layers = self._layers(evidence, horizons)
         indices = layers[-1].indices.astype(np.int64)
-        self._issued.append(_Issued(state.stamp, publish_stamp + HORIZONS_NS[-1], indices))
+        self._issued.append(_Issued(state.stamp, publish_stamp + HORIZONS_NS[-1], indices, places))
         return Occupancy(
             stamp=state.stamp,
             publish_stamp=publish_stamp,
@@ -136,6 +138,9 @@ class Forecaster:
         if seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
             self._control.observe(covered / seen, elapsed)
+        if known.any() and due.places.shape[1]:
+            missed = _missed(due.places, evidence.parts.centers[known])
+            self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)
         self._judged_at = state.stamp
 
     def _layers(self, evidence: Evidence, horizons: Float64) -> tuple[OccupancyLayer, ...]:
@@ -168,3 +173,17 @@ class _Issued:
     stamp: int
     valid_at: int
     indices: NDArray[np.int64]
+    places: Float64
+    """[E, M, 3] where each expert alone forecast the parts, m."""
+
+
+_NOWHERE = 1e6
+"""Stands for a place that is not finite, m."""
+
+
+def _missed(places: Float64, centers: Float64) -> Float64:
+    """Share [E] of parts at `centers` [n, 3] that are more than a part from every place [E, M, 3] of an expert."""
+    known = np.where(np.isfinite(places), places, _NOWHERE)
+    far = [cKDTree(one).query(centers, distance_upper_bound=REACH)[0] > REACH for one in known]
+    shares: Float64 = np.mean(far, axis=1)
+    return shares

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.bound import Bound, BoundParameters, cues
+from twin_node.forecast.bound import Bound, BoundParameters, CueLengths, cues
 from twin_node.forecast.experts import (
     EXPERT_NAMES,
     EXPERTS,
@@ -83,6 +83,10 @@ _NOW_S = 0.002
 _STARTLED = 1.5
 """A node whose forecast is so many times further off than its bound at that time began something new: its record begins
 anew, and until there is one, the reachable set bounds it."""
+_TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
+"""An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
+_LEARNT_FROM = 256
+"""Most nodes per sample that the autoregression learns from: its few weights are shared by all."""
 _POOLED = 0.5
 """Share of the neighbours in the record that experts are weighed by."""
 
@@ -122,6 +126,8 @@ class Predictor:
         self.autoregression = Autoregression()
         self._horizon_s = 0.2
         self._records = _Records()
+        self._trust = np.ones(len(EXPERT_NAMES))
+        self._missed = np.zeros(len(EXPERT_NAMES))
         self._issued: deque[_Issued] = deque()
         self._profile = np.array(KNOTS) * _UNTRIED[-1]
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
@@ -134,7 +140,9 @@ class Predictor:
     def weights(self) -> Float64:
         """[E, M] of the experts, in the order of `EXPERT_NAMES`."""
         pooled = self._around.body(self._records.squared.T).T
-        return mix((1 - _POOLED) * self._records.squared + _POOLED * pooled)
+        weights = mix((1 - _POOLED) * self._records.squared + _POOLED * pooled) * self._trust[:, None]
+        normalised: Float64 = weights / weights.sum(axis=0)
+        return normalised
 
     @property
     def errors(self) -> Float64:
@@ -156,6 +164,16 @@ class Predictor:
             issued.start = history.at(issued.time)
         self._judge()
         self._issue()
+
+    def judge_experts(self, missed: Float64, elapsed_s: float) -> None:
+        """Takes in which share [E] of what moves now each expert alone would have missed.
+
+        Paths of parts of a hull are put together from velocities; this tells whether they lead where things turn up.
+        """
+        rate = 1 - np.exp(-elapsed_s / _RECORD_S) if self._missed.any() else 1.0
+        self._missed = self._missed + rate * (missed - self._missed)
+        best = float(self._missed.min())
+        self._trust = np.exp(-(self._missed - best) / (_TRUST_SHARPNESS * best + _TRUST_SHARE))
 
     def predict(self, horizons: Float64) -> Prediction:
         """Displacements and bounds of the nodes of the last `advance` after horizons [H] in seconds."""
@@ -205,7 +223,8 @@ class Predictor:
         moved = (self._history.at(valid_at) - issued.start)[known]
         elapsed = min(valid_at - self._learnt_at[knot], issued.horizon_s)
         self._learnt_at[knot] = valid_at
-        self.autoregression.learn(knot, issued.features[rows], moved, elapsed)
+        some = slice(None, None, -(-len(rows) // _LEARNT_FROM) or 1)
+        self.autoregression.learn(knot, issued.features[rows[some]], moved[some], elapsed)
         wrong = np.linalg.norm(issued.mixed[knot, rows] - moved, axis=-1)
         if len(wrong):
             kept = np.exp(-elapsed / self.bound.parameters.memory_s)
@@ -241,5 +260,6 @@ def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbour
     by_name = dict(zip(EXPERT_NAMES, single, strict=True))
     way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
     acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)
-    near_way, near_acceleration, near_error = np.sqrt(around.body(np.stack([way, acceleration, errors], axis=1) ** 2)).T
-    return cues(spread, acceleration, near_way, near_acceleration, near_error)
+    squares = np.stack([way, acceleration, errors], axis=1) ** 2
+    body_way, body_acceleration, body_error = np.sqrt(around.body(squares)).T
+    return cues(CueLengths(spread, way, acceleration, body_way, body_acceleration, body_error))
