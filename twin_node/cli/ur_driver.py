@@ -41,6 +41,7 @@ def add_ur_driver(commands: Any) -> None:
     parser.add_argument("--register", type=int, default=20, metavar="N", help="heartbeat: 18 to 22 (default 20)")
     parser.add_argument("--no-reconnect", action="store_true", help="end when the connection is lost")
     parser.add_argument("--resume", action="store_true", help="go on by itself when the cause of a halt is over")
+    parser.add_argument("--play", action="store_true", help="press play when a halt has left the program paused")
     parser.add_argument("--decisions", type=Path, metavar="LOG.mcap", help="play /twin/separation of this log")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="record what the driver publishes")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
@@ -63,6 +64,7 @@ def _run(options: argparse.Namespace) -> None:
         heartbeat_register=options.register,
         reconnects=not options.no_reconnect,
         resumes=options.resume,
+        plays=options.play,
     )
     bus = LocalBus()
     with contextlib.ExitStack() as stack:

@@ -13,9 +13,10 @@ from twin_node.cli.arguments import not_negative
 
 _DESCRIPTION = """\
 A stand-in for a UR controller on a loopback address: RTDE (port 30004), dashboard (29999) and script ports (30001 to
-30003), as far as the unmodified ur_rtde needs them. Its arm moves by MuJoCo. It has a program of its own, which calls
-rtde_set_watchdog and then repeats a pick-and-place cycle at the speed slider's share; dashboard 'play', or --play,
-starts it. Ports are fixed by ur_rtde: for several arms give each its own --host (127.0.0.2, 127.0.0.3, ...).
+30003), as far as the unmodified ur_rtde needs them. Its arm moves by MuJoCo. It has a program of its own, which waits
+for the first heartbeat, calls rtde_set_watchdog and then repeats a pick-and-place cycle at the speed slider's share;
+'play' on the dashboard, or --play, starts it. Ports are fixed by ur_rtde: for several arms give each its own --host
+(127.0.0.2, 127.0.0.3, ...).
 
 What it does not do:
   - interpret URScript: RTDEControlInterface works by its registers (moveJ, servoJ, speedJ, their stops, setWatchdog,

@@ -40,6 +40,7 @@ class FakeLink:
     beats: list[int] = field(default_factory=list)
     servoed: list[NDArray[np.floating]] = field(default_factory=list)
     preparations: int = 0
+    plays: int = 0
     is_lost: bool = False
     is_obedient: bool = True
     runs_script: bool = True
@@ -70,6 +71,10 @@ class FakeLink:
     def prepare_servo(self) -> None:
         self.preparations += 1
         self.runs_script = True
+
+    def play(self) -> None:
+        self.plays += 1
+        self.tell(runtime_state=2)
 
     def close(self) -> None:
         self.is_lost = True

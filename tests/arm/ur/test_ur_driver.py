@@ -18,6 +18,7 @@ from twin_node.arm.ur import (
     DriverReport,
     DriverState,
     Follow,
+    Halt,
     UrDriver,
     UrParameters,
 )
@@ -31,7 +32,7 @@ CLEAR = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
 class Bench:
     """Driver, controller and clock; decisions come every 32 ms while `is_fed`."""
 
-    def __init__(self, halt: str | None = None, **changes: object) -> None:
+    def __init__(self, halt: Halt | None = None, **changes: object) -> None:
         self.link = FakeLink()
         parameters = UrParameters(**{"limiter": LimiterParameters(deadline_s=0.07, rise_per_s=100.0), **changes})
         self.now = 1000 * MS
@@ -199,7 +200,7 @@ def test_a_slider_that_somebody_else_holds_halts() -> None:
 
 
 def test_a_halt_of_an_earlier_connection_is_kept() -> None:
-    bench = Bench(halt="driver process ended by signal 9")
+    bench = Bench(halt=Halt("driver process ended by signal 9"))
     assert bench.run(400).reason == "driver process ended by signal 9"
     assert bench.link.beats == []
     bench.acknowledge()
@@ -227,6 +228,29 @@ def test_what_the_safety_system_stopped_never_resumes_by_itself() -> None:
     bench.run(200)
     bench.link.tell(safety_mode=1)
     assert bench.run(2000).state is DriverState.HALTED
+
+
+@pytest.mark.parametrize(("is_safety", "state"), [(False, DriverState.READY), (True, DriverState.HALTED)])
+def test_an_earlier_halt_resumes_unless_it_was_a_safety_stop(is_safety: bool, state: DriverState) -> None:
+    bench = Bench(halt=Halt("earlier", is_safety), resumes=True)
+    assert bench.run(1000).state is state
+
+
+@pytest.mark.parametrize("plays", [True, False])
+def test_play_is_pressed_once_after_a_halt_where_that_is_wanted(plays: bool) -> None:
+    bench = Bench(plays=plays)
+    bench.run(320)
+    bench.link.tell(safety_mode=3, runtime_state=4)
+    bench.run(100)
+    bench.link.tell(safety_mode=1)
+    bench.run(100)
+    assert bench.link.plays == 0
+    bench.acknowledge()
+    bench.run(400)
+    assert bench.link.plays == int(plays)
+    bench.link.tell(runtime_state=4)  # somebody pauses the program: that is not ours to end
+    bench.run(400)
+    assert bench.link.plays == int(plays)
 
 
 def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fake_link import START
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.arm.errors import ArmError
@@ -30,6 +30,7 @@ def followed(path: JointPath, fractions: list[float]) -> Float64:
     return np.array([follower.advance(fraction, PERIOD_S) for fraction in fractions])
 
 
+@settings(max_examples=25)
 @given(st.lists(st.floats(0, 1), min_size=10, max_size=10))
 def test_the_arm_stays_on_its_path_within_its_limits_whatever_the_speed(fractions: list[float]) -> None:
     path = quintic()

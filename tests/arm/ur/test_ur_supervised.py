@@ -301,6 +301,24 @@ def test_a_register_in_use_is_named_and_what_to_do(other: StandInProcess) -> Non
     shift.close()
 
 
+def test_another_type_of_arm_is_refused(other: StandInProcess) -> None:
+    shift = Shift(other, model="ur10e")
+    shift.until_state(DriverState.LOST, "expected a ur10e, the controller says it has a UR5")
+    shift.close()
+
+
+def test_a_driver_that_may_plays_on_by_itself_when_forecasts_are_back(other: StandInProcess) -> None:
+    shift = Shift(other, resumes=True, plays=True)
+    shift.until_state(DriverState.READY)
+    shift.play()
+    shift.until_moving()
+    other.switch("cut")
+    shift.until(lambda: other.status().runtime_state == "PAUSED")
+    other.switch("join")
+    shift.until_moving()
+    shift.close()
+
+
 def test_servo_mode_follows_slows_and_refuses(other: StandInProcess) -> None:
     shift = Shift(other, mode=DriverMode.SERVO, watchdog_hz=4.0)
     shift.until(lambda: shift.driver.latest.speed_fraction == 1.0)

@@ -5,7 +5,7 @@ from twin_node.arm.ur.follower import PathFollower
 from twin_node.arm.ur.foresight import Foresight
 from twin_node.arm.ur.link import RtdeLink, UrLink
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
-from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
 from twin_node.arm.ur.supervisor import SupervisedDriver
 
@@ -17,6 +17,7 @@ __all__ = [
     "DriverState",
     "Follow",
     "Foresight",
+    "Halt",
     "Order",
     "PathFollower",
     "RtdeLink",

@@ -13,7 +13,7 @@ from twin_node.arm.ur.foresight import Foresight
 from twin_node.arm.ur.freshness import Freshness
 from twin_node.arm.ur.link import UrLink
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
-from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
 from twin_node.scene import JointPath, Separation
 
@@ -38,8 +38,8 @@ class UrDriver:
     pauses even where the slider does not reach it. A halt stays until `Acknowledge`.
     """
 
-    def __init__(self, parameters: UrParameters, link: UrLink, now: int, halt: str | None = None) -> None:
-        """`halt` is a reason that an earlier connection left behind. Raises `ArmError` where servoing cannot begin."""
+    def __init__(self, parameters: UrParameters, link: UrLink, now: int, halt: Halt | None = None) -> None:
+        """`halt` is what an earlier connection left behind. Raises `ArmError` where servoing cannot begin."""
         self._parameters = parameters
         self._mode = parameters.mode
         self._model = parameters.arm()
@@ -51,7 +51,6 @@ class UrDriver:
         self._heard_stamp = 0
         self._told: Separation | None = None
         self._halt = halt
-        self._can_resume = False
         self._well_since: int | None = None
         self._sample: UrSample | None = None
         self._sample_stamp = 0
@@ -111,7 +110,7 @@ class UrDriver:
         if age_s > self._parameters.stale_s:
             return f"controller silent for {age_s * 1e3:.0f} ms"
         if self._sample is None:
-            return None if self._halt is None else self._halt
+            return None if self._halt is None else self._halt.reason
         return not_ready(self._sample) or self._disobedience(self._sample, now)
 
     def _disobedience(self, sample: UrSample, now: int) -> str | None:
@@ -145,21 +144,19 @@ class UrDriver:
     def _judge(self, problem: str | None, now: int) -> None:
         """Halt for a problem, or go on where that is allowed and all has been well for a while."""
         if self._mode is DriverMode.READ_ONLY:
-            self._halt = problem
+            self._halt = None if problem is None else Halt(problem)
             return
         if problem is not None:
             self._well_since = None
             if self._halt is None:
                 self._stop_for(problem)
-        elif self._halt is not None and self._can_resume:
+        elif self._halt is not None and self._parameters.resumes and not self._halt.is_safety:
             self._well_since = self._well_since or now
             if (now - self._well_since) * 1e-9 > _SETTLE_S:
                 self._acknowledge(now)
 
     def _stop_for(self, reason: str) -> None:
-        self._halt = reason
-        is_safety = self._sample is not None and not self._sample.may_move
-        self._can_resume = self._parameters.resumes and not is_safety
+        self._halt = Halt(reason, is_safety=self._sample is not None and not self._sample.may_move)
 
     def _acknowledge(self, now: int) -> None:
         if self._halt is None:
@@ -171,6 +168,8 @@ class UrDriver:
             raise ArmError(f"acknowledge: expected an arm that is well, found: {problem}")
         if self._mode is DriverMode.SERVO:
             self._link.prepare_servo()
+        elif self._parameters.plays and self._sample is not None and self._sample.is_paused:
+            self._link.play()
         self._follower = None
         self._limiter = SpeedLimiter(self._parameters.limiter)
         self._heard = None
@@ -180,7 +179,7 @@ class UrDriver:
         if self._mode is not DriverMode.SERVO:
             raise ArmError(f"trajectory: expected servo mode, found {self._mode.value} mode; choose --mode servo")
         if self._halt is not None:
-            raise ArmError(f"trajectory: refused while halted ({self._halt}); acknowledge first")
+            raise ArmError(f"trajectory: refused while halted ({self._halt.reason}); acknowledge first")
         if self._sample is None:
             raise ArmError("trajectory: refused, no state from the controller yet; send it again")
         if self._follower is not None and not self._follower.is_done:
@@ -230,8 +229,9 @@ class UrDriver:
         report = DriverReport(
             stamp=now,
             state=DriverState.READY if self._halt is None else DriverState.HALTED,
-            reason=reason if self._halt is None else self._halt,
+            reason=reason if self._halt is None else self._halt.reason,
             speed_fraction=None if is_deaf else self._fraction(),
+            halt=self._halt,
             is_over=is_over,
         )
         if self._sample is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import socket
 import time
 from typing import Any, Protocol
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.sample import UrSample
+from twin_node.robot import UR_NAMES
 from twin_node.scene import Float64
 
 _VARIABLES = (
@@ -30,6 +32,9 @@ _VARIABLES = (
 )
 """Modes stand behind the joints: a package with too few joint values shows in them."""
 _RTDE_PORT = 30004
+_DASHBOARD_PORT = 29999
+_DASHBOARD_S = 0.3
+"""Longest that the dashboard may take; it is asked while the arm stands."""
 _REACH_TIMEOUT_S = 2.0
 """A controller in the same network answers within milliseconds; `ur_rtde` itself has no such limit."""
 _LOOKAHEAD_S = 0.1
@@ -61,6 +66,9 @@ class UrLink(Protocol):
     def prepare_servo(self) -> None:
         """Have the control script running with its watchdog set."""
 
+    def play(self) -> None:
+        """Let the robot's paused program go on."""
+
     def close(self) -> None:
         """Disconnect."""
 
@@ -74,6 +82,7 @@ class RtdeLink:
         self._io: Any = None
         self._control: Any = None
         _check_reachable(parameters.robot)
+        _check_model(parameters.robot, parameters.model)
         try:
             self._receive = _module("rtde_receive").RTDEReceiveInterface(
                 parameters.robot, parameters.receive_hz, list(_VARIABLES)
@@ -133,6 +142,15 @@ class RtdeLink:
         if not control.setWatchdog(self._parameters.watchdog_hz):
             raise ArmError("control script: its watchdog cannot be set")
 
+    def play(self) -> None:
+        """Let the robot's paused program go on; raises `ArmError` where the dashboard refuses."""
+        answer = ask_dashboard(self._parameters.robot, "play")
+        if answer != "Starting program":
+            raise ArmError(
+                f"{self._parameters.robot}: the dashboard does not start the program ({answer or 'no answer'}); press "
+                "play on the pendant, or switch to remote control"
+            )
+
     def close(self) -> None:
         """Disconnect; a link that is lost already is no error."""
         for interface in (self._control, self._io, self._receive):
@@ -163,6 +181,25 @@ def _check_reachable(robot: str) -> None:
             f"{robot}: expected a UR controller on port {_RTDE_PORT} (RTDE), found none ({error.strerror or error}); "
             "check its address, the cable, and that RTDE is enabled in its security settings"
         ) from error
+
+
+def _check_model(robot: str, model: str) -> None:
+    """Raises `ArmError` where the controller says it has another type of arm; not every controller says."""
+    told = ask_dashboard(robot, "get robot model")
+    if model in UR_NAMES and re.fullmatch(r"UR\d+", told) and told != model.rstrip("e").upper():
+        raise ArmError(f"{robot}: expected a {model}, the controller says it has a {told}; choose that model")
+
+
+def ask_dashboard(robot: str, order: str) -> str:
+    """The dashboard's answer to one line; empty where there is none in time. PolyScope X has no dashboard."""
+    try:
+        with socket.create_connection((robot, _DASHBOARD_PORT), timeout=_DASHBOARD_S) as connection:
+            connection.sendall(f"{order}\n".encode())
+            with connection.makefile("r", encoding="utf-8", errors="replace") as lines:
+                lines.readline()  # the greeting
+                return lines.readline().strip()
+    except OSError:
+        return ""
 
 
 def _refused(robot: str, error: RuntimeError) -> str:

@@ -6,7 +6,7 @@ import multiprocessing
 from multiprocessing.connection import wait
 
 from twin_node.arm.ur.parameters import UrParameters
-from twin_node.arm.ur.records import Begin, DriverReport, Order
+from twin_node.arm.ur.records import Begin, DriverReport, Halt, Order
 from twin_node.arm.ur.worker import work
 
 _ENDING_S = 0.5
@@ -28,7 +28,7 @@ class DriverProcess:
         """Its process id."""
         return self._process.pid
 
-    def begin(self, halt: str | None) -> bool:
+    def begin(self, halt: Halt | None) -> bool:
         """Let it connect; `halt` is what an earlier process left behind. False: it has died while it waited."""
         return self.give(Begin(halt))
 

@@ -22,6 +22,15 @@ class DriverState(Enum):
 
 
 @dataclass(frozen=True)
+class Halt:
+    """Why the arm is kept standing."""
+
+    reason: str
+    is_safety: bool = False
+    """Whether the controller's safety system had stopped the arm: only somebody who has looked may go on."""
+
+
+@dataclass(frozen=True)
 class DriverReport:
     """What the driver has to say, several times per received package. Times are CLOCK_MONOTONIC, ns."""
 
@@ -38,6 +47,8 @@ class DriverReport:
     """When it came."""
     future: JointPath | None = None
     """The arm's next 200 ms from `stamp` on at its full programmed speed; None without a sample."""
+    halt: Halt | None = None
+    """What keeps the arm standing; None: it is not halted."""
     refusal: str | None = None
     """Why the last order was not carried out; None: it was, or there was none."""
     is_over: bool = False
@@ -48,7 +59,7 @@ class DriverReport:
 class Begin:
     """The first order of a process: connect."""
 
-    halt: str | None
+    halt: Halt | None
     """Why an earlier process left the arm halted; None: it did not."""
 
 

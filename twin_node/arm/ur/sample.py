@@ -96,6 +96,11 @@ class UrSample:
         return self.runtime_state == RuntimeState.PLAYING
 
     @property
+    def is_paused(self) -> bool:
+        """Whether a program waits to be gone on with."""
+        return self.runtime_state in (RuntimeState.PAUSED, RuntimeState.PAUSING)
+
+    @property
     def may_move(self) -> bool:
         """Whether power, brakes and safety system let the arm move."""
         return self.robot_mode == RobotMode.RUNNING and self.safety_mode in (SafetyMode.NORMAL, SafetyMode.REDUCED)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.parameters import UrParameters
 from twin_node.arm.ur.process import DriverProcess
-from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Order
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
 from twin_node.scene import JointPath, Separation
 
 _LOOK_S = 0.05
@@ -44,7 +44,7 @@ class SupervisedDriver:
         self._closing = threading.Event()
         self._is_wanted = threading.Event()
         self._is_wanted.set()
-        self._halt: str | None = None
+        self._halt: Halt | None = None
         self._thread = threading.Thread(target=self._watch, name="ur_driver supervisor", daemon=True)
         self._thread.start()
 
@@ -120,7 +120,7 @@ class SupervisedDriver:
         how = process.end()
         was_connected = self._spare is not None
         if self._latest.state is DriverState.READY:
-            self._halt = reason or how
+            self._halt = Halt(reason or how)
         self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, reason or how, speed_fraction=None))
         return was_connected
 
@@ -144,10 +144,8 @@ class SupervisedDriver:
         return "closed"
 
     def _take(self, report: DriverReport) -> None:
-        if report.state is DriverState.HALTED:
-            self._halt = report.reason
-        elif report.state is DriverState.READY:
-            self._halt = None
+        if report.state is not DriverState.LOST:
+            self._halt = report.halt
         self._publish(report)
         if self._spare is None and report.state is not DriverState.LOST:
             self._spare = DriverProcess(self._parameters)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from twin_node.cell.ur_sim.controller import Controller
 from twin_node.cell.ur_sim.motions import FollowCycle, MoveJ
+from twin_node.cell.ur_sim.watchdogs import WatchdogAction
 
 _APPROACH_SPEED = 0.5
 """rad/s of the first move to the cycle's start: half of moveJ's default."""
@@ -12,7 +13,7 @@ _APPROACH_ACCELERATION = 1.4
 
 
 class OwnProgram:
-    """`rtde_set_watchdog(...)`, a move to the cycle's start, then the cycle for ever at the speed slider's share."""
+    """Waits for the first heartbeat, sets the watchdog, moves to the cycle's start, then repeats the cycle for ever."""
 
     name = "/programs/twin_cell.urp"
 
@@ -21,8 +22,12 @@ class OwnProgram:
 
     def tick(self, controller: Controller) -> None:
         """One period."""
+        watchdog = controller.parameters.watchdog
+        is_watched = watchdog.min_frequency_hz > 0 and watchdog.action is not WatchdogAction.IGNORE
+        if self._approach is None and is_watched and controller.inputs.number(watchdog.variable) == 0:
+            return
         if self._approach is None:
-            controller.watchdogs.set(controller.parameters.watchdog, controller.clock)
+            controller.watchdogs.set(watchdog, controller.clock)
             start = controller.cycle.at(0)
             self._approach = MoveJ(controller.target.q, start, _APPROACH_SPEED, _APPROACH_ACCELERATION)
             controller.motion = self._approach
