@@ -14,6 +14,10 @@ from twin_node.cli.arguments import add_source_options, positive, whole, with_so
 from twin_node.cli.bench_calibration import add_bench_calibration
 from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
+from twin_node.cli.bench_graph import add_bench_graph
+from twin_node.cli.bench_refined import add_bench_refined
+from twin_node.cli.bench_ur import add_bench_ur
+from twin_node.cli.bench_viewer import add_bench_viewer
 from twin_node.cli.methods import add_methods
 
 
@@ -42,9 +46,13 @@ def add_bench(commands: Any) -> None:
     raster.add_argument("--json", action="store_true", help="print one JSON object")
     raster.set_defaults(run=_bench_raster)
     add_bench_calibration(benches)
+    add_bench_refined(benches)
     add_bench_collision(benches)
     add_bench_cell(benches)
     add_bench_forecast(benches)
+    add_bench_ur(benches)
+    add_bench_graph(benches)
+    add_bench_viewer(benches)
 
 
 def _bench_occupancy(options: argparse.Namespace) -> None:

@@ -23,6 +23,7 @@ def add_launch(commands: Any) -> None:
     parser.add_argument("arguments", nargs="*", metavar="NAME:=VALUE", help="what the file lets you set")
     parser.add_argument("-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="repeatable")
     parser.add_argument("-s", "--show-args", action="store_true", help="list the file's arguments and end")
+    parser.add_argument("--one-process", action="store_true", help="all nodes in one process, a thread each")
     parser.add_argument("--log-dir", type=Path, metavar="DIR", help="default: out/log/TIME-NAME")
     parser.set_defaults(run=_launch)
 

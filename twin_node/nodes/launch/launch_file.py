@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,13 @@ def read_launch_file(path: Path | str, given: Sequence[str] = (), parameters: Se
         is_lockstep=bool(section.get("lockstep", False)),
         zenoh=fill(ZenohParameters, section.get("zenoh") or {}, f"{path}: {LAUNCH}: zenoh"),
     )
+
+
+def in_one_process(plan: LaunchPlan) -> LaunchPlan:
+    """The plan with all nodes in one process, a thread each: messages go by reference."""
+    nodes = tuple(node for process in plan.processes for node in process.nodes)
+    whole = ProcessPlan("all", nodes, ends_launch=any(process.ends_launch for process in plan.processes))
+    return replace(plan, processes=(whole,))
 
 
 def _launch_section(path: Path) -> dict[str, Any]:

@@ -60,6 +60,15 @@ class Launcher:
         """Process identifier of every process that runs."""
         return {name: child.pid for name, child in self._children.items() if child.status is None}
 
+    def active(self) -> dict[str, int]:
+        """Process identifier of every process that runs and whose nodes have been told to begin."""
+        return {name: child.pid for name, child in self._children.items() if child.is_active and child.status is None}
+
+    @property
+    def is_active(self) -> bool:
+        """Whether all nodes have been told to begin."""
+        return self._is_active
+
     def run(self) -> LaunchResult:
         """Runs until interrupted, until a process that ends the launch has finished, or until one is given up.
 
