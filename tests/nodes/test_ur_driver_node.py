@@ -1,0 +1,148 @@
+"""The UR driver as a node and as a command, against the stand-in through the unmodified ur_rtde."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twin_node.arm import LimiterParameters
+from twin_node.arm.ur import DriverMode, DriverState, UrParameters
+from twin_node.bag import LogWriter, open_log
+from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
+from twin_node.cli import main
+from twin_node.messages import convert
+from twin_node.messages.types import message_type
+from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
+from twin_node.nodes.ur_driver import UrDriverNode
+from twin_node.robot import ur_model
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import PacedClock
+from twin_node.scene import JointPath, Separation
+
+pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
+
+PATIENCE_S = 20.0
+START_NS = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def stand_in() -> Iterator[StandInProcess]:
+    with StandInProcess(StandInParameters(host=free_loopback())) as running:
+        yield running
+
+
+class Graph:
+    """A bus with the driver on it; time is that of a log."""
+
+    def __init__(self, host: str, mode: DriverMode) -> None:
+        self.bus, self.clock = LocalBus(), PacedClock(START_NS, 1.0)
+        self.clock.start()
+        self.heard: dict[str, list[Any]] = {topic: [] for topic in (JOINT_STATES, TRAJECTORY, DIAGNOSTICS)}
+        for topic, messages in self.heard.items():
+            self.bus.subscribe(topic, messages.append)
+        limits = LimiterParameters(deadline_s=2.0, rise_per_s=20.0)
+        self.node = UrDriverNode(self.bus, self.clock, UrParameters(robot=host, mode=mode, stale_s=0.5, limiter=limits))
+        self.node.configure()
+        self.node.activate()
+
+    def until(self, holds: Callable[[], bool], fraction: float = 1.0) -> None:
+        """Tick and decide until something holds."""
+        pause = threading.Event()
+        last = time.monotonic() + PATIENCE_S
+        while not holds():
+            assert time.monotonic() < last, self.node.report
+            now = self.clock.now()
+            told = Separation(now, now - 30_000_000, 1.0, 0, 0, 0, 0, 0, 0, "", -1, fraction, "clear")
+            self.bus.publish(SEPARATION, convert.separation_to_message(told))
+            self.node.tick()
+            pause.wait(0.02)
+
+    def is_in(self, state: DriverState) -> bool:
+        return self.node.report is not None and self.node.report.state is state
+
+    def acknowledge(self) -> None:
+        """What somebody does who waits for the arm; while it has no connection, that is not heard."""
+        self.bus.publish(ACKNOWLEDGE, message_type("std_msgs/msg/Empty")())
+
+    def close(self) -> None:
+        self.node.deactivate()
+        self.node.cleanup()
+
+
+def test_decisions_of_the_graph_become_slider_and_the_arm_becomes_topics(stand_in: StandInProcess) -> None:
+    graph = Graph(stand_in.host, DriverMode.SLIDER)
+    graph.until(lambda: stand_in.status().speed_slider == pytest.approx(0.4), fraction=0.4)
+    stand_in.dashboard("play")
+    graph.until(lambda: np.abs(graph.heard[JOINT_STATES][-1].velocity).max() > 0.05, fraction=0.4)
+    sample = convert.joint_sample_from_message(graph.heard[JOINT_STATES][-1])
+    assert sample.names == ur_model("ur5e").joint_names
+    assert abs(sample.stamp - graph.clock.now()) < PATIENCE_S * 1e9  # the graph's time, not this computer's
+    path = convert.joint_path_from_message(graph.heard[TRAJECTORY][-1], 0)
+    assert path.stamps[-1] - path.stamps[0] == 200_000_000
+    travelled = np.abs(path.positions[-1] - path.positions[0]).max()
+    assert travelled > 1.5 * 0.2 * np.abs(sample.velocities).max()  # told at full speed, though it runs at 0.4
+    stand_in.switch("drop")
+    graph.until(lambda: graph.is_in(DriverState.HALTED))
+    levels = [convert.diagnostics_from_message(message)[0].level for message in graph.heard[DIAGNOSTICS]]
+    assert convert.Level.OK in levels
+    graph.until(lambda: convert.diagnostics_from_message(graph.heard[DIAGNOSTICS][-1])[0].level is convert.Level.ERROR)
+    graph.until(lambda: graph.acknowledge() or graph.is_in(DriverState.READY))
+    graph.close()
+    assert stand_in.status().speed_slider == 0.0
+    assert graph.node.report is None
+
+
+def test_servo_mode_follows_what_the_graph_asks_for(stand_in: StandInProcess) -> None:
+    graph = Graph(stand_in.host, DriverMode.SERVO)
+    graph.until(lambda: graph.node.report is not None and graph.node.report.speed_fraction == 1.0)
+    start = np.array(stand_in.status().q)
+    goal = start + np.array([0.2, 0, 0, 0, 0, 0])
+    stamps = np.arange(11, dtype=np.int64) * 50_000_000 + START_NS
+    way = np.linspace(0, 1, 11)[:, None]
+    path = JointPath(ur_model("ur5e").joint_names, stamps, start + way * (goal - start))
+    graph.bus.publish(FOLLOW, convert.joint_path_to_message(path))
+    graph.until(lambda: np.abs(np.array(stand_in.status().q) - goal).max() < 1e-3)
+    graph.close()
+
+
+def test_the_command_records_what_it_reads(stand_in: StandInProcess, tmp_path: Path) -> None:
+    out = tmp_path / "arm.mcap"
+    arguments = ["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "-o", str(out), "--duration", "3"]
+    assert main(arguments) == 0
+    with open_log(out) as log:
+        assert {DIAGNOSTICS} <= {topic.name for topic in log.topics}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ([], "expected a UR controller on port 30004"),
+        (["--model", "kuka"], "ur3e"),
+        (["--register", "30"], "18 to 22"),
+        (["--kinematics", "none.yaml"], "calibration file"),
+        (["--decisions", "none.mcap"], "none.mcap"),
+    ],
+)
+def test_what_cannot_be_driven_is_one_line_and_status_2(
+    arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ur-driver", "--robot", free_loopback(), "--no-reconnect", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert word in error
+    assert error.count("\n") == 1
+
+
+def test_a_log_without_decisions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "joints.mcap"
+    with LogWriter(log) as writer:
+        model = ur_model("ur5e")
+        path = JointPath(model.joint_names, np.array([START_NS]), np.zeros((1, 6)))
+        writer.write(TRAJECTORY, convert.joint_path_to_message(path), START_NS)
+    assert main(["ur-driver", "--robot", free_loopback(), "--no-reconnect", "--decisions", str(log)]) == 2
+    assert "expected a log with /twin/separation" in capsys.readouterr().err
