@@ -30,15 +30,14 @@ class StandInProcess:
         if self.parameters.admin_port is None:
             raise CellError("stand-in process: expected an admin port, found none; give it one")
         context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe(duplex=False)
+        self._tie, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(self.parameters, theirs), daemon=True)
         self._process.start()
         theirs.close()
-        with contextlib.closing(ours):
-            try:
-                problem = ours.recv() if ours.poll(_START_S) else "it did not start in time"
-            except EOFError:
-                problem = "its process ended"
+        try:
+            problem = self._tie.recv() if self._tie.poll(_START_S) else "it did not start in time"
+        except EOFError:
+            problem = "its process ended"
         if problem:
             self._process.kill()
             raise CellError(f"stand-in: {problem}")
@@ -81,6 +80,7 @@ class StandInProcess:
         """End it."""
         self._lines.close()
         self._admin.close()
+        self._tie.close()
         self._process.kill()
         self._process.join()
 
@@ -105,10 +105,17 @@ def free_loopback() -> str:
     raise CellError("no loopback address is free; this system seems to have 127.0.0.1 only: give a host")
 
 
-def _serve(parameters: StandInParameters, ready: Connection) -> None:
-    """Target of the process; tells None when all ports are open, else what is wrong."""
+def _serve(parameters: StandInParameters, tie: Connection) -> None:
+    """Target of the process; tells None when all ports are open, else what is wrong, and ends with who started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: whoever started us ends us
     try:
-        asyncio.run(StandIn(parameters).run(lambda: ready.send(None)))
+        with contextlib.suppress(asyncio.CancelledError):
+            asyncio.run(_until_alone(parameters, tie))
     except CellError as error:
-        ready.send(str(error))
+        tie.send(str(error))
+
+
+async def _until_alone(parameters: StandInParameters, tie: Connection) -> None:
+    task = asyncio.ensure_future(StandIn(parameters).run(lambda: tie.send(None)))
+    asyncio.get_running_loop().add_reader(tie.fileno(), task.cancel)  # nothing is ever sent: it reads as ended
+    await task
