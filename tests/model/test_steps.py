@@ -20,6 +20,7 @@ from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.plane import Plane
+from twin_node.model.relearning import revise
 from twin_node.model.rendering import Rendering, Splats, render
 from twin_node.model.sweep import shell_around
 from twin_node.scene import Tier
@@ -168,18 +169,22 @@ def test_a_rendering_is_held_to_every_pixel_that_a_moving_gaussian_shows_in() ->
     assert masks[0].mean() < 0.9
 
 
-def test_only_static_gaussians_that_reach_a_mask_are_near_it() -> None:
+def test_what_can_stand_before_a_moving_thing_is_found_and_no_more() -> None:
     store, backgrounds = world(table())
     known = backgrounds.of(store, CAMERAS)
-    mask = np.zeros((90, 120), bool)
-    mask[40:50, 50:70] = True
-    nothing = np.zeros_like(mask)
-    near = set(backgrounds.near(known, [mask, *[nothing] * (len(CAMERAS) - 1)]).tolist())
-    assert 0 < len(near) < len(store)
-    far = torch.tensor([row for row in range(len(store)) if row not in near])
-    everything, without = (
-        render(store.standing(store.values[rows]), CAMERAS[:1], [mask])[0]
-        for rows in (torch.arange(len(store)), torch.tensor(sorted(near)))
-    )
-    assert len(far) and torch.allclose(everything.rgb, without.rgb, atol=0.02)
-    assert not len(backgrounds.near(known, [nothing] * len(CAMERAS)))
+    above, under = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, -0.3]])
+    assert not len(backgrounds.occluders(known, [above] * 3))
+    before = backgrounds.occluders(known, [under] * 3)
+    assert 0 < len(before) < len(store) / 4
+
+
+def test_stale_ground_takes_up_what_it_misses_and_nothing_else_does() -> None:
+    one = observe(table(), None)[0]
+    brighter = np.clip(one.rgb + 0.2, 0, 1).astype(np.float32)
+    stale = np.zeros_like(one.stale)
+    stale[40:60, 50:80] = True
+    revision = revise(replace(one, rgb=brighter, stale=stale))
+    seen = one.background.static
+    assert len(revision.chosen) > 20
+    assert grow(stale, 1)[seen.rows[revision.chosen], seen.columns[revision.chosen]].all()
+    assert 0.02 < revision.missed.mean() < 0.2

@@ -77,6 +77,8 @@ class Backgrounds:
         self._changed = False
         self._waiting: list[str] = []
         self.rows = torch.zeros(0, dtype=torch.int64)
+        self.newest: str | None = None
+        """Camera whose background was rendered for this set; None: none was."""
 
     def mark(self) -> None:
         """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
@@ -90,8 +92,9 @@ class Backgrounds:
         elif self._changed and self._age >= REFRESH_SETS:
             self._survey(gaussians, cameras, self._known)
             self._waiting += [camera.name for camera in cameras if camera.name not in self._waiting]
-        if self._waiting:
-            name = self._waiting.pop(0)
+        self.newest = self._waiting.pop(0) if self._waiting else None
+        if self.newest is not None:
+            name = self.newest
             self._known[name] = replace(self._known[name], **vars(self._render(gaussians, self._known[name].camera)))
         return [self._known[camera.name] for camera in cameras]
 
@@ -119,15 +122,6 @@ class Backgrounds:
         depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
         backdrop = torch.cat([seen.rgb, torch.from_numpy(depth).to(seen.rgb)[..., None]], -1)
         return _Shown(seen.rgb.cpu().numpy(), depth, seen.alpha.cpu().numpy(), backdrop, surface, rays)
-
-    def near(self, backgrounds: Sequence[Background], masks: Sequence[Bool]) -> Tensor:
-        """[k] those of `rows` that can show in the pixels of some view's mask [H, W]."""
-        shown = np.zeros(len(self.rows), bool)
-        for background, mask in zip(backgrounds, masks, strict=True):
-            apart = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-            seen = background.static
-            shown |= background.reach_px + 1 > apart[seen.rows, seen.columns]
-        return self.rows[torch.from_numpy(shown).to(self.rows.device)]
 
     def occluders(self, backgrounds: Sequence[Background], moving: Sequence[Float64]) -> Tensor:
         """[k] those of `rows` that can stand before something that moves; `moving` holds its means [n, 3] per view."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.model.backgrounds import OCCLUSION, grow, on_surface
+from twin_node.model.backgrounds import OCCLUSION, on_surface
 from twin_node.model.observation import Observed
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
@@ -91,10 +91,3 @@ def _seen_through(one: Observed, seen: Seen) -> Bool:
         return np.zeros(len(seen.rows), bool)
     through: Bool = seen.inside & one.active[seen.rows, seen.columns]
     return through & (one.nearest[seen.rows, seen.columns] > (1 + SEEN_THROUGH) * seen.depth)
-
-
-def showing_stale(one: Observed) -> Bool:
-    """[n] STATIC Gaussians that fall where a view's background has to be learnt anew."""
-    seen = one.background.static
-    showing: Bool = seen.inside & ~one.background.occluded(seen) & grow(one.stale, 1)[seen.rows, seen.columns]
-    return showing

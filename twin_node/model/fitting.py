@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node import splat
-from twin_node.model.backgrounds import Backgrounds, grow
+from twin_node.model.backgrounds import grow
 from twin_node.model.carriage import Bend, Carriage, carry
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, WIDTH, Gaussians, activated
 from twin_node.model.motion import Motion
@@ -22,7 +22,7 @@ from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate, targe
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Sheet, Splats, join, split
 from twin_node.model.rotations import quat_product
-from twin_node.scene import Bool, Tier, View
+from twin_node.scene import Bool, View
 
 RATES = torch.zeros(WIDTH)
 RATES[MEAN] = 0.08
@@ -37,10 +37,6 @@ REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 1.5
 """What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
-REVISED_SHARE = 0.3
-"""What the rates of STATIC Gaussians are multiplied by when they are revised: noise must not wear them down."""
-REVISION_STEPS = 2
-"""Steps of such a revision: its sets follow each other."""
 SKIRT_PX = 5
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
@@ -97,36 +93,6 @@ def fit_moving(
     of_means = path.carriage.means_gradient(last.of_means)
     _learn_field(motion, bend, values, of_means, rigid.quats_gradient(last.of_quats))
     return split(last.sheets)
-
-
-def revise(
-    gaussians: Gaussians,
-    motion: Motion,
-    observed: Sequence[Observed],
-    backgrounds: Backgrounds,
-    revised: Tensor,
-    parameters: TrackParameters,
-) -> None:
-    """A few steps on the colours and opacities of STATIC rows `revised` [r], wherever they show and nothing moves.
-
-    Their places stay: what stands still is seen to change by light.
-    """
-    means = gaussians.means[revised].cpu().numpy()
-    masks = [(one.stale | _footprint(one, means)) & one.usable & ~one.near_moving for one in observed]
-    near = backgrounds.near([one.background for one in observed], masks)
-    near = near[gaussians.alive[near] & (gaussians.tiers[near] == int(Tier.STATIC))]
-    views = [one.view for one in observed]
-    backdrops = [torch.zeros_like(one.background.backdrop) for one in observed]
-    targets = targets_of(views, masks, gaussians.values.device)
-    goal = Goal([view.camera for view in views], masks, targets, backdrops)
-    offsets = [one.offset_s for one in observed]
-    poses, stamps = motion.poses(offsets), motion.stamps(offsets)
-    with torch.no_grad():
-        static = motion.place(gaussians, near[~torch.isin(near, revised)], poses, stamps)
-    rates = _rates(gaussians.values[revised], REVISED_SHARE * parameters.learning_rate)
-    rates[:, : LOGIT.start] = 0
-    path = Path(revised, carry(poses, gaussians.nodes[revised]), rates, static, goal)
-    _descend(gaussians, path, REVISION_STEPS)
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,11 @@ class Gaussians:
         self.homeless[rows] = False
         self.forget_moments(rows)
 
+    def recolour(self, rows: Tensor, change: Tensor) -> None:
+        """Adds `change` [n, 3] to the colours of `rows` [n]; they stay in 0 to 1."""
+        self._touch(rows)
+        self.values[rows, RGB] = (self.values[rows, RGB] + change).clamp(0, 1)
+
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""
         self._touch(rows)

@@ -12,15 +12,16 @@ from twin_node.model.adoption import adopt, adopt_points, as_newborns
 from twin_node.model.alignment import Twists, solve_twists
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
-from twin_node.model.deaths import judge_static, refuted_moving, showing_stale
+from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.fitting import fit_moving, held_pixels, revise
+from twin_node.model.fitting import fit_moving, held_pixels
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
+from twin_node.model.relearning import revise
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
@@ -170,15 +171,15 @@ class Tracker:
         return fit_moving(g, self._motion, observed, poses, masks, before, self._parameters.track)
 
     def _revise(self, observed: Sequence[Observed]) -> None:
-        """STATIC Gaussians that show where one view's background is wrong learn their colours anew, views in turn."""
-        one = observed[self._turn % len(observed)]
-        if not one.stale.any():
-            return
-        chosen = torch.from_numpy(showing_stale(one)).to(self._gaussians.alive.device)
-        revised = self._standing(self._backgrounds.rows[chosen])
-        if len(revised):
-            revise(self._gaussians, self._motion, observed, self._backgrounds, revised, self._parameters.track)
-            self._backgrounds.mark()
+        """STATIC Gaussians take up what the view whose background was rendered last misses where it is stale."""
+        for one in observed:
+            if one.view.camera.name == self._backgrounds.newest and one.stale.any():
+                revision = revise(one)
+                rows = self._backgrounds.rows[torch.from_numpy(revision.chosen)]
+                standing = self._gaussians.alive[rows] & (self._gaussians.tiers[rows] == int(Tier.STATIC))
+                missed = torch.from_numpy(revision.missed).to(rows.device)
+                self._gaussians.recolour(rows[standing], missed[standing])
+                self._backgrounds.mark()
 
     def _bury_moving(self, observed: Sequence[Observed]) -> None:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
