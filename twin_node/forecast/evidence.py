@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver, CarvingParameters
 from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.parts import Parts, PartVelocities, split
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
@@ -22,7 +24,7 @@ class Evidence:
     stamp: int
     """ns."""
     parts: Parts
-    """The moving space."""
+    """The moving space: flat indices in the outer grid, coordinates in the inner one."""
     velocities: Float64
     """[M, 3] of the parts, m/s."""
     static: OccupancyLayer
@@ -32,14 +34,15 @@ class Evidence:
 
 
 class Observer:
-    """Turns states into evidence on one grid."""
+    """Turns states into evidence on one grid and a rim about it."""
 
     def __init__(self, grid: Grid, carving: CarvingParameters, static: StaticParameters) -> None:
-        self.grid = grid
-        self.tables = RigTables(grid)
+        self.margin = Margin(grid, PERSON_SPEED * RIM_S)
+        self.grid = self.margin.outer
+        self.tables = RigTables(self.grid)
         self._carver = Carver(self.tables, carving)
         self._velocities = PartVelocities(self.tables)
-        self._static = StaticSpace(grid, static)
+        self._static = StaticSpace(self.grid, static)
         self._last_centers = np.zeros((0, 3))
         self._last_velocities = np.zeros((0, 3))
 
@@ -50,10 +53,17 @@ class Observer:
         velocities = self._velocities.update(state, parts, self._expected(parts.centers))
         self._last_centers, self._last_velocities = parts.centers, velocities
         static = self._static.update(state, self._carver)
-        unknown = np.zeros(self.grid.size, np.bool_)
+        stands, unknown = np.zeros((2, self.grid.size), np.bool_)
+        stands[static.indices] = True
         unknown[carved.unknown] = True
-        unknown[static.indices] = False
-        return Evidence(state.stamp, parts, velocities, static, encode_runs(unknown))
+        standing = np.flatnonzero(self.margin.cropped(stands)).astype(np.uint32)
+        return Evidence(
+            stamp=state.stamp,
+            parts=replace(parts, places=self.margin.places(parts.places)),
+            velocities=velocities,
+            static=OccupancyLayer(static.horizon_ns, standing, np.full(len(standing), 255, np.uint8)),
+            unknown_runs=encode_runs(self.margin.cropped(unknown & ~stands)),
+        )
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""

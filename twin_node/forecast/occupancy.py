@@ -13,6 +13,7 @@ from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageCont
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.grid import reach_of, spread
+from twin_node.forecast.judgement import held
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.prediction import Predictor
 from twin_node.forecast.static import StaticParameters
@@ -115,29 +116,18 @@ class Forecaster:
         return weights.mean(axis=1) if weights.shape[1] else np.full(len(weights), 1 / len(weights))
 
     def _judge(self, state: TwinState, evidence: Evidence) -> None:
-        """Scores the forecast made for now in the images: the pixels that what moves now has in the moving masks.
-
-        Space would be the wrong place: without depth the hull of what moves holds more than what moves, and flickers.
-        Parts that nobody saw when the forecast was made are left out.
-        """
+        """Scores the forecast made for now; parts that nobody saw when it was made are left out."""
         due = None
         while self._issued and self._issued[0].valid_at <= state.stamp:
             due = self._issued.popleft()
         if due is None or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
-        blocks = self._observer.tables.blocks
-        here = blocks.locate(evidence.parts.indices[known[evidence.parts.labels]])
-        forecast = blocks.locate(due.indices)
-        seen = covered = 0
-        for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
-            table = self._observer.tables.of(view.camera)
-            explained = mask & table.image_of(here)
-            seen += int(np.count_nonzero(explained))
-            covered += int(np.count_nonzero(explained & table.image_of(forecast)))
-        if seen:
+        here = evidence.parts.indices[known[evidence.parts.labels]]
+        found = held(state, self._observer.margin, self._observer.tables, here, due.indices)
+        if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
-            self._control.observe(covered / seen, elapsed)
+            self._control.observe(found.covered / found.seen, elapsed)
         if known.any() and due.places.shape[1]:
             missed = _missed(due.places, evidence.parts.centers[known])
             self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)

@@ -59,7 +59,7 @@ class StaticSpace:
             if view.depth is None:
                 continue
             still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
-            found = self.grid.indices(_unproject(view, still))
+            found = self.grid.indices(unproject(view, still))
             self._surfaces[found[found >= 0]] = True
 
     def _gaussian_voxels(self, state: TwinState) -> NDArray[np.int64]:
@@ -71,17 +71,17 @@ class StaticSpace:
         return found[found >= 0]
 
 
-def _unproject(view: View, where: NDArray[np.bool_]) -> Float32:
-    """Base-frame points [n, 3] all over the pixels in `where` [H, W]."""
-    assert view.depth is not None
-    fine = cv2.resize(where.astype(np.uint8), None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_NEAREST)
-    rows, columns = np.nonzero(fine)
-    z = view.depth[rows // _FINER, columns // _FINER]
-    K, T = view.camera.K, view.camera.T_base_cam
-    x = ((columns + 0.5) / _FINER - K[0, 2]).astype(np.float32) * z / np.float32(K[0, 0])
-    y = ((rows + 0.5) / _FINER - K[1, 2]).astype(np.float32) * z / np.float32(K[1, 1])
-    return np.stack([R[0] * x + R[1] * y + R[2] * z + R[3] for R in T[:3].astype(np.float32)], axis=1)
-
-
-_FINER = 3
+FINER = 3
 """Points along each side of a pixel: where a surface is seen at a slant, pixels are wider than voxels."""
+
+
+def unproject(view: View, where: NDArray[np.bool_], finer: int = FINER) -> Float32:
+    """Base-frame points [n, 3] (m) of the pixels in `where` [H, W] of a view with depth: `finer`^2 all over each."""
+    assert view.depth is not None
+    fine = cv2.resize(where.astype(np.uint8), None, fx=finer, fy=finer, interpolation=cv2.INTER_NEAREST)
+    rows, columns = np.nonzero(fine)
+    z = view.depth[rows // finer, columns // finer]
+    K, T = view.camera.K, view.camera.T_base_cam
+    x = ((columns + 0.5) / finer - K[0, 2]).astype(np.float32) * z / np.float32(K[0, 0])
+    y = ((rows + 0.5) / finer - K[1, 2]).astype(np.float32) * z / np.float32(K[1, 1])
+    return np.stack([R[0] * x + R[1] * y + R[2] * z + R[3] for R in T[:3].astype(np.float32)], axis=1)

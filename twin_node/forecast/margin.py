@@ -1,0 +1,49 @@
+"""The rim about the workspace in which things are followed before they come in."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.grid import MOST_VOXELS
+from twin_node.scene import Bool, Grid
+
+RIM_S = 0.25
+"""How long before it comes in a person is seen, s: the longest horizon."""
+
+
+class Margin:
+    """A grid and a larger one about it, on the same lattice."""
+
+    def __init__(self, inner: Grid, width_m: float, most_voxels: int = MOST_VOXELS) -> None:
+        """`width_m`: of the rim; less where the larger grid would exceed `most_voxels`.
+
+        None below: under a workspace lies a table or the floor.
+        """
+        rim = int(np.ceil(width_m / inner.voxel_size))
+        while rim > 0 and np.prod(np.array(inner.dims) + rim * _SIDES) > most_voxels:
+            rim -= 1
+        self.inner = inner
+        self._offset = rim * np.array([1, 1, 0])
+        dims = np.array(inner.dims) + rim * _SIDES
+        origin = inner.origin - self._offset * inner.voxel_size
+        self.outer = Grid(origin, inner.voxel_size, (int(dims[0]), int(dims[1]), int(dims[2])))
+
+    def places(self, outer: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of coordinates in the outer one."""
+        return outer - self._offset[:, None].astype(np.int32)
+
+    def cropped(self, mask: Bool) -> Bool:
+        """Flat mask [inner.size] of a flat mask [outer.size]."""
+        x, y, z = self._offset
+        nx, ny, nz = self.inner.dims
+        return mask.reshape(self.outer.dims)[x : x + nx, y : y + ny, z : z + nz].reshape(-1)
+
+    def outer_indices(self, indices: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Flat indices [n] in the outer grid of flat indices [n] in the inner one."""
+        ijk = np.stack(np.unravel_index(indices.astype(np.int64), self.inner.dims)) + self._offset[:, None]
+        return np.asarray(np.ravel_multi_index(tuple(ijk), self.outer.dims), dtype=np.int64)
+
+
+_SIDES = np.array([2, 2, 1])
+"""Sides along x, y and z that the rim is on."""
