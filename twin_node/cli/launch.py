@@ -36,17 +36,23 @@ def _launch(options: argparse.Namespace) -> int | None:
             default = "required" if argument.is_required else f"default: {argument.default!r}"
             print(f"{argument.name}:=  {argument.help} ({default})")
         return None
-    return launch(options.file, options.arguments, options.param, options.log_dir)
+    return launch(options.file, options.arguments, options.param, options.log_dir, options.one_process)
 
 
 def launch(
-    file: Path, arguments: Sequence[str], parameters: Sequence[str] = (), log_dir: Path | None = None
+    file: Path,
+    arguments: Sequence[str],
+    parameters: Sequence[str] = (),
+    log_dir: Path | None = None,
+    one_process: bool = False,
 ) -> int | None:
     """Runs a launch file's graph until it ends or is interrupted; returns the exit status."""
-    from twin_node.nodes.launch.launch_file import read_launch_file
+    from twin_node.nodes.launch.launch_file import in_one_process, read_launch_file
     from twin_node.nodes.launch.launcher import Launcher
 
     plan = read_launch_file(file, list(arguments), list(parameters))
+    if one_process:
+        plan = in_one_process(plan)
     folder = log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{file.stem}"
     print(f"logs: {folder}", flush=True)
     launcher = Launcher(plan, folder, lambda line: print(line, flush=True))

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from twin_node.messages import Message, MessageTypes, builtin_types, serialize
 from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.rmw_zenoh import Endpoint
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,9 @@ class Wire(Protocol):
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink` until cancelled; a latched topic's last message comes at once."""
 
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Publishers and subscribers of the whole graph, as far as this end has been told by now."""
+
     def close(self) -> None:
         """Ends all traffic."""
 
@@ -90,6 +94,10 @@ class LocalWire:
                 self._sinks[topic].remove(sink)
 
         return cancel
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """None: threads of one process need no discovery."""
+        return ()
 
     def close(self) -> None:
         """Forgets all sinks."""

@@ -21,8 +21,9 @@ class Child:
     """A spawned process: its orders go down a pipe, its events come up one, its output goes to a log."""
 
     def __init__(self, name: str, order: Order, log: Path, on_news: Callable[[], None]) -> None:
-        """`on_news()` is called, in a thread of the child's, when it is configured and when it has ended."""
+        """`on_news()` is called, in a thread of the child's, when it has loaded or configured nodes, and at its end."""
         self.name = name
+        self.is_loaded = False
         self.is_configured = False
         self.is_active = False
         self.error: str | None = None
@@ -52,6 +53,10 @@ class Child:
         """Exit status; None while it runs."""
         return self._process.poll()
 
+    def configure(self) -> None:
+        """Lets it make its nodes."""
+        self._say("configure")
+
     def activate(self) -> None:
         """Lets its nodes begin."""
         self.is_active = True
@@ -78,7 +83,9 @@ class Child:
         with os.fdopen(read_fd) as events:
             for line in events:
                 event = json.loads(line)
-                if event["event"] == "configured":
+                if event["event"] == "loaded":
+                    self.is_loaded = True
+                elif event["event"] == "configured":
                     self.is_configured = True
                 else:
                     self.error = event["error"]

@@ -31,6 +31,8 @@ class ProcessPlan:
     """Started again when it fails."""
     ends_launch: bool = False
     """When it has finished, everything else is brought down."""
+    has_spare: bool = False
+    """A second process waits with everything loaded, and takes over when the first fails."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,7 @@ def _is_wanted(entry: Mapping[str, Any] | None) -> bool:
 
 
 def _process(name: str, entry: Mapping[str, Any], path: Path) -> ProcessPlan:
-    known = {"nodes", "restart", "ends_launch", "if"}
+    known = {"nodes", "restart", "ends_launch", "spare", "if"}
     for key in entry:
         if key not in known:
             raise GraphError(f"{path}: process '{name}': unknown key '{key}'; {nearest(str(key), known)}")
@@ -190,7 +192,10 @@ def _process(name: str, entry: Mapping[str, Any], path: Path) -> ProcessPlan:
         check_kind(str(node), f"{path}: process '{name}'")
     if not nodes:
         raise GraphError(f"{path}: process '{name}': expected a list of nodes, found none")
-    return ProcessPlan(str(name), nodes, bool(entry.get("restart", True)), bool(entry.get("ends_launch", False)))
+    flags = (
+        bool(entry.get(key, default)) for key, default in (("restart", True), ("ends_launch", False), ("spare", False))
+    )
+    return ProcessPlan(str(name), nodes, *flags)
 
 
 def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -> None:

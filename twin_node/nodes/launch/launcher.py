@@ -49,6 +49,7 @@ class Launcher:
         self._interrupted = False
         self._is_active = False
         self._children: dict[str, Child] = {}
+        self._spares: dict[str, Child] = {}
         self._failures: dict[str, list[float]] = {}
         self._restarts = 0
 
@@ -78,7 +79,8 @@ class Launcher:
         router = None if self._plan.is_lockstep else open_router(self._plan.zenoh)
         try:
             for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
-                self._start(process)
+                self._children[process.name] = self._spawned(process)
+                self._children[process.name].configure()
             return self._watch()
         finally:
             self._stop_all()
@@ -90,6 +92,7 @@ class Launcher:
             self._news.wait(STEP_S)
             self._news.clear()
             self._activate_when_ready()
+            self._keep_spares()
             for place, process in enumerate(self._processes()):
                 child = self._children[process.name]
                 if child.status is None:
@@ -121,7 +124,19 @@ class Launcher:
             if child.is_configured and not child.is_active:
                 child.activate()
 
-    def _start(self, process: ProcessPlan) -> None:
+    def _keep_spares(self) -> None:
+        """One spare at a time is loaded, so that those that work are not held up."""
+        if not self._is_active or not all(child.is_active for child in self._children.values()):
+            return
+        if any(not spare.is_loaded and spare.status is None for spare in self._spares.values()):
+            return
+        for process in self._processes():
+            spare = self._spares.get(process.name)
+            if process.has_spare and (spare is None or spare.status is not None):
+                self._spares[process.name] = self._spawned(process)
+                return
+
+    def _spawned(self, process: ProcessPlan) -> Child:
         plan = self._plan
         order = Order(
             process.nodes,
@@ -132,7 +147,7 @@ class Launcher:
             str(plan.path),
         )
         log = self._log_folder / f"{process.name}.log"
-        self._children[process.name] = Child(process.name, order, log, self._news.set)
+        return Child(process.name, order, log, self._news.set)
 
     def _restarted(self, process: ProcessPlan, child: Child) -> bool:
         """Starts a failed process again, unless it must not be, or has failed too often."""
@@ -143,12 +158,16 @@ class Launcher:
             return False
         self._restarts += 1
         self._say(f"{process.name}: {_reason(child)}; starting it again")
-        self._start(process)
+        spare = self._spares.pop(process.name, None)
+        if spare is None or spare.status is not None:
+            spare = self._spawned(process)
+        self._children[process.name] = spare
+        spare.configure()
         return True
 
     def _stop_all(self) -> None:
         """Sources first, as they stand in the file, so that what they sent is still dealt with."""
-        for child in self._children.values():
+        for child in (*self._children.values(), *self._spares.values()):
             child.stop()
 
 

@@ -15,7 +15,7 @@ from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameters import fill
-from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import Traffic, WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -30,7 +30,7 @@ DIAGNOSTICS_PERIOD_S = 1.0
 class NodeThread:
     """One node, made anew whenever time jumps: nothing that it knew is true then."""
 
-    def __init__(self, name: str, order: Order, wire: ZenohWire, clock: Clock, on_end: Callable[[], None]) -> None:
+    def __init__(self, name: str, order: Order, wire: Wire, clock: Clock, on_end: Callable[[], None]) -> None:
         """`on_end()` is called, in the node's thread, when it has finished or failed."""
         self.name = name
         self.error: BaseException | None = None

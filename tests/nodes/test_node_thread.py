@@ -1,0 +1,141 @@
+"""A node in its thread: lifecycle in order, diagnostics, failures, and a fresh node whenever time jumps."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+
+from twin_node.errors import TwinError
+from twin_node.messages import convert, message_type
+from twin_node.nodes.launch import node_thread
+from twin_node.nodes.launch.host import Order
+from twin_node.nodes.launch.node_thread import NodeThread
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, kind_of
+from twin_node.runtime.clock import SystemClock
+from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.wire import LocalWire, Send
+
+WAIT_S = 60.0
+ORDER = Order(("counter",), {}, False, False, {}, "test")
+
+
+class Counter(Node):
+    """Counts the messages that it is sent while it is active; one that is named `bug` it cannot survive."""
+
+    def __init__(self, setup: Setup, life: list[str], heard: threading.Semaphore) -> None:
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self.count = 0
+        self._life, self._heard = life, heard
+
+    def on_configure(self) -> None:
+        self._life.append("configure")
+        self.bus.subscribe(JOINT_STATES, self._on_joints)
+
+    def on_activate(self) -> None:
+        self._life.append("activate")
+        self._heard.release()
+
+    def on_deactivate(self) -> None:
+        self._life.append("deactivate")
+
+    def on_cleanup(self) -> None:
+        self._life.append("cleanup")
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        return (convert.Diagnosis("counter: joints", convert.Level.OK, f"{self.count}"),)
+
+    def _on_joints(self, message: Any) -> None:
+        if message.name == ["bug"]:
+            raise ZeroDivisionError
+        if message.name == ["odd"]:
+            raise TwinError("joints of another arm")
+        self.count += 1
+        self._heard.release()
+
+
+class Bench:
+    """A node's thread on a local wire."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.life: list[str] = []
+        self.nodes: list[Counter] = []
+        self.heard, self.ended = threading.Semaphore(0), threading.Event()
+        self.wire = LocalWire()
+        monkeypatch.setattr(node_thread, "find_factory", lambda name: self.make)
+        self.thread = NodeThread("counter", ORDER, self.wire, SystemClock(), self.ended.set)
+        self.send: Send = self.wire.publisher("test", JOINT_STATES, kind_of(JOINT_STATES))
+
+    def make(self, setup: Setup) -> Counter:
+        self.nodes.append(Counter(setup, self.life, self.heard))
+        return self.nodes[-1]
+
+    def joints(self, name: str) -> Any:
+        kind = message_type("sensor_msgs/msg/JointState")
+        header = convert.clock_to_message(0).clock
+        values: list[float] = []
+        return kind(
+            header=message_type("std_msgs/msg/Header")(stamp=header, frame_id=""),
+            name=[name],
+            position=values,
+            velocity=values,
+            effort=values,
+        )
+
+    def begin(self) -> None:
+        self.thread.configure()
+        self.thread.start()
+        self.thread.activate()
+        assert self.heard.acquire(timeout=WAIT_S)
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+def test_a_node_is_led_through_its_life(bench: Bench) -> None:
+    bench.begin()
+    bench.send(bench.joints("a"))
+    assert bench.heard.acquire(timeout=WAIT_S)
+    bench.thread.stop()
+    assert bench.life == ["configure", "activate", "deactivate", "cleanup"]
+    assert bench.nodes[0].count == 1
+    assert bench.thread.error is None
+
+
+def test_a_jump_in_time_makes_the_node_anew(bench: Bench) -> None:
+    bench.begin()
+    bench.send(bench.joints("a"))
+    assert bench.heard.acquire(timeout=WAIT_S)
+    bench.thread.begin_anew()
+    assert bench.heard.acquire(timeout=WAIT_S)
+    bench.send(bench.joints("b"))
+    assert bench.heard.acquire(timeout=WAIT_S)
+    bench.thread.stop()
+    first, second = bench.nodes
+    assert (first.count, second.count) == (1, 1)
+    assert first.state is second.state is LifecycleState.UNCONFIGURED
+    assert bench.life == ["configure", "activate", "deactivate", "cleanup"] * 2
+
+
+def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(bench: Bench) -> None:
+    told: list[Any] = []
+    arrived = threading.Event()
+
+    def hear(message: Any) -> None:
+        told.append(convert.diagnostics_from_message(message))
+        if any("joints of another arm" in d.message for d in told[-1]):
+            arrived.set()
+
+    bench.wire.subscribe("test", DIAGNOSTICS, kind_of(DIAGNOSTICS), hear)
+    bench.begin()
+    bench.send(bench.joints("odd"))
+    assert arrived.wait(WAIT_S)
+    assert {d.name for d in told[-1]} == {"counter: messages", "counter: joints"}
+    bench.send(bench.joints("bug"))
+    assert bench.ended.wait(WAIT_S)
+    assert isinstance(bench.thread.error, ZeroDivisionError)
+    assert bench.life[-2:] == ["deactivate", "cleanup"]
