@@ -99,7 +99,8 @@ def _throw(direction: Float64, speed: float) -> MadeUp:
 
     def motion(times: Float64) -> Float64:
         t = np.maximum(times, 0)[:, None]
-        return t * ahead + t**2 / 2 * GRAVITY
+        path: Float64 = t * ahead + t**2 / 2 * GRAVITY
+        return path
 
     return MadeUp(motion, flight_s=1.0)
 

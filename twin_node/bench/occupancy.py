@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from twin_node.bench.equal_recall import EqualRecall, PersistenceLayers
 from twin_node.bench.errors import BenchError
+from twin_node.bench.space import SpaceScore, SpaceTally
 from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score
@@ -61,11 +64,20 @@ class OccupancyBench:
     """Coverage aimed at."""
     scores: Mapping[str, Score]
     """By name: ours, persistence, constant_velocity, worst_case."""
+    persistence_equal_recall: EqualRecall | None = None
+    """Persistence grown until it finds as much as ours; None without true points."""
+    space: SpaceScore | None = None
+    """Vacated and unseen space; None without exact truth."""
+    update_ms: float | None = None
+    """Median time of one forecast, without its evidence being scored."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
         named = {name: asdict(score) for name, score in self.scores.items()}
-        return {**named, "truth": self.truth, "sets": self.sets, "coverage": self.coverage, "target": self.target}
+        own = {"truth": self.truth, "sets": self.sets, "coverage": self.coverage, "target": self.target}
+        equal = None if self.persistence_equal_recall is None else asdict(self.persistence_equal_recall)
+        space = {} if self.space is None else asdict(self.space)
+        return {**named, "persistence_equal_recall": equal, **space, **own, "update_ms": self.update_ms}
 
 
 def run(
@@ -106,11 +118,15 @@ def score_states(
     chosen = parameters.chain.forecast
     forecaster, baselines = Forecaster(grid, chosen), BaselineForecaster(grid, chosen.carving, chosen.static)
     comparison = Comparison(truth, "persistence")
+    layers, space, spent = PersistenceLayers(grid), SpaceTally(grid), []
     sets, begin = 0, None
     for state in states:
         begin = state.stamp if begin is None else begin
         publish = state.stamp + round(parameters.latency_ms * 1e6)
-        ours, others = forecaster.update(state, publish), baselines.update(state, publish)
+        started = time.perf_counter()
+        ours = forecaster.update(state, publish)
+        spent.append(time.perf_counter() - started)
+        others = baselines.update(state, publish)
         if isinstance(truth, LaterTruth):
             _observe(truth, state, grid, others.persistence.layers[0].indices.astype(np.int64))
         sets += 1
@@ -120,10 +136,28 @@ def score_states(
             "constant_velocity": others.constant_velocity,
             "worst_case": others.worst_case,
         }
-        comparison.add(state, forecasts if state.stamp - begin >= parameters.warm_up_s * 1e9 else {})
+        warm = state.stamp - begin >= parameters.warm_up_s * 1e9
+        comparison.add(state, forecasts if warm else {})
+        if warm:
+            layers.add(others.persistence.layers[-1].indices)
+        if isinstance(truth, VoxelTruth):
+            space.add(state, ours, truth.points(state.stamp))
     quality = forecaster.quality
     coverage = quality.coverage if np.isfinite(quality.coverage) else None
-    return OccupancyBench(truth.source, sets, coverage, quality.target, comparison.scores())
+    scores = comparison.scores()
+    recall = scores[OURS].recall if OURS in scores else None
+    return OccupancyBench(
+        truth=truth.source,
+        sets=sets,
+        coverage=coverage,
+        target=quality.target,
+        scores=scores,
+        persistence_equal_recall=None
+        if recall is None
+        else layers.grown_to(comparison.distances("persistence"), recall),
+        space=space.score() if isinstance(truth, VoxelTruth) else None,
+        update_ms=1e3 * float(np.median(spent)) if spent else None,
+    )
 
 
 def _observe(truth: LaterTruth, state: TwinState, grid: Grid, indices: np.ndarray) -> None:

@@ -79,6 +79,10 @@ class Comparison:
         """Scores of all forecasts whose time has come, by name."""
         return {name: tally.score() for name, tally in self._tallies.items()}
 
+    def distances(self, name: str) -> Float64:
+        """Distances [n] (m) of true points from a forecast at its last horizon, 0 inside; infinite if it was empty."""
+        return np.array(self._tallies[name].errors) if name in self._tallies else np.zeros(0)
+
     def _settle(self, pending: _Pending, state: TwinState) -> None:
         """Scores forecasts for about the time of `state`, the first one not before it."""
         before = pending.forecasts[self._reference].layers[0].indices
@@ -139,7 +143,7 @@ class _Tally:
             self.found, self.of = self.found + score.found, self.of + score.of
             self.new_found, self.new_of = self.new_found + score.new_found, self.new_of + score.new_of
             errors = nearest_error(grid, last, later)
-            self.errors.extend(errors[np.isfinite(errors)].tolist())
+            self.errors.extend(errors.tolist())
 
     def add_pixels(self, forecast: Occupancy, view: View, truth: Bool) -> None:
         layer = forecast.layers[-1]
@@ -157,7 +161,7 @@ class _Tally:
             moving_volume_l=_mean(self.moving),
             inflation=_share(sum(self.moving), sum(self.true_volumes)),
             iou=_mean(self.overlaps),
-            error_mm=None if not self.errors else 1e3 * float(np.mean(self.errors)),
+            error_mm=_mean([1e3 * error for error in self.errors if np.isfinite(error)]),
         )
 
 

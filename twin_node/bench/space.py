@@ -1,0 +1,115 @@
+"""How soon vacated space is reported free, and whether unseen space ever is: scored against exact truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.grid import decode_runs
+from twin_node.geometry import project
+from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, View
+
+UNSEEN_EVERY = 10
+"""Every so many sets the whole grid is looked through for unseen space."""
+BEHIND_VOXELS = 3.0
+"""A voxel this far behind a measured surface is certainly hidden by it, voxels."""
+
+
+@dataclass(frozen=True)
+class SpaceScore:
+    """What became of vacated and of unseen space; None where there was none."""
+
+    vacated_free_ms_p95: float | None
+    """95 % of the voxels that a thing left, and that a camera sees to be empty, were reported free within this time."""
+    vacated_voxels: int
+    unseen_not_free: float | None
+    """Share of the voxels hidden from every camera that were reported unknown or occupied."""
+
+
+class SpaceTally:
+    """Follows voxels from the time that they are left until they are reported free."""
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+        self._was_occupied = np.zeros(grid.size, np.bool_)
+        self._since = np.zeros(grid.size, np.int64)
+        self._latencies: list[NDArray[np.int64]] = []
+        self._unseen = self._unseen_blocked = 0
+        self._sets = 0
+
+    def add(self, state: TwinState, forecast: Occupancy, occupied_points: Float64 | None) -> None:
+        """Takes in a state with depth, what was said of it, and points [n, 3] (m) truly occupied at its stamp."""
+        if occupied_points is None or any(view.depth is None for view in state.frames.views):
+            return
+        places = self._grid.indices(occupied_points)
+        occupied = np.zeros(self._grid.size, np.bool_)
+        occupied[places[places >= 0]] = True
+        blocked = decode_runs(forecast.unknown_runs, self._grid.size)
+        blocked[forecast.layers[0].indices] = True
+        blocked[forecast.static.indices] = True
+        self._follow_vacated(state, forecast, occupied, blocked)
+        if self._sets % UNSEEN_EVERY == 0:
+            hidden = np.flatnonzero(~occupied & _hidden(state, self._grid))
+            self._unseen += len(hidden)
+            self._unseen_blocked += int(np.count_nonzero(blocked[hidden]))
+        self._sets += 1
+
+    def score(self) -> SpaceScore:
+        """The score so far."""
+        latencies = np.concatenate(self._latencies) if self._latencies else np.zeros(0, np.int64)
+        return SpaceScore(
+            float(np.quantile(latencies, 0.95)) * 1e-6 if len(latencies) else None,
+            len(latencies),
+            self._unseen_blocked / self._unseen if self._unseen else None,
+        )
+
+    def _follow_vacated(self, state: TwinState, forecast: Occupancy, occupied: Bool, blocked: Bool) -> None:
+        standing = np.zeros(self._grid.size, np.bool_)
+        standing[forecast.static.indices] = True
+        self._since[occupied | standing] = 0
+        self._was_occupied = (self._was_occupied | occupied) & ~standing
+        left = np.flatnonzero(self._was_occupied & ~occupied & (self._since == 0))
+        self._since[left[_seen_empty(state, self._grid, left)]] = state.stamp
+        free = np.flatnonzero((self._since > 0) & ~blocked)
+        self._latencies.append(forecast.publish_stamp - self._since[free])
+        self._since[free] = 0
+        self._was_occupied[free] = False
+
+
+def _seen_empty(state: TwinState, grid: Grid, indices: NDArray[np.int64]) -> Bool:
+    """Whether some camera measures a surface at least a voxel behind each voxel [n], off the arm."""
+    seen = np.zeros(len(indices), np.bool_)
+    for view, robot in zip(state.frames.views, state.robot_masks, strict=True):
+        rays = _Rays(view, robot, grid.centers(indices))
+        seen |= rays.inside & ~rays.on_robot & (rays.surface > rays.depth + grid.voxel_size)
+    return seen
+
+
+def _hidden(state: TwinState, grid: Grid) -> Bool:
+    """[grid.size] voxels that no camera sees for certain: outside its image, behind its surface or behind the arm.
+
+    Voxels that all cameras see on the arm are left out: they may be the arm itself.
+    """
+    hidden, on_arm = np.ones((2, grid.size), np.bool_)
+    centers = grid.centers(np.arange(grid.size))
+    for view, robot in zip(state.frames.views, state.robot_masks, strict=True):
+        rays = _Rays(view, robot, centers)
+        behind = (rays.surface > 0) & (rays.surface < rays.depth - BEHIND_VOXELS * grid.voxel_size)
+        hidden &= ~rays.inside | rays.on_robot | behind
+        on_arm &= ~rays.inside | rays.on_robot
+    return np.asarray(hidden & ~on_arm)
+
+
+class _Rays:
+    """What one view shows where points project."""
+
+    def __init__(self, view: View, robot: Bool | None, points: Float64) -> None:
+        assert view.depth is not None
+        u, v, self.depth = project(view.camera.K, view.camera.viewmat, points).T
+        height, width = view.depth.shape
+        self.inside = (self.depth > 1e-3) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        rows, columns = (np.where(self.inside, at, 0).astype(np.int64) for at in (v, u))
+        self.surface = np.where(self.inside, view.depth[rows, columns], 0)
+        self.on_robot = np.zeros(len(points), np.bool_) if robot is None else self.inside & robot[rows, columns]
