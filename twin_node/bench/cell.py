@@ -7,14 +7,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
 from twin_node.bench.cell_scores import Outcome, score
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario import load_scenario
+
+if TYPE_CHECKING:
+    from twin_node.bench.cell_twin import TwinTiming
 
 SUITE = ("reach_in", "cross", "stop", "retreat", "two_people", "thrown_ball", "occlusion", "conveyor")
 """What `all` stands for."""
@@ -30,6 +33,12 @@ class CellBenchParameters:
     """Seeds 1 to so many of each scenario."""
     latency_ms: float = 33.0
     """From the images to the obstacles, for perfect perception: the twin's own assumption in lockstep."""
+    twin: bool = False
+    """The real chain in the loop as `ours`: rendered images, model and forecast."""
+    twin_latency_ms: float | None = None
+    """From the images to the twin's obstacles; None: as long as the chain takes on this machine."""
+    twin_width: int = 160
+    """Working width of the twin's images, pixels."""
     processes: int = 2
     loop: LoopParameters = field(default_factory=LoopParameters)
 
@@ -53,6 +62,8 @@ class CaseResult:
     """By policy."""
     work: Mapping[str, float]
     """By policy: progress as a share of the unobstructed arm's."""
+    timing: TwinTiming | None = None
+    """How late the twin was, where it was in the loop."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +83,24 @@ class PolicyFigures:
 
 
 def run_case(job: Job) -> CaseResult:
-    """All policies in one scenario under one seed; `ours` is the law with perfect perception."""
+    """All policies in one scenario under one seed; `ours` is the twin, or else the law with perfect perception."""
+    parameters = job.parameters
     scenario = load_scenario(job.scenario).with_seed(job.seed)
-    case = CellCase(scenario, job.parameters.latency_ms, job.parameters.loop)
-    outcomes = {policy.name: score(case, case.run(policy), with_delays=policy is PERFECT) for policy in POLICIES}
-    outcomes = {OURS: outcomes[PERFECT.name], **outcomes}
-    whole = _unobstructed_s(job.scenario, job.parameters)
+    case = CellCase(scenario, parameters.latency_ms, parameters.loop)
+    outcomes = {
+        policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not parameters.twin)
+        for policy in POLICIES
+    }
+    ours, timing = outcomes[PERFECT.name], None
+    if parameters.twin:
+        from twin_node.bench.cell_twin import run_twin  # imports torch, which takes as long as a run without the twin
+
+        twin = run_twin(case, parameters.twin_width, parameters.twin_latency_ms)
+        ours, timing = score(case, twin.record, twin.first_seen_s, with_delays=True), twin.timing
+    outcomes = {OURS: ours, **outcomes}
+    whole = _unobstructed_s(job.scenario, parameters)
     work = {name: outcome.progress_s / whole for name, outcome in outcomes.items()}
-    return CaseResult(scenario.name, job.seed, outcomes, work)
+    return CaseResult(scenario.name, job.seed, outcomes, work, timing)
 
 
 @lru_cache
@@ -126,8 +147,23 @@ def summary(results: Sequence[CaseResult]) -> dict[str, object]:
             "max": _percentile_ms(delays, 100),
             "unanswered": sum(result.outcomes[OURS].unanswered for result in results),
         },
+        **_twin_figures(results),
         "runs": len(results),
         "scenarios": scenarios,
+    }
+
+
+def _twin_figures(results: Sequence[CaseResult]) -> dict[str, object]:
+    timings = [result.timing for result in results if result.timing is not None]
+    if not timings:
+        return {}
+    latencies_s = np.concatenate([timing.latencies_ms for timing in timings]) * 1e-3
+    return {
+        "twin": {
+            "sets": sum(timing.sets for timing in timings),
+            "dropped": sum(timing.dropped for timing in timings),
+            "latency_ms": {f"p{percent}": _percentile_ms(latencies_s, percent) for percent in (50, 95, 99)},
+        }
     }
 
 
@@ -157,6 +193,25 @@ def _percentile_ms(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], percen
     return float(1e3 * np.percentile(seconds, percent)) if len(seconds) else None
 
 
-def table(figures: Mapping[str, object]) -> str:
-    """The figures of `summary` as lines of text."""
-    return yaml.safe_dump(dict(figures), sort_keys=False).rstrip()
+def table(figures: Mapping[str, Any]) -> str:
+    """The figures of `summary` as lines of text: a row per policy and scenario."""
+    rows = [f"{'':<14}{'policy':<14}{'contacts':>9}{'work':>8}{'nearest':>9}{'stops':>7}{'false':>7}{'gap':>7}"]
+    for name, group in {"all": figures, **figures["scenarios"]}.items():
+        for policy in (OURS, *(policy.name for policy in POLICIES)):
+            row = group[policy]
+            gap = group["gap_closed"] if policy == OURS else None
+            rows.append(
+                f"{name:<14}{policy:<14}{row['contacts']:>9}{row['work']:>8.3f}{_text(row['min_distance_m'], 'm'):>9}"
+                f"{row['stops']:>7}{row['false_stops']:>7}{_text(gap):>7}"
+            )
+    delays = figures["slow_down_ms"]
+    rows.append(
+        f"slow-down after entry: {delays['entries']} entries, p50 {_text(delays['p50'], 'ms')}, "
+        f"p95 {_text(delays['p95'], 'ms')}, unanswered {delays['unanswered']}; {figures['runs']} runs"
+    )
+    return "\n".join(rows)
+
+
+def _text(value: float | None, unit: str = "") -> str:
+    digits = ".0f" if unit == "ms" else ".3f" if unit else ".2f"
+    return "-" if value is None else f"{value:{digits}}{' ' * bool(unit)}{unit}"

@@ -96,13 +96,15 @@ class CellCase:
         seen = PerfectPerception(alone, self.arm.model, Foresight.NONE, self.timing)
         return self.run_with(seen, SeparationParameters().human_speed)
 
-    def run_with(self, perception: Perception, human_speed: float) -> LoopRecord:
-        """The arm at work under the law, knowing what a perception tells."""
+    def run_with(
+        self, perception: Perception, human_speed: float, checker: ArmCollisionChecker | None = None
+    ) -> LoopRecord:
+        """The arm at work under the law, knowing what a perception tells; `checker` in place of the case's own."""
         law = replace(self.parameters.separation, human_speed=human_speed)
         latency_ns = round(self.parameters.command_latency_ms * 1e6)
         program = RunningProgram(self.arm.cycle, self.table, self.scenario.start_ns, latency_ns)
         parameters = replace(self.parameters, separation=law)
-        return run_loop(program, self.checker, self.table, perception, self.scenario.duration_s, parameters)
+        return run_loop(program, checker or self.checker, self.table, perception, self.scenario.duration_s, parameters)
 
     def share_by_truth(self, stamp: int, phase_ns: float, ahead_ns: int) -> float:
         """Speed share of the law without latency: true obstacles now and over a time (ns), the arm at a phase."""

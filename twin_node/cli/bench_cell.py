@@ -37,8 +37,15 @@ def add_bench_cell(benches: Any) -> None:
         "scenarios", nargs="+", metavar="SCENARIO", help="scenario files or names below sim/; 'all' for the whole suite"
     )
     cell.add_argument("--seeds", type=whole, default=20, metavar="N", help="seeds per scenario (default 20)")
+    cell.add_argument("--twin", action="store_true", help="the real chain as 'ours', as slow as it is here (slow!)")
     cell.add_argument(
-        "--latency", type=not_negative, metavar="MS", help="from the images to the obstacles (default 33)"
+        "--latency", type=not_negative, metavar="MS", help="from images to obstacles (default 33; the twin's: measured)"
+    )
+    cell.add_argument(
+        "--unknown",
+        choices=("law", "clearance", "ignore"),
+        default="law",
+        help="what may come out of space that no camera sees (default law: anything, at 1.6 m/s)",
     )
     cell.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
     cell.add_argument("--rig", action="store_true", help="measure how fast the scenario's cameras are rendered instead")
@@ -51,11 +58,21 @@ def _bench_cell(options: argparse.Namespace) -> None:
     if options.rig:
         _bench_rig(options)
         return
+    from twin_node.arm import SeparationParameters, UnknownPolicy
     from twin_node.bench import cell
     from twin_node.bench.cell_picture import draw
+    from twin_node.cell.closed_loop import LoopParameters
 
     names = [name for given in options.scenarios for name in (cell.SUITE if given == "all" else (given,))]
-    parameters = cell.CellBenchParameters(tuple(dict.fromkeys(names)), options.seeds, processes=options.processes)
+    law = SeparationParameters(unknown=UnknownPolicy(options.unknown))
+    parameters = cell.CellBenchParameters(
+        scenarios=tuple(dict.fromkeys(names)),
+        seeds=options.seeds,
+        twin=options.twin,
+        twin_latency_ms=options.latency,
+        processes=options.processes,
+        loop=LoopParameters(separation=law),
+    )
     if options.latency is not None:
         parameters = replace(parameters, latency_ms=options.latency)
     results = cell.run(parameters, lambda runs, total: tqdm(runs, total=total, unit="run", disable=None))

@@ -1,0 +1,214 @@
+"""The real chain in the closed loop: rendered images, synchroniser, model and forecast, and as late as they are."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin_node.arm import AllowedRegion, ArmCollisionChecker
+from twin_node.bench.cell_case import CellCase
+from twin_node.bench.errors import BenchError
+from twin_node.cell.closed_loop import LoopRecord
+from twin_node.cell.program import RunningProgram
+from twin_node.cell.sensor import RawImage
+from twin_node.cell.simulator import Exposure, SimulatedRig
+from twin_node.cell.ur_arm import DrivenArm
+from twin_node.messages import convert
+from twin_node.nodes.chain import Chain, ChainParameters, load_parameters
+from twin_node.nodes.latency import Latency
+from twin_node.nodes.synchronizer import SynchronizerNode
+from twin_node.nodes.topics import COMPRESSED, FRAMES, JOINT_STATES, OBSTACLES, RAW, CameraTopics
+from twin_node.robot import UR_NAMES, forward_kinematics, place_capsules
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+from twin_node.scene import Float64, FrameSet, Obstacles
+
+
+@dataclass(frozen=True)
+class TwinTiming:
+    """How late the chain was in one run."""
+
+    sets: int
+    """Image sets that went through."""
+    dropped: int
+    """Sets that a newer one replaced before the chain had time for them."""
+    latencies_ms: Float64
+    """[sets] from the newest image of a set to its obstacles."""
+
+
+@dataclass(frozen=True)
+class TwinRun:
+    """A run with the twin in the loop."""
+
+    record: LoopRecord
+    timing: TwinTiming
+    first_seen_s: float
+    """When some camera first saw somebody, s after the start; infinite where none did."""
+
+
+def run_twin(case: CellCase, width: int, latency_ms: float | None) -> TwinRun:
+    """The arm at work, knowing what the real chain, as shipped, tells of images that are `width` pixels wide.
+
+    `latency_ms` None: as late as the chain is on this machine. Raises `BenchError` for an arm that the chain does not
+    know.
+    """
+    chain = load_parameters(None)
+    arm = replace(chain.arm, model=case.arm.model.name)
+    parameters = replace(chain, arm=arm, synchronizer=replace(chain.synchronizer, width=width))
+    seen = TwinPerception(case, parameters, None if latency_ms is None else round(latency_ms * 1e6))
+    checker = ArmCollisionChecker(case.arm.model, allowed=(taught_region(case),))
+    record = case.run_with(seen, case.parameters.separation.human_speed, checker)
+    first = seen.first_seen_ns
+    first_seen_s = np.inf if first is None else (first - case.scenario.start_ns) * 1e-9
+    return TwinRun(record, seen.timing, float(first_seen_s))
+
+
+class _WorkClock:
+    """Simulated time that goes on at the wall clock's pace while the chain works."""
+
+    def __init__(self, start_ns: int) -> None:
+        self._base_ns = start_ns
+        self._begun: int | None = None
+
+    def begin(self, now: int) -> None:
+        """Work begins at a simulated time, ns."""
+        self._base_ns, self._begun = now, time.perf_counter_ns()
+
+    def end(self) -> int:
+        """Work has ended; the simulated time at which, ns."""
+        self._base_ns, self._begun = self.now(), None
+        return self._base_ns
+
+    def now(self) -> int:
+        """Simulated time, ns."""
+        return self._base_ns if self._begun is None else self._base_ns + time.perf_counter_ns() - self._begun
+
+
+def taught_region(case: CellCase, margin_m: float = 0.05) -> AllowedRegion:
+    """The box about all that the arm sweeps in its cycle, grown by a margin (m).
+
+    Its program was taught clear of furniture: what the twin takes to stand there is the arm's own outline, or something
+    that the program passes by.
+    """
+    template = case.arm.cycle.template
+    placed = place_capsules(case.arm.model, forward_kinematics(case.arm.model, template.positions))
+    reach = placed.radii[:, None, None] + margin_m
+    lower, upper = (placed.ends - reach).min(axis=(0, 1, 2)), (placed.ends + reach).max(axis=(0, 1, 2))
+    return AllowedRegion(lower, upper, case.arm.model.link_names)
+
+
+class TwinPerception:
+    """The twin as the loop's perception: it sees the arm where the loop has driven it, and answers when it is done.
+
+    The chain takes the newest set whenever it is free. The time that it then takes on this machine is when its
+    obstacles become known; `latency_ns` replaces that by a fixed time from the images on.
+    """
+
+    def __init__(self, case: CellCase, parameters: ChainParameters, latency_ns: int | None = None) -> None:
+        """Raises `BenchError` for an arm that the chain does not know."""
+        scenario = case.scenario
+        if scenario.arm is None or scenario.arm.model not in UR_NAMES:
+            raise BenchError(f"scenario {scenario.name}: the twin knows the arms {', '.join(UR_NAMES)} alone")
+        self._rig = SimulatedRig(scenario)
+        self._arm = DrivenArm(scenario.arm, scenario)
+        self._rig.world.arm = self._arm
+        self._due: deque[Exposure] = deque(self._rig.exposures())
+        self._fixed_ns = latency_ns
+        self._reading, self._working = LocalBus(), LocalBus()
+        self._reading_clock, self._clock = SteppedClock(scenario.start_ns), _WorkClock(scenario.start_ns)
+        synchronizer = SynchronizerNode(
+            self._reading, self._reading_clock, _topics(self._rig), self._rig.rig, parameters.synchronizer
+        )
+        synchronizer.configure()
+        synchronizer.activate()
+        self._latency = Latency(round(case.timing.latency_ns), latency_ns is None)
+        workspace = np.array(scenario.workspace)
+        chain = Chain(self._working, self._clock, workspace, parameters, self._latency, lambda: self._dropped, False)
+        chain.start()
+        self._newest: FrameSet | None = None
+        self._found: Any = None
+        self._known_from = scenario.start_ns
+        self._is_built = False
+        self._dropped = 0
+        self._latencies_ms: list[float] = []
+        self._reading.subscribe(FRAMES, self._on_frames)
+        self._working.subscribe(OBSTACLES, self._on_obstacles)
+        self.first_seen_ns: int | None = None
+        """When some camera first saw somebody, ns; None as long as none has."""
+
+    def look(self, program: RunningProgram) -> Obstacles | None:
+        """Takes the images that are due, and gives the obstacles that have become known since the last look."""
+        now = program.now
+        self._arm.drive(now, program.phase_ns)
+        self._reading_clock.advance_to(now)
+        self._reading.publish(JOINT_STATES, convert.joint_sample_to_message(self._arm.sample(now)))
+        while self._due and self._due[0].stamp <= now:
+            self._take(self._due.popleft())
+        if now < self._known_from:
+            return None
+        found, self._found = self._found, None
+        if self._newest is not None:
+            self._work(now)
+        return None if found is None else convert.obstacles_from_message(found)
+
+    @property
+    def timing(self) -> TwinTiming:
+        """How late the chain has been so far."""
+        return TwinTiming(len(self._latencies_ms), self._dropped, np.array(self._latencies_ms))
+
+    def _take(self, exposure: Exposure) -> None:
+        """Renders one image and sends it; the time that decoding takes is the chain's, that of rendering nobody's."""
+        image = self._rig.take(exposure)
+        if self.first_seen_ns is None:
+            owners = self._rig.see(exposure.camera, exposure.stamp).owners
+            if np.isin(owners, self._rig.world.people_owners).any():
+                self.first_seen_ns = exposure.stamp
+        topics = _topics_of(image.camera)
+        assert topics.depth is not None
+        self._reading.publish(topics.depth, convert.depth_image(image.camera, image.stamp, _metres(image)))
+        self._reading.publish(topics.image, convert.compressed_image(image.camera, image.stamp, image.rgb))
+
+    def _on_frames(self, frames: FrameSet) -> None:
+        self._dropped += self._newest is not None
+        self._newest = frames
+
+    def _on_obstacles(self, message: Any) -> None:
+        self._found = message
+
+    def _work(self, now: int) -> None:
+        """Puts the newest set through the chain, from now on; building the model from the first set takes no time."""
+        frames, self._newest = self._newest, None
+        assert frames is not None
+        self._clock.begin(now)
+        self._working.publish(FRAMES, frames)
+        done = self._clock.end()
+        if not self._is_built:
+            self._is_built = True
+            self._latency.start()
+            done = now
+        self._known_from = done if self._fixed_ns is None else max(now, frames.stamp + self._fixed_ns)
+        self._latencies_ms.append((self._known_from - frames.stamp) * 1e-6)
+
+
+def _topics(rig: SimulatedRig) -> tuple[CameraTopics, ...]:
+    return tuple(_topics_of(camera.name) for camera in rig.cameras)
+
+
+def _topics_of(camera: str) -> CameraTopics:
+    return CameraTopics(
+        name=camera,
+        image=f"/{camera}/image_raw/compressed",
+        image_type=COMPRESSED,
+        info=f"/{camera}/camera_info",
+        depth=f"/{camera}/depth/image_rect",
+        depth_type=RAW,
+    )
+
+
+def _metres(image: RawImage) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    metres = image.depth_mm.astype(np.float32) / np.float32(1000)
+    return np.full_like(metres, np.nan) if image.depth_is_nan else metres
