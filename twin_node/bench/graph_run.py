@@ -35,8 +35,9 @@ def free_endpoint() -> str:
 class GraphRun:
     """A launch under way, listened to by this process."""
 
-    def __init__(self, plan: LaunchPlan, endpoint: str, logs: Path) -> None:
-        zenoh = ZenohParameters(router="builtin", endpoint=endpoint, domain=0)
+    def __init__(self, plan: LaunchPlan, endpoint: str, logs: Path, routers: tuple[str, ...] = ()) -> None:
+        """`endpoint`: where its router listens; `routers`: other machines' routers that it is joined to."""
+        zenoh = ZenohParameters(router="builtin", endpoint=endpoint, routers=routers, domain=0)
         self.launcher = Launcher(replace(plan, zenoh=zenoh), logs, lambda line: None)
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="launcher", daemon=True)

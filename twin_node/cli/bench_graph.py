@@ -12,7 +12,7 @@ from typing import Any
 
 from twin_node.cli.arguments import positive, whole
 
-PARTS = ("latency", "idle", "kills", "recorder", "killed")
+PARTS = ("latency", "idle", "kills", "recorder", "killed", "network")
 
 
 def add_bench_graph(benches: Any) -> None:
@@ -31,7 +31,7 @@ def add_bench_graph(benches: Any) -> None:
 
 
 def _graph(options: argparse.Namespace) -> None:
-    from twin_node.bench import graph, graph_recorder
+    from twin_node.bench import graph, graph_network, graph_recorder
 
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="twin_node_") as name:
@@ -41,6 +41,7 @@ def _graph(options: argparse.Namespace) -> None:
             "idle": lambda: graph.idle(options.seconds),
             "kills": lambda: graph.kills(options.kills),
             "recorder": lambda: graph_recorder.recorded(options.seconds, folder / "recorder"),
+            "network": graph_network.network,
             "killed": lambda: graph_recorder.killed(10 * options.kills, folder),
         }
         for part in options.only:

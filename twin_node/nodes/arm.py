@@ -21,7 +21,12 @@ from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import NoTimers, Timers
 from twin_node.runtime.node import Node
-from twin_node.scene import JointPath, JointSample
+from twin_node.scene import JointPath, JointSample, Separation
+
+LOOKS_PER_DEADLINE = 10
+"""How often a live arm's node looks for forecasts that do not come: it is slow a tenth of a deadline late at most."""
+REPEATS_PER_DEADLINE = 2
+"""How often it says again that the arm stands: who drives it must hear of somebody."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,7 @@ class ArmNode(Node):
         super().__init__("arm", bus, clock)
         self._timers = timers or NoTimers()
         self._latest = 0
+        self._told, self._told_at = -1.0, 0
         self._checker = checker
         self._cycle = cycle
         self._parameters = parameters
@@ -67,13 +73,20 @@ class ArmNode(Node):
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
-        self._timers.every(self._parameters.limiter.deadline_s / 4, self._on_timer)
+        self._timers.every(self._parameters.limiter.deadline_s / LOOKS_PER_DEADLINE, self._on_timer)
 
     def _on_timer(self) -> None:
-        """Slows and stops an arm whose forecasts have stopped coming."""
-        now = self.clock.now()
-        if now - self._latest >= self._parameters.limiter.deadline_s * 1e9:
-            self.bus.publish(SEPARATION, convert.separation_to_message(self._limiter.tick(now)))
+        """Slows and stops an arm whose forecasts have stopped coming; says so at once, then a few times per deadline."""
+        now, deadline = self.clock.now(), self._parameters.limiter.deadline_s * 1e9
+        if now - self._latest < deadline:
+            return
+        told = self._limiter.tick(now)
+        if told.speed_fraction != self._told or now - self._told_at >= deadline / REPEATS_PER_DEADLINE:
+            self._tell(told, now)
+
+    def _tell(self, separation: Separation, now: int) -> None:
+        self._told, self._told_at = separation.speed_fraction, now
+        self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
     def _on_trajectory(self, message: Any) -> None:
         self._path = convert.joint_path_from_message(message, self.clock.now())
@@ -89,7 +102,7 @@ class ArmNode(Node):
         decision = decide(self._checker, self._path_from(stamp), stamp, reaction_s, self._parameters.separation)
         told = self._limiter.decide(decision, stamp)
         self._latest = stamp
-        self.bus.publish(SEPARATION, convert.separation_to_message(told))
+        self._tell(told, stamp)
 
     def _path_from(self, stamp: int) -> JointPath:
         model = self._checker.model
