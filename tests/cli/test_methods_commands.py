@@ -88,6 +88,9 @@ def test_wrong_baking_input(
 ) -> None:
     out = tmp_path / "out.safetensors"
     assert "another file" in refused("bake", checkpoint, "-o", checkpoint)
+    assert "--width, --rig: expected with a log" in refused(
+        "bake", checkpoint, "-o", out, "--width", 64, "--rig", "rig.yaml"
+    )
     assert "checkpoint" in refused("bake", cell_log(0.5), "-o", out, "--measure")
     assert "no file" in refused("bake", tmp_path / "gone.safetensors", "-o", out)
     assert not out.exists()

@@ -38,6 +38,7 @@ def _bake(options: argparse.Namespace) -> None:
         raise TwinError(f"-o {options.output}: expected another file than the one that is read; choose a new name")
     model = None
     if options.source.suffix == ".safetensors":
+        _refuse_log_options(options)
         checkpoint = load_checkpoint(options.source)
         model, header = checkpoint.model, checkpoint.header
         stamps = header.stamps if options.steps is None else _evenly(header.span.first, header.span.last, options.steps)
@@ -54,6 +55,18 @@ def _bake(options: argparse.Namespace) -> None:
         print(json.dumps(figures))
         return
     print(f"{options.output}: " + ", ".join(f"{name} {_shown(value)}" for name, value in figures.items()))
+
+
+def _refuse_log_options(options: argparse.Namespace) -> None:
+    """Options that a checkpoint would ignore are a mistake."""
+    from twin_node.errors import TwinError
+
+    names = ("start_offset", "duration", "max_rate", "width", "rig", "params", "remap")
+    given = ", ".join(f"--{name.replace('_', '-')}" for name in names if getattr(options, name))
+    if given:
+        raise TwinError(
+            f"{given}: expected with a log; {options.source} is a checkpoint, which has its times and cameras"
+        )
 
 
 def _evenly(first: int, last: int, count: int) -> list[int]:

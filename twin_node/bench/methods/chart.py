@@ -53,6 +53,7 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
         axes.bar_label(bars, fmt="%.1f", padding=2, fontsize=8)
     axes.set_yticks(range(len(titles)), titles)
     axes.invert_yaxis()
+    axes.set_axisbelow(True)
     axes.set_xlabel("PSNR on held-out cameras, dB")
     axes.legend(loc="lower right")
     axes.set_title(f"{bench.data}, {bench.frames} frames of {bench.size}")
