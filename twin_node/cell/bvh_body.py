@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.bag.bvh import BvhClip, read_clip
 from twin_node.cell import people
-from twin_node.cell.bvh import BvhClip, read_bvh
 from twin_node.cell.errors import CellError
 from twin_node.cell.scenario import BvhMotion, Person
 from twin_node.cell.solids import Solid, capsule_between
@@ -44,7 +44,7 @@ class RecordedBody:
     """A person's bones in `base_link` at any time."""
 
     def __init__(self, person: Person, motion: BvhMotion) -> None:
-        """Raises `CellError` for a file that is no BVH, and for a skeleton without bones."""
+        """Raises `BagError` for a file that is no BVH, `CellError` for a skeleton without bones."""
         clip = _clip(motion.file)
         first = min(int(motion.from_s / clip.frame_s), len(clip.positions) - 1)
         last = max(min(int(np.ceil(motion.to_s / clip.frame_s)), len(clip.positions) - 1), first)
@@ -84,7 +84,7 @@ class RecordedBody:
 
 @lru_cache(maxsize=16)
 def _clip(file: str) -> BvhClip:
-    return read_bvh(Path(file))
+    return read_clip(Path(file))
 
 
 def _in_base(clip: BvhClip, height_m: float, motion: BvhMotion) -> Float64:
