@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative
-from twin_node.cli.calibrate_files import add_check, add_import_calibration, add_report
+from twin_node.cli.calibrate_files import add_board, add_check, add_import_calibration, add_report
 from twin_node.cli.calibrate_motion import add_hand_eye, add_refine, add_time
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def add_calibrate(commands: Any) -> None:
     """Adds `calibrate` to the subcommands."""
     calibrate = commands.add_parser("calibrate", help="calibrate cameras and rigs, check and draw the result")
     kinds = calibrate.add_subparsers(required=True, metavar="KIND")
+    add_board(kinds)
     add_intrinsics(kinds)
     add_rig(kinds)
     add_check(kinds)

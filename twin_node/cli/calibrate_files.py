@@ -45,6 +45,14 @@ def add_check(kinds: Any) -> None:
     parser.set_defaults(run=_check)
 
 
+def add_board(kinds: Any) -> None:
+    """Adds `calibrate board`."""
+    parser = kinds.add_parser("board", help="a board to print at true scale")
+    parser.add_argument("board", metavar="BOARD", help="file, or text as charuco:6x5:0.04:0.03:DICT_4X4_50")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.pdf|.svg|.png")
+    parser.set_defaults(run=_board_print)
+
+
 def add_import_calibration(kinds: Any) -> None:
     """Adds `calibrate import`."""
     parser = kinds.add_parser("import", help="the calibration of another tool as a rig file")
@@ -123,6 +131,16 @@ def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
         source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ))
         sets = list(tqdm(source, unit="set", desc="read", disable=None))
     return check_against_recording(rig, sets, arm)
+
+
+def _board_print(options: argparse.Namespace) -> None:
+    from twin_node.rig.calibrate.board_files import load_board
+    from twin_node.rig.calibrate.board_prints import print_board
+
+    board = load_board(options.board)
+    drawing = print_board(board, options.output)
+    width, height = (1000 * side for side in drawing.page_m)
+    print(f"{options.output}: {board}, page {width:.0f} x {height:.0f} mm ({drawing.paper}); print it at 100 %")
 
 
 def _import(options: argparse.Namespace) -> None:

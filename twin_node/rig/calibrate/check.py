@@ -39,7 +39,7 @@ CENTRE_SHARE = 0.03
 """A principal point so near, as a share of the image's size, to that of a customary resolution belongs to it."""
 LEAST_SEEN = 0.05
 """Share of the workspace that every camera of a rig sees."""
-CLEARLY_BETTER, BETTER_OF_TWO, SURE_SIGMAS = 0.03, 0.2, 3.0
+CLEARLY_BETTER, BETTER_OF_TWO, SURE_SIGMAS = 0.03, 0.2, 2.0
 """A mistake is named where undoing it explains the motion so much better, and by so many standard errors. A rig of two
 cameras has a single pair, in which outlines fit by chance more often."""
 SHOWN_IN_IMAGES = set(Mistake) - {Mistake.UNITS, Mistake.BASE}

@@ -1,0 +1,64 @@
+"""Boards that are printed are found again where they were drawn, at true scale."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from twin_node.cli import main
+from twin_node.rig import RigError
+from twin_node.rig.calibrate.board_prints import DPI, INCH_M, print_board
+from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid
+
+BOARDS: list[Board] = [
+    Chessboard(6, 5, 0.02),
+    CharucoBoard(6, 5, 0.025, 0.018),
+    CharucoBoard(5, 7, 0.02, 0.015, "DICT_5X5_100", inverted=True),
+    AprilGrid(4, 3, 0.03, 0.3),
+    CircleGrid(7, 6, 0.02),
+    CircleGrid(4, 7, 0.02, asymmetric=True),
+]
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=str)
+def test_a_printed_board_is_detected_at_true_scale(board: Board, tmp_path: Path) -> None:
+    drawing = print_board(board, tmp_path / "board.png")
+    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    assert abs(picture.shape[1] * INCH_M / DPI - drawing.page_m[0]) < 2 * INCH_M / DPI
+    small = cv2.resize(picture, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    found = board.detect(cv2.copyMakeBorder(small, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=(200,)))
+    assert found is not None
+    assert len(found) == len(board.points)
+    places = found.pixels * 4 * INCH_M / DPI
+    expected = board.points[found.ids, :2]
+    turn, error = _aligned(expected, places)
+    assert error < 2e-4
+    assert np.linalg.det(turn) == pytest.approx(-1 if isinstance(board, AprilGrid) else 1, abs=0.02)  # y up, or down
+
+
+def _aligned(points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, float]:
+    """The linear map from board points to page places, and the largest distance that it leaves, m."""
+    a, b = points - points.mean(axis=0), places - places.mean(axis=0)
+    turn = np.linalg.lstsq(a, b, rcond=None)[0]
+    return turn, float(np.abs(a @ turn - b).max())
+
+
+def test_pages_are_the_same_every_time_and_tell_their_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a.pdf", "b.pdf", "a.svg", "b.svg"):
+        assert main(["calibrate", "board", "charuco:6x5:0.03:0.022:DICT_4X4_50", "-o", str(tmp_path / name)]) == 0
+    assert "(A4)" in capsys.readouterr().out
+    for kind in ("pdf", "svg"):
+        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+
+
+def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match=r"ending in \.pdf"):
+        print_board(BOARDS[0], tmp_path / "board.docx")
+    with pytest.raises(RigError, match="does not exist"):
+        print_board(BOARDS[0], tmp_path / "nowhere" / "board.pdf")
+    with pytest.raises(RigError, match="at most 50 markers"):
+        print_board(CharucoBoard(12, 12, 0.02, 0.015), tmp_path / "board.pdf")
+    assert not list(tmp_path.iterdir())
