@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin_node.bench.errors import BenchError
+from twin_node.bag import BagError
 from twin_node.bench.occupancy import OccupancyBenchParameters, score_states
 from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.nodes.truth import LaterTruth
@@ -51,15 +51,15 @@ def test_markers_in_millimetres_and_other_axes(tmp_path: Path) -> None:
     [("ft", None, "Units"), ("m", "", "expected rows"), ("m", "1\t0.5\t1\t2\n", "columns")],
 )
 def test_wrong_marker_files_say_what_is_wrong(tmp_path: Path, units: str, rows: str | None, said: str) -> None:
-    with pytest.raises(BenchError, match=said):
+    with pytest.raises(BagError, match=said):
         Markers(write_trc(tmp_path, units, rows), 0)
 
 
 def test_files_that_are_no_markers_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.trc").write_text("hello")
-    with pytest.raises(BenchError, match="PathFileType"):
+    with pytest.raises(BagError, match="PathFileType"):
         Markers(tmp_path / "a.trc", 0)
-    with pytest.raises(BenchError, match="readable"):
+    with pytest.raises(BagError, match="readable"):
         Markers(tmp_path / "missing.trc", 0)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.bench.errors import BenchError
+from twin_node.bag.trc import read_trc
 from twin_node.forecast.score import colour_mask
 from twin_node.scene import Bool, Float64, View
 
@@ -35,12 +35,12 @@ class Markers:
     def __init__(self, path: Path, start_ns: int, axes: str = "zxy") -> None:
         """The file's time 0 is `start_ns`; `axes` names the file's axes that are the base frame's x, y and z.
 
-        OpenSim's y-up files are `zxy`. Raises `BenchError` for a file that is not a `.trc` with positions.
+        OpenSim's y-up files are `zxy`. Raises `BagError` for a file that is not a `.trc` with positions.
         """
         self._start_ns = start_ns
-        table = _read_trc(path)
+        table = read_trc(path)
         order = ["xyz".index(axis) for axis in axes]
-        self._stamps: NDArray[np.int64] = np.round(table.seconds * 1e9).astype(np.int64) + start_ns
+        self._stamps: NDArray[np.int64] = np.round(table.times * 1e9).astype(np.int64) + start_ns
         self._positions = table.positions[..., order]
 
     def points(self, stamp: int) -> Float64 | None:
@@ -82,38 +82,3 @@ class PixelTruth:
     def pixels(self, view: View) -> Bool | None:
         """[H, W] True on pixels of the colour."""
         return self._colour.mask(view.rgb)
-
-
-@dataclass(frozen=True)
-class _Table:
-    seconds: Float64
-    """[T] s."""
-    positions: Float64
-    """[T, n, 3] m, in the file's axes; NaN where a marker is missing."""
-
-
-def _read_trc(path: Path) -> _Table:
-    """Reads OpenSim's `.trc` (Track Row Column) text: five header lines, then frame, time and x y z per marker."""
-    try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"{path}: expected a readable .trc file, found {error}; check the path") from None
-    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
-        raise BenchError(f"{path}: expected a .trc file (first line 'PathFileType ...'); give a file of that kind")
-    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    scale = {"m": 1.0, "mm": 1e-3}.get(header.get("Units", "").strip())
-    if scale is None:
-        raise BenchError(f"{path}: Units: expected m or mm, found {header.get('Units')!r}; correct the header")
-    count = int(header.get("NumMarkers", "0"))
-    rows = []
-    for number, line in enumerate(lines[5:], start=6):
-        if not line.strip():
-            continue
-        values = [float(text) if text.strip() else np.nan for text in line.rstrip("\r").split("\t")[: 2 + 3 * count]]
-        if len(values) != 2 + 3 * count:
-            raise BenchError(f"{path}: line {number}: expected {2 + 3 * count} columns, found {len(values)}")
-        rows.append(values)
-    if not rows:
-        raise BenchError(f"{path}: expected rows of marker positions, found none")
-    table = np.array(rows)
-    return _Table(table[:, 1] - table[0, 1], table[:, 2:].reshape(len(table), count, 3) * scale)

@@ -15,6 +15,7 @@ from twin_node.cli.bench_calibration import add_bench_calibration
 from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.bench_graph import add_bench_graph
+from twin_node.cli.bench_occupancy import add_bench_occupancy
 from twin_node.cli.bench_refined import add_bench_refined
 from twin_node.cli.bench_ur import add_bench_ur
 from twin_node.cli.bench_viewer import add_bench_viewer
@@ -24,13 +25,7 @@ from twin_node.cli.methods import add_methods
 def add_bench(commands: Any) -> None:
     """Adds `bench` to the subcommands."""
     benches = commands.add_parser("bench", help="measure").add_subparsers(required=True, metavar="WHAT")
-    occupancy = benches.add_parser("occupancy", help="score a log's forecasts, beside the baselines")
-    occupancy.add_argument("log", type=Path, metavar="LOG")
-    occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
-    occupancy.add_argument("--hue", type=int, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
-    occupancy.add_argument("--json", action="store_true", help="print one JSON object")
-    add_source_options(occupancy)
-    occupancy.set_defaults(run=_bench_occupancy)
+    add_bench_occupancy(benches)
     track = benches.add_parser("track", help="how well and how fast the model follows a log")
     track.add_argument("log", type=Path, metavar="LOG")
     track.add_argument("--rate", type=positive, metavar="R", help="follow in real time at R times the log's pace")
@@ -53,28 +48,6 @@ def add_bench(commands: Any) -> None:
     add_bench_ur(benches)
     add_bench_graph(benches)
     add_bench_viewer(benches)
-
-
-def _bench_occupancy(options: argparse.Namespace) -> None:
-    from twin_node.bench.occupancy import OccupancyBenchParameters, run
-    from twin_node.bench.truth import ColourOf
-    from twin_node.nodes.chain import load_parameters
-    from twin_node.nodes.topics import parse_remaps
-
-    chain = with_source_options(load_parameters(options.params), options)
-    parameters = OccupancyBenchParameters(
-        width=chain.synchronizer.width,
-        max_rate_hz=chain.synchronizer.max_rate_hz,
-        rig=options.rig,
-        remaps=parse_remaps(options.remap),
-        start_offset_s=options.start_offset,
-        duration_s=options.duration,
-        chain=chain,
-    )
-    colour = None if options.hue is None else ColourOf(options.hue)
-    bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
-    figures = bench.as_json()
-    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
 
 
 def _bench_track(options: argparse.Namespace) -> None:

@@ -1,0 +1,60 @@
+"""`twin_node bench occupancy`: forecasts of a log, or of a scenario with many seeds, beside the baselines."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+from tqdm import tqdm
+
+from twin_node.cli.arguments import add_source_options, whole, with_source_options
+
+
+def add_bench_occupancy(benches: Any) -> None:
+    """Adds `bench occupancy`."""
+    occupancy = benches.add_parser("occupancy", help="score a log's forecasts, beside the baselines")
+    occupancy.add_argument("log", type=Path, metavar="LOG", help="a log; with --seeds the name of a scenario")
+    occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
+    occupancy.add_argument("--hue", type=int, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
+    occupancy.add_argument("--seeds", type=whole, metavar="N", help="simulate the scenario LOG with the seeds 1 to N")
+    occupancy.add_argument("--json", action="store_true", help="print one JSON object")
+    add_source_options(occupancy)
+    occupancy.set_defaults(run=_bench_occupancy)
+
+
+def _bench_occupancy(options: argparse.Namespace) -> None:
+    from twin_node.bench.errors import BenchError
+    from twin_node.bench.occupancy import OccupancyBenchParameters, run
+    from twin_node.bench.seeds import run_seeds
+    from twin_node.bench.truth import ColourOf
+    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.topics import parse_remaps
+
+    chain = with_source_options(load_parameters(options.params), options)
+    parameters = OccupancyBenchParameters(
+        width=chain.synchronizer.width,
+        max_rate_hz=chain.synchronizer.max_rate_hz,
+        rig=options.rig,
+        remaps=parse_remaps(options.remap),
+        start_offset_s=options.start_offset,
+        duration_s=options.duration,
+        chain=chain,
+    )
+    if options.seeds is not None:
+        if options.markers is not None or options.hue is not None:
+            raise BenchError("--seeds: a scenario brings its own truth; leave out --markers and --hue")
+        seeds = run_seeds(
+            str(options.log), options.seeds, parameters, lambda each: tqdm(each, unit="seed", disable=None)
+        )
+        _show(seeds.as_json(), options.json)
+        return
+    colour = None if options.hue is None else ColourOf(options.hue)
+    bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
+    _show(bench.as_json(), options.json)
+
+
+def _show(figures: dict[str, object], as_json: bool) -> None:
+    print(json.dumps(figures) if as_json else yaml.safe_dump(figures, sort_keys=False).rstrip())
