@@ -27,7 +27,7 @@ from twin_node.scene import JointPath, Separation
 
 pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 START_NS = 1_700_000_000_000_000_000
 
 

@@ -95,6 +95,8 @@ class FaultScore:
     unanswered: int
     not_latched: int
     """How often the arm went on by itself."""
+    false_halts: int
+    """How often it was halted before the fault came: by a busy computer."""
     reason: str
     """The last one given."""
     driver_back: Spread | None = None
@@ -117,6 +119,7 @@ class UrBench:
             "worst_ms": max(worst, default=None),
             "unanswered": sum(score.unanswered for score in self.faults.values()),
             "not_latched": sum(score.not_latched for score in self.faults.values()),
+            "false_halts": sum(score.false_halts for score in self.faults.values()),
         }
 
 
@@ -138,11 +141,16 @@ def run(
 
 def _score(fault: Fault, repeats: int) -> FaultScore:
     """One fault, again and again on one rig."""
-    answers, backs, reason, not_latched = [], [], "", 0
+    answers: list[float] = []
+    backs: list[float] = []
+    reason, unanswered, not_latched, false_halts = "", 0, 0, 0
     with UrRig(fault.mode) as rig:
-        for _ in range(repeats):
+        while len(answers) + unanswered < repeats:
             rig.prepare()
             time.sleep(random.uniform(0, _PHASE_S))
+            if not rig.is_at_work:
+                false_halts += 1
+                continue
             injected = time.monotonic_ns()
             fault.inject(rig)
             answer = fault.answer(rig, injected, _WATCH_S)
@@ -150,11 +158,12 @@ def _score(fault: Fault, repeats: int) -> FaultScore:
                 back = rig.halted_again(injected, _RESTART_S)
                 backs += [] if back is None else [(back.stamp - injected) * 1e-6]
             answers += [] if answer is None else [(answer.stamp - injected) * 1e-6]
+            unanswered += answer is None
             fault.end(rig)
             time.sleep(_LATCH_S)
             reason = rig.reason(injected) or (reason if answer is None else answer.reason)
             not_latched += fault.mode is DriverMode.SLIDER and not rig.is_latched()
-    return FaultScore(_spread(answers), repeats - len(answers), not_latched, reason, _spread(backs))
+    return FaultScore(_spread(answers), unanswered, not_latched, false_halts, reason, _spread(backs))
 
 
 def _spread(samples: list[float]) -> Spread | None:

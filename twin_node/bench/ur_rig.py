@@ -59,9 +59,9 @@ class UrRig:
         Raises `BenchError` where that takes too long.
         """
         last = time.monotonic() + _PREPARATION_S
-        while not self._is_at_work():
+        while not self.is_at_work:
             if time.monotonic() > last:
-                raise BenchError(f"the arm does not come to work within {_PREPARATION_S:g} s: {self._news}")
+                raise BenchError(f"the arm does not come to work within {_PREPARATION_S:g} s: {self._news[-1:]}")
             self._help()
             time.sleep(_LOOK_S)
 
@@ -122,6 +122,13 @@ class UrRig:
         self._start_twin()
 
     @property
+    def is_at_work(self) -> bool:
+        """Whether the driver is well, by its last word, and the arm moves."""
+        if not self._news or self._news[-1].state is not DriverState.READY:
+            return False
+        return self._mode is DriverMode.SERVO or self._news[-1].speed > _MOVING
+
+    @property
     def _driver_pid(self) -> int | None:
         return next((news.driver_pid for news in reversed(self._news) if news.driver_pid is not None), None)
 
@@ -144,11 +151,6 @@ class UrRig:
         with contextlib.suppress(EOFError, OSError):
             while True:
                 news.append(pipe.recv())  # type: ignore[attr-defined]
-
-    def _is_at_work(self) -> bool:
-        if not self._news or self._news[-1].state is not DriverState.READY:
-            return False
-        return self._mode is DriverMode.SERVO or self._news[-1].speed > _MOVING
 
     def _help(self) -> None:
         """What an operator does: unlock, acknowledge, play."""

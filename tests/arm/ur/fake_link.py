@@ -9,8 +9,19 @@ from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import UrSample
+from twin_node.robot import ur_model
+from twin_node.scene import Float64, JointPath
 
+MODEL = ur_model("ur5e")
 START = np.array([0.1, -1.3, 1.9, -2.2, -1.5, 0.0])
+
+
+def quintic(start: Float64 = START, way: float = 0.8, seconds: float = 2.0) -> JointPath:
+    """A smooth move of the first two joints."""
+    s = np.linspace(0, 1, 201)
+    shape = s**3 * (10 - 15 * s + 6 * s**2)
+    positions = start + shape[:, None] * np.array([way, way / 2, 0, 0, 0, 0])
+    return JointPath(MODEL.joint_names, (s * seconds * 1e9).astype(np.int64) + 5_000_000_000, positions)
 
 
 def sample(clock_s: float = 1.0, **changes: object) -> UrSample:

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_link import START, FakeLink, sample
-from test_ur_follower import quintic
+from fake_link import START, FakeLink, quintic, sample
 
 from twin_node.arm import LimiterParameters
 from twin_node.arm.errors import ArmError
@@ -253,6 +252,18 @@ def test_play_is_pressed_once_after_a_halt_where_that_is_wanted(plays: bool) -> 
     assert bench.link.plays == int(plays)
 
 
+def test_a_safety_stop_during_another_halt_does_not_resume_either() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    bench.is_alive = False
+    bench.run(100)
+    bench.is_alive = True
+    bench.link.tell(safety_mode=3)
+    assert "PROTECTIVE_STOP" in bench.run(100).reason
+    bench.link.tell(safety_mode=1)
+    assert bench.run(2000).state is DriverState.HALTED
+
+
 def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:
     bench = Bench(mode=DriverMode.READ_ONLY)
     report = bench.run(320)
@@ -267,13 +278,17 @@ def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:
 def test_the_future_of_a_slowed_program_is_that_of_its_full_speed() -> None:
     bench = Bench()
     bench.run(100)
-    slowed = {"target_qd": sample().target_qd * 0.2, "speed_scaling": 0.2}
-    bench.link.tell(**slowed)
-    future = bench.run(40).future
+    bench.fraction = 0.2
+    assert bench.run(40).future is not None  # told to be slow, still fast: not five times as fast
+    np.testing.assert_allclose(bench.report.future.positions[-1, 0] - START[0], 0.1, atol=1e-12)
+    bench.link.tell(target_qd=sample().target_qd * 0.2)
+    future = bench.run(400).future
     assert future is not None
     np.testing.assert_allclose(future.positions[-1] - future.positions[0], [0.1, 0, 0, 0, 0, 0], atol=1e-12)
-    bench.link.tell(target_qd=np.zeros(6), speed_scaling=0.0)
-    still = bench.run(40).future
+    bench.fraction = 0.0
+    bench.run(40)
+    bench.link.tell(target_qd=np.zeros(6))
+    still = bench.run(800).future
     assert still is not None
     np.testing.assert_allclose(still.positions[-1] - still.positions[0], [0.1, 0, 0, 0, 0, 0], atol=1e-12)
     bench.link.tell(runtime_state=1)

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fake_link import START
+from fake_link import MODEL, START, quintic
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import PathFollower
-from twin_node.robot import RobotError, ur_model
+from twin_node.robot import RobotError
 from twin_node.scene import Float64, JointPath
 
-MODEL = ur_model("ur5e")
 PERIOD_S = 0.004
-
-
-def quintic(start: Float64 = START, way: float = 0.8, seconds: float = 2.0) -> JointPath:
-    """A smooth move of the first two joints."""
-    s = np.linspace(0, 1, 201)
-    shape = s**3 * (10 - 15 * s + 6 * s**2)
-    positions = start + shape[:, None] * np.array([way, way / 2, 0, 0, 0, 0])
-    return JointPath(MODEL.joint_names, (s * seconds * 1e9).astype(np.int64) + 5_000_000_000, positions)
 
 
 def followed(path: JointPath, fractions: list[float]) -> Float64:

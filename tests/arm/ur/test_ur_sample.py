@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fake_link import START, sample
+from fake_link import MODEL, START, sample
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twin_node.arm.ur import UrSample, implausible, not_ready
 from twin_node.arm.ur.freshness import Freshness
-from twin_node.robot import ur_model
 
-MODEL = ur_model("ur5e")
 JOINT_FIELDS = ("q", "qd", "target_q", "target_qd")
 
 

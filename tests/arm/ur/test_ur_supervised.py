@@ -28,7 +28,7 @@ from twin_node.scene import JointPath, Separation
 
 dashboard_client = pytest.importorskip("dashboard_client", reason="ur_rtde is not installed (extra 'ur')")
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 CLEAR = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
 
 

@@ -24,7 +24,7 @@ rtde_io = pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra
 rtde_control = pytest.importorskip("rtde_control", reason="ur_rtde is not installed (extra 'ur')")
 dashboard_client = pytest.importorskip("dashboard_client", reason="ur_rtde is not installed (extra 'ur')")
 
-PATIENCE_S = 15.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")

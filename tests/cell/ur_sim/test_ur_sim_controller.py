@@ -103,7 +103,7 @@ def test_the_slider_stretches_the_cycles_time_and_stops_it_on_its_path() -> None
     slide(machine, 0.0)
     run(machine, 0.5)
     assert fastest(machine) < 0.01
-    assert machine.outputs.speed_scaling == 0
+    assert machine.scale == 0
     standing = machine.arm.q
     run(other, 0.2)
     slide(machine, 1.0)
@@ -111,7 +111,8 @@ def test_the_slider_stretches_the_cycles_time_and_stops_it_on_its_path() -> None
     assert np.abs(machine.arm.q - standing).max() < 0.02
     slide(machine, 0.5)
     run(machine, 0.4)
-    assert machine.outputs.speed_scaling == pytest.approx(0.5)
+    assert machine.scale == pytest.approx(0.5)
+    assert (machine.outputs.target_speed_fraction, machine.outputs.speed_scaling) == (0.5, 1.0)
 
 
 def test_a_protective_stop_pauses_and_is_unlocked_only_after_its_delay() -> None:

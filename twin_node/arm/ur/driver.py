@@ -148,7 +148,8 @@ class UrDriver:
             return
         if problem is not None:
             self._well_since = None
-            if self._halt is None:
+            is_worse = self._halt is not None and not self._halt.is_safety and not self._may_move
+            if self._halt is None or is_worse:
                 self._stop_for(problem)
         elif self._halt is not None and self._parameters.resumes and not self._halt.is_safety:
             self._well_since = self._well_since or now
@@ -156,7 +157,12 @@ class UrDriver:
                 self._acknowledge(now)
 
     def _stop_for(self, reason: str) -> None:
-        self._halt = Halt(reason, is_safety=self._sample is not None and not self._sample.may_move)
+        self._halt = Halt(reason, is_safety=not self._may_move)
+
+    @property
+    def _may_move(self) -> bool:
+        """False where the controller says that it lets nothing move."""
+        return self._sample is None or self._sample.may_move
 
     def _acknowledge(self, now: int) -> None:
         if self._halt is None:

@@ -9,6 +9,8 @@ from twin_node.scene import Float64, JointPath
 
 _SLOWEST = 0.05
 """Share of the speed below which the programmed velocity can no longer be told from the target's."""
+_BRAKING_NS = 200_000_000
+"""After the share has fallen the arm is faster than it for about so long, ns: what was known before still holds."""
 
 
 class Foresight:
@@ -21,13 +23,20 @@ class Foresight:
     def __init__(self, model: ArmModel) -> None:
         self._model = model
         self._programmed: Float64 | None = None
+        self._share = 0.0
+        self._fell = 0
 
     def ahead(self, sample: UrSample, stamp: int) -> JointPath:
         """The next 200 ms from a time on (ns) of an arm in the state of a checked sample."""
         if not (sample.is_playing and sample.may_move):
             self._programmed = None
             return extrapolate(self._model, sample.target_q, sample.target_qd, stamp)
-        if sample.speed_scaling > _SLOWEST:
-            self._programmed = sample.target_qd / sample.speed_scaling
+        share = sample.speed_share
+        if share < self._share:
+            self._fell = stamp
+        self._share = share
+        is_braking = self._programmed is not None and stamp - self._fell < _BRAKING_NS
+        if share > _SLOWEST and not is_braking:
+            self._programmed = sample.target_qd / share
         programmed = sample.target_qd if self._programmed is None else self._programmed
         return extrapolate(self._model, sample.target_q, programmed, stamp)

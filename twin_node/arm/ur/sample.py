@@ -88,12 +88,17 @@ class UrSample:
     speed_slider: float
     """Share of the programmed speed that is set, 0 to 1."""
     speed_scaling: float
-    """Share of the programmed speed at which the controller moves now."""
+    """Share of the slider's speed that the controller's own limits leave, 0 to 1."""
 
     @property
     def is_playing(self) -> bool:
         """Whether a program runs."""
         return self.runtime_state == RuntimeState.PLAYING
+
+    @property
+    def speed_share(self) -> float:
+        """Share of the programmed speed at which the controller moves: slider times its own scaling."""
+        return self.speed_slider * self.speed_scaling
 
     @property
     def is_paused(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +21,9 @@ _CONNECTING_S = 15.0
 """Longest that connecting may take: `ur_rtde` waits up to 5 s for its script, and starts twice."""
 _RETRY_S = 0.5
 """Before the next process where the last could not connect."""
+
+_CONNECTED = (DriverState.READY, DriverState.HALTED)
+_LOG = logging.getLogger(__name__)
 
 OnReport = Callable[[DriverReport], None]
 
@@ -62,15 +66,14 @@ class SupervisedDriver:
 
     def decide(self, separation: Separation) -> None:
         """Pass on a decision, whose evidence stamp is CLOCK_MONOTONIC, ns; without a connection it is forgotten."""
-        if self.latest.state in (DriverState.READY, DriverState.HALTED):
-            self._give(Decide(separation))
+        self._give(Decide(separation))
 
     def follow(self, path: JointPath) -> bool:
-        """Servo mode: follow a path now. False: there is no process; reports say when it was refused."""
+        """Servo mode: follow a path now. False: there is no connection; reports say when it was refused."""
         return self._give(Follow(path))
 
     def acknowledge(self) -> bool:
-        """Somebody has looked: go on, if what was wrong is over. False: there is no process."""
+        """Somebody has looked: go on, if what was wrong is over. False: there is no connection."""
         return self._give(Acknowledge())
 
     def reconnect(self) -> None:
@@ -91,7 +94,8 @@ class SupervisedDriver:
 
     def _give(self, order: Order) -> bool:
         with self._lock:
-            return self._process is not None and self._process.give(order)
+            process = self._process if self._latest.state in _CONNECTED else None
+            return process is not None and process.give(order)
 
     def _watch(self) -> None:
         """One process after another, for as long as they are wanted."""
@@ -118,7 +122,7 @@ class SupervisedDriver:
         with self._lock:
             self._process = None
         how = process.end()
-        was_connected = self._spare is not None
+        was_connected = self._latest.state in _CONNECTED
         if self._latest.state is DriverState.READY:
             self._halt = Halt(reason or how)
         self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, reason or how, speed_fraction=None))
@@ -153,5 +157,9 @@ class SupervisedDriver:
     def _publish(self, report: DriverReport) -> None:
         with self._lock:
             self._latest = report
-        if self._on_report is not None:
+        if self._on_report is None:
+            return
+        try:
             self._on_report(report)
+        except Exception:  # whoever listens may fail: the arm stays supervised
+            _LOG.exception("ur_driver: the listener to reports failed")

@@ -72,7 +72,8 @@ class Controller:
         self.motion: Motion = Hold()
         self.target = Target(start, np.zeros(6))
         self.slider = 1.0
-        self._scale = 0.0
+        self.scale = 0.0
+        """Share of the programmed speed at which motions advance: it follows the slider within 0.2 s."""
         self._stopped_at = 0.0
         self._tell()
 
@@ -206,11 +207,11 @@ class Controller:
         is_safe = self.safety_mode is SafetyMode.NORMAL
         wanted = self.slider if self.runtime_state is RuntimeState.PLAYING else 0.0
         step = (_SLOWING_PER_S if is_safe else _SAFETY_SLOWING_PER_S) * PERIOD_S
-        self._scale += float(np.clip(wanted - self._scale, -step, step))
+        self.scale += float(np.clip(wanted - self.scale, -step, step))
         before = self.target
         held = self.program is not None and self.runtime_state is not RuntimeState.PLAYING
         motion = Hold() if held and not self.motion.can_be_slowed else self.motion
-        self.target = motion.advance(before, PERIOD_S, self._scale)
+        self.target = motion.advance(before, PERIOD_S, self.scale)
         acceleration = (self.target.qd - before.qd) / PERIOD_S
         self.arm.step(self.target.q, self.target.qd, acceleration)
         self.outputs.target_qdd = acceleration
@@ -233,7 +234,7 @@ class Controller:
         outputs.target_q, outputs.target_qd = self.target.q, self.target.qd
         outputs.actual_q, outputs.actual_qd = self.arm.q, self.arm.qd
         outputs.target_speed_fraction = self.slider
-        outputs.speed_scaling = self._scale
+        outputs.speed_scaling = min(self.scale / self.slider, 1.0) if self.slider > 0 else 1.0
         outputs.robot_mode, outputs.safety_mode = self.robot_mode, self.safety_mode
         outputs.safety_status = self.safety_mode
         outputs.safety_status_bits = self.safety_mode.status_bits

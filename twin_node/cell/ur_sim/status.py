@@ -21,7 +21,8 @@ class Status:
     program: str | None
     """Name of the program that runs or is paused."""
     speed_slider: float
-    speed_scaling: float
+    speed_scale: float
+    """Share of the programmed speed at which its motions advance; it follows the slider."""
     q: tuple[float, ...]
     """Measured angles, rad."""
     is_standing: bool
@@ -43,7 +44,7 @@ def status_of(controller: Controller) -> Status:
         robot_mode=controller.robot_mode.name,
         program=None if controller.program is None else controller.program.name,
         speed_slider=controller.slider,
-        speed_scaling=controller.outputs.speed_scaling,
+        speed_scale=controller.scale,
         q=tuple(float(angle) for angle in controller.arm.q),
         is_standing=controller.target.is_standing,
         events=tuple(controller.events),
