@@ -1,7 +1,8 @@
-"""Biovision `.bvh` motion capture files: a skeleton of joints and where they are in every frame."""
+"""Biovision `.bvh` motion capture files: a skeleton and its joint angles over time."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,77 +10,59 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twin_node.bag.log import BagError
-from twin_node.bag.trajectories import Trajectories, checked
+from twin_node.bag.trajectories import Trajectories, checked, number, read_lines
 from twin_node.scene import Float64
 
-_MOST_FRAMES = 1_000_000
-"""More than two hours at 120 Hz: a larger count is a damaged file."""
-_CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "XYZ" for kind in ("position", "rotation")}
+_CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
 
-@dataclass(frozen=True)
+@dataclass
 class BvhJoint:
     """One joint, or the end of a limb, as the file describes it."""
 
     name: str
     parent: int
-    """Row of the parent; -1 for a root."""
-    offset: tuple[float, float, float]
-    """From the parent where the channels say nothing, in the file's unit."""
-    channels: tuple[str, ...]
-    """`Xposition` to `Zrotation` in the file's order."""
-    is_end: bool
+    """-1 for the root."""
+    is_end: bool = False
     """An end site: it gives the last bone its length and is no joint."""
+    offset: Float64 = field(default_factory=lambda: np.zeros(3))
+    """[3] from the parent where the channels say nothing, in the file's unit."""
+    channels: tuple[str, ...] = ()
+    """`Xposition` to `Zrotation` in the file's order."""
 
 
 @dataclass(frozen=True)
 class BvhClip:
-    """A recorded motion: joint positions in the file's own frame (y up) and unit."""
+    """A recorded motion in the file's own frame (y up) and unit."""
 
     joints: tuple[BvhJoint, ...]
+    """[J], parents first."""
     frame_s: float
     """Time between two frames, s."""
     positions: Float64
     """[T, J, 3]."""
 
-    @property
-    def duration_s(self) -> float:
-        """From the first frame to the last, s."""
-        return (len(self.positions) - 1) * self.frame_s
-
 
 def read_clip(path: Path) -> BvhClip:
-    """Reads a BVH file (Biovision hierarchy: https://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/BVH.html).
+    """Every joint and limb's end of a `.bvh` file over time.
 
     Rotations are taken in the order of the channels, in degrees; position channels take the place of the joint's
-    offset. Raises `BagError` with the line for a file that is no BVH, or that ends before its frames do.
+    offset. Raises `BagError` naming the file and the line for what is no BVH.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"{path}: expected a readable BVH file, {error}; check the path") from error
-    words = _Words(path, text)
-    joints = _read_hierarchy(words)
-    frames = words.whole("Frames:")
-    words.expect("Frame")
-    frame_s = words.number("Time:")
-    channels = sum(len(joint.channels) for joint in joints)
-    if not 0 < frames <= _MOST_FRAMES or not frame_s > 0:
-        raise BagError(f"{path}: expected frames and a frame time above 0, found {frames} and {frame_s}")
-    values = words.rest()
-    if len(values) != frames * channels:
-        raise BagError(
-            f"{path}: expected {frames} frames of {channels} numbers after 'Frame Time:', found {len(values)} numbers; "
-            "the file is cut off or of another skeleton"
-        )
-    return BvhClip(tuple(joints), frame_s, _place(joints, values.reshape(frames, channels)))
+    lines = read_lines(path)
+    joints, motion = _skeleton(path, lines)
+    values, step = _motion(path, lines, motion, sum(len(joint.channels) for joint in joints))
+    positions = _positions(joints, values)
+    if not np.isfinite(positions).all():
+        raise BagError(f"{path}: expected finite numbers, found NaN or infinity; record or export the motion again")
+    return BvhClip(tuple(joints), step, positions)
 
 
 def read_bvh(path: Path, height_m: float) -> Trajectories:
-    """Joint positions of a BVH file, scaled so that the person is `height_m` tall; axes as in the file (y up).
+    """Joint positions of a `.bvh` file, scaled so that the person is `height_m` tall; axes as in the file (y up).
 
     The person's height is the median over time of the vertical extent of all joints and ends: mostly upright is
-    assumed. Raises `BagError` as `read_clip` does, and for a skeleton without height.
+    assumed. Raises `BagError` naming the file and the line for what is no BVH.
     """
     clip = read_clip(path)
     extent = float(np.median(np.ptp(clip.positions[:, :, 1], axis=1)))
@@ -91,126 +74,75 @@ def read_bvh(path: Path, height_m: float) -> Trajectories:
     return checked(path, names, times, clip.positions[:, chosen] * (height_m / extent))
 
 
-@dataclass
-class _Words:
-    """The file's words in turn, each with its line for errors."""
-
-    path: Path
-    text: str
-    words: list[str] = field(init=False)
-    lines: list[int] = field(init=False)
-    next: int = 0
-
-    def __post_init__(self) -> None:
-        pairs = [(word, row) for row, line in enumerate(self.text.splitlines(), 1) for word in line.split()]
-        self.words = [word for word, _ in pairs]
-        self.lines = [row for _, row in pairs]
-
-    def peek(self) -> str:
-        """The next word, left where it is; empty at the end."""
-        return self.words[self.next] if self.next < len(self.words) else ""
-
-    def take(self, wanted: str) -> str:
-        """The next word, whatever it is; `wanted` says what for."""
-        if self.next >= len(self.words):
-            raise BagError(f"{self.path}: expected {wanted}, found the end of the file; is it a whole BVH file?")
-        self.next += 1
-        return self.words[self.next - 1]
-
-    def expect(self, *words: str) -> str:
-        """The next word, which must be one of these."""
-        found = self.take(" or ".join(words))
-        if found not in words:
-            raise self.error(" or ".join(words), found)
-        return found
-
-    def number(self, name: str | None = None) -> float:
-        """The next number; after its name, if it has one."""
-        if name is not None:
-            self.expect(name)
-        found = self.take("a number")
-        try:
-            value = float(found)
-        except ValueError:
-            raise self.error("a number", found) from None
-        if not np.isfinite(value):
-            raise self.error("a finite number", found)
-        return value
-
-    def whole(self, name: str | None = None) -> int:
-        """The next number, which must be whole."""
-        value = self.number(name)
-        if value != int(value):
-            raise self.error("a whole number", str(value))
-        return int(value)
-
-    def rest(self) -> Float64:
-        """All numbers that are left."""
-        try:
-            values = np.array(self.words[self.next :], dtype=np.float64)
-        except ValueError as error:
-            raise BagError(f"{self.path}: expected only numbers after 'Frame Time:', {error}") from None
-        if not np.isfinite(values).all():
-            raise BagError(f"{self.path}: expected finite numbers after 'Frame Time:', found NaN or infinity")
-        return values
-
-    def error(self, expected: str, found: str) -> BagError:
-        """What to raise for the word taken last."""
-        line = self.lines[self.next - 1]
-        return BagError(f"{self.path}: line {line}: expected {expected}, found '{found}'; is it a BVH file?")
-
-
-def _read_hierarchy(words: _Words) -> list[BvhJoint]:
-    """All joints, each parent before its children."""
-    words.expect("HIERARCHY")
+def _skeleton(path: Path, lines: list[str]) -> tuple[list[BvhJoint], int]:
+    """The joints, parents first, and the line after MOTION."""
+    if not lines or lines[0].strip() != "HIERARCHY":
+        raise BagError(f"{path}: expected a .bvh file (first line 'HIERARCHY'); give a file of that kind")
     joints: list[BvhJoint] = []
-    open_rows: list[int] = []
-    word = words.expect("ROOT")
-    while word != "MOTION":
-        if word == "}":
-            open_rows.pop()
-        else:
-            parent = open_rows[-1] if open_rows else -1
-            label = words.take("a joint's name")
-            open_rows.append(len(joints))
-            is_end = word == "End"
-            joints.append(_read_joint(words, f"{joints[parent].name}End" if is_end else label, parent, is_end))
-        word = words.expect(*(("JOINT", "End", "}") if open_rows else ("ROOT", "MOTION")))
-    return joints
+    open_joints: list[int] = []
+    for line, text in enumerate(lines[1:], start=2):
+        words = text.split()
+        match words:
+            case [] | ["{"]:
+                continue
+            case ["ROOT" | "JOINT" | "End", name, *_]:
+                parent = open_joints[-1] if open_joints else -1
+                is_end = words[0] == "End"
+                joints.append(BvhJoint(f"{joints[parent].name}End" if is_end and joints else name, parent, is_end))
+                open_joints.append(len(joints) - 1)
+            case ["OFFSET", *cells] if open_joints and len(cells) == 3:
+                joints[open_joints[-1]].offset = np.array([number(path, line, cell) for cell in cells])
+            case ["CHANNELS", count, *names] if (
+                open_joints and set(names) <= set(_CHANNELS) and count == str(len(names))
+            ):
+                joints[open_joints[-1]].channels = tuple(names)
+            case ["}"] if open_joints:
+                open_joints.pop()
+            case ["MOTION"] if joints and not open_joints:
+                return joints, line
+            case _:
+                raise BagError(f"{path}: line {line}: expected a part of a BVH skeleton, found '{text.strip()[:40]}'")
+    raise BagError(f"{path}: expected MOTION after the skeleton, found the end of the file; it is cut short")
 
 
-def _read_joint(words: _Words, name: str, parent: int, is_end: bool) -> BvhJoint:
-    """A joint's own lines, up to what hangs on it."""
-    words.expect("{")
-    words.expect("OFFSET")
-    offset = (words.number(), words.number(), words.number())
-    channels: tuple[str, ...] = ()
-    if words.peek() == "CHANNELS":
-        words.expect("CHANNELS")
-        channels = tuple(words.expect(*_CHANNELS) for _ in range(words.whole()))
-    return BvhJoint(name, parent, offset, channels, is_end)
+def _motion(path: Path, lines: list[str], start: int, channels: int) -> tuple[Float64, float]:
+    """Channel values [T, channels] and the time between frames in seconds."""
+    header = [line.split(":")[-1].strip() for line in lines[start : start + 2]]
+    if len(header) < 2 or not header[0].isdigit() or not number(path, start + 2, header[1]) > 0:
+        raise BagError(f"{path}: line {start + 1}: expected 'Frames: N' and 'Frame Time: seconds', found {header}")
+    rows = []
+    for line, text in enumerate(lines[start + 2 :], start=start + 3):
+        cells = text.split()
+        if not cells:
+            continue
+        if len(cells) != channels:
+            raise BagError(f"{path}: line {line}: expected {channels} channel values, found {len(cells)}")
+        rows.append([number(path, line, cell) for cell in cells])
+    if len(rows) != int(header[0]):
+        raise BagError(f"{path}: expected {header[0]} frames, found {len(rows)}; the file is cut short or was edited")
+    return np.array(rows).reshape(-1, channels), float(header[1])
 
 
-def _place(joints: list[BvhJoint], values: Float64) -> Float64:
-    """Positions [T, J, 3] of all joints from the channels' values [T, C]."""
-    positions = np.empty((len(values), len(joints), 3))
+def _positions(joints: list[BvhJoint], values: Float64) -> Float64:
+    """Positions [T, joints, 3] by forward kinematics, in the file's unit."""
+    frames = len(values)
+    positions = np.zeros((frames, len(joints), 3))
     turns: list[Rotation] = []
-    column = 0
+    columns: Iterator[Float64] = iter(values.T)
     for row, joint in enumerate(joints):
-        own = values[:, column : column + len(joint.channels)]
-        column += len(joint.channels)
-        local = np.tile(np.array(joint.offset, dtype=np.float64), (len(values), 1))
-        turn = Rotation.identity(len(values))
-        for channel, value in zip(joint.channels, own.T, strict=True):
-            kind, axis = _CHANNELS[channel]
-            if kind == "position":
-                local[:, "XYZ".index(axis)] = value
-            else:
-                turn = turn * Rotation.from_euler(axis, value[:, None], degrees=True)
-        if joint.parent < 0:
-            positions[:, row] = local
-            turns.append(turn)
-        else:
-            positions[:, row] = positions[:, joint.parent] + turns[joint.parent].apply(local)
-            turns.append(turns[joint.parent] * turn)
+        own = {channel: next(columns) for channel in joint.channels}
+        local = np.tile(joint.offset, (frames, 1))
+        for axis, letter in enumerate("XYZ"):
+            if f"{letter}position" in own:
+                local[:, axis] = own[f"{letter}position"]
+        order = [channel[0] for channel in joint.channels if channel.endswith("rotation")]
+        turn = Rotation.identity(frames)
+        if order:
+            angles = np.stack([own[f"{letter}rotation"] for letter in order], axis=1)
+            turn = Rotation.from_euler("".join(order), angles, degrees=True)
+        if joint.parent >= 0:
+            local = positions[:, joint.parent] + turns[joint.parent].apply(local)
+            turn = turns[joint.parent] * turn
+        positions[:, row] = local
+        turns.append(turn)
     return positions
