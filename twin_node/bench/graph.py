@@ -117,6 +117,7 @@ def kills(each: int) -> KillFigures:
 
 def _killed(run: GraphRun, name: str) -> float:
     """Kills a process; seconds until another one in its place is active."""
+    run.wait_until(lambda: run.launcher.is_whole, "the graph was not whole")
     before = run.launcher.children()[name]
     begun = time.monotonic()
     os.kill(before, signal.SIGKILL)

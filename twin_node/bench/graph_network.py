@@ -7,6 +7,7 @@ forwards none. Lost packets are not imitated: zenoh's links are TCP, which sends
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import tempfile
 import threading
 import time
@@ -97,7 +98,8 @@ class Relay:
 
     async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         far_reader, far_writer = await asyncio.open_connection(self._host, self._port)
-        await asyncio.gather(self._forward(reader, far_writer), self._forward(far_reader, writer))
+        with contextlib.suppress(asyncio.CancelledError):  # the relay is being closed
+            await asyncio.gather(self._forward(reader, far_writer), self._forward(far_reader, writer))
 
     async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while data := await reader.read(65536):

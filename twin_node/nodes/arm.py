@@ -76,7 +76,7 @@ class ArmNode(Node):
         self._timers.every(self._parameters.limiter.deadline_s / LOOKS_PER_DEADLINE, self._on_timer)
 
     def _on_timer(self) -> None:
-        """Slows and stops an arm whose forecasts have stopped coming; says so at once, then a few times per deadline."""
+        """Slows and stops an arm whose forecasts do not come; says so at once, then a few times per deadline."""
         now, deadline = self.clock.now(), self._parameters.limiter.deadline_s * 1e9
         if now - self._latest < deadline:
             return

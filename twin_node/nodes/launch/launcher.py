@@ -66,6 +66,13 @@ class Launcher:
         return {name: child.pid for name, child in self._children.items() if child.is_active and child.status is None}
 
     @property
+    def is_whole(self) -> bool:
+        """Whether every process is active, and every spare ready to take over."""
+        wanted = {process.name for process in self._processes() if process.has_spare}
+        ready = {name for name, spare in self._spares.items() if spare.is_loaded and spare.status is None}
+        return set(self.active()) == {process.name for process in self._processes()} and wanted <= ready
+
+    @property
     def is_active(self) -> bool:
         """Whether all nodes have been told to begin."""
         return self._is_active
