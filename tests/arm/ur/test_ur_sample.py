@@ -72,16 +72,26 @@ def test_an_arm_that_may_not_move_says_what_is_to_be_done(changes: dict[str, obj
     assert word in reason
 
 
+SECOND_NS = 1_000_000_000
+
+
 @given(st.lists(st.floats(0, 1e6), min_size=1, max_size=30))
 def test_only_an_advancing_clock_is_fresh(clocks: list[float]) -> None:
-    watch = Freshness(0)
-    newest = -1.0
+    watch = Freshness(0, SECOND_NS)
+    newest, age_s = -1.0, 0
     for step, clock in enumerate(clocks, 1):
-        is_new = watch.see(clock, step * 1_000_000_000)
+        is_new = watch.see(clock, step * SECOND_NS)
         assert is_new == (clock > newest)
         if clock < newest:
             assert watch.has_gone_back
-        if is_new:
-            newest = clock
-            assert watch.age_s(step * 1_000_000_000) == 0
-    assert watch.age_s((len(clocks) + 1) * 1_000_000_000) >= 1
+        newest = max(newest, clock)
+        age_s = 0 if is_new else age_s + 1
+        assert watch.age_s == pytest.approx(age_s)
+
+
+def test_a_driver_that_was_held_up_does_not_blame_the_controller() -> None:
+    watch = Freshness(0, SECOND_NS // 100)
+    watch.see(1.0, SECOND_NS)
+    watch.see(1.0, 2 * SECOND_NS)
+    assert watch.age_s == pytest.approx(0.01)
+    assert watch.see(2.0, 2 * SECOND_NS + 1)

@@ -29,6 +29,8 @@ _FOLLOW_RAD = 0.5
 """How far the arm may be behind servoJ's target: its look-ahead of 0.1 s at 3.14 rad/s lags by 0.3 rad."""
 _SETTLE_S = 0.5
 """How long all must be well before a driver that may resume by itself does."""
+_LONGEST_LOOK = 3
+"""Periods that may pass between two looks at the controller's clock before the rest is the driver's own lateness."""
 
 
 class UrDriver:
@@ -44,7 +46,7 @@ class UrDriver:
         self._mode = parameters.mode
         self._model = parameters.arm()
         self._link = link
-        self._freshness = Freshness(now)
+        self._freshness = Freshness(now, _LONGEST_LOOK * round(parameters.period_s * 1e9))
         self._foresight = Foresight(self._model)
         self._limiter = SpeedLimiter(parameters.limiter)
         self._heard: Separation | None = None
@@ -85,7 +87,7 @@ class UrDriver:
         except ArmError as error:
             self._stop_for(str(error))
             return self._report(now, is_over=True)
-        return self._report(now, is_over=self._freshness.age_s(now) > self._parameters.lost_s)
+        return self._report(now, is_over=self._freshness.age_s > self._parameters.lost_s)
 
     def stop(self) -> None:
         """Tell the arm to stand, as the last thing; what cannot be told any more, its watchdog does."""
@@ -106,7 +108,7 @@ class UrDriver:
                 return wrong
         if self._freshness.has_gone_back:
             raise ArmError("the controller's clock went back: it was restarted")
-        age_s = self._freshness.age_s(now)
+        age_s = self._freshness.age_s
         if age_s > self._parameters.stale_s:
             return f"controller silent for {age_s * 1e3:.0f} ms"
         if self._sample is None:
@@ -216,7 +218,7 @@ class UrDriver:
         """The next angles; halted, the arm is braked along its path, then the script is left to its watchdog."""
         follower, sample = self._follower, self._sample
         if self._halt is not None:
-            is_blind = sample is None or self._freshness.age_s(now) > self._parameters.stale_s
+            is_blind = sample is None or self._freshness.age_s > self._parameters.stale_s
             if follower is None or follower.rate == 0 or is_blind or sample is None or not sample.may_move:
                 self._follower = None
                 return
