@@ -69,6 +69,7 @@ def add_report(kinds: Any) -> None:
     parser.add_argument("rig", type=Path, metavar="RIG.yaml")
     parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="recordings of a board, as for `rig`")
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
+    parser.add_argument("--before", type=Path, metavar="OLD.yaml", help="an earlier rig of the same cameras, beside it")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.html")
     parser.set_defaults(run=_report)
 
@@ -154,16 +155,20 @@ def _import(options: argparse.Namespace) -> None:
 
 def _report(options: argparse.Namespace) -> None:
     from twin_node.rig import load_rig
-    from twin_node.rig.calibrate.report import write_report
-    from twin_node.rig.calibrate.rig_fit import common_sightings, fit
+    from twin_node.rig.calibrate.report import Calibration, write_report
+    from twin_node.rig.calibrate.rig_fit import common_sightings, fit, settled
 
-    rig_file, rig_fit = load_rig(options.rig), None
+    files = [load_rig(path) for path in (options.rig, options.before) if path is not None]
+    calibrations = [Calibration(rig_file) for rig_file in files]
     if options.folder is not None:
         board = _board(options.folder, options.board)
-        sightings = common_sightings(board, rig_file.rig, _recordings(options.folder, board))
-        rig_fit = fit(board, rig_file.rig, sightings)
-    write_report(rig_file, rig_fit, options.rig.stem, options.output)
-    print(f"{options.output}: {len(rig_file.rig.cameras)} cameras")
+        recordings = _recordings(options.folder, board)
+        calibrations = [
+            Calibration(one, settled(board, one.rig, fit(board, one.rig, common_sightings(board, one.rig, recordings))))
+            for one in files
+        ]
+    write_report(calibrations[0], options.rig.stem, options.output, calibrations[1] if options.before else None)
+    print(f"{options.output}: {len(files[0].rig.cameras)} cameras")
 
 
 def _board(folder: Path, text: str | None) -> Board:

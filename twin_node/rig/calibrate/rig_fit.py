@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, transform
+from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.lenses import lens_of, project
@@ -19,6 +21,10 @@ from twin_node.scene import Float64, Rig
 
 BEHIND_PX = 1e4
 """What a corner counts that a camera would have to see behind itself: more than any image is wide."""
+
+
+SETTLING_STEPS = 20
+"""Evaluations in which a board settles: it starts within a pixel or two."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,44 @@ def fit(board: Board, rig: Rig, sightings: Sequence[Sighting]) -> RigFit:
             ordered += group
             residuals += candidates[int(np.argmin(lengths))]
     return RigFit(tuple(ordered), tuple(residuals))
+
+
+def settled(board: Board, rig: Rig, rough: RigFit) -> RigFit:
+    """The fit with every board where all cameras together put it, not one of them, by robust least squares.
+
+    What the residuals then show is what the rig, and the board's own shape, leave over.
+    """
+    by_set: dict[int, list[int]] = {}
+    for row, sighting in enumerate(rough.sightings):
+        by_set.setdefault(sighting.board, []).append(row)
+    residuals = list(rough.residuals)
+    for rows in by_set.values():
+        group = [rough.sightings[row] for row in rows]
+        start = min(_places(board, rig, group), key=lambda T: _miss(board, rig, group, T), default=None)
+        if start is None:
+            continue
+        for row, residual in zip(rows, _residuals(board, rig, group, _settle(board, rig, group, start)), strict=True):
+            residuals[row] = residual
+    return RigFit(rough.sightings, tuple(residuals))
+
+
+def _settle(board: Board, rig: Rig, group: Sequence[Sighting], start: Float64) -> Float64:
+    """`T_base_board` that explains the corners of one set best, sought about `start`."""
+
+    def off(step: Float64) -> Float64:
+        return np.concatenate(_residuals(board, rig, group, start @ _motion(step))).ravel()
+
+    found = least_squares(off, np.zeros(6), loss="soft_l1", x_scale="jac", max_nfev=SETTLING_STEPS)
+    return np.asarray(start @ _motion(found.x))
+
+
+def _motion(step: Float64) -> Float64:
+    """[4, 4] of a rotation vector and a translation [6]."""
+    return pose(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])
+
+
+def _miss(board: Board, rig: Rig, group: Sequence[Sighting], T_base_board: Float64) -> float:
+    return float(np.linalg.norm(np.concatenate(_residuals(board, rig, group, T_base_board)), axis=1).mean())
 
 
 def _places(board: Board, rig: Rig, group: Sequence[Sighting]) -> list[Float64]:

@@ -1,0 +1,92 @@
+"""The page of a calibration: whole, on its own, and honest about what it was given."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from simulated_boards import a_lens, around, looking_at
+
+from twin_node.geometry import inverse_pose, transform
+from twin_node.rig import CameraEvidence, RigError, RigFile
+from twin_node.rig.calibrate.boards import Chessboard, Corners
+from twin_node.rig.calibrate.bundle import Sighting
+from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.report import Calibration, write_report
+from twin_node.rig.calibrate.rig_fit import fit, settled
+from twin_node.scene import Rig, RigCamera
+
+BOARD = Chessboard(6, 5, 0.05)
+
+
+@pytest.fixture
+def rig_file() -> RigFile:
+    lens = a_lens()
+    cameras = tuple(RigCamera(f"cam{i}", 640, 480, lens.K, T, lens.model, lens.D) for i, T in enumerate(around(3)))
+    covariance = np.diag([4e-6, 1e-6, 9e-6, 1e-6, 1e-6, 1e-6])
+    evidence = tuple(CameraEvidence(0.2, 0.1, 8, 240, covariance) for _ in cameras)
+    return RigFile(Rig(cameras), date="2026-03-02", board=str(BOARD), evidence=evidence)
+
+
+def sightings_of(rig: Rig, noise_px: float) -> tuple[Sighting, ...]:
+    """Eight boards before all cameras, the corners with noise."""
+    rng = np.random.default_rng(2)
+    seen = []
+    for number in range(8):
+        T_base_board = inverse_pose(looking_at(rng.uniform(-0.2, 0.2, 3), rng.uniform(-1, 1, 3) + np.array([0, 0, 3])))
+        T_base_board[:3, 3] = rng.uniform(-0.2, 0.2, 3)
+        for i, camera in enumerate(rig.cameras):
+            points = transform(inverse_pose(camera.T_base_cam) @ T_base_board, BOARD.points)
+            pixels = raw_pixels(camera, points) + rng.normal(0, noise_px, (len(points), 2))
+            seen.append(Sighting(i, number, Corners(np.arange(len(points)), pixels)))
+    return tuple(seen)
+
+
+def pictures_in(page: Path) -> list[np.ndarray]:
+    encoded = re.findall(r'base64,([^"]+)"', page.read_text())
+    return [cv2.imdecode(np.frombuffer(base64.b64decode(one), np.uint8), cv2.IMREAD_COLOR) for one in encoded]
+
+
+def test_a_page_with_a_rig_before_and_residuals(rig_file: RigFile, tmp_path: Path) -> None:
+    shifted = tuple(replace(c, K=c.K + np.diag([4, 4, 0])) for c in rig_file.rig.cameras)
+    before = replace(rig_file, rig=replace(rig_file.rig, cameras=shifted))
+    seen = sightings_of(rig_file.rig, 0.2)
+    now, then = (Calibration(one, settled(BOARD, one.rig, fit(BOARD, one.rig, seen))) for one in (rig_file, before))
+    write_report(now, "rig", tmp_path / "page.html", then)
+    page = (tmp_path / "page.html").read_text()
+    assert all(title in page for title in ("The rig", "Links", "Residuals", "Coverage", "before: median"))
+    assert "<script" not in page
+    drawn = pictures_in(tmp_path / "page.html")
+    assert len(drawn) == 4
+    assert all(picture.std() > 5 for picture in drawn)
+
+
+def test_without_recordings_the_rig_alone_is_drawn(rig_file: RigFile, tmp_path: Path) -> None:
+    write_report(Calibration(rig_file), "rig", tmp_path / "page.html")
+    assert len(pictures_in(tmp_path / "page.html")) == 1
+    assert "99 % probability" in (tmp_path / "page.html").read_text()
+    assert "<td>0.100</td><td>0.200</td>" in (tmp_path / "page.html").read_text()
+
+
+def test_settled_boards_leave_no_more_than_the_noise(rig_file: RigFile) -> None:
+    seen = sightings_of(rig_file.rig, 0.3)
+    rough = fit(BOARD, rig_file.rig, seen)
+    rms = [
+        float(np.sqrt((np.concatenate(one.residuals) ** 2).mean()))
+        for one in (rough, settled(BOARD, rig_file.rig, rough))
+    ]
+    assert rms[1] < rms[0]
+    assert rms[1] == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_rig_of_other_cameras_and_a_place_that_is_none_are_refused(rig_file: RigFile, tmp_path: Path) -> None:
+    other = replace(rig_file, rig=Rig(rig_file.rig.cameras[:2]), evidence=rig_file.evidence[:2])
+    with pytest.raises(RigError, match="earlier file of the same rig"):
+        write_report(Calibration(rig_file), "rig", tmp_path / "page.html", Calibration(other))
+    with pytest.raises(RigError, match="cannot be written"):
+        write_report(Calibration(rig_file), "rig", tmp_path / "nowhere" / "page.html")
