@@ -19,7 +19,7 @@ from twin_node.nodes.player import Player
 from twin_node.nodes.report.quality import Renderings, render_cloud, unit
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FRAMES, GAUSSIANS_MOVING, JOINT_STATES, STATE
+from twin_node.nodes.topics import FRAMES, GAUSSIANS_MOVING, JOINT_STATES, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock
 from twin_node.scene import FrameSet, Tier, TwinState
@@ -165,7 +165,7 @@ def follow_live(
     first = next(iter(LogSource(session, chain.synchronizer)), None)
     if first is None:
         return
-    working.publish(FRAMES, first)
+    working.publish(TRUSTED_FRAMES, first)
     followed.count(states[-1])
     _keep(spool, Tick(first, states[-1]))
     reading.subscribe(FRAMES, lambda frames: bridge.put_frames(frames) if frames.stamp > first.stamp else None)
@@ -178,7 +178,7 @@ def follow_live(
             followed.waits_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
             begun = time.perf_counter()
             followed.watch.begin()
-            working.publish(FRAMES, frames)
+            working.publish(TRUSTED_FRAMES, frames)
             followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
             followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
             followed.count(states[-1])
