@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
 from twin_node.errors import TwinError
-from twin_node.nodes.chain import load_parameters
-from twin_node.nodes.launch.launch_file import read_arguments, read_launch_file
+from twin_node.nodes.chain import ChainParameters, load_parameters
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
+from twin_node.nodes.launch.launch_file import in_one_process, read_arguments, read_launch_file
 
 SMALL = """
 launch:
@@ -95,6 +97,15 @@ def test_every_launch_file_that_ships_is_whole(name: str) -> None:
     roles = [["role:=twin"], ["role:=cameras"]] if name == "two_machines" else [[]]
     for role in roles:
         assert read_launch_file(path, needed + role).processes
+
+
+def test_the_chain_s_sections_are_those_of_its_parameters() -> None:
+    assert [field.name for field in dataclasses.fields(ChainParameters)] == list(CHAIN_SECTIONS)
+
+
+def test_all_nodes_in_one_process(small: Path) -> None:
+    [process] = in_one_process(read_launch_file(small, ["log:=a"])).processes
+    assert (process.nodes, process.ends_launch) == (("player", "arm"), True)
 
 
 def test_a_launch_file_is_a_parameter_file_too() -> None:

@@ -47,7 +47,7 @@ class NodeThread:
 
     def configure(self) -> None:
         """Makes the node and configures it, in the calling thread. Raises what the node raises."""
-        self._make(self._executor)
+        self._make()
         self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
 
     def start(self) -> None:
@@ -68,13 +68,13 @@ class NodeThread:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def _make(self, timers: Executor) -> None:
+    def _make(self) -> None:
         self._bus = WireBus(self._wire, self._executor, self.name, kind_of)
         setup = Setup(
             self.name,
             self._bus,
             self._clock,
-            timers,
+            self._executor,
             self._order.sections,
             self._order.where,
             self._finish,
@@ -91,7 +91,7 @@ class NodeThread:
         is_active = self._node.state is LifecycleState.ACTIVE
         self._end_node()
         self._executor.clear_timers()
-        self._make(self._executor)
+        self._make()
         self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
         if is_active:
             self._node.activate()

@@ -94,12 +94,19 @@ class OakSource:
     ) -> None:
         """`connect`: opens a camera's device, None where it is not there; the real ones by default.
 
-        Raises `RigError` for no cameras or equal names, and where depthai is not installed.
+        Raises `RigError` for no cameras, equal names or an unknown preset, and where depthai is not installed.
         """
         names = [camera.name for camera in cameras]
         if not names or len(set(names)) != len(names):
             raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
         self._dai = _depthai()
+        presets = self._dai.node.StereoDepth.PresetMode.__members__
+        for camera in cameras:
+            if camera.depth_preset not in presets:
+                raise RigError(
+                    f"camera {camera.name}: depth_preset: expected one of {', '.join(presets)}, found "
+                    f"'{camera.depth_preset}'"
+                )
         self._cameras = tuple(cameras)
         self._connect = connect or _Devices(self._dai, self._cameras).connect
         self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
@@ -121,7 +128,7 @@ class OakSource:
     def images(self) -> Iterator[CameraImage]:
         """Images as they come, until the source is closed."""
         for camera in self._cameras:
-            thread = threading.Thread(target=self._run, args=(camera,), name=camera.name, daemon=True)
+            thread = threading.Thread(target=self._guarded, args=(camera,), name=camera.name, daemon=True)
             self._threads.append(thread)
             thread.start()
         yield from self._queue
@@ -131,6 +138,13 @@ class OakSource:
         self._queue.closed.set()
         for thread in self._threads:
             thread.join()
+
+    def _guarded(self, camera: OakCamera) -> None:
+        try:
+            self._run(camera)
+        except BaseException as error:  # the trace goes to the log; health must not go on saying that all is well
+            self._health[camera.name] = CameraHealth(camera.name, False, f"its thread failed: {error!r}")
+            raise
 
     def _run(self, camera: OakCamera) -> None:
         stamps = CaptureStamps(steady=lambda: _ns(self._dai.Clock.now()))
