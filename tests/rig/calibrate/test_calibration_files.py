@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import tempfile
 from pathlib import Path
 
 import cv2
@@ -14,12 +16,13 @@ from simulated_boards import a_lens, around, looking_at
 
 from twin_node.errors import TwinError
 from twin_node.geometry import inverse_pose, quat_from_rotation
-from twin_node.rig import RigError, load_rig
+from twin_node.rig import RigError, load_rig, save_rig
 from twin_node.rig.calibrate.board_files import find_board, load_board
 from twin_node.rig.calibrate.boards import AprilGrid, CharucoBoard, Chessboard, CircleGrid
 from twin_node.rig.calibrate.camera_info import load_camera_info, save_camera_info
 from twin_node.rig.calibrate.importers import IMPORTERS
 from twin_node.rig.calibrate.recordings import load_cameras
+from twin_node.scene import RigCamera
 
 
 @pytest.mark.parametrize(
@@ -114,6 +117,79 @@ def test_a_colmap_model_becomes_a_rig(tmp_path: Path) -> None:
         np.testing.assert_allclose(camera.T_base_cam[:3, :3], T[:3, :3], atol=1e-9)
         np.testing.assert_allclose(camera.T_base_cam[:3, 3], 0.5 * T[:3, 3], atol=1e-9)
         np.testing.assert_allclose(camera.K[:2, 2], [320, 240])  # COLMAP's pixel centres are at halves
+
+
+def colmap_binary(folder: Path, model: int, parameters: list[float], poses: list[np.ndarray]) -> None:
+    """A model as COLMAP writes it, each image with three points."""
+    lens = struct.pack("<QiiQQ", 1, 7, model, 640, 480) + struct.pack(f"<{len(parameters)}d", *parameters)
+    (folder / "cameras.bin").write_bytes(lens)
+    images = struct.pack("<Q", len(poses))
+    for i, T in enumerate(poses):
+        world_to_camera = inverse_pose(T)
+        numbers = [*quat_from_rotation(world_to_camera[:3, :3]), *world_to_camera[:3, 3]]
+        images += struct.pack("<i7di", i + 1, *numbers, 7) + f"view{i}.png".encode() + b"\0"
+        images += struct.pack("<Q", 3) + struct.pack("<ddq", 1.0, 2.0, -1) * 3
+    (folder / "images.bin").write_bytes(images)
+
+
+def test_a_binary_colmap_model_is_read_as_the_text_is(tmp_path: Path) -> None:
+    colmap_binary(tmp_path, 4, [500, 501, 320.5, 240.5, 0.1, -0.05, 0.001, 0.002], around(3))
+    cameras = IMPORTERS["colmap"](tmp_path, 0.5).rig.cameras
+    assert [camera.name for camera in cameras] == ["view0", "view1", "view2"]
+    for camera, T in zip(cameras, around(3), strict=True):
+        np.testing.assert_allclose(camera.T_base_cam[:3, :3], T[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(camera.T_base_cam[:3, 3], 0.5 * T[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(camera.K[:2, 2], [320, 240])
+        np.testing.assert_allclose(camera.D, [0.1, -0.05, 0.001, 0.002, 0])
+
+
+def test_colmap_lenses_without_a_counterpart_are_named(tmp_path: Path) -> None:
+    colmap_binary(tmp_path, 7, [500, 501, 320.5, 240.5, 0.9], around(2))
+    with pytest.raises(RigError, match="found FOV"):
+        IMPORTERS["colmap"](tmp_path, 1.0)
+
+
+@given(st.integers(0, 400), st.binary(max_size=8))
+def test_binary_colmap_models_cut_short_are_refused(kept: int, tail: bytes) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        colmap_binary(folder, 4, [500, 501, 320.5, 240.5, 0.1, -0.05, 0.001, 0.002], around(3))
+        for file in ("cameras.bin", "images.bin"):
+            whole = (folder / file).read_bytes()
+            (folder / file).write_bytes(whole[:kept] + tail if kept < len(whole) else whole)
+        try:
+            IMPORTERS["colmap"](folder, 1.0)
+        except TwinError as error:
+            assert "\n" not in str(error)
+
+
+def test_files_of_real_tools_become_the_rigs_that_are_known(recordings: Path) -> None:
+    walker = load_rig("calibration/walker_4cam.yaml").rig
+    imported = {
+        "opencv": (recordings / "walker_4cam" / "calib_opencv.json", 1.0),
+        "qualisys": (recordings / "walker_4cam" / "Calib.qca.txt", 1.0),
+        "toml": (recordings / "walker_4cam" / "Calib_qualisys.toml", 1.0),
+    }
+    for kind, (path, unit) in imported.items():
+        cameras = IMPORTERS[kind](path, unit).rig.cameras
+        assert len(cameras) == len(walker.cameras)
+        apart = distances(cameras)
+        np.testing.assert_allclose(apart, distances(walker.cameras), rtol=0.02)
+
+
+def distances(cameras: tuple[RigCamera, ...]) -> np.ndarray:
+    """Between all pairs of cameras, m, in rising order: what no choice of frame or order changes."""
+    centres = np.stack([camera.T_base_cam[:3, 3] for camera in cameras])
+    return np.sort(np.linalg.norm(centres[:, None] - centres, axis=2)[np.triu_indices(len(centres), 1)])
+
+
+def test_an_imported_rig_is_written_and_read_back(recordings: Path, tmp_path: Path) -> None:
+    rig_file = IMPORTERS["toml"](recordings / "charuco_4cam" / "camera_array.toml", 1.0)
+    save_rig(rig_file, tmp_path / "rig.yaml")
+    for before, after in zip(rig_file.rig.cameras, load_rig(tmp_path / "rig.yaml").rig.cameras, strict=True):
+        np.testing.assert_allclose(after.T_base_cam, before.T_base_cam, atol=1e-12)
+        np.testing.assert_allclose(after.K, before.K)
+        np.testing.assert_allclose(after.D, before.D)
 
 
 @pytest.mark.parametrize("kind", sorted(IMPORTERS))

@@ -1,4 +1,4 @@
-"""COLMAP's text models (`cameras.txt`, `images.txt`; colmap.github.io/format.html)."""
+"""COLMAP's models, text or binary: every image becomes a camera."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.geometry import rotation_from_quat
+from twin_node.rig.calibrate.importers.colmap_files import ColmapCamera, ColmapImage, read_model
 from twin_node.rig.calibrate.importers.foreign_camera import (
     foreign_camera,
     foreign_rig,
@@ -16,7 +17,7 @@ from twin_node.rig.calibrate.importers.foreign_camera import (
 )
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
-from twin_node.scene import Float64
+from twin_node.scene import RigCamera
 
 
 @dataclass(frozen=True)
@@ -37,68 +38,44 @@ MODELS = {
     "SIMPLE_RADIAL": _Model(1, "plumb_bob", (0,), 5),
     "RADIAL": _Model(1, "plumb_bob", (0, 1), 5),
     "OPENCV": _Model(2, "plumb_bob", (0, 1, 2, 3), 5),
+    "SIMPLE_RADIAL_FISHEYE": _Model(1, "equidistant", (0,), 4),
+    "RADIAL_FISHEYE": _Model(1, "equidistant", (0, 1), 4),
     "OPENCV_FISHEYE": _Model(2, "equidistant", (0, 1, 2, 3), 4),
     "FULL_OPENCV": _Model(2, "rational_polynomial", (0, 1, 2, 3, 4, 5, 6, 7), 8),
 }
-
-
-@dataclass(frozen=True)
-class _Lens:
-    size: tuple[int, int]
-    K: Float64
-    model: str
-    D: Float64
+"""COLMAP's models that the twin's lenses cover."""
 
 
 def import_colmap(path: Path, unit: float = 1.0) -> RigFile:
     """Every image of a model becomes a camera; `unit`: metres per unit of COLMAP, whose scale is arbitrary."""
     folder = path if path.is_dir() else path.parent
-    lenses = {line[0]: _lens(folder, line) for line in _lines(folder / "cameras.txt")}
-    # Every second line lists the points of the image above it.
-    images = [line for line in _lines(folder / "images.txt", keep_empty=True)[::2] if len(line) >= 10]
+    model = read_model(folder)
+    lenses = {camera.number: camera for camera in model.cameras}
     cameras = []
-    for line in images:
-        where, name = f"{folder / 'images.txt'}: {line[9]}", Path(line[9]).stem
-        numbers = _numbers(where, line[1:8])
-        if line[8] not in lenses:
-            raise RigError(f"{where}: expected a camera of cameras.txt, found {line[8]}; export both files together")
-        lens = lenses[line[8]]
-        T = from_world_to_camera(rotation_from_quat(numbers[:4]), numbers[4:] * unit)
-        cameras.append(foreign_camera(where, name, lens.size, lens.K, T, lens.model, lens.D))
+    for image in model.images:
+        if image.camera not in lenses:
+            raise RigError(
+                f"{image.where}: expected a camera of the model, found number {image.camera}; export both files "
+                "together"
+            )
+        cameras.append(_camera(lenses[image.camera], image, unit))
     notes = f"From COLMAP, whose scale is arbitrary: one unit is taken for {unit:g} m."
     return foreign_rig(str(folder), cameras, "world", notes)
 
 
-def _lens(folder: Path, line: list[str]) -> _Lens:
-    where = f"{folder / 'cameras.txt'}: camera {line[0]}"
-    if len(line) < 5 or line[1] not in MODELS:
-        raise RigError(f"{where}: expected one of {', '.join(MODELS)}, found {' '.join(line[1:2]) or 'nothing'}")
-    model, values = MODELS[line[1]], _numbers(where, line[2:])
-    expected = 2 + model.focals + 2 + len(model.coefficients)
-    if len(values) != expected:
-        raise RigError(f"{where}: expected {expected} numbers of {line[1]}, found {len(values)}")
-    focal, rest = values[2 : 2 + model.focals], values[2 + model.focals :]
+def _camera(lens: ColmapCamera, image: ColmapImage, unit: float) -> RigCamera:
+    if lens.model not in MODELS:
+        raise RigError(
+            f"{lens.where}: expected one of {', '.join(MODELS)}, found {lens.model}; undistort the model with COLMAP"
+        )
+    model = MODELS[lens.model]
+    expected = model.focals + 2 + len(model.coefficients)
+    if len(lens.parameters) != expected:
+        raise RigError(f"{lens.where}: expected {expected} numbers of {lens.model}, found {len(lens.parameters)}")
+    focal, rest = lens.parameters[: model.focals], lens.parameters[model.focals :]
     D = np.zeros(model.length)
     D[list(model.coefficients)] = rest[2:]
     # COLMAP's top-left pixel has its centre at (0.5, 0.5).
     K = pinhole(focal[0], focal[-1], rest[0] - 0.5, rest[1] - 0.5)
-    return _Lens((int(values[0]), int(values[1])), K, model.distortion, D)
-
-
-def _lines(path: Path, keep_empty: bool = False) -> list[list[str]]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RigError(
-            f"{path}: expected COLMAP's model as text, found {error}; convert it with "
-            "`colmap model_converter --output_type TXT`"
-        ) from error
-    lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
-    return lines if keep_empty else [line for line in lines if line]
-
-
-def _numbers(where: str, parts: list[str]) -> Float64:
-    try:
-        return np.array([float(part) for part in parts])
-    except ValueError as error:
-        raise RigError(f"{where}: expected numbers, found {error}") from error
+    T = from_world_to_camera(rotation_from_quat(image.pose[:4]), image.pose[4:] * unit)
+    return foreign_camera(image.where, Path(image.name).stem, lens.size, K, T, model.distortion, D)
