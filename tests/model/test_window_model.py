@@ -170,3 +170,39 @@ def test_wrong_sets_are_refused_in_one_line() -> None:
     model.update(sets[1])
     with pytest.raises(ModelError, match="sort the source"):
         model.update(sets[0])
+
+
+def test_a_learning_rate_that_explodes_is_braked_and_reported() -> None:
+    wild = replace(QUICK, track=replace(QUICK.track, learning_rate=1e5))
+    model = WindowModel(wild)
+    states = [model.update(one) for one in sliding(22, CAMERAS, depth=True)]
+    warned = [state for state in states if any("made the images worse" in warning for warning in state.warnings)]
+    assert warned and len(warned) < 15
+    for state in states:
+        assert all(np.isfinite(values.astype(np.float64)).all() for values in vars(state.gaussians).values())
+    assert gain(model, states[-1]) > 3
+
+
+def test_a_box_a_hundred_times_too_large_does_no_harm() -> None:
+    model = WindowModel(replace(QUICK, seed=replace(QUICK.seed, shell_factor=100 * QUICK.seed.shell_factor)))
+    states = [model.update(one) for one in sliding(22, CAMERAS, depth=True)]
+    assert gain(model, states[-1]) > 4
+
+
+def test_long_runs_neither_grow_nor_wear_out() -> None:
+    model = WindowModel(QUICK)
+    there = sliding(12, CAMERAS, depth=True)
+    gap = there[1].stamp - there[0].stamp
+    gains: list[float] = []
+    sizes: list[int] = []
+    for index in range(6):
+        passed = there if index % 2 == 0 else there[::-1]
+        for step, one in enumerate(passed):
+            stamp = there[0].stamp + (12 * index + step) * gap
+            views = tuple(replace(view, stamp=stamp) for view in one.views)
+            state = model.update(replace(one, stamp=stamp, views=views))
+        if index % 2 == 0:
+            gains.append(gain(model, state))
+        sizes.append(len(state.gaussians.ids))
+    assert gains[-1] > gains[0] - 1.5
+    assert max(sizes) <= model.capacity

@@ -17,7 +17,6 @@ from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLES
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
-from twin_node.model.parameters import TrackParameters
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate, targets_of
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Sheet, Splats, join, split
@@ -37,6 +36,9 @@ REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 1.5
 """What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
+WORSE, WORSE_FLOOR = 1.5, 1e-3
+"""Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
+well halve it."""
 SKIRT_PX = 5
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
@@ -61,17 +63,18 @@ def fit_moving(
     poses: Poses,
     masks: Sequence[Bool],
     bystanders: Tensor,
-    parameters: TrackParameters,
-) -> list[Rendering]:
+    steps: int,
+    learning_rate: float,
+) -> Fitted:
     """A few steps on the Gaussians that move, before the backgrounds, inside `masks` [H, W].
 
     Each view is fitted at its own time, for which `poses` holds the nodes'. `bystanders` are rows that can stand before
-    what moves and are not touched. Where a node is DEFORMABLE the field learns along, from the last step. Returns what
-    the views saw before that step; empty where nothing learns.
+    what moves and are not touched. Where a node is DEFORMABLE the field learns along, from the last step. Steps that
+    make the images worse are undone.
     """
     rows = gaussians.moving_rows
-    if not len(rows) or not parameters.steps:
-        return []
+    if not len(rows) or not steps:
+        return Fitted([], False)
     stamps = motion.stamps([one.offset_s for one in observed])
     views = [one.view for one in observed]
     targets = targets_of(views, masks, gaussians.values.device)
@@ -80,19 +83,35 @@ def fit_moving(
     with torch.no_grad():
         static = motion.place(gaussians, bystanders, poses, stamps)
     values = gaussians.values[rows]
-    rates = _rates(values, parameters.learning_rate)
+    rates = _rates(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE
     rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(values, gaussians, rows, stamps)
     path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal)
-    if bend is None:
-        return split(_descend(gaussians, path, parameters.steps).sheets)
-    if parameters.steps > 1:
-        _descend(gaussians, path, parameters.steps - 1)
-    values = gaussians.values[rows]
-    last = _descend(gaussians, path, 1)
-    of_means = path.carriage.means_gradient(last.of_means)
-    _learn_field(motion, bend, values, of_means, rigid.quats_gradient(last.of_quats))
-    return split(last.sheets)
+    last = _descend(gaussians, path, steps if bend is None else max(steps - 1, 1))
+    if _diverged(last.losses):
+        gaussians.take(rows, values, *(torch.zeros_like(values),) * 2, torch.zeros_like(gaussians.steps[rows]))
+        return Fitted([], True)
+    if bend is not None:
+        values = gaussians.values[rows]
+        last = _descend(gaussians, path, 1)
+        of_means = path.carriage.means_gradient(last.of_means)
+        _learn_field(motion, bend, values, of_means, rigid.quats_gradient(last.of_quats))
+    return Fitted(split(last.sheets), False)
+
+
+def _diverged(losses: Sequence[float]) -> bool:
+    """Whether the steps have made the images worse; noise and births may do so a little."""
+    return not losses[-1] <= WORSE * losses[0] + WORSE_FLOOR
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a few steps have led to."""
+
+    renderings: list[Rendering]
+    """What the views saw before the last step; empty where nothing was learned."""
+    diverged: bool
+    """The steps made the images worse and were undone: the next ones should be smaller."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +135,8 @@ class _Descended:
     sheets: list[Sheet]
     of_means: Tensor
     of_quats: Tensor
+    losses: list[float]
+    """Before each step."""
 
 
 def _descend(gaussians: Gaussians, path: Path, steps: int) -> _Descended:
@@ -127,11 +148,12 @@ def _descend(gaussians: Gaussians, path: Path, steps: int) -> _Descended:
 
 def _descend_plain(gaussians: Gaussians, path: Path, steps: int) -> _Descended:
     """Steps in torch, on any device: the reference of the fused ones."""
-    descent, carriage = gaussians.descent(path.rows), path.carriage
+    descent, carriage, losses = gaussians.descent(path.rows), path.carriage, []
     for _ in range(steps):
         values = descent.values
         moving = activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
         seen = differentiate(join(path.static, moving), path.goal)
+        losses.append(seen.loss)
         gradient = _tail(seen.gradient, len(path.rows))
         local = replace(
             gradient,
@@ -140,7 +162,7 @@ def _descend_plain(gaussians: Gaussians, path: Path, steps: int) -> _Descended:
         )
         descent.step(_to_columns(moving, local), path.rates)
     descent.end()
-    return _Descended(seen.sheets, gradient.means, gradient.quats)
+    return _Descended(seen.sheets, gradient.means, gradient.quats, losses)
 
 
 def _descend_fused(gaussians: Gaussians, path: Path, steps: int) -> _Descended:
@@ -178,7 +200,8 @@ def _descend_fused(gaussians: Gaussians, path: Path, steps: int) -> _Descended:
     done = splat.descend(learners, bystanders, aims, steps, SMALLEST)
     gaussians.take(rows, learners.values, learners.moment1, learners.moment2, learners.steps)
     gaussians.refused += done.refused
-    return _Descended([Sheet(list(range(times)), done.seen, done.alphas)], done.v_means, done.v_quats)
+    sheet = Sheet(list(range(times)), done.seen, done.alphas)
+    return _Descended([sheet], done.v_means, done.v_quats, done.losses.tolist())
 
 
 def _tail(splats: Splats, count: int) -> Splats:

@@ -94,13 +94,15 @@ class Differentiated:
     sheets: list[Sheet]
     gradient: Splats
     """Of the photometric loss with respect to the Gaussians that were drawn."""
+    loss: float
 
 
 def differentiate(splats: Splats, goal: Goal) -> Differentiated:
     """Draws `splats` and takes the loss's gradient back to them."""
     leaf = Splats(*(field.detach().requires_grad_() for field in vars(splats).values()))
     sheets = draw(leaf, goal.cameras, goal.masks, goal.backdrops)
-    torch.autograd.backward(photometric(sheets, goal.targets))
+    loss = photometric(sheets, goal.targets)
+    torch.autograd.backward(loss)
     grads = [torch.zeros_like(field) if field.grad is None else field.grad for field in vars(leaf).values()]
     detached = [replace(sheet, rgbd=sheet.rgbd.detach(), alpha=sheet.alpha.detach()) for sheet in sheets]
-    return Differentiated(detached, Splats(*grads))
+    return Differentiated(detached, Splats(*grads), float(loss.detach()))

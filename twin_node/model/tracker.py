@@ -14,7 +14,7 @@ from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.fitting import fit_moving, held_pixels
+from twin_node.model.fitting import Fitted, fit_moving, held_pixels
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
@@ -27,6 +27,19 @@ from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.model.stages import OnStage, unwatched
 from twin_node.scene import Bool, FrameSet, Tier
+
+BRAKE, PICK_UP = 0.1, 1.5
+"""What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a set has led to."""
+
+    born: int
+    """Gaussians."""
+    braked: float | None
+    """Share of the learning rate that is left after steps that diverged and were undone; None: they did not."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +70,7 @@ class Tracker:
         self._flow = FlowSolver()
         self._links = links
         self._turn = 0
+        self._pace = 1.0
 
     def track(
         self,
@@ -65,8 +79,8 @@ class Tracker:
         robots: Sequence[Bool | None],
         dt_s: float,
         on_stage: OnStage = unwatched,
-    ) -> int:
-        """Follows `frames`, taken `dt_s` after the set before; returns how many Gaussians were born."""
+    ) -> Tracked:
+        """Follows `frames`, taken `dt_s` after the set before."""
         self._turn += 1
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
@@ -79,12 +93,12 @@ class Tracker:
         on_stage("align")
         self._judge(observed, aligned.renderings)
         on_stage("judge")
-        fitted = self._fit(observed, aligned.before) or aligned.renderings
+        fitted = self._fit(observed, aligned.before)
         on_stage("fit")
-        born = self._bear(observed, fitted)
+        born = self._bear(observed, fitted.renderings or aligned.renderings)
         on_stage("bear")
         self._nodes.remember()
-        return born
+        return Tracked(born, self._pace if fitted.diverged else None)
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
@@ -156,19 +170,21 @@ class Tracker:
         housed = carriers >= 0
         self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
 
-    def _fit(self, observed: Sequence[Observed], before: Tensor) -> list[Rendering]:
+    def _fit(self, observed: Sequence[Observed], before: Tensor) -> Fitted:
         """Canonical attributes of what moves by a few gradient steps, and of STATIC Gaussians whose look has changed.
 
-        `before` are rows that can stand before what moves. Returns what the views saw before the last step; empty where
-        nothing moves.
+        `before` are STATIC rows that can stand before what moves. After steps that diverged the next ones are smaller.
         """
         self._revise(observed)
-        g = self._gaussians
+        g, track = self._gaussians, self._parameters.track
         poses = self._poses(observed)
         moving = self._place(g.moving_rows, observed, poses)
-        before = torch.cat([self._standing(before), g.robot_rows])
+        around = torch.cat([self._standing(before), g.robot_rows])
         masks = held_pixels(observed, moving)
-        return fit_moving(g, self._motion, observed, poses, masks, before, self._parameters.track)
+        rate = self._pace * track.learning_rate
+        fitted = fit_moving(g, self._motion, observed, poses, masks, around, track.steps, rate)
+        self._pace = self._pace * BRAKE if fitted.diverged else min(1.0, self._pace * PICK_UP)
+        return fitted
 
     def _revise(self, observed: Sequence[Observed]) -> None:
         """STATIC Gaussians take up what the view whose background was rendered last misses where it is stale."""

@@ -197,12 +197,17 @@ class WindowModel:
         assert self._tracker is not None
         refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
-        born = self._tracker.track(frames, moving, robots, dt_s, self.on_stage)
-        self._bytes_per_frame = 4 * (14 * (born + len(self._gaussians.moving_rows)) + 7 * len(self._nodes.rows))
+        tracked = self._tracker.track(frames, moving, robots, dt_s, self.on_stage)
+        moved = len(self._gaussians.moving_rows)
+        self._bytes_per_frame = 4 * (14 * (tracked.born + moved) + 7 * len(self._nodes.rows))
+        warnings = []
         refused = self._gaussians.refused - refused_before
         if refused:
-            return (f"model: {refused} steps of Gaussians were not finite; the last good values were kept",)
-        return ()
+            warnings.append(f"model: {refused} steps of Gaussians were not finite; the last good values were kept")
+        if tracked.braked is not None:
+            rate = tracked.braked * self.parameters.track.learning_rate
+            warnings.append(f"model: steps made the images worse and were undone; learning on at a rate of {rate:.2g}")
+        return tuple(warnings)
 
     def _shoot(self, splats: Splats, camera: Camera) -> ModelImage:
         with torch.no_grad():

@@ -91,6 +91,8 @@ class Descended:
     """[T, n, 4]."""
     refused: int
     """Steps of single Gaussians that were not finite and not taken."""
+    losses: Tensor
+    """[steps] float64, before each of them."""
 
 
 def descend(learners: Learners, bystanders: Bystanders, aims: Aims, steps: int, smallest_log_scale: float) -> Descended:
@@ -110,7 +112,9 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, steps: int, 
         name = ("backdrop", "rgb", "weights", "depth")[error.index]
         raise non_finite(name, (call.backdrop, call.rgb, call.weights, call.depth)[error.index]) from None
     first = call.standing
-    return Descended(call.seen, call.alphas, call.v_means[:, first:], call.v_quats[:, first:], int(call.refused))
+    return Descended(
+        call.seen, call.alphas, call.v_means[:, first:], call.v_quats[:, first:], int(call.refused), call.losses
+    )
 
 
 def can_descend(device: torch.device) -> bool:
@@ -147,10 +151,12 @@ class _Call:
         self.carriage = [t.contiguous() for t in (learners.turns, learners.shifts, learners.products)]
         self.loss = torch.zeros(1, dtype=torch.float64)
         self.refused = torch.zeros(1, dtype=torch.int64)
+        self.losses = torch.zeros(0, dtype=torch.float64)
 
     def request(self, steps: int, smallest_log_scale: float) -> native.DescentRequest:
         """The pointers in it are valid for as long as this object and the learners live."""
         learners = self.learners
+        self.losses = torch.zeros(steps, dtype=torch.float64)
         drawn = (self.means, self.quats, self.scales, self.opacities, self.colors)
         own = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.rates, learners.ceilings)
         return native.DescentRequest(
@@ -162,7 +168,7 @@ class _Call:
             self.learned,
             steps,
             smallest_log_scale,
-            *(_pointer(t) for t in (*drawn, *own, *self.carriage, self.refused)),
+            *(_pointer(t) for t in (*drawn, *own, *self.carriage, self.refused, self.losses)),
         )
 
     def _scene(self) -> native.Request:

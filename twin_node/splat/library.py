@@ -67,7 +67,7 @@ class DescentRequest(ctypes.Structure):
         ("smallest_log_scale", c_float),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors")),
         *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps_taken", "rates", "ceilings")),
-        *((name, c_void_p) for name in ("turns", "shifts", "products", "refused")),
+        *((name, c_void_p) for name in ("turns", "shifts", "products", "refused", "losses")),
     )
 
 

@@ -1,4 +1,4 @@
-// Several steps of Adam on some of the Gaussians of a scene: carry, draw, compare, differentiate, step, all in one call.
+// Several steps of Adam on some of the Gaussians of a scene: carry, draw, compare, differentiate, step, all in one.
 #pragma once
 
 #include "backward.h"
@@ -168,6 +168,7 @@ inline Status descend(Workspace &w, const DescentRequest &d) {
     clear_gradients(d);
     status = image_loss(d.loss);
     if (status != kOk) return status;
+    d.losses[step] = *d.loss.loss;
     alpha_gradient(d);
     status = backward(w, d.scene, d.gradients);
     if (status != kOk) return status;

@@ -89,6 +89,7 @@ struct DescentRequest {
   const float *ceilings;                               // [learned] largest log scale
   const float *turns, *shifts, *products;              // [B, learned, 3, 3], [B, learned, 3], [B, learned, 4, 4]
   int64_t *refused;                                    // [1]
+  double *losses;                                      // [steps] before each of them
 };
 
 // Points [count, 3] seen by one camera.

@@ -46,7 +46,7 @@ inline Observation observe(const MotionRequest &r, int64_t column, int64_t row) 
   const bool known = measured > 0 && shown[3] > 0;
   Observation out{{flow[0], flow[1], 0}, 0, known ? 1 / (r.depth_share * std::max<double>(shown[3], 0.05)) : 0};
   out.error[2] = known ? (measured - shown[3]) * out.depth_scale : 0;
-  const double length = std::sqrt(out.error[0] * out.error[0] + out.error[1] * out.error[1] + out.error[2] * out.error[2]);
+  const double *e = out.error, length = std::sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
   out.weight = std::exp(-square / (r.colour_sigma * r.colour_sigma)) * r.huber_px / std::max(length, r.huber_px);
   return out;
 }
