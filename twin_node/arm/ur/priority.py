@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 
 
-def ask_for_realtime(priority: int) -> bool:
-    """Let the calling thread, and those it starts, run before all ordinary ones (SCHED_FIFO, 1 to 99).
+def ask_for_realtime(priority: int, process: int = 0) -> bool:
+    """Let a process, and threads that it starts from now on, run before all ordinary ones (SCHED_FIFO, 1 to 99).
+
+    `process` is its id; 0 is the calling thread.
 
     False where that is not permitted: it takes root, CAP_SYS_NICE or an `rtprio` limit. What runs so must sleep often.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(process, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
         return False  # not permitted, or no Linux: periods are kept as well as a busy computer lets us
     return True

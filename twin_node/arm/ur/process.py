@@ -6,6 +6,7 @@ import multiprocessing
 from multiprocessing.connection import wait
 
 from twin_node.arm.ur.parameters import UrParameters
+from twin_node.arm.ur.priority import ask_for_realtime
 from twin_node.arm.ur.records import Begin, DriverReport, Halt, Order
 from twin_node.arm.ur.worker import work
 
@@ -17,6 +18,7 @@ class DriverProcess:
     """Started ahead of need: it loads its libraries, which takes most of a second, and waits to be sent off."""
 
     def __init__(self, parameters: UrParameters) -> None:
+        self._priority = parameters.realtime_priority
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=work, args=(parameters, theirs), name="ur_driver", daemon=True)
@@ -29,7 +31,12 @@ class DriverProcess:
         return self._process.pid
 
     def begin(self, halt: Halt | None) -> bool:
-        """Let it connect; `halt` is what an earlier process left behind. False: it has died while it waited."""
+        """Let it connect, at real-time priority from now on: the arm stands until it has loaded what is not loaded yet.
+
+        `halt` is what an earlier process left behind. False: it has died while it waited.
+        """
+        if self._priority and self.pid is not None:
+            ask_for_realtime(self._priority, self.pid)
         return self.give(Begin(halt))
 
     def give(self, order: Order | Begin) -> bool:

@@ -14,7 +14,6 @@ from twin_node.arm.errors import ArmError
 from twin_node.arm.ur.driver import UrDriver
 from twin_node.arm.ur.link import RtdeLink, load_ur_rtde
 from twin_node.arm.ur.parameters import UrParameters
-from twin_node.arm.ur.priority import ask_for_realtime
 from twin_node.arm.ur.records import Begin, DriverReport, DriverState, Order
 from twin_node.errors import TwinError
 
@@ -36,8 +35,6 @@ def work(parameters: UrParameters, pipe: Connection) -> None:
     try:
         load_ur_rtde()
         begin: Begin = pipe.recv()
-        if parameters.realtime_priority:
-            ask_for_realtime(parameters.realtime_priority)
         link = _connect(parameters, pipe)
         driver = UrDriver(parameters, link, time.monotonic_ns(), begin.halt)
     except TwinError as error:
