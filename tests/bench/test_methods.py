@@ -9,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.methods.chart import draw_chart, text
 from twin_node.bench.methods.following import Population, follow_populations, no_motion, stand_still
 from twin_node.bench.methods.made_up import MadeUp, MadeUpParameters, make_up
+from twin_node.bench.methods.plane_nerf import MOVING, CameraPixels
 from twin_node.bench.methods.protocol import QUICK, Budget, Fitted
 from twin_node.bench.methods.scores import score_images, structural_similarity
 from twin_node.bench.methods.table import METHODS, MethodsBench, run
 from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
 from twin_node.geometry import project
 from twin_node.model import ModelParameters, SeedParameters
-from twin_node.model.sequence import split
+from twin_node.model.sequence import Span, split
 from twin_node.nodes.report.quality import unit
 
 TINY = MadeUpParameters(width=48, frames=4, rate_hz=3.0, cameras=3, held_out=1)
@@ -205,3 +207,20 @@ def test_faint_gaussians_carry_nothing() -> None:
 def test_budgets_are_one_for_all() -> None:
     assert QUICK.offline_steps < Budget().offline_steps
     assert QUICK.degree == Budget().degree == 0
+
+
+def test_half_of_the_rays_look_at_what_moves(scene: MadeUp) -> None:
+    recording = scene.recording
+    name = recording.cameras[0].name
+    views = [view for view in recording.train if view.camera.name == name]
+    pixels = CameraPixels(views, Span(recording.first, recording.last))
+    sample = pixels.draw(400, torch.Generator().manual_seed(0))
+    uv = project(views[0].camera.K, views[0].camera.viewmat, (sample.rays.origins + sample.rays.directions).numpy())
+    median = np.median([view.rgb for view in views], axis=0)
+    moving = 0
+    for (u, v, _), time, rgb in zip(uv, sample.rays.times, sample.rgb.numpy(), strict=True):
+        view = views[round(float(time + 1) / 2 * (len(views) - 1))]
+        at = view.rgb[int(v), int(u)]
+        np.testing.assert_allclose(rgb, at / 255, atol=1e-6)
+        moving += np.abs(at - median[int(v), int(u)]).max() > 255 * MOVING
+    assert 200 <= moving < 300

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +17,7 @@ from twin_node.model.sequence import Box, Recording, Span
 from twin_node.model.sequence.field import linear
 from twin_node.model.sequence.hex_plane import Planes
 from twin_node.model.sweep import Shell, shell_around
-from twin_node.scene import Camera, Float32
+from twin_node.scene import Camera, Float32, View
 
 NEAR, FAR = 0.25, 2.5
 """Where rays begin and end, in units of the cameras' distance from what they look at; what is farther is at the end."""
@@ -78,15 +80,18 @@ def fit_nerf(recording: Recording, budget: Budget, progress: Progress) -> Fitted
     box = _box(shell)
     nerf = PlaneNerf(box, max((recording.steps + 1) // 2, 2), sizes, random)
     span = Span(recording.first, recording.last)
-    data = _Pixels(recording, span)
+    cameras = [
+        CameraPixels([view for view in recording.train if view.camera.name == camera.name], span)
+        for camera in recording.cameras
+    ]
     groups = [{"params": list(nerf.planes.parameters())}, {"params": list(nerf.decoder.parameters())}]
     optimizer = torch.optim.Adam(groups, fused=True)
     for step in range(sizes.steps):
         for group, rate in zip(optimizer.param_groups, (GRID_RATE, DECODER_RATE), strict=True):
             group["lr"] = rate * FINAL_SHARE ** (step / sizes.steps)
-        rows = data.draw(sizes.rays, random)
-        depths = _depths(shell, sizes.samples, len(rows), random)
-        error = (nerf.shade(data.rays.chosen(rows), depths) - data.rgb[rows]).square().mean()
+        sample = _draw(cameras, sizes.rays, random)
+        depths = _depths(shell, sizes.samples, len(sample.rgb), random)
+        error = (nerf.shade(sample.rays, depths) - sample.rgb).square().mean()
         planes = nerf.planes
         loss = error + 1e-3 * planes.variation() + 1e-2 * planes.bend() + 1e-4 * planes.change()
         optimizer.zero_grad()
@@ -101,34 +106,48 @@ def fit_nerf(recording: Recording, budget: Budget, progress: Progress) -> Fitted
     return Fitted(render, no_motion, count, 4 * count)
 
 
-class _Pixels:
-    """All pixels of a recording as rays and colours."""
+@dataclass(frozen=True)
+class Sample:
+    """Rays and what the images show at their ends."""
 
-    def __init__(self, recording: Recording, span: Span) -> None:
-        views = recording.train
-        per_camera: dict[str, Rays] = {}
-        rays, moving = [], []
-        medians = {
-            camera.name: np.median([v.rgb for v in views if v.camera.name == camera.name], axis=0)
-            for camera in recording.cameras
-        }
-        for view in views:
-            name = view.camera.name
-            if name not in per_camera:
-                per_camera[name] = _camera_rays(view.camera, 0.0)
-            own = per_camera[name]
-            rays.append(Rays(own.origins, own.directions, span.times([view.stamp]).expand(len(own.origins))))
-            moving.append((np.abs(view.rgb - medians[name]).max(-1) > 255 * MOVING).ravel())
-        self.rays = Rays(*(torch.cat([getattr(r, name) for r in rays]) for name in vars(rays[0])))
-        self.rgb = torch.cat([torch.from_numpy(view.rgb).reshape(-1, 3) for view in views]).float() / 255
-        self._moving = torch.from_numpy(np.flatnonzero(np.concatenate(moving)))
+    rays: Rays
+    rgb: Tensor
+    """[R, 3] 0 to 1."""
 
-    def draw(self, count: int, random: torch.Generator) -> Tensor:
-        """[count] rows: half of all pixels, half of the moving ones."""
-        anywhere = torch.randint(len(self.rgb), (count - count // 2,), generator=random)
-        if not len(self._moving):
-            return anywhere
-        return torch.cat([anywhere, self._moving[torch.randint(len(self._moving), (count // 2,), generator=random)]])
+    def joined(self, other: Sample) -> Sample:
+        """Both."""
+        rays = (torch.cat(pair) for pair in zip(vars(self.rays).values(), vars(other.rays).values(), strict=True))
+        return Sample(Rays(*rays), torch.cat([self.rgb, other.rgb]))
+
+
+class CameraPixels:
+    """All pixels of one camera that stands still."""
+
+    def __init__(self, views: Sequence[View], span: Span) -> None:
+        """`views`: the camera's, in rising order of stamps."""
+        images = np.stack([view.rgb for view in views])
+        self._rays = _camera_rays(views[0].camera, 0.0)
+        self._times = span.times([view.stamp for view in views])
+        self._rgb = torch.from_numpy(images).view(len(views), -1, 3)
+        changed = np.abs(images - np.median(images, axis=0)).max(-1) > 255 * MOVING
+        self._moving = torch.from_numpy(np.flatnonzero(changed))
+
+    def draw(self, count: int, random: torch.Generator) -> Sample:
+        """`count` pixels: half of all, half of the moving ones where there are any."""
+        pixels = self._rgb.shape[1]
+        chosen = torch.randint(len(self._times) * pixels, (count,), generator=random)
+        if len(self._moving):
+            some = torch.randint(len(self._moving), (count // 2,), generator=random)
+            chosen[: count // 2] = self._moving[some]
+        image, pixel = chosen // pixels, chosen % pixels
+        rays = Rays(self._rays.origins[pixel], self._rays.directions[pixel], self._times[image])
+        return Sample(rays, self._rgb[image, pixel].float() / 255)
+
+
+def _draw(cameras: Sequence[CameraPixels], count: int, random: torch.Generator) -> Sample:
+    """At least `count` pixels, as many of every camera."""
+    share = -(-count // len(cameras))
+    return functools.reduce(Sample.joined, (camera.draw(share, random) for camera in cameras))
 
 
 def _camera_rays(camera: Camera, time: float) -> Rays:
