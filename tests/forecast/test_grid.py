@@ -62,13 +62,13 @@ def test_growth_is_the_ball(reach: int, seed: int) -> None:
     assert np.array_equal(grown, distances <= reach / PER_VOXEL)
 
 
-def test_reach_is_never_less_than_the_radius_and_half_a_voxel_and_little_more() -> None:
+def test_reach_is_never_less_than_the_radius_and_half_a_diagonal_and_little_more() -> None:
     grid = Grid(np.zeros(3), 0.02, (5, 5, 5))
-    radii = np.linspace(0, 1.0, 500)
+    radii = np.linspace(1e-4, 1.0, 500)
     reach = reach_of(grid, radii) / PER_VOXEL
-    assert np.all(reach >= radii / 0.02 + 0.5 - 1e-6)
-    assert np.all(reach <= 1.17 * (radii / 0.02 + 0.5) + 0.25)
-    assert reach_of(grid, np.zeros(1))[0] / PER_VOXEL == 0.5
+    assert np.all(reach >= radii / 0.02 + np.sqrt(0.75) - 1e-6)
+    assert np.all(reach <= 1.17 * (radii / 0.02 + np.sqrt(0.75)) + 0.25)
+    assert reach_of(grid, np.zeros(1))[0] == 0
 
 
 def test_growth_of_many_levels_is_the_union() -> None:

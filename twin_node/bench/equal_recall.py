@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from twin_node.forecast.comparison import Truth
 from twin_node.forecast.grid import reach_of, spread
-from twin_node.forecast.score import litres_per_voxel
-from twin_node.scene import Float64, Grid, UInt32
+from twin_node.forecast.score import MOST_POINTS, litres_per_voxel
+from twin_node.scene import Float64, Grid
 
 MOST_KEPT = 64
-"""Layers that the volume is averaged over, evenly spread over the run."""
+"""Sets that recall and volume are averaged over, evenly spread over the run."""
 
 
 @dataclass(frozen=True)
@@ -24,40 +27,62 @@ class EqualRecall:
     """By which it was grown, m."""
 
 
-class PersistenceLayers:
-    """Keeps an even sample of the voxels that were seen to be occupied."""
+class PersistenceGrowth:
+    """Keeps an even sample of what was seen to move, and what turned out to be occupied when the forecast came due."""
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, truth: Truth) -> None:
         self._grid = grid
-        self._kept: list[UInt32] = []
+        self._truth = truth
+        self._kept: list[_Kept] = []
         self._stride = 1
         self._count = 0
 
-    def add(self, indices: UInt32) -> None:
-        """Takes in the voxels of one set."""
+    def add(self, places: NDArray[np.int32], valid_at: int) -> None:
+        """Takes in the voxels (i, j, k) `places` [3, n] of one set, in the grid or beside it, due at a stamp."""
         if self._count % self._stride == 0:
-            self._kept.append(indices)
+            self._kept.append(_Kept(places, valid_at))
         self._count += 1
         if len(self._kept) > MOST_KEPT:
             self._kept = self._kept[::2]
             self._stride *= 2
 
-    def grown_to(self, distances: Float64, recall: float) -> EqualRecall | None:
-        """Grown until `recall` of the true points lie inside, whose `distances` [n] (m) from the layers are known.
-
-        None where even infinite growth would not do: where nothing was seen.
-        """
-        if len(distances) == 0 or not self._kept:
+    def grown_to(self, recall: float) -> EqualRecall | None:
+        """Grown until `recall` of the true points lie inside; None without such points, or with nothing to grow."""
+        distances = [self._distances(kept) for kept in self._kept]
+        all_of_them = np.concatenate([np.zeros(0), *distances])
+        if len(all_of_them) == 0:
             return None
-        radius = float(np.quantile(distances, recall))
+        radius = float(np.quantile(all_of_them, recall))
         if not np.isfinite(radius):
             return None
-        volumes = [self._grown(indices, radius) for indices in self._kept]
-        return EqualRecall(float(np.mean(volumes)), radius)
+        return EqualRecall(float(np.mean([self._volume_l(kept.places, radius) for kept in self._kept])), radius)
 
-    def _grown(self, indices: UInt32, radius: float) -> float:
+    def _distances(self, kept: _Kept) -> Float64:
+        """Distances [m] in metres from true points in the grid to the nearest voxel's centre, 0 in the same voxel."""
+        points = self._truth.points(kept.valid_at)
+        if points is None:
+            return np.zeros(0)
         grid = self._grid
-        places = np.stack(np.unravel_index(indices.astype(np.int64), grid.dims)).astype(np.int32)
-        reach = np.full(len(indices), reach_of(grid, np.array([radius]))[0])
-        reached = spread(grid, places, reach, np.ones(len(indices), np.bool_))
-        return len(reached.indices) * litres_per_voxel(grid)
+        points = points[np.isfinite(points).all(axis=1)]
+        points = points[grid.indices(points) >= 0]
+        points = points[:: -(-len(points) // MOST_POINTS) or 1]
+        if kept.places.shape[1] == 0:
+            return np.full(len(points), np.inf)
+        centers = grid.origin + (kept.places.T + 0.5) * grid.voxel_size
+        distances, nearest = cKDTree(centers).query(points)
+        same = (np.abs(points - centers[nearest]) <= grid.voxel_size / 2).all(axis=1)
+        return np.where(same, 0, distances)
+
+    def _volume_l(self, places: NDArray[np.int32], radius: float) -> float:
+        count = places.shape[1]
+        reach = np.full(count, reach_of(self._grid, np.array([radius]))[0])
+        reached = spread(self._grid, places, reach, np.ones(count, np.bool_))
+        return len(reached.indices) * litres_per_voxel(self._grid)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What one set showed, and when its forecast comes due."""
+
+    places: NDArray[np.int32]
+    valid_at: int

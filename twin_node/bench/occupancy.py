@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin_node.bench.equal_recall import EqualRecall, PersistenceLayers
+from twin_node.bench.equal_recall import EqualRecall, PersistenceGrowth
 from twin_node.bench.errors import BenchError
 from twin_node.bench.space import SpaceScore, SpaceTally
 from twin_node.bench.truth import ColourOf, Markers, PixelTruth
@@ -21,7 +21,7 @@ from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import LaterTruth, VoxelTruth
-from twin_node.scene import Bool, Float64, FrameSet, Grid, TwinState
+from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, TwinState
 
 OURS = "ours"
 
@@ -118,7 +118,7 @@ def score_states(
     chosen = parameters.chain.forecast
     forecaster, baselines = Forecaster(grid, chosen), BaselineForecaster(grid, chosen.carving, chosen.static)
     comparison = Comparison(truth, "persistence")
-    layers, space, spent = PersistenceLayers(grid), SpaceTally(grid), []
+    growth, space, spent = PersistenceGrowth(grid, truth), SpaceTally(grid), []
     sets, begin = 0, None
     for state in states:
         begin = state.stamp if begin is None else begin
@@ -139,7 +139,7 @@ def score_states(
         warm = state.stamp - begin >= parameters.warm_up_s * 1e9
         comparison.add(state, forecasts if warm else {})
         if warm:
-            layers.add(others.persistence.layers[-1].indices)
+            growth.add(baselines.places, publish + HORIZONS_NS[-1])
         if isinstance(truth, VoxelTruth):
             space.add(state, ours, truth.points(state.stamp))
     quality = forecaster.quality
@@ -152,9 +152,7 @@ def score_states(
         coverage=coverage,
         target=quality.target,
         scores=scores,
-        persistence_equal_recall=None
-        if recall is None
-        else layers.grown_to(comparison.distances("persistence"), recall),
+        persistence_equal_recall=None if recall is None else growth.grown_to(recall),
         space=space.score() if isinstance(truth, VoxelTruth) else None,
         update_ms=1e3 * float(np.median(spent)) if spent else None,
     )

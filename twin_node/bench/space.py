@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.grid import decode_runs
+from twin_node.forecast.grid import decode_runs, grow, pack, unpack
 from twin_node.geometry import project
 from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, View
 
 UNSEEN_EVERY = 10
 """Every so many sets the whole grid is looked through for unseen space."""
+CLEAR_VOXELS = 3.0
+"""Space is vacated when all that moves is this far away, voxels: nearer space is kept for errors of the sensors."""
 BEHIND_VOXELS = 3.0
 """A voxel this far behind a measured surface is certainly hidden by it, voxels."""
 
@@ -22,7 +24,8 @@ class SpaceScore:
     """What became of vacated and of unseen space; None where there was none."""
 
     vacated_free_ms_p95: float | None
-    """95 % of the voxels that a thing left, and that a camera sees to be empty, were reported free within this time."""
+    """95 % of the voxels that a thing left by `CLEAR_VOXELS`, and that a camera sees to be empty, were reported free
+    within this time."""
     vacated_voxels: int
     unseen_not_free: float | None
     """Share of the voxels hidden from every camera that were reported unknown or occupied."""
@@ -70,7 +73,8 @@ class SpaceTally:
         standing[forecast.static.indices] = True
         self._since[occupied | standing] = 0
         self._was_occupied = (self._was_occupied | occupied) & ~standing
-        left = np.flatnonzero(self._was_occupied & ~occupied & (self._since == 0))
+        near = unpack(grow(pack(occupied.reshape(self._grid.dims)), CLEAR_VOXELS), self._grid.dims[2]).reshape(-1)
+        left = np.flatnonzero(self._was_occupied & ~near & (self._since == 0))
         self._since[left[_seen_empty(state, self._grid, left)]] = state.stamp
         free = np.flatnonzero((self._since > 0) & ~blocked)
         self._latencies.append(forecast.publish_stamp - self._since[free])

@@ -38,11 +38,14 @@ class BaselineForecaster:
         self, grid: Grid, carving: CarvingParameters | None = None, static: StaticParameters | None = None
     ) -> None:
         self.grid = grid
+        self.places = np.zeros((3, 0), np.int32)
+        """[3, n] voxel coordinates of what the last state showed to move, also in the rim about the grid."""
         self._observer = Observer(grid, carving or CarvingParameters(), static or StaticParameters())
 
     def update(self, state: TwinState, publish_stamp: int) -> Baselines:
         """The baselines at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (ns)."""
         evidence = self._observer.observe(state)
+        self.places = evidence.parts.places
         ahead = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         still = np.zeros(len(ahead))
         return Baselines(

@@ -79,10 +79,6 @@ class Comparison:
         """Scores of all forecasts whose time has come, by name."""
         return {name: tally.score() for name, tally in self._tallies.items()}
 
-    def distances(self, name: str) -> Float64:
-        """Distances [n] (m) of true points from a forecast at its last horizon, 0 inside; infinite if it was empty."""
-        return np.array(self._tallies[name].errors) if name in self._tallies else np.zeros(0)
-
     def _settle(self, pending: _Pending, state: TwinState) -> None:
         """Scores forecasts for about the time of `state`, the first one not before it."""
         before = pending.forecasts[self._reference].layers[0].indices

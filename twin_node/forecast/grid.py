@@ -154,12 +154,14 @@ PER_VOXEL = 4
 def reach_of(grid: Grid, radii: Float64) -> NDArray[np.uint8]:
     """Radii [n] (m) as reach in quarter voxels, rounded up: by at most a seventh, as every level costs time.
 
-    Half a voxel is added for the rounding of places to voxels.
+    Half a voxel's diagonal is added for the rounding of places to voxels, to all but radii of 0.
     """
-    reach = PER_VOXEL * (radii / grid.voxel_size + 0.5)
+    reach = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, _ROUNDING, 0))
     return np.asarray(_REACHES[np.minimum(np.searchsorted(_REACHES, reach - 1e-6), len(_REACHES) - 1)])
 
 
+_ROUNDING = np.sqrt(3) / 2
+"""How far a place is from the middle of its voxel at most, voxels."""
 _REACHES = np.array(
     [*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)], np.uint8
 )
