@@ -18,7 +18,8 @@ from twin_node.runtime.zenoh_session import WireError, ZenohParameters, open_ses
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 STRING = "std_msgs/msg/String"
-ATTEMPTS = 100
+ATTEMPTS = 600
+"""Times that something is tried until it is seen; discovery takes a few, and on a busy machine a minute."""
 
 
 def text(data: str) -> Any:

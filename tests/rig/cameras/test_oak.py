@@ -105,7 +105,7 @@ def test_factory_calibration_is_scaled_to_the_image() -> None:
 def test_wrong_settings_are_named() -> None:
     with pytest.raises(RigError, match="sync: expected one of none, auto, output, input, ptp, found 'cable'"):
         OakCamera("front", sync="cable")
-    with pytest.raises(RigError, match="depth_preset: expected one of .*ROBOTICS.* found 'BEST'"):
+    with pytest.raises(RigError, match=r"depth_preset: expected one of .*ROBOTICS.* found 'BEST'"):
         OakSource([OakCamera("front", depth_preset="BEST")])
     with pytest.raises(RigError, match="distinct names"):
         OakSource([FRONT, FRONT])
