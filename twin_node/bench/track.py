@@ -11,7 +11,7 @@ import numpy as np
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.track_runs import Followed, follow, follow_live, start, to_and_fro, without
-from twin_node.bench.track_scores import ForesightScore, TrackScores, score_foresight, score_renderings
+from twin_node.bench.track_scores import ForesightScore, LookingBack, TrackScores, score_foresight, score_renderings
 from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images
@@ -63,6 +63,8 @@ class TrackBench:
     """Per pass to and fro."""
     growth_bytes: int
     """What memory has grown by since the second pass, or after the first fifth of the run."""
+    afterwards_db: float | None = None
+    """PSNR of sets half a window back as the model renders them now, less what they had live; in lockstep only."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
@@ -87,6 +89,7 @@ class TrackBench:
             "forecast_db": forecast,
             "present_db": present,
             "forecast_gain_db": None if forecast is None or present is None else forecast - present,
+            "afterwards_less_live_db": self.afterwards_db,
             "left_out": {
                 name: {**asdict(one.methods["ours"]), "gain_db": gains(one)} for name, one in self.left_out.items()
             },
@@ -132,11 +135,12 @@ def _once(
     session: LogSession, source: LogSource, parameters: TrackBenchParameters, log: Path, progress: Progress
 ) -> TrackBench:
     """One pass in lockstep or in real time; ticks are scored when it is over."""
-    followed = start(parameters.chain)
+    followed, looking_back = start(parameters.chain), LookingBack()
     with Spool(session.span.start_ns, session.span.stop_ns, parameters.chain.synchronizer.max_rate_hz or 60.0) as spool:
         if parameters.rate is None:
             for tick in follow(followed, source):
                 progress((tick.stamp - session.span.start_ns) * 1e-9)
+                looking_back.add(tick, followed.model)
                 if spool.keeps(tick.stamp):
                     spool.add(tick)
         else:
@@ -148,7 +152,7 @@ def _once(
     memory = followed.memory_bytes
     growth = memory[-1] - memory[int(WARM_UP * len(memory))]
     mode = "lockstep" if parameters.rate is None else "real time"
-    return TrackBench(mode, followed, scores, foresight, {}, (), growth)
+    return TrackBench(mode, followed, scores, foresight, {}, (), growth, looking_back.mean.value)
 
 
 def _bounce(sets: list[FrameSet], parameters: TrackBenchParameters, log: Path, progress: Progress) -> TrackBench:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from twin_node.model import WindowModel
 from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, squared_error
 from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Renderings, render_cloud, unit
 from twin_node.nodes.spool import Tick
@@ -149,3 +150,32 @@ def _score_pair(cloud: GaussianCloud, stamp: int, then: View, now: View, forecas
     for mean, seconds in ((forecast, (now.stamp - stamp) * 1e-9), (present, 0.0)):
         error = squared_error(render_cloud(cloud, now.camera, seconds), image)
         mean.add(psnr(float(error[changed].mean())))
+
+
+class LookingBack:
+    """What the model still knows of sets some time ago, against what it showed of them when they were new."""
+
+    def __init__(self, sets_back: int = 16, every: int = 8) -> None:
+        """Looks `sets_back` sets back, half of the default window, at one set in `every`."""
+        self.mean = Mean()
+        self._back = sets_back
+        self._every = every
+        self._seen: deque[tuple[FrameSet, dict[str, float]]] = deque()
+        self._count = 0
+
+    def add(self, tick: Tick, model: WindowModel) -> None:
+        """Takes in a set that `model` has just been brought up to date with."""
+        self._count += 1
+        if self._count % self._every:
+            return
+        self._seen.append((tick.frames, {view.camera.name: _shown_db(model, view) for view in tick.frames.views}))
+        if len(self._seen) <= self._back // self._every:
+            return
+        frames, live = self._seen.popleft()
+        for view in frames.views:
+            self.mean.add(_shown_db(model, view) - live[view.camera.name])
+
+
+def _shown_db(model: WindowModel, view: View) -> float:
+    """PSNR of what the model shows of a view's time."""
+    return psnr(float(squared_error(model.render(view.camera, view.stamp).rgb, unit(view)).mean()))
