@@ -52,7 +52,7 @@ class PersistenceGrowth:
         all_of_them = np.concatenate([np.zeros(0), *distances])
         if len(all_of_them) == 0:
             return None
-        radius = float(np.quantile(all_of_them, recall))
+        radius = float(np.quantile(all_of_them, recall, method="higher"))
         if not np.isfinite(radius):
             return None
         return EqualRecall(float(np.mean([self._volume_l(kept.places, radius) for kept in self._kept])), radius)

@@ -21,6 +21,7 @@ from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import LaterTruth, VoxelTruth
+from twin_node.robot import ur_model
 from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, TwinState
 
 OURS = "ours"
@@ -116,7 +117,9 @@ def score_states(
 ) -> OccupancyBench:
     """Forecasts states in rising order of stamps, ours and the baselines, and scores them against the truth."""
     chosen = parameters.chain.forecast
-    forecaster, baselines = Forecaster(grid, chosen), BaselineForecaster(grid, chosen.carving, chosen.static)
+    arm = ur_model(parameters.chain.arm.model)
+    forecaster = Forecaster(grid, chosen, arm)
+    baselines = BaselineForecaster(grid, chosen.carving, chosen.static, arm)
     comparison = Comparison(truth, "persistence")
     growth, space, spent = PersistenceGrowth(grid, truth), SpaceTally(grid), []
     sets, begin = 0, None

@@ -11,6 +11,7 @@ from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.grid import reach_of, spread
 from twin_node.forecast.static import StaticParameters
+from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
 RIM_PROBABILITY = 90
@@ -35,12 +36,17 @@ class BaselineForecaster:
     """Makes the baselines of a grid, state by state."""
 
     def __init__(
-        self, grid: Grid, carving: CarvingParameters | None = None, static: StaticParameters | None = None
+        self,
+        grid: Grid,
+        carving: CarvingParameters | None = None,
+        static: StaticParameters | None = None,
+        arm: ArmModel | None = None,
     ) -> None:
+        """With the same arguments as the `Forecaster` they stand on the same evidence."""
         self.grid = grid
         self.places = np.zeros((3, 0), np.int32)
         """[3, n] voxel coordinates of what the last state showed to move, also in the rim about the grid."""
-        self._observer = Observer(grid, carving or CarvingParameters(), static or StaticParameters())
+        self._observer = Observer(grid, carving or CarvingParameters(), static or StaticParameters(), arm)
 
     def update(self, state: TwinState, publish_stamp: int) -> Baselines:
         """The baselines at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (ns)."""

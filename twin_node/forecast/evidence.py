@@ -8,12 +8,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.carving import Carver, CarvingParameters
+from twin_node.forecast.carving import Carved, Carver, CarvingParameters
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.margin import RIM_S, Margin
+from twin_node.forecast.own_space import own_space
 from twin_node.forecast.parts import Parts, PartVelocities, split
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
+from twin_node.robot import ArmModel
 from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
 
 
@@ -36,7 +38,11 @@ class Evidence:
 class Observer:
     """Turns states into evidence on one grid and a rim about it."""
 
-    def __init__(self, grid: Grid, carving: CarvingParameters, static: StaticParameters) -> None:
+    def __init__(
+        self, grid: Grid, carving: CarvingParameters, static: StaticParameters, arm: ArmModel | None = None
+    ) -> None:
+        """`arm`: where the states' joints are those of this arm, its own space is left out."""
+        self._arm = arm
         self.margin = Margin(grid, PERSON_SPEED * RIM_S)
         self.grid = self.margin.outer
         self.tables = RigTables(self.grid)
@@ -48,7 +54,7 @@ class Observer:
 
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
-        carved = self._carver.carve(state, self._speed())
+        carved = self._without_arm(state, self._carver.carve(state, self._speed()))
         parts = split(self.grid, carved.moving, carved.likely)
         velocities = self._velocities.update(state, parts, self._expected(parts.centers))
         self._last_centers, self._last_velocities = parts.centers, velocities
@@ -64,6 +70,14 @@ class Observer:
             static=OccupancyLayer(static.horizon_ns, standing, np.full(len(standing), 255, np.uint8)),
             unknown_runs=encode_runs(self.margin.cropped(unknown & ~stands)),
         )
+
+    def _without_arm(self, state: TwinState, carved: Carved) -> Carved:
+        """What is left when the arm's own space is taken out: its shadow stays unknown."""
+        if self._arm is None or state.frames.joints is None:
+            return carved
+        taken = own_space(self.grid, self._arm, state.frames.joints)
+        others = ~taken[carved.moving]
+        return Carved(carved.moving[others], carved.likely[others], carved.unknown[~taken[carved.unknown]])
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""

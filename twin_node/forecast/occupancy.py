@@ -18,6 +18,7 @@ from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.prediction import Predictor
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
+from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
 CORE_PROBABILITY = 230
@@ -60,10 +61,11 @@ class ForecastQuality:
 class Forecaster:
     """Forecasts the occupancy of one grid, state by state."""
 
-    def __init__(self, grid: Grid, parameters: ForecastParameters | None = None) -> None:
+    def __init__(self, grid: Grid, parameters: ForecastParameters | None = None, arm: ArmModel | None = None) -> None:
+        """`arm`: the one that the states' joints belong to; its own space is left out. None: there is none."""
         self.grid = grid
         self.parameters = parameters or ForecastParameters()
-        self._observer = Observer(grid, self.parameters.carving, self.parameters.static)
+        self._observer = Observer(grid, self.parameters.carving, self.parameters.static, arm)
         self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
         self._predictor = Predictor(self.parameters.bound)

@@ -99,7 +99,8 @@ class Chain:
         The arm's node reads messages only, so it can stand in another process: `with_arm` False leaves it out.
         """
         self.model = make_model(parameters)
-        self.forecaster = Forecaster(default_grid(workspace, parameters.grid.voxel_size), parameters.forecast)
+        grid = default_grid(workspace, parameters.grid.voxel_size)
+        self.forecaster = Forecaster(grid, parameters.forecast, ur_model(parameters.arm.model))
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
         self.nodes: Sequence[Node] = (
             self.status,

@@ -1,0 +1,114 @@
+"""Vacated and unseen space, and persistence at equal recall, against made-up truths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.bench.equal_recall import PersistenceGrowth
+from twin_node.bench.space import SpaceTally
+from twin_node.forecast.grid import encode_runs
+from twin_node.scene import (
+    HORIZONS_NS,
+    Bool,
+    Camera,
+    Float64,
+    FrameSet,
+    GaussianCloud,
+    Grid,
+    NodeStates,
+    Occupancy,
+    OccupancyLayer,
+    TwinState,
+    View,
+)
+
+GRID = Grid(np.array([-0.5, -0.5, 1.0]), 0.05, (20, 20, 10))
+CAMERA = Camera("cam", 64, 64, np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]]), np.eye(4))
+BLOCK = GRID.centers(np.arange(GRID.size))
+BLOCK = BLOCK[(np.abs(BLOCK[:, :2]) < 0.1).all(axis=1) & (BLOCK[:, 2] < 1.1)]
+
+
+def state(stamp: int, depth_m: float = 2.0) -> TwinState:
+    """One camera at the origin that looks along z at a wall."""
+    view = View(CAMERA, stamp, np.zeros((64, 64, 3), np.uint8), np.full((64, 64), depth_m, np.float32))
+    f, nothing = np.float32, np.zeros(0)
+    cloud = GaussianCloud(
+        np.zeros((0, 3), f), np.zeros((0, 4), f), np.zeros((0, 3), f), np.zeros(0, f), np.zeros((0, 3), f),
+        np.zeros((0, 3), f), np.zeros(0, np.uint8), np.zeros(0, np.uint32), np.zeros(0, np.int32),
+    )  # fmt: skip
+    nodes = NodeStates(
+        np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((0, 3)), nothing, nothing
+    )
+    return TwinState(stamp, FrameSet(stamp, (view,)), cloud, nodes, (np.zeros((64, 64), np.bool_),), (None,))
+
+
+def occupancy(stamp: int, points: Float64, unknown: Bool | None = None) -> Occupancy:
+    indices = np.unique(GRID.indices(points)).astype(np.uint32)
+    layers = tuple(OccupancyLayer(h, indices, np.full(len(indices), 255, np.uint8)) for h in HORIZONS_NS)
+    nothing = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
+    runs = encode_runs(np.zeros(GRID.size, np.bool_) if unknown is None else unknown)
+    return Occupancy(stamp, stamp + 10_000_000, GRID, layers, nothing, runs)
+
+
+def test_the_time_until_vacated_space_is_free_is_measured() -> None:
+    tally, nobody = SpaceTally(GRID), np.zeros((0, 3))
+    tally.add(state(0), occupancy(0, BLOCK), BLOCK)
+    for stamp in (50_000_000, 100_000_000):
+        tally.add(state(stamp), occupancy(stamp, BLOCK), nobody)
+    tally.add(state(150_000_000), occupancy(150_000_000, nobody), nobody)
+    score = tally.score()
+    assert score.vacated_voxels == len(BLOCK)
+    assert score.vacated_free_ms_p95 == 110.0
+
+
+def test_space_that_no_camera_sees_to_be_empty_is_not_waited_for() -> None:
+    tally, nobody = SpaceTally(GRID), np.zeros((0, 3))
+    tally.add(state(0, depth_m=0.8), occupancy(0, BLOCK), BLOCK)
+    tally.add(state(50_000_000, depth_m=0.8), occupancy(50_000_000, nobody), nobody)
+    assert tally.score().vacated_free_ms_p95 is None
+
+
+def test_hidden_space_reported_free_is_found() -> None:
+    nobody = np.zeros((0, 3))
+    unknown = np.ones(GRID.size, np.bool_)
+    hides, tells = SpaceTally(GRID), SpaceTally(GRID)
+    tells.add(state(0, depth_m=0.5), occupancy(0, nobody, unknown), nobody)
+    hides.add(state(0, depth_m=0.5), occupancy(0, nobody), nobody)
+    assert tells.score().unseen_not_free == 1.0
+    assert hides.score().unseen_not_free == 0.0
+    seen = SpaceTally(GRID)
+    seen.add(state(0, depth_m=9.0), occupancy(0, nobody), nobody)
+    assert seen.score().unseen_not_free in (None, 0.0)  # only what is outside the image is hidden
+
+
+class Shifted:
+    """The block, 0.2 m further on."""
+
+    source = "made up"
+
+    def points(self, stamp: int) -> Float64 | None:
+        return BLOCK + np.array([0.2, 0, 0])
+
+    def volume_l(self, stamp: int) -> float | None:
+        return None
+
+    def pixels(self, view: View) -> Bool | None:
+        return None
+
+
+def test_persistence_grows_until_it_finds_as_much() -> None:
+    growth = PersistenceGrowth(GRID, Shifted())
+    places = np.stack(np.unravel_index(GRID.indices(BLOCK), GRID.dims)).astype(np.int32)
+    for stamp in range(100):
+        growth.add(places, stamp)
+    whole, half = growth.grown_to(1.0), growth.grown_to(0.5)
+    assert whole is not None and half is not None
+    assert np.isclose(whole.radius_m, 0.2)
+    assert half.radius_m < whole.radius_m
+    assert half.volume_l < whole.volume_l
+
+
+def test_nothing_seen_cannot_grow() -> None:
+    growth = PersistenceGrowth(GRID, Shifted())
+    growth.add(np.zeros((3, 0), np.int32), 0)
+    assert growth.grown_to(0.9) is None

@@ -1,0 +1,72 @@
+"""The arm's own space is no obstacle; what is beside it, and its shadow, still is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from forecast_worlds import GRID, state_of
+
+from twin_node.forecast import BaselineForecaster, Forecaster
+from twin_node.forecast.grid import decode_runs
+from twin_node.forecast.own_space import own_space
+from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
+from twin_node.scene import Grid, JointSample, TwinState
+
+ARM = ur_model("ur5e")
+JOINTS = JointSample(0, ARM.joint_names, np.array([0.3, -1.2, 1.4, -1.8, -1.5, 0.0]), np.zeros(6))
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    """[n] from the surface of the arm's capsules, m, negative inside; by sampling the capsules' axes."""
+    placed = place_capsules(ARM, forward_kinematics(ARM, JOINTS.positions))
+    least = np.full(len(points), np.inf)
+    for ends, radius in zip(placed.ends, placed.radii, strict=True):
+        for share in np.linspace(0, 1, 60):
+            on_axis = (1 - share) * ends[0] + share * ends[1]
+            least = np.minimum(least, np.linalg.norm(points - on_axis, axis=1) - radius)
+    return least
+
+
+def test_every_voxel_in_the_arm_is_its_own_and_none_far_from_it() -> None:
+    grid = Grid(np.array([-0.8, -0.8, -0.1]), 0.04, (40, 40, 30))
+    taken = own_space(grid, ARM, JOINTS)
+    from_arm = distances(grid.centers(np.arange(grid.size)))
+    assert taken[from_arm < 0].all()
+    assert not taken[from_arm > 0.06].any()
+    assert np.count_nonzero(taken) > 50
+
+
+def test_an_arm_outside_the_grid_takes_nothing() -> None:
+    assert not own_space(Grid(np.array([5.0, 5.0, 5.0]), 0.05, (8, 8, 8)), ARM, JOINTS).any()
+
+
+def test_joints_of_another_arm_are_refused() -> None:
+    with pytest.raises(RobotError, match="joint values"):
+        own_space(GRID, ARM, replace(JOINTS, names=tuple(f"panda_{j}" for j in range(6))))
+
+
+def seen_arm(stamp: int) -> TwinState:
+    """Everything that all cameras see moves, the arm among it: a mask that misses the arm wholly."""
+    state = state_of(stamp, None)
+    masks = tuple(np.ones_like(mask) for mask in state.moving_masks)
+    return replace(state, moving_masks=masks, frames=replace(state.frames, joints=JOINTS))
+
+
+def test_neither_forecast_nor_baselines_hold_the_arm_itself() -> None:
+    inside = np.flatnonzero(distances(GRID.centers(np.arange(GRID.size))) < 0)
+    state = seen_arm(0)
+    alone = Forecaster(GRID).update(state, 0)
+    assert np.isin(inside, alone.layers[0].indices).any()
+    others = BaselineForecaster(GRID, arm=ARM).update(state, 0).persistence
+    assert not np.isin(inside, others.layers[0].indices).any()
+    assert not decode_runs(others.unknown_runs, GRID.size)[inside].any()
+    assert len(others.layers[0].indices) > 0.5 * len(alone.layers[0].indices)
+
+
+def test_states_without_joints_lose_nothing() -> None:
+    state = seen_arm(0)
+    without = replace(state, frames=replace(state.frames, joints=None))
+    one, other = Forecaster(GRID, arm=ARM).update(without, 0), Forecaster(GRID).update(without, 0)
+    assert np.array_equal(one.layers[0].indices, other.layers[0].indices)

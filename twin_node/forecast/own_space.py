@@ -1,0 +1,40 @@
+"""The space that the arm itself takes up: known from its joints, and no obstacle to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.robot import ArmModel, forward_kinematics, place_capsules
+from twin_node.scene import Bool, Float64, Grid, JointSample
+
+MARGIN = 0.01
+"""By which the arm's capsules are grown, m: what mounting and joint stamps leave between model and image."""
+
+
+def own_space(grid: Grid, arm: ArmModel, joints: JointSample) -> Bool:
+    """[grid.size] True for voxels that the arm's capsules, grown by `MARGIN`, touch.
+
+    Raises `RobotError` for joint values that are not the arm's.
+    """
+    placed = place_capsules(arm, forward_kinematics(arm, arm.ordered_positions(joints)))
+    taken = np.zeros(grid.dims, np.bool_)
+    reach = placed.radii + MARGIN + grid.voxel_size * np.sqrt(3) / 2
+    for ends, radius in zip(placed.ends, reach, strict=True):
+        lower = np.floor((ends.min(axis=0) - radius - grid.origin) / grid.voxel_size).astype(int)
+        upper = np.ceil((ends.max(axis=0) + radius - grid.origin) / grid.voxel_size).astype(int)
+        start, stop = np.clip(lower, 0, grid.dims), np.clip(upper, 0, grid.dims)
+        if np.any(start >= stop):
+            continue
+        axes = [grid.origin[i] + (np.arange(start[i], stop[i]) + 0.5) * grid.voxel_size for i in range(3)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        box = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
+        taken[box] |= _distances(points, ends) <= radius
+    return taken.reshape(-1)
+
+
+def _distances(points: Float64, ends: Float64) -> Float64:
+    """Distances [...] of points [..., 3] from the segment between two ends [2, 3]."""
+    along = ends[1] - ends[0]
+    share = np.clip((points - ends[0]) @ along / max(float(along @ along), 1e-12), 0, 1)
+    distances: Float64 = np.linalg.norm(points - ends[0] - share[..., None] * along, axis=-1)
+    return distances
