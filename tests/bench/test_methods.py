@@ -23,6 +23,7 @@ from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
 from twin_node.geometry import project
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.model.sequence import Span, split
+from twin_node.model.sequence.scoring import evenly
 from twin_node.nodes.report.quality import unit
 
 TINY = MadeUpParameters(width=48, frames=4, rate_hz=3.0, cameras=3, held_out=1)
@@ -202,6 +203,20 @@ def test_faint_gaussians_carry_nothing() -> None:
         return Population(np.arange(12), means, np.array([1.0] * 6 + [0.05] * 6))
 
     assert track_errors_mm(truth, follow_populations(5, population))["all"] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("cameras", [1, 2, 3, 4, 6])
+@pytest.mark.parametrize("steps", [1, 7, 24, 50, 75])
+def test_every_held_out_camera_is_scored(scene: MadeUp, cameras: int, steps: int) -> None:
+    view = scene.recording.held_out[0]
+    views = tuple(
+        dataclasses.replace(view, stamp=step, camera=dataclasses.replace(view.camera, name=f"c{camera}"))
+        for step in range(steps)
+        for camera in range(cameras)
+    )
+    chosen = evenly(views, 24)
+    assert len(chosen) <= 24 and len({one.camera.name for one in chosen}) == cameras
+    assert chosen[-1].stamp >= 0.8 * (steps - 1)
 
 
 def test_budgets_are_one_for_all() -> None:

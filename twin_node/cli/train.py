@@ -105,12 +105,12 @@ def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
 
 def _report(trainer: Trainer, path: Path) -> None:
     """Says what came of it, on images that were held out or else on those learnt from."""
-    from twin_node.model.sequence.scoring import mean_psnr
+    from twin_node.model.sequence.scoring import evenly, mean_psnr
 
     recording, model = trainer.recording, trainer.model
     views = recording.held_out or recording.train
     kind = "held-out" if recording.held_out else "training"
-    chosen = views[:: max(len(views) // SCORED, 1)]
+    chosen = evenly(views, SCORED)
     print(
         f"{path}: {len(model.gaussians)} Gaussians, {model.parameters_count} parameters, "
         f"PSNR {mean_psnr(model, chosen):.2f} dB on {len(chosen)} {kind} images"

@@ -18,6 +18,7 @@ from twin_node.bench.methods.streaming import fit_streaming
 from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
 from twin_node.bench.methods.whole_sequence import fit_hash, fit_hexplane, fit_plain
 from twin_node.model.sequence import Recording
+from twin_node.model.sequence.scoring import evenly
 from twin_node.nodes.report.quality import unit
 from twin_node.scene import Float32, View
 
@@ -118,7 +119,7 @@ def run(
     first: dict[str, Float32] = {}
     for view in recording.held_out:
         first.setdefault(view.camera.name, unit(view))
-    scored = recording.held_out[:: max(-(-len(recording.held_out) // SCORED), 1)]
+    scored = evenly(recording.held_out, SCORED)
     rows = {name: _row(METHODS[name], name, recording, truth, budget, scored, first, report) for name in names}
     camera = recording.train[0].camera
     size = f"{camera.width}x{camera.height}"

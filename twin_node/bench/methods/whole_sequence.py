@@ -7,7 +7,7 @@ from functools import partial
 from twin_node.bench.methods.following import follow_model
 from twin_node.bench.methods.protocol import Budget, Fitted, Progress
 from twin_node.model.sequence import Recording, Trainer, TrainParameters
-from twin_node.model.sequence.scoring import mean_psnr
+from twin_node.model.sequence.scoring import evenly, mean_psnr
 
 PLATEAU_SHARE = 0.8
 """Share of the run after which the gain of what is left is told: how flat the plateau is."""
@@ -32,7 +32,7 @@ def train_parameters(budget: Budget, method: str, steps: int) -> TrainParameters
 def _fit(recording: Recording, budget: Budget, progress: Progress, method: str) -> Fitted:
     trainer = Trainer(recording, train_parameters(budget, method, budget.offline_steps))
     total = trainer.parameters.all_steps
-    probes = recording.train[:: max(len(recording.train) // PROBES, 1)]
+    probes = evenly(recording.train, PROBES)
     before = 0.0
     while not trainer.finished:
         trainer.advance()
