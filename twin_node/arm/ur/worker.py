@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+import sys
 import time
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -30,6 +31,7 @@ class _Told(Exception):
 
 def work(parameters: UrParameters, pipe: Connection) -> None:
     """Target of the process: waits for `Begin`, then drives; the last report says why it ends."""
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # ur_rtde chats on what belongs to the command's own output
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the supervisor ends us in order
     signal.signal(signal.SIGTERM, _raise)
     try:
@@ -83,17 +85,18 @@ def _loop(parameters: UrParameters, driver: UrDriver, pipe: Connection) -> bool:
             if now >= due:
                 due = max(due + period_ns, now)
             report = replace(driver.step(now), refusal=refusal)
+            if report.is_over:
+                pipe.send(report)  # the arm has been told what could be told: now there is time to wait
+                return True
             if _is_news(report, said) and _say(pipe, report):
                 said, refusal = report, None
-            if report.is_over:
-                return True
     except (EOFError, OSError, _Told):
         return False  # the supervisor has gone, or says so: the caller stops the arm
 
 
 def _is_news(report: DriverReport, said: DriverReport | None) -> bool:
     """Whether a report is worth saying: something has changed, or time has passed."""
-    if said is None or report.is_over or report.refusal is not None or report.state is not said.state:
+    if said is None or report.refusal is not None or report.state is not said.state:
         return True
     is_stop = report.speed_fraction == 0 and said.speed_fraction != 0
     return is_stop or report.stamp - said.stamp >= _REPORT_NS
