@@ -32,7 +32,7 @@ class CollisionBench:
     """Half spheres, half turned boxes, 3 to 25 cm, within 1.2 m of the base."""
     steps: int = 20
     """Poses of the checked trajectory."""
-    repetitions: int = 25
+    repetitions: int = 200
     """Calls of which the fastest counts: others on the machine only ever slow one down."""
     poses: int = 10_000
     """Random poses in which clearances are held against the meshes."""
