@@ -23,6 +23,7 @@ def add_bench_forecast(benches: Any) -> None:
     what = forecast.add_mutually_exclusive_group(required=True)
     what.add_argument("file", nargs="?", type=Path, metavar="FILE", help=".bvh, .trc, or .csv (time,NAME_x,NAME_y,...)")
     what.add_argument("--made-up", action="store_true", help="sudden stops, reversals, throws, ... instead of a file")
+    what.add_argument("--speed", action="store_true", help="time a forecast and its cover instead, on a made-up scene")
     forecast.add_argument(
         "--noise", type=float, default=0.005, metavar="M", help="noise added to every coordinate, m (%(default)s)"
     )
@@ -37,9 +38,11 @@ def add_bench_forecast(benches: Any) -> None:
 
 
 def _bench_forecast(options: argparse.Namespace) -> None:
-    from twin_node.bench import forecast, made_up
+    from twin_node.bench import forecast, forecast_speed, made_up
 
-    if options.made_up:
+    if options.speed:
+        figures = forecast_speed.run().as_json()
+    elif options.made_up:
         figures = made_up.run(options.fps, options.noise, options.seed).as_json()
     else:
         parameters = forecast.ForecastBenchParameters(

@@ -80,7 +80,7 @@ class Bound:
     def __init__(self, parameters: BoundParameters | None = None) -> None:
         self.parameters = parameters or BoundParameters()
         self._gram = np.eye(CUES) * _PRIOR
-        self._prior = np.append(0.0, np.full(CUES - 1, 1 / (CUES - 1)))
+        self._prior = np.append(0.0, _SLOPES)
         self._moment = self._gram @ self._prior
         self._weights = self._prior
         self._judged: deque[_Judged] = deque()
@@ -194,6 +194,8 @@ class _Judged:
     elapsed_s: float
 
 
+_SLOPES = (0.2, 0.3, 0.1, 0.15, 0.1, 0.15)
+"""Share of each cue in the scale before errors tell, in the order of `CueLengths`: what goes far errs most."""
 _PRIOR = 0.5
 """Weight of the prior slopes in samples: the scale is proportional to the cues until errors say otherwise."""
 _RIDGE = 0.1

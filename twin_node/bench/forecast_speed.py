@@ -1,0 +1,155 @@
+"""`twin_node bench forecast --speed`: how long a forecast and its cover take, on a made-up scene."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from twin_node.forecast import Forecaster, cover
+from twin_node.forecast.carving import CarvingParameters
+from twin_node.forecast.evidence import Observer
+from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.static import StaticParameters
+from twin_node.geometry import pose
+from twin_node.scene import (
+    HORIZONS_NS,
+    Bool,
+    Camera,
+    Float32,
+    Float64,
+    FrameSet,
+    GaussianCloud,
+    Grid,
+    NodeStates,
+    Occupancy,
+    OccupancyLayer,
+    Tier,
+    TwinState,
+    View,
+)
+
+GRID = Grid(np.array([-1.0, -1.0, 0.0]), 0.02, (100, 100, 75))
+WIDTH, HEIGHT = 160, 120
+GAUSSIANS = 10_000
+COVERED_VOXELS = 5_000
+BALL_RADIUS = 0.15
+"""Of the thing that moves, m: an arm's worth of voxels."""
+PERIOD_NS = 33_333_333
+SETS = 24
+"""Image sets forecast; those of the first half are not timed."""
+REPEATS = 20
+
+
+@dataclass(frozen=True)
+class ForecastSpeed:
+    """Best times, ms."""
+
+    forecast_ms: float
+    """From three RGB-D views and 10,000 Gaussians to the occupancy of 100 x 100 x 75 voxels in 5 layers."""
+    evidence_ms: float
+    """The part of it before anything is forecast: carving, velocities, static and unknown space."""
+    cover_ms: float
+    """Obstacles about 5,000 occupied voxels, over all layers."""
+
+    def as_json(self) -> dict[str, object]:
+        """The stable names that `--json` prints."""
+        return dict(vars(self))
+
+
+def run() -> ForecastSpeed:
+    """Times one thread's work; best of several, because others' load only ever adds."""
+    forecaster, observer = Forecaster(GRID), Observer(GRID, CarvingParameters(), StaticParameters())
+    whole, evidence = [], []
+    for number in range(SETS):
+        state = _state(number)
+        whole.append(_timed_ms(partial(forecaster.update, state, state.stamp)))
+        evidence.append(_timed_ms(partial(observer.observe, state)))
+    occupancy = _ball_occupancy()
+    covers = [_timed_ms(partial(cover, occupancy)) for _ in range(REPEATS)]
+    settled = slice(SETS // 2, None)
+    return ForecastSpeed(min(whole[settled]), min(evidence[settled]), min(covers))
+
+
+def _timed_ms(work: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    work()
+    return 1e3 * (time.perf_counter() - begin)
+
+
+def _cameras() -> tuple[Camera, ...]:
+    """Three cameras 2 m around the middle of the grid."""
+    middle = GRID.origin + np.array(GRID.dims) * GRID.voxel_size / 2
+    K = np.array([[140.0, 0, WIDTH / 2], [0, 140.0, HEIGHT / 2], [0, 0, 1]])
+    cameras = []
+    for number, angle in enumerate(np.deg2rad([0, 120, 240])):
+        eye = middle + np.array([2 * np.cos(angle), 2 * np.sin(angle), 0.8])
+        ahead = (middle - eye) / np.linalg.norm(middle - eye)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(ahead, right), ahead], axis=1)
+        cameras.append(Camera(f"cam{number}", WIDTH, HEIGHT, K, pose(rotation, eye), 0.002))
+    return tuple(cameras)
+
+
+def _state(number: int) -> TwinState:
+    """A ball that crosses the grid at 0.6 m/s above a floor, seen by three RGB-D cameras."""
+    stamp = number * PERIOD_NS
+    center = np.array([-0.3 + 0.6 * stamp * 1e-9, 0.0, 0.6])
+    views, masks = [], []
+    for camera in _cameras():
+        depth, mask = _seen(camera, center)
+        pattern = (np.indices((HEIGHT, WIDTH)).sum(axis=0) * 37 + 11 * number * mask) % 200
+        views.append(View(camera, stamp, np.repeat(pattern[..., None], 3, axis=2).astype(np.uint8), depth))
+        masks.append(mask)
+    nothing = np.zeros((0, 3))
+    nodes = NodeStates(np.zeros(0, np.uint32), nothing, np.zeros((0, 4)), nothing, nothing, np.zeros(0), np.zeros(0))
+    return TwinState(stamp, FrameSet(stamp, tuple(views)), _floor(), nodes, tuple(masks), (None,) * len(views))
+
+
+def _seen(camera: Camera, center: Float64) -> tuple[Float32, Bool]:
+    """Depth [H, W] in metres of the ball before the floor, and where the ball shows."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    local = np.stack(
+        [(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], -1
+    )
+    rays = local @ camera.T_base_cam[:3, :3].T
+    offset = camera.T_base_cam[:3, 3] - center
+    a, b = (rays**2).sum(axis=-1), (rays * offset).sum(axis=-1)
+    inside = b**2 - a * (offset @ offset - BALL_RADIUS**2)
+    ball = np.where(inside > 0, (-b - np.sqrt(np.maximum(inside, 0))) / a, np.inf)
+    floor = np.where(rays[..., 2] < -0.01, -camera.T_base_cam[2, 3] / np.minimum(rays[..., 2], -0.01), 6.0)
+    return np.minimum(ball, floor).astype(np.float32), ball < floor
+
+
+def _floor() -> GaussianCloud:
+    """Opaque STATIC Gaussians all over the floor."""
+    rng, f = np.random.default_rng(0), np.float32
+    means = np.concatenate([rng.uniform(-1, 1, (GAUSSIANS, 2)), np.full((GAUSSIANS, 1), 0.01)], axis=1).astype(f)
+    quats = np.tile(np.array([1, 0, 0, 0], f), (GAUSSIANS, 1))
+    return GaussianCloud(
+        means=means,
+        quats=quats,
+        scales=np.full((GAUSSIANS, 3), 0.01, f),
+        opacities=np.full(GAUSSIANS, 0.9, f),
+        rgb=np.full((GAUSSIANS, 3), 0.5, f),
+        velocities=np.zeros((GAUSSIANS, 3), f),
+        tiers=np.full(GAUSSIANS, Tier.STATIC, np.uint8),
+        ids=np.arange(GAUSSIANS, dtype=np.uint32),
+        nodes=np.full(GAUSSIANS, -1, np.int32),
+    )
+
+
+def _ball_occupancy() -> Occupancy:
+    """`COVERED_VOXELS` voxels in five layers of a ball that moves on."""
+    centers = GRID.centers(np.arange(GRID.size))
+    layers = []
+    for number, horizon in enumerate(HORIZONS_NS):
+        distance = np.linalg.norm(centers - np.array([0.03 * number, 0.0, 0.7]), axis=1)
+        nearest = np.sort(np.argsort(distance, kind="stable")[: COVERED_VOXELS // len(HORIZONS_NS)])
+        layers.append(OccupancyLayer(horizon, nearest.astype(np.uint32), np.full(len(nearest), 200, np.uint8)))
+    nothing = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
+    return Occupancy(0, 0, GRID, tuple(layers), nothing, encode_runs(np.zeros(GRID.size, np.bool_)))
