@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -21,6 +23,8 @@ from twin_node.runtime.zenoh_session import ZenohParameters
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 PEERS = Path(__file__).parent / "peers"
+COMPILED = Path(tempfile.gettempdir()) / "twin_node_tests_cydr"
+"""Where pyzeros keeps the codecs that it compiles at first use, which takes it half a minute."""
 STRING, LAYER, JOINTS = "std_msgs/msg/String", "twin_msgs/msg/OccupancyLayer", "sensor_msgs/msg/JointState"
 KINDS = {"/own_to_peer": LAYER, "/own_from_peer": LAYER, "/joints": JOINTS, "/joints_back": JOINTS}
 ATTEMPTS = 600
@@ -68,8 +72,9 @@ def start_peer(tmp_path: Path) -> Iterator[Callable[..., None]]:
 
     def start(script: str, *arguments: str) -> None:
         command = [sys.executable, str(PEERS / script), *arguments]
-        pipe = subprocess.PIPE
-        peer = subprocess.Popen(command, cwd=tmp_path, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
+        pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
+        environment = {**os.environ, "CYDR_CACHE_DIR": str(COMPILED)}
+        peer = subprocess.Popen(command, cwd=tmp_path, env=environment, stdin=pipe, stdout=pipe, stderr=quiet)
         running.append(peer)
         assert peer.stdout is not None
         assert any(line == b"ready\n" for line in peer.stdout), "the peer did not start"

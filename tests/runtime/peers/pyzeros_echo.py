@@ -38,6 +38,10 @@ listeners = [
     RawSub(String, "/to_peer", echo, session=node, scope=None),
     RawSub(JointState, "/joints", echo_joints, session=node, scope=None),
 ]
+# Its codecs, the attachment's too, are generated and compiled at first use.
+assert String.deserialize(String(data=b"x").serialize()).data
+JointState.deserialize(JointState().serialize())
+strings.publish(String(data=b"compiled"))
 print("ready", flush=True)
 sys.stdin.read()
 os._exit(0)
