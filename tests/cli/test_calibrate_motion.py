@@ -27,10 +27,20 @@ def test_refine_refuses_in_one_line_and_writes_nothing(
     cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "refined.yaml"
-    assert main(["calibrate", "refine", str(cell_log(1.0)), "-o", str(out)]) == 2
+    assert main(["calibrate", "refine", str(cell_log(1.0)), "-o", str(out), "--duration", "0.1"]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
     assert len(lines) == 1
     assert not out.exists()
+
+
+def test_refine_of_a_log_with_depth(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "refined.yaml"
+    assert main(["calibrate", "refine", str(cell_log(1.0)), "-o", str(out), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["surfaces_mm"] < 5
+    assert [camera.name for camera in load_rig(out).rig.cameras] == list(figures["cameras"])
 
 
 def test_time_says_what_is_missing(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:

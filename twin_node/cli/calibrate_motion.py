@@ -173,6 +173,11 @@ def _refine(options: argparse.Namespace) -> None:
         f"{pair.a} and {pair.b}: epipolar {pair.epipolar_before_px:.2f} to {pair.epipolar_after_px:.2f} px{_gap(pair)}"
         for pair in result.pairs
     ]
+    names = [camera.name for camera in rig.cameras]
+    lines += [
+        f"{names[pair.a]} and {names[pair.b]}: surfaces {1e3 * pair.before_m:.1f} to {1e3 * pair.after_m:.1f} mm apart"
+        for pair in result.surfaces
+    ]
     notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
     save_rig(replace(given, rig=result.rig, date=_today(), notes=notes), options.output)
     for reason in result.skipped:
@@ -274,15 +279,18 @@ def _plane(stills: Sequence[Still]) -> Float64 | None:
 
 def _refine_figures(result: RefineResult) -> dict[str, object]:
     """What `--json` prints."""
-    pairs = result.pairs
+    pairs, surfaces = result.pairs, result.surfaces
     before = [1000 * pair.plane_before_m for pair in pairs if pair.plane_before_m is not None]
     after = [1000 * pair.plane_after_m for pair in pairs if pair.plane_after_m is not None]
     return {
-        "median_epipolar_before_px": median(pair.epipolar_before_px for pair in pairs),
-        "median_epipolar_px": median(pair.epipolar_after_px for pair in pairs),
+        "median_epipolar_before_px": median(pair.epipolar_before_px for pair in pairs) if pairs else None,
+        "median_epipolar_px": median(pair.epipolar_after_px for pair in pairs) if pairs else None,
+        "surfaces_before_mm": max((1000 * pair.before_m for pair in surfaces), default=None),
+        "surfaces_mm": max((1000 * pair.after_m for pair in surfaces), default=None),
         "plane_before_mm": max(before, default=None),
         "plane_mm": max(after, default=None),
         "pairs": [asdict(pair) for pair in pairs],
+        "surfaces": [asdict(pair) for pair in surfaces],
         "skipped": list(result.skipped),
         "cameras": {camera.name: {"sigma_m": camera.sigma_m} for camera in result.rig.cameras},
     }

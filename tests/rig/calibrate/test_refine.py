@@ -61,9 +61,10 @@ def cell() -> tuple[Rig, tuple[Still, ...]]:
     sets = []
     for tick in sorted({e.tick for e in wanted}):
         views = [
-            View(source.cameras[e.camera], e.stamp, rendered.take(e).rgb)
+            View(source.cameras[e.camera], e.stamp, image.rgb, image.depth_mm.astype(np.float32) / 1000)
             for e in sorted(wanted, key=lambda e: e.camera)
             if e.tick == tick
+            for image in [rendered.take(e)]
         ]
         sets.append(FrameSet(views[-1].stamp, tuple(views)))
     return source.rig, stills_of(source.rig, sets)
@@ -72,7 +73,32 @@ def cell() -> tuple[Rig, tuple[Still, ...]]:
 def test_a_crowded_striped_cell_is_refused(cell: tuple[Rig, tuple[Still, ...]]) -> None:
     given, stills = cell
     with pytest.raises(RigError, match="is much of the scene on one plane"):
-        refine_rig(given, stills, TABLE)
+        refine_rig(given, tuple(replace(still, depth=None) for still in stills), TABLE)
+
+
+def test_cameras_that_measure_depth_find_back_to_each_other(cell: tuple[Rig, tuple[Still, ...]]) -> None:
+    truth, stills = cell
+    given = jolted(jolted(truth, np.random.default_rng(2)), np.random.default_rng(3))
+    result = refine_rig(given, tuple(replace(s, camera=c) for s, c in zip(stills, given.cameras, strict=True)), None)
+    points = np.random.default_rng(0).uniform([0.3, -0.4, 0.0], [0.8, 0.4, 0.4], (300, 3))
+    assert epipolar_error(given, truth, points) > 3
+    assert epipolar_error(result.rig, truth, points) < 0.7
+    assert len(result.surfaces) == 3
+    assert all(pair.after_m < min(0.003, pair.before_m) for pair in result.surfaces)
+
+
+def test_surfaces_that_leave_a_motion_open_are_refused() -> None:
+    K = np.array([[60.0, 0, 39.5], [0, 60, 29.5], [0, 0, 1]])
+    down = np.diag([1.0, -1.0, -1.0])
+    cameras = tuple(
+        RigCamera(name, 80, 60, K, pose(down, np.array([x, 0.0, 1.0]))) for name, x in (("left", -0.1), ("right", 0.1))
+    )
+    blank = tuple(
+        Still(c, np.full((60, 80, 3), 90, np.uint8), np.ones((60, 80), bool), np.ones((60, 80), np.float32))
+        for c in cameras
+    )
+    with pytest.raises(RigError, match="expected surfaces that tell all its motions"):
+        refine_rig(Rig(cameras), blank, None)
 
 
 def blotches(rng: np.random.Generator) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin_node.rig.calibrate.adjust import Adjusted, AdjustParameters, adjust
 from twin_node.rig.calibrate.birds_eye import ground_of, lay_flat
+from twin_node.rig.calibrate.depth_alignment import SurfacePair, align, surface_of
 from twin_node.rig.calibrate.ground_matches import agreed_map, measured
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
 from twin_node.rig.calibrate.stills import Still
@@ -36,6 +37,11 @@ class RefineParameters:
     """How many times the misfit of the best map of the ground its rival's must be: below it the pattern repeats."""
     least_matches: int = 24
     """Matches that a pair of cameras must share to count as connected."""
+    turn_deg: float = 2.0
+    """1 sigma of the turn of cameras that measure depth: enough of their surroundings is seen to tell more than the
+    few points that others share."""
+    move_m: float = 0.03
+    """The same of their places."""
     most_strain: float = 3.0
     """A fit that changes any number by so many of its sigmas is not believed: a thing was taken for another."""
     most_gap: float = 0.75
@@ -70,6 +76,8 @@ class RefineResult:
     pairs: tuple[PairFigures, ...]
     skipped: tuple[str, ...]
     """Pairs of cameras that told nothing, and why."""
+    surfaces: tuple[SurfacePair, ...] = ()
+    """How cameras that measure depth agree; `pairs` is empty then."""
 
 
 def refine_rig(
@@ -77,12 +85,15 @@ def refine_rig(
 ) -> RefineResult:
     """Poses, and lenses within their priors, that make what stands still agree; `plane` [4] holds much of it, or None.
 
+    Cameras that all measure depth are aligned by their surfaces instead (`depth_alignment`).
     Half of the matches on the plane are fitted, the other half judges. Scale and place in the base are those that leave
     the given poses least changed.
 
     Raises `RigError` where the geometry cannot tell: it names the cameras and what was lacking.
     """
     parameters = parameters or RefineParameters()
+    if all(still.depth is not None for still in stills) and len(stills) > 1:
+        return _by_depth(rig, stills, parameters)
     features = feature_matches(stills)
     now = Adjusted(rig.cameras, plane)
     seen = _Seen((), (), 0.0)
@@ -94,6 +105,20 @@ def refine_rig(
     figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
     _check_believable(now, figures, parameters, seen.pixel_m)
     return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, seen.skipped)
+
+
+def _by_depth(rig: Rig, stills: Sequence[Still], parameters: RefineParameters) -> RefineResult:
+    surfaces = [
+        surface_of(camera, still.rgb, still.depth, still.still)
+        for camera, still in zip(rig.cameras, stills, strict=True)
+        if still.depth is not None
+    ]
+    found = align(rig.cameras, surfaces, np.radians(parameters.turn_deg), parameters.move_m)
+    cameras = []
+    for i, camera in enumerate(rig.cameras):
+        gaps = [pair.after_m for pair in found.pairs if i in (pair.a, pair.b)]
+        cameras.append(replace(camera, T_base_cam=found.T_base_cam[i], sigma_m=max(LEAST_SIGMA_M, *gaps)))
+    return RefineResult(replace(rig, cameras=tuple(cameras)), None, (), (), found.pairs)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.rig.errors import RigError
-from twin_node.scene import Bool, FrameSet, Rig, RigCamera, UInt8
+from twin_node.scene import Bool, Float32, FrameSet, Rig, RigCamera, UInt8, View
 
 MOST_IMAGES = 80
 """Images per camera that a median is taken of: beyond that it changes by less than a grey level."""
@@ -26,6 +26,8 @@ class Still:
     """[H, W, 3] median over time, distorted as the camera sees it."""
     still: Bool
     """[H, W] False where something else was seen too often for the median to be trusted."""
+    depth: Float32 | None = None
+    """[H, W] median depth along the optical axis, m; 0 where unknown. None where the camera measures none."""
 
 
 def stills_of(rig: Rig, sets: Iterable[FrameSet]) -> tuple[Still, ...]:
@@ -33,20 +35,21 @@ def stills_of(rig: Rig, sets: Iterable[FrameSet]) -> tuple[Still, ...]:
 
     Long recordings are thinned evenly. Raises `RigError` naming a camera with too few images or of another size.
     """
-    kept: dict[str, list[UInt8]] = {camera.name: [] for camera in rig.cameras}
+    kept: dict[str, list[View]] = {camera.name: [] for camera in rig.cameras}
     step = 1
     for i, frames in enumerate(sets):
         if i % step:
             continue
         for view in frames.views:
-            kept[view.camera.name].append(view.rgb)
+            kept[view.camera.name].append(view)
         if max(map(len, kept.values())) >= 2 * MOST_IMAGES:
-            kept = {name: images[::2] for name, images in kept.items()}
+            kept = {name: views[::2] for name, views in kept.items()}
             step *= 2
     return tuple(_still(camera, kept[camera.name]) for camera in rig.cameras)
 
 
-def _still(camera: RigCamera, images: list[UInt8]) -> Still:
+def _still(camera: RigCamera, views: list[View]) -> Still:
+    images = [view.rgb for view in views]
     if len(images) < LEAST_IMAGES:
         raise RigError(
             f"camera {camera.name}: expected at least {LEAST_IMAGES} images, found {len(images)}; "
@@ -62,4 +65,16 @@ def _still(camera: RigCamera, images: list[UInt8]) -> Still:
     near = np.zeros(median.shape[:2])
     for image in stack:
         near += np.abs(image.astype(np.int16) - median).max(-1) < STILL_LEVELS
-    return Still(camera, median, near > STILL_SHARE * len(stack))
+    return Still(camera, median, near > STILL_SHARE * len(stack), _median_depth(views))
+
+
+def _median_depth(views: list[View]) -> Float32 | None:
+    """[H, W] of the depths that are known; None where less than half of the views have any."""
+    depths = [view.depth for view in views if view.depth is not None]
+    if 2 * len(depths) < len(views):
+        return None
+    stack = np.stack(depths).astype(np.float32)
+    stack[stack == 0] = np.nan
+    never = np.isnan(stack).all(axis=0)
+    stack[0, never] = 0
+    return np.asarray(np.nanmedian(stack, axis=0), np.float32)

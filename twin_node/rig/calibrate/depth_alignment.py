@@ -1,0 +1,305 @@
+"""Cameras that measure depth, moved until the surfaces that they see in common are one, and look the same.
+
+Iterative closest points of all pairs at once, from point to plane, found by projection (Blais and Levine, "Registering
+multiview range data to create 3D computer objects", PAMI 1995), with the surfaces' own pattern beside their shape
+(Park, Zhou and Koltun, "Colored point cloud registration revisited", ICCV 2017): a table's shape says nothing of shifts
+along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.geometry import inverse_pose, transform
+from twin_node.rig.calibrate.lens import pixel_rays
+from twin_node.rig.calibrate.lenses import lens_of, project
+from twin_node.rig.calibrate.rotations import moved
+from twin_node.rig.errors import RigError
+from twin_node.scene import Bool, Float32, Float64, RigCamera, UInt8
+
+GATES_M = (0.15, 0.12, 0.10, 0.06, 0.04, 0.03, 0.02)
+"""Distances within which surfaces are taken for the same, from the first rounds to the last."""
+BLURS_PX = (16.0, 10.0, 6.0, 4.0, 2.5, 1.5, 1.0)
+"""Blurs of the patterns that are compared meanwhile, 1 sigma, pixels: coarse ones lead to where fine ones can tell."""
+SURROUNDINGS = 4.0
+"""Contrast is what is left without a pattern blurred so many times wider: light is not alike from two sides."""
+CONTRAST_SIGMA = 0.02
+"""Least 1 sigma of log contrast: 8-bit levels."""
+STARTS, START_SHARE = 6, 0.5
+"""Descents, the first from the rig given, the others from about it (share of a sigma): patterns that repeat make false
+minima; what fits best in the end is taken."""
+ROUNDS = 6
+"""Newton's steps at each level."""
+MOST_STRAIN = 3.0
+"""A rig that any number of is so many sigma from the one given is not believed: a thing was taken for another."""
+SAMPLES = 4000
+"""Points of each camera that are laid onto the surfaces of every other."""
+STEP = 0.03
+"""Change of depth to the next pixel, as a share of it, beyond which there is an edge and no surface."""
+SLANT = 0.2
+"""Cosine between a surface's normal and the ray that sees it below which its depth is not to be had."""
+ALIKE = 0.85
+"""Cosine between two cameras' normals from which they may be of one surface."""
+SURFACE_SIGMA_M = 0.002
+"""Least 1 sigma of a median depth: what is left of lens and matcher when noise is averaged out."""
+ROBUST_SIGMAS = 2.0
+"""Distances beyond so many sigma count linearly: people, and what stands before what."""
+TOGETHER = 50.0
+"""Neighbouring samples of a surface err together: so many count as one."""
+LEAST_GAIN = 4.0
+"""How much more than the rig given the surfaces must tell of every relative motion of the cameras (ratio of
+informations): below it the rig given would decide."""
+LEAST_SHARED = 200
+"""Samples that two cameras must share to be held against each other."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What one camera measures of what stands still."""
+
+    points: Float64
+    """[H, W, 3] in the optical frame, m."""
+    normals: Float64
+    """[H, W, 3] towards the camera."""
+    known: Bool
+    """[H, W]."""
+    patterns: tuple[Float32, ...]
+    """Per `BLURS_PX`: [H, W] log contrast."""
+
+
+@dataclass(frozen=True)
+class SurfacePair:
+    """How two cameras' surfaces lie to each other."""
+
+    a: int
+    b: int
+    samples: int
+    before_m: float
+    """Median distance from surface to surface before the alignment, of the samples that are shared after it."""
+    after_m: float
+
+
+@dataclass(frozen=True)
+class DepthAlignment:
+    """Poses that make surfaces agree."""
+
+    T_base_cam: Float64
+    """[C, 4, 4]."""
+    pairs: tuple[SurfacePair, ...]
+    sigmas_m: Float64
+    """[C] 1 sigma of each camera's position, m."""
+
+
+def surface_of(camera: RigCamera, rgb: UInt8, depth: Float32, still: Bool) -> Surface:
+    """The surface that an image [H, W, 3] and its depth [H, W] (m, 0 where unknown) show where they stand still."""
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    rays = pixel_rays(camera, np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*depth.shape, 2)
+    points = np.concatenate([rays * depth[..., None], depth[..., None].astype(np.float64)], axis=-1)
+    across, down = np.zeros_like(points), np.zeros_like(points)
+    across[:, 1:-1], down[1:-1] = points[:, 2:] - points[:, :-2], points[2:] - points[:-2]
+    normals = np.cross(down, across)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    smooth = np.maximum(np.abs(across[..., 2]), np.abs(down[..., 2])) < 2 * STEP * depth
+    known = still & (depth > 0) & smooth
+    known[[0, -1]], known[:, [0, -1]] = False, False
+    for shifted in (known[2:, 1:-1], known[:-2, 1:-1], known[1:-1, 2:], known[1:-1, :-2]):
+        known[1:-1, 1:-1] &= shifted | ~known[1:-1, 1:-1]
+    facing = -(normals * points).sum(-1) > SLANT * np.linalg.norm(points, axis=-1)
+    light = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + 8)
+    patterns = tuple(
+        np.asarray(
+            cv2.GaussianBlur(light, (0, 0), blur) - cv2.GaussianBlur(light, (0, 0), SURROUNDINGS * blur), np.float32
+        )
+        for blur in BLURS_PX
+    )
+    return Surface(points, normals, known & facing, patterns)
+
+
+def align(cameras: Sequence[RigCamera], surfaces: Sequence[Surface], turn: float, move_m: float) -> DepthAlignment:
+    """Poses nearest to those given (1 sigma: `turn` rad, `move_m`) whose surfaces agree.
+
+    Raises `RigError` naming the cameras where surfaces leave a motion open, or a camera shares none.
+    """
+    given = np.stack([camera.T_base_cam for camera in cameras])
+    samples = [_samples(surface) for surface in surfaces]
+    weights = np.tile([turn**-2] * 3 + [move_m**-2] * 3, len(cameras))
+    rng = np.random.default_rng(0)
+    starts = rng.normal(0, START_SHARE, (STARTS, 6 * len(cameras))) / np.sqrt(weights)
+    starts[0] = 0
+    found = [_descended(cameras, surfaces, samples, weights, start) for start in starts]
+    best = min(found, key=lambda result: result.misfit)
+    pairs = _pairs(cameras, surfaces, samples, given, best.poses)
+    _check_told(cameras, pairs, best.information, weights)
+    strain = float(np.abs(best.changes * np.sqrt(weights)).max())
+    if strain > MOST_STRAIN:
+        raise RigError(
+            f"refine: expected a rig near the one given, at most {MOST_STRAIN:g} sigma away, found one at "
+            f"{strain:.1f}: are the poses given right to a degree or two? Else use a board"
+        )
+    variances = np.diag(np.linalg.inv(best.information + np.diag(weights))).reshape(-1, 6)
+    return DepthAlignment(best.poses, pairs, np.sqrt(variances[:, 3:].max(axis=1)))
+
+
+@dataclass(frozen=True)
+class _Descent:
+    poses: Float64
+    changes: Float64
+    """[6 C] from the poses given, as `moved` takes them."""
+    information: Float64
+    """[6 C, 6 C] of the changes."""
+    misfit: float
+    """Median distances and differences of patterns, in their least sigmas, mean of all pairs."""
+
+
+def _descended(
+    cameras: Sequence[RigCamera],
+    surfaces: Sequence[Surface],
+    samples: Sequence[NDArray[np.int64]],
+    weights: Float64,
+    start: Float64,
+) -> _Descent:
+    """The nearest minimum from changes [6 C] of the poses given, from coarse patterns to fine ones."""
+    given = np.stack([camera.T_base_cam for camera in cameras])
+    changes, poses = start, moved(given, start.reshape(-1, 6))
+    for level in range(len(GATES_M)):
+        for _ in range(ROUNDS):
+            matches = [
+                _match(cameras, surfaces, samples, poses, level, pair) for pair in permutations(range(len(cameras)), 2)
+            ]
+            H, g = _system(matches, poses)
+            step = np.linalg.solve(H + np.diag(weights), g - weights * changes)
+            changes = changes + step
+            poses = moved(given, changes.reshape(-1, 6))
+    off = [
+        float(np.median(np.abs(m.gaps))) / SURFACE_SIGMA_M + float(np.median(np.abs(m.contrasts))) / CONTRAST_SIGMA
+        for m in matches
+        if len(m.gaps)
+    ]
+    return _Descent(poses, changes, H, float(np.mean(off)) if off else np.inf)
+
+
+@dataclass(frozen=True)
+class _Match:
+    """Samples of camera a on surfaces of camera b."""
+
+    a: int
+    b: int
+    places: Float64
+    """[n, 3] of the samples in the base, m."""
+    normals: Float64
+    """[n, 3] of b's surface in the base."""
+    gaps: Float64
+    """[n] m, from b's surface to the sample, along the normal."""
+    slopes: Float64
+    """[n, 3] of b's pattern by the sample's place in the base, 1/m."""
+    contrasts: Float64
+    """[n] b's pattern less a's."""
+
+
+def _samples(surface: Surface) -> NDArray[np.int64]:
+    """[n] flat pixels, evenly picked of what is known."""
+    known = np.flatnonzero(surface.known)
+    return known[:: max(len(known) // SAMPLES, 1)]
+
+
+def _match(
+    cameras: Sequence[RigCamera],
+    surfaces: Sequence[Surface],
+    samples: Sequence[NDArray[np.int64]],
+    poses: Float64,
+    level: int,
+    pair: tuple[int, int],
+) -> _Match:
+    a, b = pair
+    own, other, gate = surfaces[a], surfaces[b], GATES_M[level]
+    places = transform(poses[a], own.points.reshape(-1, 3)[samples[a]])
+    local = transform(inverse_pose(poses[b]), places)
+    projection = project(lens_of(cameras[b]), local)
+    pixels = np.rint(projection.pixels)
+    inside = (local[:, 2] > 0) & (pixels >= 1).all(1) & (pixels < [cameras[b].width - 1, cameras[b].height - 1]).all(1)
+    u, v = np.where(inside[:, None], pixels, 1).astype(np.int64).T
+    normals = other.normals[v, u] @ poses[b, :3, :3].T
+    there = transform(poses[b], other.points[v, u])
+    gaps = ((places - there) * normals).sum(1)
+    alike = (own.normals.reshape(-1, 3)[samples[a]] @ poses[a, :3, :3].T * normals).sum(1) > ALIKE
+    kept = inside & other.known[v, u] & alike & (np.abs(gaps) < gate)
+    at, pattern = projection.pixels[kept], other.patterns[level]
+    here, right, below = (_sampled(pattern, at + shift) for shift in ([0.0, 0.0], [0.5, 0.0], [0.0, 0.5]))
+    left, above = (_sampled(pattern, at - shift) for shift in ([0.5, 0.0], [0.0, 0.5]))
+    slopes = np.einsum("ni,nij->nj", np.stack([right - left, below - above], 1), projection.by_point[kept])
+    contrasts = here - own.patterns[level].ravel()[samples[a]][kept]
+    return _Match(a, b, places[kept], normals[kept], gaps[kept], slopes @ poses[b, :3, :3].T, contrasts)
+
+
+def _sampled(image: Float32, pixels: Float64) -> Float64:
+    """[n] values of an image between its pixels."""
+    at = np.ascontiguousarray(pixels[:, None], np.float32)
+    return np.asarray(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64).ravel()
+
+
+def _system(matches: Sequence[_Match], poses: Float64) -> tuple[Float64, Float64]:
+    """Information [6 C, 6 C] of the gaps about changes of the poses (as `moved` takes them), and slopes [6 C]."""
+    H, g = np.zeros((6 * len(poses),) * 2), np.zeros(6 * len(poses))
+    for match in matches:
+        if not len(match.gaps):
+            continue
+        for directions, off, least in (
+            (match.normals, match.gaps, SURFACE_SIGMA_M),
+            (match.slopes, match.contrasts, CONTRAST_SIGMA),
+        ):
+            sigma = max(1.4826 * float(np.median(np.abs(off))), least)
+            weights = 1 / np.sqrt(1 + (off / sigma / ROBUST_SIGMAS) ** 2) / sigma**2 / TOGETHER
+            rows = np.zeros((len(off), 6 * len(poses)))
+            for camera, sign in ((match.a, 1.0), (match.b, -1.0)):
+                arms = match.places - poses[camera, :3, 3]
+                rows[:, 6 * camera : 6 * camera + 6] = sign * np.hstack([np.cross(arms, directions), directions])
+            H += rows.T @ (rows * weights[:, None])
+            g -= rows.T @ (weights * off)
+    return H, g
+
+
+def _pairs(
+    cameras: Sequence[RigCamera],
+    surfaces: Sequence[Surface],
+    samples: Sequence[NDArray[np.int64]],
+    given: Float64,
+    poses: Float64,
+) -> tuple[SurfacePair, ...]:
+    out = []
+    for a, b in permutations(range(len(cameras)), 2):
+        before = _match(cameras, surfaces, samples, given, 0, (a, b))
+        after = _match(cameras, surfaces, samples, poses, len(GATES_M) - 1, (a, b))
+        if a < b and min(len(before.gaps), len(after.gaps)) >= LEAST_SHARED:
+            medians = [float(np.median(np.abs(match.gaps))) for match in (before, after)]
+            out.append(SurfacePair(a, b, len(after.gaps), *medians))
+    return tuple(out)
+
+
+def _check_told(cameras: Sequence[RigCamera], pairs: Sequence[SurfacePair], H: Float64, weights: Float64) -> None:
+    """Every relative motion must be told by surfaces, not by the rig given."""
+    reached, grown = {0}, True
+    while grown:
+        linked = {i for pair in pairs if {pair.a, pair.b} & reached for i in (pair.a, pair.b)}
+        grown = not linked <= reached
+        reached |= linked
+    lost = [camera.name for i, camera in enumerate(cameras) if i not in reached]
+    if lost:
+        raise RigError(
+            f"refine: camera {lost[0]}: expected surfaces that another camera sees too, found none within "
+            f"{100 * GATES_M[0]:.0f} cm; are the poses given right to a degree or two? Else use a board"
+        )
+    scale = 1 / np.sqrt(weights)
+    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
+    # The six lowest are those of the rig as a whole, which surfaces cannot tell.
+    if values[6] < LEAST_GAIN:
+        mover = cameras[int(np.linalg.norm(vectors[:, 6].reshape(-1, 6), axis=1).argmax())]
+        raise RigError(
+            f"refine: camera {mover.name}: expected surfaces that tell all its motions, found one that they leave "
+            "open: put something with three different faces where it and another camera see it, or use a board"
+        )
