@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from twin_node.arm.ur import DriverMode
+from twin_node.arm.ur.priority import ask_for_realtime
 from twin_node.bench.errors import BenchError
 from twin_node.bench.ur_rig import Answer, UrRig
 from twin_node.bench.ur_twin import TwinOrder
@@ -27,6 +28,9 @@ _PHASE_S = 0.05
 """Faults come at any phase of the driver's and the camera's periods."""
 _LATCH_S = 0.3
 """How long after the end of a fault the arm must still stand."""
+
+_PRIORITY = 4
+"""Below everything that is measured."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,7 @@ def _score(fault: Fault, repeats: int) -> FaultScore:
     answers: list[float] = []
     backs: list[float] = []
     reason, unanswered, not_latched, false_halts = "", 0, 0, 0
+    ask_for_realtime(_PRIORITY, is_inherited=False)  # the time of an injection is taken, then it is made
     with UrRig(fault.mode) as rig:
         while len(answers) + unanswered < repeats:
             rig.prepare()
