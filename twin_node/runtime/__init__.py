@@ -1,1 +1,1 @@
-"""What a node stands on: bus, clock, parameters."""
+"""What a node stands on: buses, the wires between threads and processes, executors, clocks, parameters."""
