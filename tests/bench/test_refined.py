@@ -31,7 +31,7 @@ def rig() -> Rig:
 
 def test_turned_cameras_cost_what_right_ones_give_back(rig: Rig, cell_log: Callable[..., Path]) -> None:
     wrong = replace(rig, cameras=tuple(turned(camera, i, 2.0) for i, camera in enumerate(rig.cameras)))
-    bench = run(cell_log(3.4), wrong, rig, FAST)
+    bench = run(cell_log(1.2), wrong, rig, FAST)
     assert bench.gain_db(lambda score: score.shading_psnr_db) > 0.1
     for score in (*bench.before.values(), *bench.after.values()):
         assert score.psnr_db <= score.one_gain_psnr_db <= score.shading_psnr_db
@@ -42,7 +42,7 @@ def test_turned_cameras_cost_what_right_ones_give_back(rig: Rig, cell_log: Calla
 def test_rigs_of_other_cameras_or_of_two_are_refused(rig: Rig, cell_log: Callable[..., Path]) -> None:
     renamed = replace(rig, cameras=tuple(replace(camera, name=f"{camera.name}_x") for camera in rig.cameras))
     with pytest.raises(BenchError, match="two rigs of the cameras"):
-        run(cell_log(3.4), rig, renamed, FAST)
+        run(cell_log(1.2), rig, renamed, FAST)
     two = replace(rig, cameras=rig.cameras[:2])
     with pytest.raises(BenchError, match="three cameras or more"):
-        run(cell_log(3.4), two, two, FAST)
+        run(cell_log(1.2), two, two, FAST)

@@ -29,7 +29,7 @@ def replayed(cell_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFac
     """Folder with the log and the report of a replay in which one camera is bumped, and put back."""
     folder = tmp_path_factory.mktemp("bumped")
     log = cell_log(SECONDS, BUMPED)
-    arguments = ["--lockstep", "--width", "160", "--max-rate", "15", "--report", str(folder)]
+    arguments = ["--lockstep", "--width", "96", "--max-rate", "15", "--report", str(folder)]
     assert main(["replay", str(log), "-o", str(folder / "out.mcap"), *arguments]) == 0
     return folder
 

@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative
-from twin_node.cli.calibrate_files import add_board, add_check, add_import_calibration, add_report
+from twin_node.cli.calibrate_files import (
+    add_board,
+    add_check,
+    add_import_calibration,
+    add_rehearse,
+    add_report,
+)
 from twin_node.cli.calibrate_motion import add_hand_eye, add_refine, add_time
 
 if TYPE_CHECKING:
@@ -34,6 +40,7 @@ def add_calibrate(commands: Any) -> None:
     calibrate = commands.add_parser("calibrate", help="calibrate cameras and rigs, check and draw the result")
     kinds = calibrate.add_subparsers(required=True, metavar="KIND")
     add_board(kinds)
+    add_rehearse(kinds)
     add_intrinsics(kinds)
     add_rig(kinds)
     add_check(kinds)
@@ -178,12 +185,13 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
         agreement_sigmas,
         camera_poses,
         camera_residuals,
+        clock_sigmas,
         residuals_of,
         residuals_of_all,
     )
 
     all_cameras, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
-    poses, sigmas = camera_poses(state), agreement_sigmas(solution)
+    poses, sigmas, clocks = camera_poses(state), agreement_sigmas(solution), clock_sigmas(solution)
     cameras = {}
     for i, name in enumerate(solution.names):
         own = residuals_of(camera_residuals(solution, i))
@@ -197,7 +205,9 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
             "T_rig_cam": poses[i].tolist(),
             "sigma_m": float(sigmas[i]),
             "time_offset_s": float(state.clocks[i, 0]),
+            "time_offset_sigma_s": float(clocks[i, 0]),
             "time_rate_ppm": 1e6 * float(state.clocks[i, 1]),
+            "time_rate_sigma_ppm": 1e6 * float(clocks[i, 1]),
             "time_reference_s": solution.reference_ns / 1e9,
         }
     return {
@@ -214,9 +224,16 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
 
 
 def _show_rig(solution: RigSolution, output: Path) -> None:
-    from twin_node.rig.calibrate.results import agreement_sigmas, camera_residuals, residuals_of, residuals_of_all
+    from twin_node.rig.calibrate.results import (
+        agreement_sigmas,
+        camera_residuals,
+        clock_sigmas,
+        residuals_of,
+        residuals_of_all,
+    )
 
     figures, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
+    clocks = clock_sigmas(solution)
     print(
         f"{output}: {len(solution.names)} cameras, {len(solution.bundle.sightings)} views, reprojection median "
         f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
@@ -224,7 +241,9 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
     for i, (name, sigma) in enumerate(zip(solution.names, agreement_sigmas(solution), strict=True)):
         own = residuals_of(camera_residuals(solution, i))
         offset, rate = state.clocks[i]
-        clock = f", clock {1e3 * offset:+.2f} ms {1e6 * rate:+.0f} ppm" if solution.bundle.layout.clocks else ""
+        clock = ""
+        if solution.bundle.layout.clocks and i > 0:
+            clock = f", clock {1e3 * offset:+.2f} +- {1e3 * clocks[i, 0]:.2f} ms {1e6 * rate:+.0f} ppm"
         print(f"  {name}: median {own.median_px:.3f} px, rms {own.rms_px:.3f} px, sigma {1e3 * sigma:.2f} mm{clock}")
     _show_dropped(solution.dropped)
 

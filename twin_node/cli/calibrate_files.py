@@ -53,6 +53,13 @@ def add_board(kinds: Any) -> None:
     parser.set_defaults(run=_board_print)
 
 
+def add_rehearse(kinds: Any) -> None:
+    """Adds `calibrate rehearse`."""
+    parser = kinds.add_parser("rehearse", help="make up a recording of a board, to try a calibration on")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="new folder for videos, stamps, board and truth.yaml")
+    parser.set_defaults(run=_rehearse)
+
+
 def add_import_calibration(kinds: Any) -> None:
     """Adds `calibrate import`."""
     parser = kinds.add_parser("import", help="the calibration of another tool as a rig file")
@@ -70,6 +77,7 @@ def add_report(kinds: Any) -> None:
     parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="recordings of a board, as for `rig`")
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--before", type=Path, metavar="OLD.yaml", help="an earlier rig of the same cameras, beside it")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write its pictures as PNG files here, too")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.html")
     parser.set_defaults(run=_report)
 
@@ -144,6 +152,15 @@ def _board_print(options: argparse.Namespace) -> None:
     print(f"{options.output}: {board}, page {width:.0f} x {height:.0f} mm ({drawing.paper}); print it at 100 %")
 
 
+def _rehearse(options: argparse.Namespace) -> None:
+    from twin_node.rig.calibrate.rehearsal import rehearse
+
+    with tqdm(unit="image", desc="film", disable=None) as bar:
+        made = rehearse(options.folder, bar.update)
+    print(f"{options.folder}: {made.images} images of {made.cameras} cameras; the truth is in truth.yaml")
+    print(f"twin_node calibrate rig {options.folder} --board-is-base-at {made.rests_at_s:g} -o rig.yaml")
+
+
 def _import(options: argparse.Namespace) -> None:
     from twin_node.rig import save_rig
     from twin_node.rig.calibrate.importers import IMPORTERS
@@ -155,7 +172,7 @@ def _import(options: argparse.Namespace) -> None:
 
 def _report(options: argparse.Namespace) -> None:
     from twin_node.rig import load_rig
-    from twin_node.rig.calibrate.report import Calibration, write_report
+    from twin_node.rig.calibrate.report import Calibration, save_pictures, write_report
     from twin_node.rig.calibrate.rig_fit import common_sightings, fit, settled
 
     files = [load_rig(path) for path in (options.rig, options.before) if path is not None]
@@ -167,7 +184,10 @@ def _report(options: argparse.Namespace) -> None:
             Calibration(one, settled(board, one.rig, fit(board, one.rig, common_sightings(board, one.rig, recordings))))
             for one in files
         ]
-    write_report(calibrations[0], options.rig.stem, options.output, calibrations[1] if options.before else None)
+    before = calibrations[1] if options.before else None
+    drawn = write_report(calibrations[0], options.rig.stem, options.output, before)
+    if options.pictures is not None:
+        save_pictures(drawn, options.pictures)
     print(f"{options.output}: {len(files[0].rig.cameras)} cameras")
 
 

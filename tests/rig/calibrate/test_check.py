@@ -44,7 +44,7 @@ def random_cell(seed: int) -> Scenario:
     """The demo, eight seconds at three sets per second, before random cameras."""
     demo = load_scenario("demo")
     sensing = replace(demo.sensing, width=160, height=120, rate_hz=3.0)
-    return replace(demo, cameras=random_cameras(seed), duration_s=8.0, seed=seed, sensing=sensing)
+    return replace(demo, cameras=random_cameras(seed), duration_s=7.0, seed=seed, sensing=sensing)
 
 
 def moved(camera: RigCamera, T_base_cam: np.ndarray) -> RigCamera:
@@ -127,7 +127,7 @@ def without_depth(sets: list[FrameSet]) -> list[FrameSet]:
     return [replace(s, views=tuple(replace(view, depth=None) for view in s.views)) for s in sets]
 
 
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", [1, 9])
 def test_what_moves_names_every_mistake_and_accuses_no_intact_rig(seed: int) -> None:
     source = CellSource(random_cell(seed))
     sets = without_depth(list(source))
@@ -197,7 +197,7 @@ def test_the_command_says_by_its_status_what_it_could_not_tell(
     rig = CellSource(load_scenario("demo")).rig
     save_rig(RigFile(rig), tmp_path / "rig.yaml")
     save_rig(RigFile(exchanged(rig)), tmp_path / "swapped.yaml")
-    log = str(cell_log(3.4))
+    log = str(cell_log(2.0))
     assert main(["calibrate", "check", str(tmp_path / "swapped.yaml")]) == 3
     assert "swapped cameras" in capsys.readouterr().err
     assert main(["calibrate", "check", str(tmp_path / "rig.yaml"), log]) == 0

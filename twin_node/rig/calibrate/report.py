@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,10 +43,12 @@ class CameraRow:
     """Median and rms under the rig before; empty without one."""
 
 
-def write_report(calibration: Calibration, name: str, path: Path, before: Calibration | None = None) -> None:
-    """Writes the page of a rig; without residuals only the rig is drawn. `before`: an earlier rig of the same cameras.
+def write_report(
+    calibration: Calibration, name: str, path: Path, before: Calibration | None = None
+) -> tuple[pictures.Picture, ...]:
+    """Writes the page of a rig and returns its pictures; without residuals only the rig is drawn.
 
-    Raises `RigError` where `before` is of other cameras, or the page cannot be written.
+    `before`: an earlier rig of the same cameras. Raises `RigError` where it is of others, or the page not writable.
     """
     rig_file, fit = calibration.rig_file, calibration.fit
     if before is not None:
@@ -72,6 +76,17 @@ def write_report(calibration: Calibration, name: str, path: Path, before: Calibr
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise RigError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+    return tuple(drawn)
+
+
+def save_pictures(drawn: Sequence[pictures.Picture], folder: Path) -> None:
+    """Each picture of a page as a PNG file named after its title. Raises `RigError` where they cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for picture in drawn:
+            (folder / f"{picture.title.lower().replace(' ', '_')}.png").write_bytes(base64.b64decode(picture.png))
+    except OSError as error:
+        raise RigError(f"{folder}: cannot be written ({error.strerror}); give another folder") from None
 
 
 def _check_same(rig_file: RigFile, before: RigFile) -> None:

@@ -23,7 +23,7 @@ BEHIND_PX = 1e4
 """What a corner counts that a camera would have to see behind itself: more than any image is wide."""
 
 
-SETTLING_STEPS = 20
+SETTLING_STEPS = 6
 """Evaluations in which a board settles: it starts within a pixel or two."""
 
 

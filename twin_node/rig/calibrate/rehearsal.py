@@ -1,0 +1,171 @@
+"""A made-up recording of a board before three cameras, the truth beside it: to try a calibration without a cell."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from twin_node.geometry import inverse_pose, pose
+from twin_node.rig.calibrate.board_prints import BoardPrint, draw_board
+from twin_node.rig.calibrate.boards import CharucoBoard
+from twin_node.rig.calibrate.lenses import lens_of, rays_of
+from twin_node.rig.errors import RigError
+from twin_node.rig.rig_file import RigFile, save_rig
+from twin_node.scene import Float64, Rig, RigCamera, UInt8
+
+BOARD = CharucoBoard(6, 5, 0.06, 0.045)
+"""A sheet of A2: seen well from one and a half metres by small images."""
+PIXELS_PER_M = 2000.0
+"""Of the drawing that images are taken from."""
+WIDTH, HEIGHT, FOCAL_PX = 640, 480, 560.0
+DISTORTION = (0.06, -0.12, 0.001, -0.0005, 0.0)
+"""Of all lenses, plumb bob: those of small colour cameras."""
+DISTANCE_M, SIDES_DEG, HEIGHTS_M = 1.3, (-50.0, 0.0, 50.0), (0.7, 1.1, 0.8)
+"""Where the cameras stand about the middle of the board at rest, and how high."""
+OFFSETS_S = (0.0, 0.018, -0.011)
+"""Of the cameras' clocks."""
+RATE_HZ, MOVES_S, RESTS_S = 10.0, 18.0, 2.0
+"""The board is moved about, and then lies on the base."""
+PREVIEW, PREVIEW_AT_S = "preview.jpg", 5.0
+NOISE = 2.0
+"""1 sigma of the images' noise, 8-bit levels."""
+GRAIN_PX = 64
+"""Each image takes its noise from another place of one field, up to so many pixels away: drawing it anew is slow."""
+GREY = 120
+"""What is behind the board."""
+
+Progress = Callable[[int], object]
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What was written."""
+
+    cameras: int
+    images: int
+    rests_at_s: float
+    """When the board lies still on the base, s after the start."""
+
+
+def rehearse(folder: Path, progress: Progress = lambda images: None) -> Rehearsal:
+    """Writes videos, their stamps, `board.yaml`, a preview and the truth, `truth.yaml`, to a new folder.
+
+    The truth's base is the board at rest: x along its rows, z up. Raises `RigError` where the folder exists already or
+    cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise RigError(f"{folder}: cannot be made ({error.strerror}); give a folder that does not exist yet") from None
+    drawing = draw_board(BOARD)
+    sheet = _sheet(drawing)
+    cameras = _cameras()
+    times = np.arange(round((MOVES_S + RESTS_S) * RATE_HZ)) / RATE_HZ
+    previews = []
+    for camera, offset in zip(cameras, OFFSETS_S, strict=True):
+        previews.append(_film(folder, camera, times + offset, sheet, drawing, progress))
+        stamps = {"timestamps": (times + 1.0).tolist()}  # what the camera's own clock says
+        (folder / f"{camera.name}.json").write_text(json.dumps(stamps), encoding="utf-8")
+    board = {"kind": "charuco", "columns": BOARD.columns, "rows": BOARD.rows, "square": BOARD.square}
+    board |= {"marker": BOARD.marker, "dictionary": BOARD.dictionary}
+    (folder / "board.yaml").write_text(yaml.safe_dump(board, sort_keys=False), encoding="utf-8")
+    cv2.imwrite(str(folder / PREVIEW), np.hstack(previews))
+    truth = RigFile(Rig(cameras), notes="What the rehearsal was made with.", board=str(BOARD))
+    save_rig(truth, folder / "truth.yaml")
+    return Rehearsal(len(cameras), len(cameras) * len(times), MOVES_S + RESTS_S / 2)
+
+
+def _cameras() -> tuple[RigCamera, ...]:
+    K = np.array([[FOCAL_PX, 0, (WIDTH - 1) / 2], [0, FOCAL_PX, (HEIGHT - 1) / 2], [0, 0, 1]])
+    cameras = []
+    for name, side, height, offset in zip(("left", "middle", "right"), SIDES_DEG, HEIGHTS_M, OFFSETS_S, strict=True):
+        angle = np.radians(side - 90)
+        centre = _middle() + np.array([DISTANCE_M * np.cos(angle), DISTANCE_M * np.sin(angle), height])
+        T = pose(_looking(centre, _middle() + np.array([0, 0, 0.25])), centre)
+        cameras.append(
+            RigCamera(name, WIDTH, HEIGHT, K, T, "plumb_bob", np.array(DISTORTION), 0.0, round(offset * 1e9))
+        )
+    return tuple(cameras)
+
+
+def _middle() -> Float64:
+    """[3] the middle of the board at rest, in the base, whose y runs against the board's rows."""
+    return np.asarray(BOARD.points.mean(axis=0) * [1.0, -1.0, 1.0])
+
+
+def _looking(centre: Float64, target: Float64) -> Float64:
+    """[3, 3] axes (x right, y down, z forward) of an upright camera at `centre` that looks at `target`."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def _course(second: float) -> Float64:
+    """`T_base_board` [4, 4]: waved about above the base, tilted to all sides, then laid down."""
+    lifted = float(np.clip((MOVES_S - second) / 1.5, 0, 1))  # the last second and a half lay it down
+    middle = np.diag([1.0, -1.0, -1.0])
+    wave = 2 * np.pi * second * np.array([0.11, 0.07, 0.13])
+    tilt = lifted * np.array([0.75 + 0.45 * np.sin(wave[1]), 0.5 * np.sin(wave[0]), 0.5 * np.sin(wave[2])])
+    R = Rotation.from_rotvec(tilt).as_matrix() @ middle
+    shift = lifted * np.array([0.25 * np.sin(wave[0]), 0.2 * np.sin(wave[2]), 0.35 + 0.15 * np.sin(wave[1])])
+    return pose(R, _middle() + shift - R @ BOARD.points.mean(axis=0))
+
+
+def _film(
+    folder: Path, camera: RigCamera, times: Float64, sheet: UInt8, drawing: BoardPrint, progress: Progress
+) -> UInt8:
+    """Writes the camera's video; `times` [T]: when its images are taken, s. Returns one image at half size."""
+    fourcc = cv2.VideoWriter.fourcc(*"mp4v")
+    video = cv2.VideoWriter(str(folder / f"{camera.name}.mp4"), fourcc, RATE_HZ, (WIDTH, HEIGHT))
+    rng = np.random.default_rng(len(camera.name))
+    grain = rng.normal(0, NOISE, (HEIGHT + GRAIN_PX, WIDTH + GRAIN_PX))
+    preview: UInt8 = np.zeros((HEIGHT // 2, WIDTH // 2), np.uint8)
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    rays = rays_of(lens_of(camera), np.column_stack([u.ravel(), v.ravel()]))
+    rays = np.column_stack([rays, np.ones(len(rays))])
+    for second in times:
+        image = _picture(rays, inverse_pose(camera.T_base_cam) @ _course(float(second)), sheet, drawing)
+        x, y = rng.integers(0, GRAIN_PX, 2)
+        noisy = np.clip(image + grain[y : y + HEIGHT, x : x + WIDTH], 0, 255).astype(np.uint8)
+        video.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
+        progress(1)
+        if abs(second - PREVIEW_AT_S) < 0.5 / RATE_HZ:
+            preview = np.asarray(cv2.resize(noisy, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+    video.release()
+    return preview
+
+
+def _picture(rays: Float64, T_cam_board: Float64, sheet: UInt8, drawing: BoardPrint) -> UInt8:
+    """[H, W] what rays [H * W, 3] see of the board."""
+    T = inverse_pose(T_cam_board)
+    directions = rays @ T[:3, :3].T
+    reach = -T[2, 3] / directions[:, 2]
+    at = T[:2, 3] + directions[:, :2] * reach[:, None] + drawing.margin
+    places = np.where((reach > 0)[:, None], at * PIXELS_PER_M - 0.5, -1e4).astype(np.float32).reshape(HEIGHT, WIDTH, 2)
+    x, y = cv2.split(places)
+    seen = cv2.remap(sheet, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(GREY,))
+    return np.asarray(seen, np.uint8)
+
+
+def _sheet(drawing: BoardPrint) -> UInt8:
+    """The board and its margin as an image, blurred as far as a pixel of the cameras is wide."""
+    scale = PIXELS_PER_M
+    size = np.array([drawing.height, drawing.width]) + 2 * drawing.margin
+    image = np.full(np.round(size * scale).astype(int), 255, np.uint8)
+    for x, y, edge in drawing.squares:
+        a, b = np.round((np.array([[x, y], [x + edge, y + edge]]) + drawing.margin) * scale).astype(int)
+        image[a[1] : b[1], a[0] : b[0]] = 0
+    for tile in drawing.tiles:
+        x, y = np.round((np.array(tile.corner) + drawing.margin) * scale).astype(int)
+        side = round(tile.edge * scale)
+        image[y : y + side, x : x + side] = cv2.resize(tile.modules, (side, side), interpolation=cv2.INTER_NEAREST)
+    blur = 0.5 * scale * DISTANCE_M / FOCAL_PX
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.uint8)
