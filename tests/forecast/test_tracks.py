@@ -59,7 +59,7 @@ def test_old_samples_are_dropped() -> None:
     tracks = Tracks()
     for sample in range(100):
         tracks.follow(sample * PERIOD, place(sample), VELOCITY)
-    assert tracks.times[0] > 98 * PERIOD - 0.8
+    assert tracks.times[0] > 98 * PERIOD - 1.1
     assert len(tracks.positions) == len(tracks.times)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from twin_node.bench.forecast import Foretold, foretell
 from twin_node.forecast.baselines import AHEAD_S
+from twin_node.forecast.bound import BoundParameters
 from twin_node.scene import Float64
 
 EVENT_S = 4.0
@@ -76,11 +77,7 @@ def run(fps: float = 30.0, noise_m: float = 0.005, seed: int = 0, seeds: int = 1
     for number, (name, make) in enumerate(KINDS.items()):
         foretold = [_observed(make, fps, noise_m, np.random.default_rng([seed, number, n])) for n in range(seeds)]
         events[name] = _aftermath(foretold)
-    return MadeUpBench(0.99, seeds, events)
-
-
-def _uniform(direction: Float64, speed: float) -> Motion:
-    return lambda times: times[:, None] * direction * speed
+    return MadeUpBench(BoundParameters().coverage, seeds, events)
 
 
 def _sudden_stop(direction: Float64, speed: float) -> MadeUp:

@@ -60,7 +60,7 @@ class OccupancyBench:
     sets: int
     """Image sets forecast."""
     coverage: float | None
-    """Share of pixels seen to move that our forecasts held, as the forecaster itself reports it."""
+    """Share of what was seen to move that our forecasts held, as the forecaster itself reports it."""
     target: float
     """Coverage aimed at."""
     scores: Mapping[str, Score]

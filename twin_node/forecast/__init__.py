@@ -5,6 +5,7 @@ from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import default_grid
 from twin_node.forecast.obstacles import CoverParameters, Motion, cover
 from twin_node.forecast.occupancy import Forecaster, ForecastParameters, ForecastQuality
+from twin_node.forecast.points import PointForecast, PointForecaster
 
 __all__ = [
     "BaselineForecaster",
@@ -15,6 +16,8 @@ __all__ = [
     "ForecastQuality",
     "Forecaster",
     "Motion",
+    "PointForecast",
+    "PointForecaster",
     "cover",
     "default_grid",
 ]

@@ -44,8 +44,8 @@ class ForecastQuality:
     """How well the forecasts have been keeping what they promise."""
 
     coverage: float
-    """Share of the pixels seen to move that lay inside the forecast made for that time, over the last 120 image sets;
-    NaN before the first has come due."""
+    """Share of what was seen to move (points that depth cameras measure, pixels of others) that lay inside the forecast
+    made for that time, over the last 120 judged image sets; NaN before the first has come due."""
     target: float
     """Coverage aimed at."""
     bound_radius: float

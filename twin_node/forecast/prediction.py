@@ -144,11 +144,6 @@ class Predictor:
         normalised: Float64 = weights / weights.sum(axis=0)
         return normalised
 
-    @property
-    def errors(self) -> Float64:
-        """[M] recent errors of the forecasts, m."""
-        return self._records.errors
-
     def advance(self, history: History, succession: Succession, horizon_s: float) -> None:
         """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
 

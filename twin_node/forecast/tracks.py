@@ -13,7 +13,7 @@ REACH = 0.12
 """A part continues the track whose place is at most this far off, m (one and a half parts)."""
 KIN = 0.3
 """A new part takes over the record of errors of a part this near, m: a hull changes shape at its rims."""
-KEPT_S = 0.7
+KEPT_S = 1.0
 """Paths are kept so long, s: the longest horizon and the steps that forecasts look back on."""
 MOST_SPEED = 15.0
 """What is further off than this speed allows is something else, m/s: half as fast again as a throw overarm."""
