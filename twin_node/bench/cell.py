@@ -115,11 +115,11 @@ def run(
 ) -> list[CaseResult]:
     """Runs every scenario under every seed, in processes of their own; `progress` may wrap the results as they come.
 
-    Raises `CellError`, `ResourceError` or `BenchError` for a scenario that cannot be run, before any is.
+    Raises the errors of scenarios and their motion files, and `BenchError` for one without an arm, before any is run.
     """
     parameters = parameters or CellBenchParameters()
     for name in parameters.scenarios:
-        CellCase(load_scenario(name), parameters.latency_ms, parameters.loop)
+        _ = CellCase(load_scenario(name), parameters.latency_ms, parameters.loop).world  # reads motion files too
     jobs = [Job(name, seed, parameters) for seed in range(1, parameters.seeds + 1) for name in parameters.scenarios]
     return list(progress(_results(jobs, min(parameters.processes, len(jobs))), len(jobs)))
 
