@@ -36,7 +36,6 @@ class RobotMode(IntEnum):
 class SafetyMode(IntEnum):
     """RTDE `safety_mode`."""
 
-    UNDEFINED = 0
     NORMAL = 1
     REDUCED = 2
     PROTECTIVE_STOP = 3
