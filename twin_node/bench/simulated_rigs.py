@@ -40,7 +40,7 @@ class RigSpread:
     rate_ppm: float = 100.0
     """The same of clock rates."""
     frame_rates_hz: tuple[float, ...] = (7.5, 10.0, 15.0)
-    seconds: float = 40.0
+    seconds: float = 60.0
     """Length of a recording."""
 
 

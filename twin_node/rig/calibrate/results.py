@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.bundle import BundleState
+from twin_node.rig.calibrate.bundle import BundleResult, BundleState
 from twin_node.rig.calibrate.extrinsics import RigSolution
 from twin_node.rig.calibrate.lenses import project
 from twin_node.rig.calibrate.rotations import cross_matrix
@@ -20,6 +20,9 @@ from twin_node.scene import Float64, Rig, RigCamera
 
 WITNESSES = 24
 """Places of the board, evenly picked of its course, at which the cameras' agreement is judged."""
+
+LEAST_DEPTH_M = 0.05
+"""Nothing is seen nearer than this."""
 
 BASE_TOLERANCE_S = 0.5
 """A board that lies still is taken for seen at a time where an image shows it so near to that."""
@@ -66,6 +69,7 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
     state, layout = solution.bundle.state, solution.bundle.layout
     poses, sigmas = camera_poses(state), agreement_sigmas(solution)
     variances, covariances = np.diag(solution.bundle.covariance), pose_covariances(solution, to_base)
+    clocks = clock_sigmas(solution)
     cameras, evidence = [], []
     for i, name in enumerate(solution.names):
         lens = state.lenses[i]
@@ -86,7 +90,6 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
         )
         figures = residuals_of(camera_residuals(solution, i))
         own = [sighting for sighting in solution.bundle.sightings if sighting.camera == i]
-        clock = np.sqrt(variances[layout.clock(i)]).tolist() or [None, None]
         evidence.append(
             CameraEvidence(
                 figures.rms_px,
@@ -95,8 +98,8 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
                 sum(len(sighting.corners) for sighting in own),
                 covariances[i],
                 np.sqrt(variances[layout.lens(i)]) if layout.lens_sizes else None,
-                clock[0],
-                None if clock[1] is None else 1e6 * clock[1],
+                float(clocks[i, 0]) if layout.clocks and i > 0 else None,
+                1e6 * float(clocks[i, 1]) if layout.clocks and i > 0 else None,
             )
         )
     return RigFile(
@@ -148,6 +151,14 @@ def pose_covariances(solution: RigSolution, T_base_rig: Float64) -> Float64:
     return np.stack([whole[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(cameras)])
 
 
+def clock_sigmas(solution: RigSolution) -> Float64:
+    """[C, 2] 1 sigma of each clock's offset (s) and rate; 0 for the first, which is the rig's, and for fixed ones."""
+    layout, out = solution.bundle.layout, np.zeros((len(solution.names), 2))
+    for i in range(1 if layout.clocks else len(out), len(out)):
+        out[i] = np.sqrt(np.diag(solution.bundle.covariance)[layout.clock(i)])
+    return out
+
+
 def settled(poses: Float64, changes: Float64) -> Float64:
     """Changes [6 C, n] of poses [C, 4, 4] (positions, m; turns about the base's axes, rad) without what they share.
 
@@ -171,14 +182,16 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
     What moves all cameras alike is no disagreement and taken out (a free network: Triggs et al. 1999, section 9).
     """
     bundle, cameras = solution.bundle, len(solution.names)
-    witnesses = _witnesses(bundle.state)
+    witnesses = _witnesses(bundle)
     moves = np.zeros((cameras, len(witnesses), 2, len(bundle.covariance)))
     rigid = np.zeros((cameras, len(witnesses), 2, 6))
     turns = -cross_matrix(witnesses)
     for i, (lens, T) in enumerate(zip(bundle.state.lenses, bundle.state.T_cam_rig, strict=True)):
         seen = transform(T, witnesses)
         projection = project(lens, seen)
-        to_metres = (seen[:, 2] / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
+        # What a camera has behind itself it cannot see otherwise than the others.
+        depth = np.where(seen[:, 2] > LEAST_DEPTH_M, seen[:, 2], 0.0)
+        to_metres = (depth / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
         by_point = projection.by_point * to_metres
         by_pose = np.concatenate([-by_point @ cross_matrix(seen - T[:3, 3]), by_point], axis=2)
         if i > 0:
@@ -193,7 +206,10 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
     return np.asarray(np.sqrt(variances.mean(axis=1)))
 
 
-def _witnesses(state: BundleState) -> Float64:
-    """[W, 3] places of the board in the rig's frame, spread over its course."""
-    places = state.course.positions
-    return np.asarray(places[np.linspace(0, len(places) - 1, WITNESSES).round().astype(int)])
+def _witnesses(bundle: BundleResult) -> Float64:
+    """[W, 3] places of the board in the rig's frame where it was seen, spread over its course."""
+    chosen = [bundle.sightings[i] for i in np.linspace(0, len(bundle.sightings) - 1, WITNESSES).round().astype(int)]
+    state, cameras = bundle.state, np.array([sighting.camera for sighting in chosen])
+    times = state.rig_times(cameras, np.array([sighting.time_s for sighting in chosen]))
+    placed = state.course.at(state.course.blend(np.array([sighting.board for sighting in chosen]), times))
+    return np.asarray(placed.rotations @ state.points.mean(axis=0) + placed.positions)
