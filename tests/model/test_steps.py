@@ -179,12 +179,15 @@ def test_what_can_stand_before_a_moving_thing_is_found_and_no_more() -> None:
 
 
 def test_stale_ground_takes_up_what_it_misses_and_nothing_else_does() -> None:
-    one = observe(table(), None)[0]
+    one, *others = observe(table(), None)
     brighter = np.clip(one.rgb + 0.2, 0, 1).astype(np.float32)
     stale = np.zeros_like(one.stale)
     stale[40:60, 50:80] = True
-    revision = revise(replace(one, rgb=brighter, stale=stale))
+    revision = revise(replace(one, rgb=brighter, stale=stale), [], THRESHOLD)
     seen = one.background.static
     assert len(revision.chosen) > 20
     assert grow(stale, 1)[seen.rows[revision.chosen], seen.columns[revision.chosen]].all()
     assert 0.02 < revision.missed.mean() < 0.2
+    calm = [replace(other, near_moving=np.zeros_like(other.near_moving)) for other in others]
+    contradicted = revise(replace(one, rgb=brighter, stale=stale), calm, THRESHOLD)
+    assert len(contradicted.chosen) < len(revision.chosen) / 2

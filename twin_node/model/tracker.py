@@ -190,7 +190,8 @@ class Tracker:
         """STATIC Gaussians take up what the view whose background was rendered last misses where it is stale."""
         for one in observed:
             if one.view.camera.name == self._backgrounds.newest and one.stale.any():
-                revision = revise(one)
+                others = [other for other in observed if other is not one and not one.came_late]
+                revision = revise(one, others, self._parameters.track.residual)
                 rows = self._backgrounds.rows[torch.from_numpy(revision.chosen)]
                 standing = self._gaussians.alive[rows] & (self._gaussians.tiers[rows] == int(Tier.STATIC))
                 missed = torch.from_numpy(revision.missed).to(rows.device)
