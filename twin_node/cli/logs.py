@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 import json
 import math
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ def _info(options: argparse.Namespace) -> None:
                 )
             )
             return
-        start = datetime.fromtimestamp(log.start_ns / 1e9, tz=timezone.utc)
+        start = datetime.fromtimestamp(log.start_ns / 1e9, tz=UTC)
         print(f"{log.path}: {seconds:.2f} s from {start:%Y-%m-%d %H:%M:%S} UTC, {messages} messages")
         width = max(len(topic.name) for topic in log.topics)
         for topic in log.topics:

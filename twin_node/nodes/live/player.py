@@ -80,6 +80,7 @@ class PlayNode(Node):
         self._time = _LogTime(parameters.rate, parameters.start_paused)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._error: TwinError | None = None
         self.published = 0
 
     @property
@@ -108,7 +109,10 @@ class PlayNode(Node):
             self._thread.join()
 
     def on_cleanup(self) -> None:
+        """Raises what ended the playing before its time."""
         self._log.close()
+        if self._error is not None:
+            raise self._error
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How far it is."""
@@ -121,10 +125,13 @@ class PlayNode(Node):
 
     def _run(self) -> None:
         self._stop.wait(self._parameters.delay)
-        while not self._stop.is_set():
-            self._play_once()
-            if not self._parameters.loop:
-                break
+        try:
+            while not self._stop.is_set():
+                self._play_once()
+                if not self._parameters.loop:
+                    break
+        except TwinError as error:  # raised again when the node is cleaned up
+            self._error = error
         self._finish()
 
     def _play_once(self) -> None:

@@ -1,0 +1,131 @@
+"""The player by rosbag2's flags: what it publishes, under which names, its clock, pauses and loops."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twin_node.bag import RecordingWriter
+from twin_node.messages import builtin_types, convert, message_type, serialize
+from twin_node.nodes.live.player import PlayNode, PlayParameters
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import CLOCK, GraphError, kind_of
+from twin_node.runtime.clock import SystemClock
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.wire import LocalWire
+from twin_node.runtime.wire_bus import WireBus
+
+STRING = "std_msgs/msg/String"
+START, STEP = 1_000_000_000_000, 50_000_000
+FAST = 1000.0
+WAIT_S = 60.0
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Ten messages on /a and ten on /b, 50 ms apart."""
+    path = tmp_path / "small.mcap"
+    with RecordingWriter(path) as writer:
+        for i in range(10):
+            for topic in ("/a", "/b"):
+                data = bytes(serialize(message_type(STRING)(data=f"{topic} {i}")))
+                writer.write(topic, STRING, data, START + i * STEP, builtin_types())
+    return path
+
+
+class Theatre:
+    """A player, and what it has played."""
+
+    def __init__(self, log: Path, **flags: Any) -> None:
+        self.heard: list[tuple[str, str]] = []
+        self.clock: list[int] = []
+        self.finished, self.enough = threading.Event(), threading.Event()
+        wire = LocalWire()
+        for topic in ("/a", "/b", "/c"):
+            wire.subscribe("test", topic, TopicKind(STRING), self._hear(topic))
+        wire.subscribe("test", CLOCK, kind_of(CLOCK), lambda m: self.clock.append(convert.clock_from_message(m)))
+        executor = Executor()
+        bus = WireBus(wire, executor, "player", kind_of)
+        setup = Setup("player", bus, SystemClock(), executor, {}, "test", self.finished.set, wire.endpoints)
+        self.node = PlayNode(setup, PlayParameters(log=str(log), **{"rate": FAST, **flags}))
+
+    def _hear(self, topic: str) -> Callable[[Any], None]:
+        def hear(message: Any) -> None:
+            self.heard.append((topic, message.decode().data))
+            if len(self.heard) >= 25:
+                self.enough.set()
+
+        return hear
+
+    def begin(self) -> None:
+        self.node.configure()
+        self.node.activate()
+
+    def end(self) -> None:
+        self.node.deactivate()
+        self.node.cleanup()
+
+    def play(self) -> None:
+        self.begin()
+        assert self.finished.wait(WAIT_S)
+        self.end()
+
+
+def test_everything_in_order_and_then_the_end(log: Path) -> None:
+    theatre = Theatre(log)
+    theatre.play()
+    assert theatre.heard == [(topic, f"{topic} {i}") for i in range(10) for topic in ("/a", "/b")]
+    assert theatre.clock == []
+
+
+def test_a_part_of_some_topics_under_other_names(log: Path) -> None:
+    theatre = Theatre(log, topics=("/a",), remap=("/a:=/c",), start_offset=0.1, playback_duration=0.2)
+    theatre.play()
+    assert theatre.heard == [("/c", f"/a {i}") for i in range(2, 6)]
+
+
+def test_the_clock_ticks_with_the_log(log: Path) -> None:
+    theatre = Theatre(log, clock=100.0, read_ahead_queue_size=1)
+    theatre.play()
+    assert theatre.clock == [START + i * 10_000_000 for i in range(46)]
+
+
+def test_a_loop_begins_again_and_its_clock_goes_back(log: Path) -> None:
+    theatre = Theatre(log, loop=True, clock=40.0)
+    theatre.begin()
+    assert theatre.enough.wait(WAIT_S)
+    theatre.end()
+    assert theatre.heard[20:22] == [("/a", "/a 0"), ("/b", "/b 0")]
+    assert any(later < before for before, later in pairwise(theatre.clock))
+
+
+def test_a_paused_player_waits_for_its_word(log: Path) -> None:
+    theatre = Theatre(log, start_paused=True)
+    theatre.begin()
+    assert not theatre.finished.wait(0.05)
+    assert theatre.node.is_paused
+    assert theatre.heard == []
+    theatre.node.pause(False)
+    assert theatre.finished.wait(WAIT_S)
+    theatre.end()
+    assert len(theatre.heard) == 20
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ({"topics": ("/d",)}, "has no topic /d; it holds /a, /b"),
+        ({"remap": ("/a=/b",)}, "expected FROM:=TO"),
+        ({"rate": 0.0}, "expected a rate above 0"),
+        ({"start_offset": 60.0}, "is past its end"),
+    ],
+)
+def test_what_cannot_be_played_is_told(log: Path, flags: dict[str, Any], words: str) -> None:
+    with pytest.raises(GraphError, match=words):
+        Theatre(log, **flags)
