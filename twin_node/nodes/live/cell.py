@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin_node.cell import SimulatedRig, load_scenario
+from twin_node.cell.record import TRAJECTORY_RATE_HZ
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure
 from twin_node.messages import convert
@@ -47,7 +48,15 @@ class CellNode(Node):
         self._period_ns = int(1e9 / self._simulated.scenario.sensing.rate_hz)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._begun: int | None = None
+        self._timers = setup.timers
         self.skipped = 0
+
+    def on_configure(self) -> None:
+        scenario = self._simulated.scenario
+        if scenario.arm is not None and self._parameters.arm == "scenario":
+            self._timers.every(1 / scenario.arm.joint_rate_hz, self._publish_joints)
+            self._timers.every(1 / TRAJECTORY_RATE_HZ, self._publish_path)
 
     def on_activate(self) -> None:
         publish_calibration(self.bus, self._simulated.rig, self.clock.now())
@@ -68,11 +77,11 @@ class CellNode(Node):
     def _run(self) -> None:
         exposures, start = self._simulated.exposures(), self._simulated.scenario.start_ns
         until = self._parameters.duration * 1e9 or math.inf
-        begun = first = self.clock.now()
+        self._begun = first = self.clock.now()
         tick, is_late = -1, False
         while not self._stop.is_set():
             for exposure in exposures:
-                stamp = begun + exposure.stamp - start
+                stamp = self._begun + exposure.stamp - start
                 if stamp - first > until:
                     self._finish()
                     return
@@ -84,10 +93,9 @@ class CellNode(Node):
                     self.skipped += 1
                 else:
                     self._publish(exposure, stamp)
-            begun = self.clock.now()
+            self._begun = self.clock.now()
 
     def _publish(self, exposure: Exposure, stamp: int) -> None:
-        self._publish_arm(exposure.stamp, stamp)
         image = self._simulated.take(exposure)
         topics = topics_of(image.camera, self._parameters.rig)
         camera = self._simulated.rig.cameras[exposure.camera]
@@ -99,15 +107,26 @@ class CellNode(Node):
         colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
         self.bus.publish(topics.image, colour(image.camera, stamp, image.rgb))
 
-    def _publish_arm(self, simulated_stamp: int, stamp: int) -> None:
-        arm = self._simulated.world.arm
-        if arm is None or self._parameters.arm != "scenario":
-            return
-        shift = stamp - simulated_stamp
-        sample, path = arm.sample(simulated_stamp), arm.ahead(simulated_stamp)
-        self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(replace(sample, stamp=stamp)))
-        moved = replace(path, stamps=path.stamps + shift)
-        self.bus.publish(TRAJECTORY, convert.joint_path_to_message(moved))
+    def _publish_joints(self) -> None:
+        arm, begun = self._simulated.world.arm, self._begun
+        if arm is not None and begun is not None:
+            stamp = self.clock.now()
+            sample = replace(arm.sample(self._simulated_time(stamp - begun)), stamp=stamp)
+            self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(sample))
+
+    def _publish_path(self) -> None:
+        arm, begun = self._simulated.world.arm, self._begun
+        if arm is not None and begun is not None:
+            stamp = self.clock.now()
+            simulated = self._simulated_time(stamp - begun)
+            path = arm.ahead(simulated)
+            moved = replace(path, stamps=path.stamps + stamp - simulated)
+            self.bus.publish(TRAJECTORY, convert.joint_path_to_message(moved))
+
+    def _simulated_time(self, passed: int) -> int:
+        """The scenario's time, ns, when so much has passed since it began."""
+        scenario = self._simulated.scenario
+        return scenario.start_ns + min(passed, int(scenario.duration_s * 1e9))
 
 
 def _metres(image: RawImage) -> Float32:
