@@ -55,6 +55,7 @@ class FakeLink:
     is_lost: bool = False
     is_obedient: bool = True
     runs_script: bool = True
+    is_remote: bool = True
 
     def tell(self, **changes: object) -> None:
         """Change what it tells."""
@@ -84,6 +85,8 @@ class FakeLink:
         self.runs_script = True
 
     def play(self) -> None:
+        if not self.is_remote:
+            raise ArmError("the dashboard does not start the program")
         self.plays += 1
         self.tell(runtime_state=2)
 

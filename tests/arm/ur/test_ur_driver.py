@@ -264,6 +264,21 @@ def test_a_safety_stop_during_another_halt_does_not_resume_either() -> None:
     assert bench.run(2000).state is DriverState.HALTED
 
 
+def test_a_dashboard_that_refuses_to_play_keeps_the_halt_and_the_connection() -> None:
+    bench = Bench(plays=True, resumes=True)
+    bench.run(320)
+    bench.link.is_remote = False
+    bench.link.tell(runtime_state=4)
+    bench.is_alive = False
+    bench.run(100)
+    bench.is_alive = True
+    report = bench.run(1500)
+    assert (report.state, report.is_over) == (DriverState.HALTED, False)
+    assert report.reason == "the dashboard does not start the program"
+    bench.link.is_remote = True
+    assert bench.run(1000).state is DriverState.READY
+
+
 def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:
     bench = Bench(mode=DriverMode.READ_ONLY)
     report = bench.run(320)

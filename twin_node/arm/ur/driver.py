@@ -156,7 +156,14 @@ class UrDriver:
         elif self._halt is not None and self._parameters.resumes and not self._halt.is_safety:
             self._well_since = self._well_since or now
             if (now - self._well_since) * 1e-9 > _SETTLE_S:
-                self._acknowledge(now)
+                self._resume(now)
+
+    def _resume(self, now: int) -> None:
+        """Acknowledge by itself; where that is refused, stay halted for that reason and try again later."""
+        try:
+            self._acknowledge(now)
+        except ArmError as error:
+            self._halt, self._well_since = Halt(str(error)), None
 
     def _stop_for(self, reason: str) -> None:
         self._halt = Halt(reason, is_safety=not self._may_move)
