@@ -47,7 +47,7 @@ def _engine() -> cv2.DISOpticalFlow:
     engine.setFinestScale(0)
     engine.setPatchStride(4)
     engine.setGradientDescentIterations(12)
-    engine.setVariationalRefinementIterations(1)
+    engine.setVariationalRefinementIterations(0)  # on real cells they cost a quarter more and gain nothing
     return engine
 
 
