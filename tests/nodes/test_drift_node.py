@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from twin_node.bag import open_log
+from twin_node.cell import CellSource, load_scenario
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import convert, header_stamp
+from twin_node.model import ModelParameters, WindowModel
+from twin_node.model.parameters import SeedParameters
 from twin_node.nodes.drift import DriftNode
 from twin_node.nodes.topics import DIAGNOSTICS, FRAMES, OCCUPANCY, STATUS, TRUSTED_FRAMES
 from twin_node.rig.drift import DriftParameters
+from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import Camera, FrameSet, View
@@ -100,3 +105,13 @@ def test_without_a_camera_to_trust_nothing_goes_on_and_diagnostics_do() -> None:
     assert 10 < len(passed) < 20
     assert {int(status.level) for status in told[-1].status} == {convert.Level.ERROR}
     assert header_stamp(told[-1]) > 3_000_000_000
+
+
+def test_a_camera_that_is_left_out_and_comes_back_finds_the_model_working() -> None:
+    demo = load_scenario("demo")
+    sensing = replace(demo.sensing, width=64, height=48, rate_hz=15.0)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=10)), arm=ur_model("ur5e"))
+    for i, frames in enumerate(CellSource(replace(demo, duration_s=2.0, sensing=sensing))):
+        views = frames.views[1:] if 5 <= i < 20 else frames.views
+        state = model.update(replace(frames, views=views, stamp=max(view.stamp for view in views)))
+        assert len(state.moving_masks) == len(views)

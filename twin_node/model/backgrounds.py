@@ -99,16 +99,19 @@ class Backgrounds:
         return [self._known[camera.name] for camera in cameras]
 
     def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
-        """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`."""
+        """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`; absent cameras are forgotten."""
         rows = self.rows = gaussians.static_rows
         values = gaussians.values[rows]
         means = values[:, MEAN].cpu().double().numpy()
         reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
+        surveyed: dict[str, Background] = {}
         for camera in cameras:
             static = look(camera, means)
             seen = {name: getattr(shown[camera.name], name) for name in _Shown.__dataclass_fields__}
             reach_px = _reach_px(camera, static, means, reach)
-            self._known[camera.name] = Background(**seen, camera=camera, static=static, reach_px=reach_px)
+            surveyed[camera.name] = Background(**seen, camera=camera, static=static, reach_px=reach_px)
+        self._known = surveyed
+        self._waiting = [name for name in self._waiting if name in surveyed]
         self._changed = False
         self._age = 0
 
