@@ -13,7 +13,7 @@ from typing import Any
 from twin_node.cli.arguments import positive
 
 _DESCRIPTION = """\
-Drive a UR controller through ur_rtde (pip install 'twin-node[ur]') in a process of its own.
+Drive a UR controller through ur_rtde in a process of its own.
 
   slider     (default) the robot runs its own program; the driver sets the speed slider to the twin's speed fraction and
              beats an input register that the program watches, so that the arm pauses by itself when the beat ends.

@@ -72,15 +72,12 @@ def _run(options: argparse.Namespace) -> None:
         WatchdogAction,
         overview,
     )
-    from twin_node.robot import ur_model
-    from twin_node.robot.factory_kinematics import with_factory_kinematics
+    from twin_node.robot import arm_model
 
     if options.list_faults:
         print(overview())
         return
-    model = ur_model(options.model)
-    if options.kinematics is not None:
-        model = with_factory_kinematics(model, options.kinematics)
+    model = arm_model(options.model, options.kinematics)
     action = WatchdogAction(options.watchdog_action)
     parameters = StandInParameters(
         host=options.host,

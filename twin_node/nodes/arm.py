@@ -17,6 +17,7 @@ from twin_node.arm import (
 )
 from twin_node.messages import convert
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
+from twin_node.robot import ArmModel, arm_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import NoTimers, Timers
@@ -34,11 +35,17 @@ class ArmParameters:
     """Which arm works in the cell, and how it keeps its distance."""
 
     model: str = "ur10e"
-    """One of the arms of `twin_node.robot.UR_NAMES`."""
+    """One of the arms of `twin_node.robot.UR_NAMES`, or an MJCF or URDF file."""
+    kinematics: str | None = None
+    """A UR arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
     command_latency_ms: float = 20.0
     """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
     separation: SeparationParameters = field(default_factory=SeparationParameters)
     limiter: LimiterParameters = field(default_factory=LimiterParameters)
+
+    def arm(self) -> ArmModel:
+        """The arm's model. Raises `RobotError` or `ResourceError` for a wrong name or file."""
+        return arm_model(self.model, self.kinematics)
 
 
 class ArmNode(Node):

@@ -20,7 +20,6 @@ from twin_node.nodes.model import ModelNode
 from twin_node.nodes.status import StatusNode
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
-from twin_node.robot import ur_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
@@ -70,14 +69,14 @@ def load_parameters(path: Path | None) -> ChainParameters:
 
 def make_model(parameters: ChainParameters) -> WindowModel:
     """A fresh window model as the chain's."""
-    return WindowModel(parameters.model, arm=ur_model(parameters.arm.model))
+    return WindowModel(parameters.model, arm=parameters.arm.arm())
 
 
 def make_arm_node(
     bus: Bus, clock: Clock, workspace: Float64, parameters: ChainParameters, timers: Timers | None = None
 ) -> ArmNode:
     """The arm's node of a chain; `workspace` [2, 3] m. `timers`: see `ArmNode`."""
-    arm = ur_model(parameters.arm.model)
+    arm = parameters.arm.arm()
     return ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm, workspace), parameters.arm, timers)
 
 
@@ -100,7 +99,7 @@ class Chain:
         """
         self.model = make_model(parameters)
         grid = default_grid(workspace, parameters.grid.voxel_size)
-        self.forecaster = Forecaster(grid, parameters.forecast, ur_model(parameters.arm.model))
+        self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
         self.nodes: Sequence[Node] = (
             self.status,

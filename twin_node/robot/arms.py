@@ -5,18 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin_node.resources import find
-from twin_node.robot.model import ArmModel
+from twin_node.robot.factory_kinematics import with_factory_kinematics
+from twin_node.robot.model import ArmModel, RobotError
 from twin_node.robot.ur import UR_NAMES, ur_model
 
 
-def arm_model(name: str | Path) -> ArmModel:
+def arm_model(name: str | Path, kinematics: str | Path | None = None) -> ArmModel:
     """Model of a UR arm ("ur5e"), or of the arm in an MJCF or URDF file ("my_arm.xml").
 
-    Raises `RobotError` for a name that is neither, and for a file that holds no serial arm; `ResourceError` for a file
-    that is not there.
+    `kinematics` is a UR arm's own calibration file (see `with_factory_kinematics`). Raises `RobotError` for a name that
+    is neither, and for a file that holds no serial arm or another's calibration; `ResourceError` for a file that is not
+    there.
     """
     if str(name) in UR_NAMES or not Path(name).suffix:
-        return ur_model(str(name))
+        model = ur_model(str(name))
+        return model if kinematics is None else with_factory_kinematics(model, kinematics)
+    if kinematics is not None:
+        raise RobotError(
+            f"{kinematics}: expected a UR arm to calibrate, found {name}; its file says where its joints are"
+        )
     from twin_node.robot.mjcf import load_arm  # MuJoCo takes a third of a second to import
 
     return load_arm(find(name))

@@ -222,4 +222,4 @@ def _module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ArmError("ur_rtde is not installed; install it with: pip install 'twin-node[ur]'") from error
+        raise ArmError("ur_rtde is not installed; install it with: pip install ur-rtde") from error

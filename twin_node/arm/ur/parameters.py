@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import LimiterParameters
 from twin_node.robot import ArmModel, arm_model
-from twin_node.robot.factory_kinematics import with_factory_kinematics
 
 
 class DriverMode(Enum):
@@ -89,5 +87,4 @@ class UrParameters:
 
     def arm(self) -> ArmModel:
         """The arm's model, calibrated where there is a file; raises `RobotError` for a wrong name or file."""
-        model = arm_model(self.model)
-        return model if self.kinematics is None else with_factory_kinematics(model, Path(self.kinematics))
+        return arm_model(self.model, self.kinematics)

@@ -6,7 +6,6 @@ from twin_node.nodes.live.rig_source import read_rig
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.viewer import CellPage, ViewerNode, ViewerParameters
 from twin_node.rig import FrameAssembler
-from twin_node.robot import ur_model
 from twin_node.runtime.node import Node
 
 
@@ -18,7 +17,7 @@ def make_viewer(setup: Setup) -> Node:
     parameters = setup.parameters(ViewerParameters)
     source = read_rig(setup.rig())
     assembler = FrameAssembler(source.rig.cameras, parameters.width)
-    arm = ur_model(setup.chain_parameters().arm.model)
+    arm = setup.chain_parameters().arm.arm()
     page = CellPage(arm, assembler.cameras, parameters.host, parameters.port)
     print(f"viewer: {page.url}", flush=True)
     return ViewerNode(setup.bus, setup.clock, page, source.cameras, assembler)

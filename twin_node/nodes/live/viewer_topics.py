@@ -8,7 +8,7 @@ from twin_node.messages import convert
 from twin_node.nodes.live.rig_source import RigSource, read_rig
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLE_MARKERS, OBSTACLES, SEPARATION, SEPARATION_MARKER, TF
-from twin_node.robot import ArmModel, forward_kinematics, ur_model
+from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.runtime.node import Node
 
 FRUSTA_PERIOD_S = 5.0
@@ -17,7 +17,7 @@ FRUSTA_PERIOD_S = 5.0
 
 def make_viewer_topics(setup: Setup) -> Node:
     """Markers and frames of the graph that the launch file describes."""
-    return ViewerTopicsNode(setup, read_rig(setup.rig()), ur_model(setup.chain_parameters().arm.model))
+    return ViewerTopicsNode(setup, read_rig(setup.rig()), setup.chain_parameters().arm.arm())
 
 
 class ViewerTopicsNode(Node):
