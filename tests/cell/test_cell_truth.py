@@ -64,7 +64,7 @@ def test_arm_furniture_and_moving_things_are_told_apart(rig: SimulatedRig, truth
 
 
 def test_volume_of_a_ball_is_right_and_it_moves_as_thrown() -> None:
-    scenario = replace(load_scenario("thrown_ball"), variation=load_scenario("demo").variation)
+    scenario = replace(load_scenario("thrown_ball"), variation=load_scenario("demo").variation, people=())
     truth = CellTruth(SimulatedRig(scenario))
     grid = workspace_grid(np.array([[0.3, -0.6, 0.0], [1.1, 0.9, 0.9]]), 0.01)
     stamp = scenario.start_ns + 1_500_000_000
