@@ -347,7 +347,7 @@ def test_what_cannot_be_driven_is_refused_before_a_process_starts(monkeypatch: p
     with pytest.raises(RobotError, match="ur3e"):
         SupervisedDriver(UrParameters(model="kuka"))
     monkeypatch.setitem(sys.modules, "rtde_io", None)
-    with pytest.raises(ArmError, match=r"pip install 'twin-node\[ur\]'"):
+    with pytest.raises(ArmError, match="pip install ur-rtde"):
         load_ur_rtde()
 
 
