@@ -73,3 +73,27 @@ def test_a_picture_without_a_board_has_no_corners(kind: str) -> None:
 def test_an_unknown_dictionary_is_refused() -> None:
     with pytest.raises(RigError, match="DICT_9X9"):
         CharucoBoard(5, 4, 0.04, 0.03, "DICT_9X9").detect(np.zeros((100, 100), np.uint8))
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 1.0])
+@pytest.mark.parametrize("view", ["steep", "half out of the picture", "far"])
+def test_an_aprilgrid_is_read_steep_blurred_and_in_part(view: str, blur_px: float) -> None:
+    board, lens = AprilGrid(5, 4, 0.06, 0.3), a_lens()
+    T = before_camera(board)
+    if view == "steep":
+        T[:3, :3] = Rotation.from_euler("y", 0.5).as_matrix() @ T[:3, :3]
+    T[0, 3] += {"steep": 0.1, "half out of the picture": 0.25, "far": 0.0}[view]
+    T[2, 3] += 0.2 if view == "far" else 0.0
+    image, truth = picture(board, lens, T), seen_corners(board, lens, T)
+    if blur_px:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
+    found = board.detect(image)
+    assert found is not None and truth is not None
+    place = {int(i): pixel for i, pixel in zip(truth.ids, truth.pixels, strict=True)}
+    errors = [
+        np.linalg.norm(p - place[int(i)]) for i, p in zip(found.ids, found.pixels, strict=True) if int(i) in place
+    ]
+    assert len(errors) >= 24
+    assert np.median(errors) < 0.1
+    assert np.quantile(errors, 0.95) < 0.5  # a stray corner is the adjustment's to leave out
+    assert len(found) < len(board.points) or view != "half out of the picture"

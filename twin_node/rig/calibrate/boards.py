@@ -231,6 +231,10 @@ class AprilGrid:
         quads = self._in_order(ids, np.stack([tags[i] for i in ids]))
         if quads is None:
             return None
+        agree = np.isfinite(quads).all(axis=(1, 2))
+        ids, quads = ids[agree], quads[agree]
+        if len(ids) < 4:
+            return None
         # Kalibr's black squares at the corners push the outline off by a few pixels: first a wide window, then a small.
         pixels, sides = quads.reshape(-1, 2), np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=2)
         gap = float(sides.min()) * self.spacing
@@ -251,7 +255,9 @@ class AprilGrid:
         }
 
     def _in_order(self, ids: NDArray[np.int64], quads: Float64) -> Float64 | None:
-        """The quads [T, 4, 2] from the corner that `points` begin with; None where they fit no board.
+        """The quads [T, 4, 2] from the corner that `points` begin with, NaN for tags that most others say are misread.
+
+        None where they fit no board.
 
         Tools disagree on which corner of a tag comes first, and in which sense: the tags' places on the board decide.
         """
@@ -263,7 +269,8 @@ class AprilGrid:
         orders = [np.roll(quads[:, ::sense], turn, axis=1) for sense in (1, -1) for turn in range(4)]
         errors = [np.linalg.norm(order - expected, axis=2).max(axis=1) for order in orders]
         best = int(np.argmin([np.median(error) for error in errors]))
-        return orders[best] if errors[best].max() < MAX_TAG_ERROR * self._edge(quads) else None
+        misread = errors[best] >= MAX_TAG_ERROR * self._edge(quads)
+        return np.where(misread[:, None, None], np.nan, orders[best])
 
     @staticmethod
     def _edge(quads: Float64) -> float:
