@@ -71,7 +71,9 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
     assert len(bounced["left_out"]) == 3  # type: ignore[arg-type]
 
 
-def test_unknown_cameras_are_named(cell_log: Callable[..., Path]) -> None:
+def test_wrong_requests_are_named(cell_log: Callable[..., Path]) -> None:
+    with pytest.raises(BenchError, match="leave one of the two out"):
+        run(cell_log(1.5), TrackBenchParameters(bounce=2, rate=1.0, chain=SMALL))
     with pytest.raises(BenchError, match="no such camera; expected all or"):
         run(cell_log(1.5), TrackBenchParameters(leave_out="nobody", chain=SMALL))
     with pytest.raises(BenchError, match="longer --duration"):

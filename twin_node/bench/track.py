@@ -110,10 +110,12 @@ class TrackBench:
 def run(log: Path, parameters: TrackBenchParameters | None = None, progress: Progress = lambda _: None) -> TrackBench:
     """Follows a log and scores every input set against the newest cloud that had been published by then.
 
-    Raises `BenchError` for a camera that the log does not have or a log without sets, and the errors of the log and its
-    calibration.
+    Raises `BenchError` for a camera that the log does not have, a log without sets, or passes to and fro in real time,
+    and the errors of the log and its calibration.
     """
     parameters = parameters or TrackBenchParameters()
+    if parameters.bounce and parameters.rate is not None:
+        raise BenchError("--bounce with --rate: to and fro is followed in lockstep; leave one of the two out")
     with contextlib.ExitStack() as stack:
         session = stack.enter_context(
             LogSession(log, parameters.rig, dict(parameters.remaps), parameters.start_offset_s, parameters.duration_s)
