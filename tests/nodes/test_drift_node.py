@@ -109,9 +109,9 @@ def test_without_a_camera_to_trust_nothing_goes_on_and_diagnostics_do() -> None:
 
 def test_a_camera_that_is_left_out_and_comes_back_finds_the_model_working() -> None:
     demo = load_scenario("demo")
-    sensing = replace(demo.sensing, width=64, height=48, rate_hz=15.0)
+    sensing = replace(demo.sensing, width=96, height=72, rate_hz=15.0)
     model = WindowModel(ModelParameters(seed=SeedParameters(steps=10)), arm=ur_model("ur5e"))
-    for i, frames in enumerate(CellSource(replace(demo, duration_s=2.0, sensing=sensing))):
-        views = frames.views[1:] if 5 <= i < 20 else frames.views
+    for i, frames in enumerate(CellSource(replace(demo, duration_s=2.4, sensing=sensing))):
+        views = frames.views[1:] if 8 <= i < 26 else frames.views
         state = model.update(replace(frames, views=views, stamp=max(view.stamp for view in views)))
         assert len(state.moving_masks) == len(views)
