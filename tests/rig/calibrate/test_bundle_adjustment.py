@@ -119,8 +119,8 @@ def test_eliminating_the_inner_unknowns_changes_no_solution() -> None:
         equations.add_outer(outer, B.T @ B, B.T @ r)
         equations.add_mixed(inner[None], outer, (A.T @ B)[None])
     found = np.concatenate(equations.solution(0.0))
-    np.testing.assert_allclose(found, np.linalg.lstsq(J, residuals, rcond=None)[0], atol=1e-7)
-    np.testing.assert_allclose(equations.outer_covariance(), np.linalg.inv(J.T @ J)[9:, 9:], atol=1e-7)
+    np.testing.assert_allclose(found, np.linalg.lstsq(J, residuals, rcond=None)[0], atol=1e-5)
+    np.testing.assert_allclose(equations.outer_covariance(), np.linalg.inv(J.T @ J)[9:, 9:], atol=1e-5)
 
 
 @settings(max_examples=10)
