@@ -16,7 +16,7 @@ def test_the_way_of_the_how_to_ends_at_the_truth(tmp_path: Path, capsys: pytest.
     session, rig, page = tmp_path / "session", tmp_path / "rig.yaml", tmp_path / "page.html"
     assert main(["calibrate", "rehearse", str(session)]) == 0
     assert "--board-is-base-at 19" in capsys.readouterr().out
-    assert main(["calibrate", "rig", str(session), "--board-is-base-at", "19", "--every", "4", "-o", str(rig)]) == 0
+    assert main(["calibrate", "rig", str(session), "--board-is-base-at", "19", "-o", str(rig)]) == 0
     assert main(["calibrate", "check", str(rig), str(session)]) == 0
     before = ["--before", str(session / "truth.yaml"), "--pictures", str(tmp_path / "pictures")]
     assert main(["calibrate", "report", str(rig), str(session), *before, "-o", str(page)]) == 0
