@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +27,8 @@ from twin_node.scene import JointPath, JointSample, Separation
 
 LOOKS_PER_DEADLINE = 10
 """How often a live arm's node looks for forecasts that do not come: it is slow a tenth of a deadline late at most."""
+GAPS_KEPT = 10
+"""Gaps between decisions that tell how long the next may be, a third of a second at 30 Hz."""
 REPEATS_PER_DEADLINE = 2
 """How often it says again that the arm stands: who drives it must hear of somebody."""
 
@@ -68,6 +71,7 @@ class ArmNode(Node):
         super().__init__("arm", bus, clock)
         self._timers = timers or NoTimers()
         self._latest = 0
+        self._gaps: deque[float] = deque(maxlen=GAPS_KEPT)
         self._told, self._told_at = -1.0, 0
         self._checker = checker
         self._cycle = cycle
@@ -105,11 +109,21 @@ class ArmNode(Node):
         obstacles = convert.obstacles_from_message(message)
         self._checker.update(obstacles)
         stamp = max(self.clock.now(), int(obstacles.valid_from.min(initial=obstacles.stamp)))
-        reaction_s = self._parameters.command_latency_ms * 1e-3
-        decision = decide(self._checker, self._path_from(stamp), stamp, reaction_s, self._parameters.separation)
+        decision = decide(
+            self._checker, self._path_from(stamp), stamp, self._reaction_s(stamp), self._parameters.separation
+        )
         told = self._limiter.decide(decision, stamp)
         self._latest = stamp
         self._tell(told, stamp)
+
+    def _reaction_s(self, stamp: int) -> float:
+        """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.
+
+        No gap counts longer than the deadline, after which the arm is slow without a decision.
+        """
+        deadline_ns = self._parameters.limiter.deadline_s * 1e9
+        self._gaps.append(min(max(stamp - self._latest, 0), deadline_ns))
+        return max(self._gaps) * 1e-9 + self._parameters.command_latency_ms * 1e-3
 
     def _path_from(self, stamp: int) -> JointPath:
         model = self._checker.model

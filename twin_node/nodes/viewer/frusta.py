@@ -12,7 +12,7 @@ from twin_node.nodes.playback import Snapshot
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, UInt8, View
 
-FRUSTUM_M = 0.25
+FRUSTUM_M = 0.12
 """Size of a camera's frustum as drawn, m."""
 ROBOT_COLOUR, MOVING_COLOUR = (26, 115, 232), (217, 48, 37)
 TINT = 0.45

@@ -65,6 +65,7 @@ class LogViewer:
     def _advance(self, seconds: float) -> None:
         if self._sought is not None:
             self._at_s, self._sought = self._sought, None
+            self._slider.value = round(self._at_s, 2)
         elif self._is_playing:
             self._at_s = self._at_s + seconds if self._at_s < self._length_s else 0.0
             self._at_s = min(self._at_s, self._length_s)
@@ -84,7 +85,6 @@ class LogViewer:
     def _step(self, seconds: float) -> None:
         self.play(False)
         self.seek(self._at_s + seconds)
-        self._slider.value = round(min(max(self._at_s + seconds, 0.0), self._length_s), 2)
 
     def _on_slider(self, event: Any) -> None:
         if event.client_id is not None:  # moved by a visitor, not by `_advance`

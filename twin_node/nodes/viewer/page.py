@@ -20,7 +20,7 @@ from twin_node.scene import HORIZONS_NS, Camera, Float64, ObstacleKind
 
 DEFAULT_PORT = 8080
 LOOPBACK = "127.0.0.1"
-FIRST_LOOK = np.array([1.2, -1.2, 0.9])
+FIRST_LOOK = np.array([0.9, -0.9, 1.5])
 """From where a new visitor looks at the middle of the cell, m."""
 NO_LAYER = "none"
 

@@ -1,0 +1,57 @@
+"""The arm's node: its reaction covers the time until the next decision, and no more than its deadline."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from twin_logs import START, obstacles_at
+
+from twin_node.arm import ArmCollisionChecker, default_path
+from twin_node.messages import convert
+from twin_node.nodes import arm as arm_node
+from twin_node.nodes.arm import GAPS_KEPT, ArmNode, ArmParameters
+from twin_node.nodes.topics import OBSTACLES
+from twin_node.robot import ur_model
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+
+PARAMETERS = ArmParameters("ur5e")
+COMMAND_S = PARAMETERS.command_latency_ms * 1e-3
+
+
+def reactions(gaps_ms: list[int], monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Reaction times (s) that decisions are made with, when obstacles come `gaps_ms` apart."""
+    used: list[float] = []
+    decide = arm_node.decide
+
+    def watch(checker: Any, path: Any, stamp: int, reaction_s: float, parameters: Any) -> Any:
+        used.append(reaction_s)
+        return decide(checker, path, stamp, reaction_s, parameters)
+
+    monkeypatch.setattr(arm_node, "decide", watch)
+    arm = ur_model("ur5e")
+    bus, clock = LocalBus(), SteppedClock(START)
+    node = ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm), PARAMETERS)
+    node.configure()
+    node.activate()
+    stamp = START
+    for gap_ms in gaps_ms:
+        stamp += gap_ms * 1_000_000
+        clock.advance_to(stamp)
+        bus.publish(OBSTACLES, convert.obstacles_to_message(obstacles_at(0, stamp)))
+    return used
+
+
+def test_the_reaction_lasts_until_the_next_decision_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before gaps are known, the deadline counts: after that the arm slows by itself."""
+    used = reactions([30] * (GAPS_KEPT + 2), monkeypatch)
+    assert used[0] == pytest.approx(PARAMETERS.limiter.deadline_s + COMMAND_S)
+    assert used[-1] == pytest.approx(0.03 + COMMAND_S)
+
+
+def test_a_long_gap_is_remembered_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = reactions([30] * 12 + [80] + [30] * (GAPS_KEPT + 1), monkeypatch)
+    assert used[11] == pytest.approx(0.03 + COMMAND_S)
+    assert used[12 : 12 + GAPS_KEPT] == pytest.approx([0.08 + COMMAND_S] * GAPS_KEPT)
+    assert used[12 + GAPS_KEPT] == pytest.approx(0.03 + COMMAND_S)
