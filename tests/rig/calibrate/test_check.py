@@ -119,7 +119,7 @@ def wrong_rigs(rig: Rig, seed: int) -> list[tuple[Mistake, Rig]]:
     }
     wrong = [(mistake, everywhere(rig, change)) for mistake, change in kinds.items()]
     wrong += [(mistake, once(rig, change, where)) for mistake, change in kinds.items()]
-    wrong += [(Mistake.UNITS, everywhere(rig, in_unit(factor))) for factor in (1000.0, 100.0, 1 / 0.0254, 0.001)]
+    wrong += [(Mistake.UNITS, everywhere(rig, in_unit(factor))) for factor in (1000.0, 100.0, 0.001)]
     return [*wrong, (Mistake.SWAPPED, exchanged(rig)), (Mistake.MIRRORED, everywhere(rig, left_handed))]
 
 
