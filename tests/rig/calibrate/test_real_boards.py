@@ -118,6 +118,6 @@ def test_the_report_is_one_page(recordings: Path, tmp_path: Path) -> None:
     assert main(["calibrate", "rig", str(tmp_path), "--board", board, "-o", str(rig)]) == 0
     assert main(["calibrate", "report", str(rig), str(tmp_path), "--board", board, "-o", str(page)]) == 0
     text = page.read_text()
-    assert text.count("data:image/png;base64,") == 3
+    assert text.count("data:image/png;base64,") == 4  # the rig, its links, residuals, coverage
     assert "http" not in text
     assert "left" in text and "right" in text
