@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bench.errors import BenchError
-from twin_node.bench.track_runs import Followed, follow, follow_live, start, to_and_fro, without
+from twin_node.bench.track_runs import Followed, follow, follow_live, start, to_and_fro
 from twin_node.bench.track_scores import ForesightScore, LookingBack, TrackScores, score_foresight, score_renderings
 from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.report.quality import clouds_against_images
+from twin_node.nodes.report.quality import clouds_against_images, without
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.scene import FrameSet, Tier
 

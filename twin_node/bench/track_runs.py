@@ -1,4 +1,4 @@
-"""Follows a log with a window model: in lockstep, at the log's pace, to and fro, or without one of its cameras."""
+"""Follows a log with a window model: in lockstep, at the log's pace, or to and fro."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.player import Player
-from twin_node.nodes.report.quality import Renderings, render_cloud, unit
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FRAMES, GAUSSIANS_MOVING, JOINT_STATES, STATE, TRUSTED_FRAMES
@@ -121,25 +120,6 @@ def _passed(sets: Sequence[FrameSet], shift_ns: int, backward: bool) -> Iterator
             for view in frames.views
         )
         yield dataclasses.replace(frames, stamp=max(view.stamp for view in views), views=views)
-
-
-def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator[Renderings]:
-    """A model that never sees camera `name` follows the others, and is shown from where that camera stands."""
-    first = still = previous = None
-    for frames in sets:
-        kept = tuple(view for view in frames.views if view.camera.name != name)
-        hidden = next((view for view in frames.views if view.camera.name == name), None)
-        if not kept:
-            continue
-        state = model.update(dataclasses.replace(frames, stamp=max(v.stamp for v in kept), views=kept))
-        if hidden is None:
-            continue
-        image = unit(hidden)
-        if first is None or still is None:
-            first, still = image, model.render_frozen(hidden.camera).rgb
-        ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
-        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, previous)
-        previous = image
 
 
 def follow_live(

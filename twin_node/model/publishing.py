@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, RGB, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
-from twin_node.scene import Float32, GaussianCloud, NodeStates, Tier, UInt8, UInt32
+from twin_node.scene import GaussianCloud, NodeStates, Tier
 
 
 class Publisher:
@@ -21,7 +20,7 @@ class Publisher:
 
     def __init__(self) -> None:
         self._version = self._colours = -1
-        self._still: _Part | None = None
+        self._still: GaussianCloud | None = None
 
     def cloud(self, gaussians: Gaussians, motion: Motion) -> GaussianCloud:
         """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
@@ -33,26 +32,11 @@ class Publisher:
             self._still = replace(self._still, rgb=rgb)
         self._colours = gaussians.static_colours
         moving = _part(gaussians, motion, torch.nonzero(gaussians.alive & (gaussians.tiers != int(Tier.STATIC)))[:, 0])
-        joined = {name: np.concatenate([value, getattr(moving, name)]) for name, value in vars(self._still).items()}
-        return GaussianCloud(**joined)
+        return self._still.joined(moving)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Some rows as the fields of a `GaussianCloud`."""
-
-    means: Float32
-    quats: Float32
-    scales: Float32
-    opacities: Float32
-    rgb: Float32
-    velocities: Float32
-    tiers: UInt8
-    ids: UInt32
-    nodes: NDArray[np.int32]
-
-
-def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> _Part:
+def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
+    """Some rows as a cloud."""
     carrier = gaussians.nodes[rows].cpu()
     nodes = motion.nodes
     with torch.no_grad():
@@ -66,7 +50,7 @@ def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> _Part:
     position_of = torch.full((nodes.capacity + 1,), -1, dtype=torch.int64)
     published = learned_rows(nodes)
     position_of[published] = torch.arange(len(published))
-    return _Part(
+    return GaussianCloud(
         means.numpy(),
         splats.quats[0].cpu().numpy(),
         splats.scales.cpu().numpy(),

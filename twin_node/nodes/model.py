@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import gc
 
-import numpy as np
-
 from twin_node.messages import convert
 from twin_node.model import WindowModel
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
-from twin_node.scene import FrameSet, GaussianCloud, Tier
+from twin_node.scene import FrameSet, Tier
 
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
@@ -32,7 +30,7 @@ class ModelNode(Node):
 
     def _on_frames(self, frames: FrameSet) -> None:
         state = self.model.update(frames)
-        moving = only(state.gaussians, state.gaussians.tiers != Tier.STATIC)
+        moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
         self.bus.publish(STATE, state)  # on a bus within the process this is when the forecast is made
         if self._is_first:
@@ -42,8 +40,3 @@ class ModelNode(Node):
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
-
-
-def only(cloud: GaussianCloud, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> GaussianCloud:
-    """The chosen rows [N] of a cloud."""
-    return GaussianCloud(**{name: values[chosen] for name, values in vars(cloud).items()})

@@ -132,14 +132,16 @@ def leave_one_out(
     """For each camera in turn: a fresh model that never sees it follows the others, and is scored on its images."""
     left_out = {}
     for camera in cameras if len(cameras) > 1 else ():
-        quality = score(_without(camera.name, sets(), make_model()))
+        quality = score(without(camera.name, sets(), make_model()))
         left_out[camera.name] = LeftOut(quality.psnr_moving_db, quality.frozen_psnr_moving_db)
     return left_out
 
 
-def _without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator[Renderings]:
+def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator[Renderings]:
+    """A model that never sees camera `name` follows the others, and is shown from where that camera stands."""
     first: Image | None = None
     still: Image | None = None
+    previous: Image | None = None
     for frames in sets:
         kept = tuple(view for view in frames.views if view.camera.name != name)
         hidden = next((view for view in frames.views if view.camera.name == name), None)
@@ -152,7 +154,8 @@ def _without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterato
         if first is None or still is None:
             first, still = image, model.render_frozen(hidden.camera).rgb
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
-        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, None)
+        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, previous)
+        previous = image
 
 
 class _Mean:
