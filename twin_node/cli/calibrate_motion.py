@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
@@ -56,6 +56,8 @@ def add_refine(kinds: Any) -> None:
     parser.add_argument("log", type=Path, metavar="LOG")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml")
     parser.add_argument("--plane", choices=("auto", "none"), default="auto", help="use the plane that most views show")
+    parser.add_argument("--time", action="store_true", help="then also the clocks, as 'calibrate time' does")
+    _add_clock_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(parser)
     parser.set_defaults(run=_refine)
@@ -66,11 +68,15 @@ def add_time(kinds: Any) -> None:
     parser = kinds.add_parser("time", help="clock offset and rate of every camera, from what moves")
     parser.add_argument("log", type=Path, metavar="LOG")
     parser.add_argument("-o", "--output", type=Path, metavar="RIG.yaml", help="rig with the offsets")
-    parser.add_argument("--max-offset", type=positive, default=0.15, metavar="S", help="largest offset sought, seconds")
-    parser.add_argument("--arm", metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
+    _add_clock_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(parser)
     parser.set_defaults(run=_time)
+
+
+def _add_clock_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--max-offset", type=positive, default=0.15, metavar="S", help="largest offset sought, seconds")
+    parser.add_argument("--arm", metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
 
 
 def _hand_eye(options: argparse.Namespace) -> None:
@@ -161,69 +167,103 @@ def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
 
 
 def _refine(options: argparse.Namespace) -> None:
-    from twin_node.rig import save_rig
+    from twin_node.rig import RigError, save_rig
     from twin_node.rig.calibrate.refine import refine_rig
 
     with _session(options) as session:
         rig = session.rig
         stills = _stills(session, options.max_rate or STILLS_RATE_HZ)
-    result = refine_rig(rig, stills, _plane(stills) if options.plane == "auto" else None)
-    given = _given(options, rig)
-    lines = [
+        result = refine_rig(rig, stills, _plane(stills) if options.plane == "auto" else None)
+        given = _given(options, rig)
+        lines = _refine_lines(result, [camera.name for camera in rig.cameras])
+        notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
+        refined = replace(given, rig=result.rig, date=_today(), notes=notes)
+        figures: dict[str, object] = _refine_figures(result)
+        warnings = list(result.skipped)
+        if options.time:
+            session.rig = result.rig
+            try:
+                timed = _timed(options, session, refined)
+            except RigError as error:  # the refined places are worth keeping all the same
+                warnings.append(f"clocks are left as they are: {error}")
+            else:
+                refined, lines, figures = timed.file, [*lines, *timed.lines], {**figures, "clocks": timed.figures}
+    save_rig(refined, options.output)
+    for reason in warnings:
+        print(f"twin_node: warning: {reason}", file=sys.stderr)
+    print(json.dumps(figures) if options.json else "\n".join([*lines, str(options.output)]))
+
+
+def _refine_lines(result: RefineResult, names: Sequence[str]) -> list[str]:
+    """How far each two cameras disagreed and disagree, to read."""
+    pairs = [
         f"{pair.a} and {pair.b}: epipolar {pair.epipolar_before_px:.2f} to {pair.epipolar_after_px:.2f} px{_gap(pair)}"
         for pair in result.pairs
     ]
-    names = [camera.name for camera in rig.cameras]
-    lines += [
+    surfaces = [
         f"{names[pair.a]} and {names[pair.b]}: surfaces {1e3 * pair.before_m:.1f} to {1e3 * pair.after_m:.1f} mm apart"
         for pair in result.surfaces
     ]
-    notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
-    save_rig(replace(given, rig=result.rig, date=_today(), notes=notes), options.output)
-    for reason in result.skipped:
-        print(f"twin_node: warning: {reason}", file=sys.stderr)
-    print(json.dumps(_refine_figures(result)) if options.json else "\n".join([*lines, str(options.output)]))
+    return pairs + surfaces
 
 
 def _time(options: argparse.Namespace) -> None:
+    from twin_node.rig import save_rig
+
+    with _session(options) as session:
+        timed = _timed(options, session, _given(options, session.rig))
+    if options.output:
+        save_rig(timed.file, options.output)
+    print(json.dumps(timed.figures) if options.json else "\n".join(timed.lines))
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """Clocks as a log tells them."""
+
+    file: RigFile
+    """The rig with the clocks that are certain."""
+    lines: list[str]
+    figures: dict[str, object]
+
+
+def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> _Timed:
+    """The clocks of a session's cameras, which stand as its rig says."""
     from twin_node.nodes.log_source import LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
-    from twin_node.rig import save_rig
     from twin_node.rig.calibrate.clocks import ClockParameters, calibrate_clocks
     from twin_node.rig.evidence import CameraEvidence
     from twin_node.robot import arm_model
 
-    with _session(options) as session:
-        rig = session.rig
-        source = LogSource(session, SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate))
-        sets = tqdm(source, unit="set", desc="read", disable=None)
-        arm = arm_model(options.arm) if options.arm else None
-        result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
+    source = LogSource(session, SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate))
+    sets = tqdm(source, unit="set", desc="time", disable=None)
+    arm = arm_model(options.arm) if options.arm else None
+    result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"
         + ("" if clock.certain else ", not more than it may be wrong by: left as it is")
         for clock in result.cameras
     ]
-    if options.output:
-        given = _given(options, rig)
-        notes = f"Clocks timed from {options.log.name} against {result.reference} ({'; '.join(lines)}). {given.notes}"
-        cameras = tuple(
-            clock.applied(camera) if clock.certain else camera
-            for camera, clock in zip(rig.cameras, result.cameras, strict=True)
+    notes = f"Clocks timed from {options.log.name} against {result.reference} ({'; '.join(lines)}). {given.notes}"
+    cameras = tuple(
+        clock.applied(camera) if clock.certain else camera
+        for camera, clock in zip(given.rig.cameras, result.cameras, strict=True)
+    )
+    known = given.evidence or (None,) * len(cameras)
+    evidence = tuple(
+        replace(
+            before or CameraEvidence(),
+            time_offset_sigma=clock.sigma_ns / 1e9,
+            time_rate_sigma_ppm=clock.rate_sigma_ppm,
         )
-        known = given.evidence or (None,) * len(cameras)
-        evidence = tuple(
-            replace(
-                before or CameraEvidence(),
-                time_offset_sigma=clock.sigma_ns / 1e9,
-                time_rate_sigma_ppm=clock.rate_sigma_ppm,
-            )
-            for before, clock in zip(known, result.cameras, strict=True)
-        )
-        timed = replace(given, rig=replace(rig, cameras=cameras), date=_today(), notes=notes.strip(), evidence=evidence)
-        save_rig(timed, options.output)
-    figures = {"reference": result.reference, "cameras": {clock.name: asdict(clock) for clock in result.cameras}}
-    print(json.dumps(figures) if options.json else "\n".join(lines))
+        for before, clock in zip(known, result.cameras, strict=True)
+    )
+    rig = replace(given.rig, cameras=cameras)
+    figures: dict[str, object] = {
+        "reference": result.reference,
+        "cameras": {clock.name: asdict(clock) for clock in result.cameras},
+    }
+    return _Timed(replace(given, rig=rig, date=_today(), notes=notes.strip(), evidence=evidence), lines, figures)
 
 
 def _rate(clock: CameraClock) -> str:

@@ -13,6 +13,8 @@ from twin_node.scene import Float64, RigCamera
 COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.items()}
 """Distortion models and how many coefficients are calibrated of each."""
 
+LEAST_ASPECT = 1e-3
+"""A solver's step may try what no lens is, a negative focal length: it is then as unlikely as this aspect."""
 ASPECT_SIGMA = 0.003
 """1 sigma of fy / fx: pixels of sensors are square; scaling by a video driver rounds to a pixel in 300 or more."""
 
@@ -65,7 +67,8 @@ class Lens:
         """[3 + D] what a lens hardly is, in sigmas: oblong pixels, off centre, strongly distorted."""
         fx, fy, cx, cy = self.parameters[:4]
         off_centre = (np.array([cx, cy]) - self._middle) / (CENTRE_SIGMA * self.width)
-        return np.concatenate([[np.log(fy / fx) / ASPECT_SIGMA], off_centre, self.D / DISTORTION_SIGMAS[self.model]])
+        oblong = np.log(max(fy / fx, LEAST_ASPECT)) / ASPECT_SIGMA
+        return np.concatenate([[oblong], off_centre, self.D / DISTORTION_SIGMAS[self.model]])
 
     def priors_jacobian(self) -> Float64:
         """[3 + D, 4 + D] of `priors` by `parameters`."""
