@@ -47,15 +47,15 @@ def test_refine_times_the_clocks_too(
     cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One file with places and clocks; where the arm hardly moves, the places alone, and a warning."""
-    out, log = tmp_path / "refined.yaml", str(cell_log(2.0))
-    assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", "--max-offset", "0.05"]) == 0
+    out, log, narrow = tmp_path / "refined.yaml", str(cell_log(2.0)), ("--max-offset", "0.05")
+    assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow]) == 0
     clocks = json.loads(capsys.readouterr().out)["clocks"]
     file = load_rig(out)
     assert list(clocks["cameras"]) == [camera.name for camera in file.rig.cameras]
     assert file.evidence is not None and all(
         one is not None and one.time_offset_sigma is not None for one in file.evidence
     )
-    assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", "--arm", "ur5e"]) == 0
+    assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow, "--arm", "ur5e"]) == 0
     captured = capsys.readouterr()
     assert "clocks are left as they are" in captured.err and "clocks" not in json.loads(captured.out)
 
