@@ -146,3 +146,25 @@ def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
         arm_model("kuka")
     with pytest.raises(ResourceError, match=r"missing\.xml: no such file"):
         arm_model(tmp_path / "missing.xml")
+
+
+@pytest.mark.parametrize("name", ["ur3e", "ur5e"])
+def test_detailed_meshes_give_the_same_arm_in_closer_capsules(name: str) -> None:
+    """The arm of airo-models moves as the published DH parameters say, and its capsules lie about the same places."""
+    pytest.importorskip("airo_models")
+    detailed, own = arm_model(f"airo:{name}"), arm_model(name)
+    q = np.array([0.3, -1.1, 1.2, -1.6, -1.4, 0.7])
+    theirs, ours = forward_kinematics(detailed, q), forward_kinematics(own, q)
+    assert np.allclose(theirs[1:, :3, 3], ours[1:, :3, 3], atol=1e-4)
+    assert set(detailed.link_names[1:]) <= set(own.link_names)
+    for link in range(2, 4):  # the long links
+        ends = [
+            place_capsules(arm, forward_kinematics(arm, q)).ends[arm.capsules.links == link] for arm in (detailed, own)
+        ]
+        assert np.linalg.norm(ends[0].mean(axis=(0, 1)) - ends[1].mean(axis=(0, 1))) < 0.1
+
+
+def test_an_unknown_detailed_arm_is_refused() -> None:
+    pytest.importorskip("airo_models")
+    with pytest.raises(RobotError, match="airo:ur5e"):
+        arm_model("airo:ur99")

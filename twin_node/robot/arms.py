@@ -9,14 +9,19 @@ from twin_node.robot.factory_kinematics import with_factory_kinematics
 from twin_node.robot.model import ArmModel, RobotError
 from twin_node.robot.ur import UR_NAMES, ur_model
 
+AIRO = "airo:"
+"""Before the name of an arm of the package airo-models, whose capsules are fitted to detailed collision meshes."""
+
 
 def arm_model(name: str | Path, kinematics: str | Path | None = None) -> ArmModel:
-    """Model of a UR arm ("ur5e"), or of the arm in an MJCF or URDF file ("my_arm.xml").
+    """Model of a UR arm ("ur5e"), of the arm in an MJCF or URDF file ("my_arm.xml"), or of airo-models' ("airo:ur5e").
 
     `kinematics` is a UR arm's own calibration file (see `with_factory_kinematics`). Raises `RobotError` for a name that
     is neither, and for a file that holds no serial arm or another's calibration; `ResourceError` for a file that is not
     there.
     """
+    if str(name).startswith(AIRO):
+        name = _airo_file(str(name).removeprefix(AIRO))
     if str(name) in UR_NAMES or not Path(name).suffix:
         model = ur_model(str(name))
         return model if kinematics is None else with_factory_kinematics(model, kinematics)
@@ -27,3 +32,18 @@ def arm_model(name: str | Path, kinematics: str | Path | None = None) -> ArmMode
     from twin_node.robot.mjcf import load_arm  # MuJoCo takes a third of a second to import
 
     return load_arm(find(name))
+
+
+def _airo_file(name: str) -> str:
+    """URDF of an arm of airo-models. Raises `RobotError` where the package or the arm is missing."""
+    try:
+        import airo_models
+    except ImportError:
+        raise RobotError(
+            f"{AIRO}{name}: expected the package airo-models; install it with pip install 'twin-node[models]'"
+        ) from None
+    arms = [known for known in airo_models.AIRO_MODEL_NAMES if known in UR_NAMES]
+    if name not in arms:
+        raise RobotError(f"{AIRO}{name}: expected {' or '.join(AIRO + arm for arm in arms)}")
+    path: str = airo_models.get_urdf_path(name)
+    return path
