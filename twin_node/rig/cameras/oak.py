@@ -7,21 +7,21 @@ while the others go on.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
-from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage, ImageQueue
+from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
+from twin_node.rig.cameras.threaded_source import QUEUED_PER_CAMERA, ThreadedSource
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float32, Float64
 
 RETRY_S = 1.0
 """Between two looks for a device, s."""
-QUEUED_PER_CAMERA = 4
 PAIR_TOLERANCE_NS = 10_000_000
 """A depth image belongs to the colour image of the same exposure: colour and mono mid-exposures differ by less."""
 SYNC_MODES = ("none", "auto", "output", "input", "ptp")
@@ -86,7 +86,7 @@ class OakStreams(Protocol):
         """Ends the pipeline and lets go of the device."""
 
 
-class OakSource:
+class OakSource(ThreadedSource[OakCamera]):
     """A thread per device."""
 
     def __init__(
@@ -96,9 +96,7 @@ class OakSource:
 
         Raises `RigError` for no cameras, equal names or an unknown preset, and where depthai is not installed.
         """
-        names = [camera.name for camera in cameras]
-        if not names or len(set(names)) != len(names):
-            raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
+        super().__init__(cameras)
         self._dai = _depthai()
         presets = self._dai.node.StereoDepth.PresetMode.__members__
         for camera in cameras:
@@ -107,44 +105,9 @@ class OakSource:
                     f"camera {camera.name}: depth_preset: expected one of {', '.join(presets)}, found "
                     f"'{camera.depth_preset}'"
                 )
-        self._cameras = tuple(cameras)
         self._connect = connect or _Devices(self._dai, self._cameras).connect
-        self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
-        self._health = {camera.name: CameraHealth(camera.name, False, "not looked for yet") for camera in cameras}
         self.calibrations: dict[str, FactoryCalibration] = {}
         """By camera name, of every device that has been connected."""
-        self._threads: list[threading.Thread] = []
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Names of the cameras."""
-        return tuple(camera.name for camera in self._cameras)
-
-    @property
-    def health(self) -> tuple[CameraHealth, ...]:
-        """How every camera is doing."""
-        return tuple(self._health[name] for name in self.cameras)
-
-    def images(self) -> Iterator[CameraImage]:
-        """Images as they come, until the source is closed."""
-        for camera in self._cameras:
-            thread = threading.Thread(target=self._guarded, args=(camera,), name=camera.name, daemon=True)
-            self._threads.append(thread)
-            thread.start()
-        yield from self._queue
-
-    def close(self) -> None:
-        """Ends `images` and lets go of the devices."""
-        self._queue.closed.set()
-        for thread in self._threads:
-            thread.join()
-
-    def _guarded(self, camera: OakCamera) -> None:
-        try:
-            self._run(camera)
-        except BaseException as error:  # the trace goes to the log; health must not go on saying that all is well
-            self._health[camera.name] = CameraHealth(camera.name, False, f"its thread failed: {error!r}")
-            raise
 
     def _run(self, camera: OakCamera) -> None:
         stamps = CaptureStamps(steady=lambda: _ns(self._dai.Clock.now()))

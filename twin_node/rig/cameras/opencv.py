@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 
-from twin_node.rig.cameras.image_source import CameraHealth, CameraImage, ImageQueue
+from twin_node.rig.cameras.image_source import CameraHealth, CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
-from twin_node.rig.errors import RigError
+from twin_node.rig.cameras.threaded_source import ThreadedSource
 
 RETRY_S = 1.0
 """Between two attempts to open a camera, s."""
-QUEUED_PER_CAMERA = 4
-"""Images of a camera that may wait for the reader: a seventh of a second at 30 Hz."""
 
 
 @dataclass(frozen=True)
@@ -37,43 +34,13 @@ class OpenCvCamera:
     """From mid-exposure to the image's arrival, as measured (`calibrate time`); stamps are so much before it."""
 
 
-class OpenCvSource:
+class OpenCvSource(ThreadedSource[OpenCvCamera]):
     """A thread per camera; one that fails is opened again every second."""
 
     def __init__(self, cameras: Sequence[OpenCvCamera], capture: Callable[[int | str], Any] | None = None) -> None:
         """`capture`: opens an address; OpenCV's own. Raises `RigError` for no cameras or equal names."""
-        names = [camera.name for camera in cameras]
-        if not names or len(set(names)) != len(names):
-            raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
-        self._cameras = tuple(cameras)
+        super().__init__(cameras)
         self._capture = capture or _open_capture
-        self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
-        self._health = {camera.name: CameraHealth(camera.name, False, "not opened yet") for camera in cameras}
-        self._threads: list[threading.Thread] = []
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Names of the cameras."""
-        return tuple(camera.name for camera in self._cameras)
-
-    @property
-    def health(self) -> tuple[CameraHealth, ...]:
-        """How every camera is doing."""
-        return tuple(self._health[name] for name in self.cameras)
-
-    def images(self) -> Iterator[CameraImage]:
-        """Images as they come, until the source is closed."""
-        for camera in self._cameras:
-            thread = threading.Thread(target=self._run, args=(camera,), name=camera.name, daemon=True)
-            self._threads.append(thread)
-            thread.start()
-        yield from self._queue
-
-    def close(self) -> None:
-        """Ends `images` and lets go of the cameras."""
-        self._queue.closed.set()
-        for thread in self._threads:
-            thread.join()
 
     def _run(self, camera: OpenCvCamera) -> None:
         stamps = CaptureStamps()

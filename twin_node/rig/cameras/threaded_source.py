@@ -1,0 +1,74 @@
+"""Cameras that are read by a thread each, whose images meet in one queue."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Generic, Protocol, TypeVar
+
+from twin_node.rig.cameras.image_source import CameraHealth, CameraImage, ImageQueue
+from twin_node.rig.errors import RigError
+
+QUEUED_PER_CAMERA = 4
+"""Images of a camera that may wait for the reader: a seventh of a second at 30 Hz."""
+
+
+class Named(Protocol):
+    """Anything with the name of a camera."""
+
+    @property
+    def name(self) -> str:
+        """As in the rig file."""
+
+
+C = TypeVar("C", bound=Named)
+
+
+class ThreadedSource(ABC, Generic[C]):
+    """An `ImageSource` of several cameras; a subclass says what the thread of one does."""
+
+    def __init__(self, cameras: Sequence[C]) -> None:
+        """Raises `RigError` for no cameras or equal names."""
+        names = [camera.name for camera in cameras]
+        if not names or len(set(names)) != len(names):
+            raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
+        self._cameras = tuple(cameras)
+        self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
+        self._health = {name: CameraHealth(name, False, "not looked for yet") for name in names}
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(camera.name for camera in self._cameras)
+
+    @property
+    def health(self) -> tuple[CameraHealth, ...]:
+        """How every camera is doing."""
+        return tuple(self._health[name] for name in self.cameras)
+
+    def images(self) -> Iterator[CameraImage]:
+        """Images as they come, until the source is closed."""
+        for camera in self._cameras:
+            thread = threading.Thread(target=self._guarded, args=(camera,), name=camera.name, daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        yield from self._queue
+
+    def close(self) -> None:
+        """Ends `images` and lets go of the cameras."""
+        self._queue.closed.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _guarded(self, camera: C) -> None:
+        try:
+            self._run(camera)
+        except BaseException as error:  # the trace goes to the log; health must not go on saying that all is well
+            self._health[camera.name] = CameraHealth(camera.name, False, f"its thread failed: {error!r}")
+            raise
+
+    @abstractmethod
+    def _run(self, camera: C) -> None:
+        """Puts a camera's images into the queue until that is closed."""
