@@ -6,39 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bvh_files import ONE_ARM, written
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twin_node.bag import BagError
 from twin_node.bag.bvh import read_clip
-
-ONE_ARM = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 9 9 9
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT RightArm
-  {
-    OFFSET 0 10 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 5 0 0
-    }
-  }
-}
-MOTION
-Frames: 2
-Frame Time: 0.05
-0 80 0 0 0 0 0 0 0
-1 80 0 90 0 0 0 0 90
-"""
-
-
-def written(folder: Path, text: str) -> Path:
-    path = folder / "motion.bvh"
-    path.write_text(text)
-    return path
 
 
 def test_positions_follow_the_channels_in_their_order(tmp_path: Path) -> None:

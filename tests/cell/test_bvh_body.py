@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bvh_files import ONE_ARM, written
 
 from twin_node import resources
 from twin_node.bag.bvh import read_clip
@@ -17,34 +18,6 @@ from twin_node.cell.people import HAND_RADIUS, LEG_RADIUS
 from twin_node.cell.scenario import BvhMotion, Person
 from twin_node.cell.shapes import Form
 from twin_node.cell.world import World
-
-ONE_ARM = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 9 9 9
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT RightArm
-  {
-    OFFSET 0 10 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 5 0 0
-    }
-  }
-}
-MOTION
-Frames: 2
-Frame Time: 0.05
-0 80 0 0 0 0 0 0 0
-1 80 0 90 0 0 0 0 90
-"""
-
-
-def written(folder: Path, text: str) -> Path:
-    path = folder / "motion.bvh"
-    path.write_text(text)
-    return path
 
 
 @pytest.mark.parametrize("name", MADE)
