@@ -1,12 +1,11 @@
-"""Adds the compiled CPU rasteriser to what setuptools builds; all metadata stands in pyproject.toml."""
+"""Adds the compiled CPU kernels to what setuptools builds; all metadata stands in pyproject.toml."""
 
 import importlib.util
+import itertools
 from pathlib import Path
 
 from setuptools import Distribution, setup
 from setuptools.command.build_py import build_py
-
-SPLAT = Path("twin_node/splat")
 
 
 class BuildWithKernels(build_py):
@@ -16,15 +15,15 @@ class BuildWithKernels(build_py):
         super().run()
         if self.editable_mode:
             return
-        spec = importlib.util.spec_from_file_location("native_build", SPLAT / "native_build.py")
+        spec = importlib.util.spec_from_file_location("native_build", "twin_node/native_build.py")
         native_build = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(native_build)
-        folder = Path(self.build_lib) / SPLAT / "native"
-        for variant in native_build.variants():
+        for kernels, variant in itertools.product(native_build.ROOMS, native_build.variants()):
+            shipped = kernels.shipped_library(variant)
             try:
-                native_build.compile_library(variant, folder / native_build.shipped_library(variant).name)
+                kernels.compile(variant, Path(self.build_lib) / shipped.relative_to(Path(__file__).resolve().parent))
             except native_build.CompileError as error:
-                self.announce(f"the CPU rasteriser is not compiled ({variant}): {error}", level=3)
+                self.announce(f"the kernels of {kernels.name} are not compiled ({variant}): {error}", level=3)
 
 
 class BinaryDistribution(Distribution):

@@ -1,6 +1,6 @@
 import pytest
 
-from twin_node.splat import native_build
+from twin_node import native_build
 from twin_node.splat.library import NativeLibrary, load_variant
 
 

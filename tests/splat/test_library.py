@@ -14,7 +14,9 @@ import pytest
 import torch
 from splat_scenes import assert_close, differentiate, make_case
 
-from twin_node.splat import SplatError, image_loss, native_build, rasterize, rasterize_plain
+from twin_node import native_build
+from twin_node.native_build import Kernels
+from twin_node.splat import SplatError, image_loss, rasterize, rasterize_plain
 from twin_node.splat import library as native
 from twin_node.splat.library import NativeLibrary
 
@@ -22,34 +24,33 @@ TINY = 'extern "C" __attribute__((visibility("default"))) int splat_interface_ve
 
 
 @pytest.fixture
-def tiny_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Sources that compile in no time, and a cache of their own."""
+def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kernels:
+    """Kernels that compile in no time, and a cache of their own."""
     native_build.find_compiler()
     folder = tmp_path / "native"
     folder.mkdir()
     (folder / "library.cpp").write_text(TINY)
-    monkeypatch.setattr(native_build, "SOURCES", folder)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return folder
+    return Kernels("tiny", folder)
 
 
-def test_second_use_finds_the_first_ones_library(tiny_sources: Path, monkeypatch: pytest.MonkeyPatch):
-    library = native_build.cached_library("baseline")
+def test_second_use_finds_the_first_ones_library(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    library = tiny.cached_library("baseline")
     assert library.parent.stat().st_mode & stat.S_IRWXO == 0
-    monkeypatch.setattr(native_build, "compile_library", lambda *_: pytest.fail("compiled again"))
-    assert native_build.cached_library("baseline") == library
+    monkeypatch.setattr(Kernels, "compile", lambda *_: pytest.fail("compiled again"))
+    assert tiny.cached_library("baseline") == library
 
 
-def test_changed_sources_get_a_library_of_their_own(tiny_sources: Path):
-    first = native_build.cached_library("baseline")
-    (tiny_sources / "library.cpp").write_text(TINY.replace("7", "8"))
-    assert native_build.cached_library("baseline") != first
+def test_changed_sources_get_a_library_of_their_own(tiny: Kernels):
+    first = tiny.cached_library("baseline")
+    (tiny.folder / "library.cpp").write_text(TINY.replace("7", "8"))
+    assert tiny.cached_library("baseline") != first
 
 
-def test_processes_that_compile_at_once_all_get_a_whole_library(tiny_sources: Path):
+def test_processes_that_compile_at_once_all_get_a_whole_library(tiny: Kernels):
     program = (
-        "import sys; from pathlib import Path; from twin_node.splat import native_build as b; "
-        f"b.SOURCES = Path({str(tiny_sources)!r}); print(b.cached_library('baseline'))"
+        "from pathlib import Path; from twin_node.native_build import Kernels; "
+        f"print(Kernels('tiny', Path({str(tiny.folder)!r})).cached_library('baseline'))"
     )
     running = [subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) for _ in range(2)]
     paths = {process.communicate()[0].strip() for process in running}
@@ -58,23 +59,24 @@ def test_processes_that_compile_at_once_all_get_a_whole_library(tiny_sources: Pa
     assert [path.suffix for path in folder.iterdir()] == [".so"]
 
 
-def test_compiler_errors_are_told_and_leave_nothing(tiny_sources: Path):
-    (tiny_sources / "library.cpp").write_text("this is no C++\n")
+def test_compiler_errors_are_told_and_leave_nothing(tiny: Kernels):
+    (tiny.folder / "library.cpp").write_text("this is no C++\n")
     with pytest.raises(native_build.CompileError, match=r"ended with status 1: .*error"):
-        native_build.cached_library("baseline")
-    assert list((tiny_sources.parent / "cache" / "twin_node").iterdir()) == []
+        tiny.cached_library("baseline")
+    assert list((tiny.folder.parent / "cache" / "twin_node").iterdir()) == []
 
 
-def test_a_cache_that_cannot_be_written_is_replaced(tiny_sources: Path, monkeypatch: pytest.MonkeyPatch):
-    blocked = tiny_sources.parent / "file"
+def test_a_cache_that_cannot_be_written_is_replaced(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    blocked = tiny.folder.parent / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    library = native_build.cached_library("baseline")
+    library = tiny.cached_library("baseline")
     assert library.exists()
     assert library.parent.stat().st_uid == os.getuid()
 
 
-def test_a_library_of_another_interface_is_refused(tiny_sources: Path):
+def test_a_library_of_another_interface_is_refused(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(native_build, "SPLAT", tiny)
     with pytest.raises(OSError, match="expected interface version 3, found 7"):
         native.load_variant("baseline")
 
@@ -82,7 +84,7 @@ def test_a_library_of_another_interface_is_refused(tiny_sources: Path):
 def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
-    monkeypatch.setattr(native_build, "shipped_library", lambda variant: tmp_path / variant)
+    monkeypatch.setattr(Kernels, "shipped_library", lambda _, variant: tmp_path / variant)
     native.native_library.cache_clear()
     try:
         case = make_case(count=40, width=16, height=12)

@@ -9,8 +9,9 @@ import pytest
 import torch
 from splat_scenes import Case, assert_close, differentiate, make_case
 
+from twin_node import native_build
 from twin_node.splat import library as native
-from twin_node.splat import native_build, rasterize, rasterize_plain
+from twin_node.splat import rasterize, rasterize_plain
 from twin_node.splat.library import NativeLibrary
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from twin_node.splat import native_build
+from twin_node import native_build
 
 FLAGS = ("-std=c++17", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-fopenmp")
 PROGRAM = """
@@ -53,7 +53,7 @@ def test_kernels_are_clean(tmp_path: Path):
     target = [] if variant == "baseline" else [f"-march={variant}"]
     library = tmp_path / "libsplat.so"
     shared = ("-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=fast", "-Wno-psabi")
-    source = native_build.SOURCES / "library.cpp"
+    source = native_build.SPLAT.folder / "library.cpp"
     subprocess.run([compiler, *FLAGS, *shared, *target, str(source), "-o", str(library)], check=True)
     checkout = Path(__file__).parents[2]
     environment = {

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import torch  # loads the OpenMP runtime that the library then shares
 
-from twin_node.splat import native_build
+from twin_node import native_build
 from twin_node.splat.errors import SplatError
 
 INTERFACE_VERSION = 3
@@ -210,8 +210,7 @@ def load_variant(variant: str) -> NativeLibrary:
 
     Raises `native_build.CompileError` or `OSError`.
     """
-    shipped = native_build.shipped_library(variant)
-    return NativeLibrary(shipped if shipped.exists() else native_build.cached_library(variant))
+    return NativeLibrary(native_build.SPLAT.best_library(variant))
 
 
 @cache

@@ -1,6 +1,6 @@
-"""Compiles the CPU rasteriser of `native/` with the system's C++ compiler; standard library only.
+"""Compiles the C++ kernels of the rooms with the system's compiler; standard library only.
 
-`setup.py` runs this file while the package itself cannot be imported yet, and `library` imports it to compile at first
+`setup.py` runs this file while the package itself cannot be imported yet, and the rooms import it to compile at first
 use. A library's name carries the hash of all that it was made from, so that a stale one is never loaded.
 """
 
@@ -13,8 +13,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-
-SOURCES = Path(__file__).resolve().parent / "native"
+from typing import NamedTuple
 
 FLAGS = (
     *("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"),
@@ -76,44 +75,63 @@ def find_compiler() -> str:
     raise CompileError("no C++ compiler found (looked for $CXX, c++, g++, clang++); install g++")
 
 
-def source_hash() -> str:
-    """Twelve hex digits over the sources and the flags."""
-    digest = hashlib.sha256(" ".join(FLAGS).encode())
-    for path in sorted((*SOURCES.glob("*.cpp"), *SOURCES.glob("*.h"))):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:12]
+class Kernels(NamedTuple):
+    """The C++ kernels of one room: all sources stand in one folder, and `library.cpp` includes the others."""
+
+    name: str
+    folder: Path
+
+    def source_hash(self) -> str:
+        """Twelve hex digits over the sources and the flags."""
+        digest = hashlib.sha256(" ".join(FLAGS).encode())
+        for path in sorted((*self.folder.glob("*.cpp"), *self.folder.glob("*.h"))):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+        return digest.hexdigest()[:12]
+
+    def shipped_library(self, variant: str) -> Path:
+        """Where an installed package keeps the library of a variant."""
+        return self.folder / f"lib{self.name}-{variant}-{self.source_hash()}.so"
+
+    def cached_library(self, variant: str) -> Path:
+        """Path of the library in the user's cache, compiled now if it is not there yet.
+
+        Safe when several processes do it at once: each compiles to a file of its own and moves it into place. Raises
+        `CompileError`.
+        """
+        compiler = find_compiler()
+        version = _run([compiler, "--version"]).splitlines()[0]
+        key = hashlib.sha256(f"{self.source_hash()} {version}".encode()).hexdigest()[:12]
+        library = _cache_folder() / f"lib{self.name}-{variant}-{key}.so"
+        if not library.exists():
+            self.compile(variant, library, compiler)
+        return library
+
+    def best_library(self, variant: str) -> Path:
+        """As shipped with the package, else compiled into the user's cache. Raises `CompileError`."""
+        shipped = self.shipped_library(variant)
+        return shipped if shipped.exists() else self.cached_library(variant)
+
+    def compile(self, variant: str, to: Path, compiler: str | None = None) -> None:
+        """Compiles one variant to the file `to`, which appears whole or not at all. Raises `CompileError`."""
+        _compile(self.folder / "library.cpp", variant, to, compiler or find_compiler())
 
 
-def shipped_library(variant: str) -> Path:
-    """Where an installed package keeps the library of a variant."""
-    return SOURCES / f"libsplat-{variant}-{source_hash()}.so"
+SPLAT = Kernels("splat", Path(__file__).resolve().parent / "splat" / "native")
+"""The CPU rasteriser."""
+FORECAST = Kernels("forecast", Path(__file__).resolve().parent / "forecast" / "native")
+"""Carving and growth of the forecast's grid."""
+ROOMS = (SPLAT, FORECAST)
 
 
-def cached_library(variant: str) -> Path:
-    """Path of the library in the user's cache, compiled now if it is not there yet.
-
-    Safe when several processes do it at once: each compiles to a file of its own and moves it into place. Raises
-    `CompileError`.
-    """
-    compiler = find_compiler()
-    version = _run([compiler, "--version"]).splitlines()[0]
-    key = hashlib.sha256(f"{source_hash()} {version}".encode()).hexdigest()[:12]
-    library = _cache_folder() / f"libsplat-{variant}-{key}.so"
-    if not library.exists():
-        compile_library(variant, library, compiler)
-    return library
-
-
-def compile_library(variant: str, to: Path, compiler: str | None = None) -> None:
-    """Compiles one variant to the file `to`, which appears whole or not at all. Raises `CompileError`."""
-    command = [compiler or find_compiler(), *FLAGS, "-fopenmp", "-Wno-psabi"]
+def _compile(source: Path, variant: str, to: Path, compiler: str) -> None:
+    command = [compiler, *FLAGS, "-fopenmp", "-Wno-psabi"]
     if variant != "baseline":
         command.append(f"-march={variant}")
     to.parent.mkdir(parents=True, exist_ok=True)
     handle, scratch = tempfile.mkstemp(suffix=".so", dir=to.parent)
     os.close(handle)
     try:
-        _run([*command, str(SOURCES / "library.cpp"), "-o", scratch])
+        _run([*command, str(source), "-o", scratch])
         Path(scratch).chmod(0o755)
         Path(scratch).replace(to)
     finally:
