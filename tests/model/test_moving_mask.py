@@ -118,6 +118,20 @@ def test_robot_is_left_out(scene: Scene) -> None:
         assert not (found & box(left)).any()
 
 
+def test_ground_that_the_robot_uncovers_is_not_motion(scene: Scene) -> None:
+    for left in range(60, 20, -2):
+        assert not scene.show(box(left), robot=box(left - 3, 27, 26)).any()
+
+
+def test_a_thing_that_the_robot_uncovers_little_by_little_is_motion(scene: Scene) -> None:
+    for left in range(0, 42, 2):  # the thing goes behind the robot that has stood there from the start
+        scene.show(box(left), robot=box(40, 25, 30))
+    for edge in range(42, 60, 2):  # and the robot withdraws
+        robot = box(edge, 25, 30)
+        found = scene.show(box(40), robot=robot)
+        assert share(found, box(40) & ~robot) >= 0.9
+
+
 def test_same_images_give_the_same_masks() -> None:
     first, second = Scene(), Scene()
     for left in range(0, 60, 4):

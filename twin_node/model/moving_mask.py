@@ -80,6 +80,7 @@ class _CameraMask:
         self.shape = view.rgb.shape[:2]
         self._background = _planes(view.rgb)
         self._depth = None if view.depth is None else view.depth.copy()
+        self._known = np.zeros(self.shape, np.bool_)  # False where nothing but the robot has been seen yet
         self._trusted = np.ones(self.shape, np.bool_)  # False where the background may show the moving thing itself
         self._confirmed = np.zeros(self.shape, np.bool_)  # was covered once, and is known to be ground since
         self._mask = np.zeros(self.shape, np.bool_)
@@ -93,14 +94,15 @@ class _CameraMask:
         """The mask [H, W] of this view."""
         image = _planes(view.rgb)
         seen = _seen(view, robot)
+        gain = _gain(image, self._background, seen & ~self._mask & self._known)
+        self._meet(image / gain, view, seen & ~self._known)
         free = seen & ~self._mask
-        gain = _gain(image, self._background, free)
         settled = self._settled(image, view.stamp, free)
         threshold = max(self.parameters.change_levels, self.parameters.change_sigmas * self._sigma)
         expected = self._background * gain
         difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
-        in_front = self._depth_in_front(view)
-        moving = self._regions(np.where(self._trusted, difference, 0), threshold) | in_front
+        in_front = self._depth_in_front(view, seen)
+        moving = self._regions(np.where(self._trusted & seen, difference, 0), threshold) | in_front
         like_ground = difference < 0.5 * threshold
         mask = moving | (self._mask & ~_eroded(self._trusted & like_ground))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
@@ -114,6 +116,18 @@ class _CameraMask:
         self._mask = mask & ~uncovered
         self._learn(image / gain, view, seen & ~self._mask)
         return self._mask.copy()
+
+    def _meet(self, image: Float32, view: View, fresh: Bool) -> None:
+        """Takes pixels that are seen for the first time as the scene at rest, unless they touch what moves."""
+        if not fresh.any():
+            return
+        self._known |= fresh
+        self._background[:, fresh] = image[:, fresh]
+        if view.depth is not None and self._depth is not None:
+            self._depth[fresh] = view.depth[fresh]
+        doubtful = fresh & (cv2.dilate(self._mask.astype(np.uint8), self._close) > 0)
+        self._trusted &= ~doubtful
+        self._mask |= doubtful
 
     def _settled(self, image: Float32, stamp: int, free: Bool) -> Bool:
         """Pixels that look as they did one baseline ago and have been still since; measures the noise on the way."""
@@ -166,11 +180,11 @@ class _CameraMask:
         closed: Bool = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, self._close)[margin:-margin, margin:-margin] > 0
         return closed
 
-    def _depth_in_front(self, view: View) -> Bool:
-        """Where the measured surface stands in front of the background's."""
+    def _depth_in_front(self, view: View, seen: Bool) -> Bool:
+        """Where a measured surface stands in front of the background's."""
         if view.depth is None or self._depth is None:
             return np.zeros(self.shape, np.bool_)
-        known = (view.depth > 0) & (self._depth > 0)
+        known = seen & (view.depth > 0) & (self._depth > 0)
         near = known & (view.depth < self._depth * (1 - self.parameters.depth_levels) - 0.01)
         return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
 
