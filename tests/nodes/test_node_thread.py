@@ -65,7 +65,7 @@ class Bench:
         self.heard, self.ended = threading.Semaphore(0), threading.Event()
         self.wire = LocalWire()
         monkeypatch.setattr(node_thread, "find_factory", lambda name: self.make)
-        self.thread = NodeThread("counter", ORDER, self.wire, SystemClock(), self.ended.set)
+        self.thread = NodeThread("counter", ORDER, self.wire, SystemClock(), self.ended.set, print)
         self.send: Send = self.wire.publisher("test", JOINT_STATES, kind_of(JOINT_STATES))
 
     def make(self, setup: Setup) -> Counter:

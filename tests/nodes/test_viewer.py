@@ -17,15 +17,19 @@ from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
 from twin_node.cli import main
 from twin_node.geometry import quat_from_rotation
+from twin_node.messages import convert
 from twin_node.nodes.playback import Playback, Snapshot
 from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import GAUSSIANS
+from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
 from twin_node.nodes.viewer import CellPage, LogViewer
-from twin_node.nodes.viewer.picking import Pick, PickedThing, Ray, pick
+from twin_node.nodes.viewer.live import Heard
+from twin_node.nodes.viewer.picked import PickedThing
+from twin_node.nodes.viewer.picking import Pick, Ray, pick
 from twin_node.nodes.viewer.solids import capsule_mesh
 from twin_node.nodes.viewer.splats import covariances_of
 from twin_node.robot import ur_model
-from twin_node.scene import Camera
+from twin_node.runtime.wire import encoded
+from twin_node.scene import Camera, ObstacleKind
 
 viser = pytest.importorskip("viser")
 
@@ -51,8 +55,10 @@ def test_a_ray_at_an_obstacle_picks_it(twin_log: Path, target: int) -> None:
     middle = obstacles.positions[list(obstacles.ids).index(target)]
     origin = middle + np.array([0.1, 0.2, 3.0])
     direction = (middle - origin) / np.linalg.norm(middle - origin)
-    assert pick(snapshot, Ray(origin, direction)) == Pick(True, target)
-    assert pick(snapshot, Ray(origin, -direction)) is None
+    shown = {ObstacleKind.MOVING}
+    assert pick(snapshot, Ray(origin, direction), shown, True) == Pick(target, ObstacleKind.MOVING)
+    assert pick(snapshot, Ray(origin, -direction), shown, True) is None
+    assert pick(snapshot, Ray(origin, direction), {ObstacleKind.UNKNOWN}, False) is None
 
 
 def test_a_ray_at_a_gaussian_picks_the_nearest_solid_one(twin_log: Path) -> None:
@@ -61,15 +67,43 @@ def test_a_ray_at_a_gaussian_picks_the_nearest_solid_one(twin_log: Path) -> None
     cloud = cloud_at(0, True)
     chosen = int(np.flatnonzero(cloud.opacities > 0.5)[0])
     origin = cloud.means[chosen].astype(np.float64) - [0, 0, 1e-3]
-    assert pick(snapshot, Ray(origin, np.array([0.0, 0, 1]))) == Pick(False, int(cloud.ids[chosen]))
+    ray = Ray(origin, np.array([0.0, 0, 1]))
+    assert pick(snapshot, ray, {ObstacleKind.MOVING}, True) == Pick(int(cloud.ids[chosen]), None)
+    assert pick(snapshot, ray, {ObstacleKind.MOVING}, False) is None
 
 
-def test_what_was_picked_is_followed_until_it_is_gone(twin_log: Path) -> None:
+@pytest.mark.parametrize(
+    ("picked", "name"), [(Pick(7, ObstacleKind.MOVING), "Obstacle 7"), (Pick(45, None), "Gaussian 45")]
+)
+def test_what_is_picked_has_a_history_in_the_log(twin_log: Path, picked: Pick, name: str) -> None:
+    """Both move 10 cm per second along x; the log says so of the time before the click, and of the time after."""
     with Playback([twin_log]) as playback:
-        thing = PickedThing(Pick(True, 7))
-        thing.describe(playback.at(START))
-        assert "moved 5.0 cm in the 0.5 s" in thing.describe(playback.at(START + 5 * PERIOD))
-        assert "is no more" in PickedThing(Pick(True, 12345)).describe(playback.at(START))
+        thing = PickedThing(picked)
+        told = thing.describe(playback.at(START + 9 * PERIOD))
+        assert f"**{name}**" in told and "known for 0.9 s or longer; moved 9.0 cm" in told
+        assert len(thing.trail) == 10 and np.allclose(np.diff(thing.trail[:, 0]), 0.01, atol=1e-6)
+        assert "moved 10.0 cm" in thing.describe(playback.at(START + 10 * PERIOD))
+        assert "moved 2.0 cm" in thing.describe(playback.at(START + 2 * PERIOD))
+
+
+def test_what_is_gone_is_no_more_and_what_stands_has_no_history(twin_log: Path) -> None:
+    with Playback([twin_log]) as playback:
+        snapshot = playback.at(START)
+        assert "is no more" in PickedThing(Pick(12345, ObstacleKind.MOVING)).describe(snapshot)
+        assert "is no more" in PickedThing(Pick(12345, None)).describe(snapshot)
+        assert "does not move" in PickedThing(Pick(0, None)).describe(snapshot)
+
+
+def test_an_obstacle_is_followed_where_its_id_changes() -> None:
+    """Ids of the cover name cells of space: what moves on has another one."""
+    thing = PickedThing(Pick(7, ObstacleKind.MOVING))
+    for k in range(4):
+        stamp = START + k * PERIOD
+        obstacles = replace(obstacles_at(k, stamp), ids=np.tile(np.array([7 + 10 * k, 8, 9], np.uint32), 2))
+        said = {OBSTACLES: Heard(stamp, encoded(convert.obstacles_to_message(obstacles)))}
+        told = thing.describe(Snapshot(stamp, said, {}, None))
+        assert f"**Obstacle {7 + 10 * k}**" in told
+    assert "moved 3.0 cm" in told
 
 
 def test_covariances_are_those_of_the_gaussians() -> None:

@@ -23,6 +23,7 @@ from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING
 from twin_node.nodes.viewer import CellPage
 from twin_node.nodes.viewer.live import Heard
 from twin_node.robot import ur_model
+from twin_node.runtime.wire import encoded
 from twin_node.scene import GaussianCloud, Tier
 
 BYTES_PER_SPLAT = 32
@@ -108,7 +109,7 @@ def _show_all(page: CellPage, parameters: ViewerBenchParameters) -> list[float]:
     """Draws at the rate asked for; the time that each picture took, s."""
     cloud = _cloud(parameters)
     moving = cloud.tiers == Tier.RIGID
-    whole = Heard(0, convert.gaussians_to_pointcloud2(cloud, 0))
+    whole = Heard(0, encoded(convert.gaussians_to_pointcloud2(cloud, 0)))
     times: list[float] = []
     begun = time.perf_counter()
     while (now := time.perf_counter()) - begun < parameters.seconds:
@@ -116,7 +117,7 @@ def _show_all(page: CellPage, parameters: ViewerBenchParameters) -> list[float]:
         cloud.means[moving, 0] += np.float32(1e-3)
         said = {
             GAUSSIANS: whole,
-            GAUSSIANS_MOVING: Heard(stamp, convert.gaussians_to_pointcloud2(cloud.only(moving), stamp)),
+            GAUSSIANS_MOVING: Heard(stamp, encoded(convert.gaussians_to_pointcloud2(cloud.only(moving), stamp))),
         }
         page.show(Snapshot(stamp, said, {}, None))
         times.append(time.perf_counter() - now)

@@ -1,4 +1,4 @@
-"""`twin_node view`: a log in the browser."""
+"""`twin_node view`: a log, or the running graph, in the browser."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.cli.arguments import not_negative, whole, width
+from twin_node.errors import TwinError
 
 
 def add_view(commands: Any) -> None:
     """Adds `view` to the subcommands."""
-    view = commands.add_parser("view", help="look at a log in the browser")
-    view.add_argument("log", type=Path, nargs="+", metavar="LOG", help="the twin's log; also the one it was made from")
-    view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
-    view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
-    view.add_argument("--width", type=width, default=320, metavar="PX", help="width of the images (default 320)")
+    view = commands.add_parser(
+        "view",
+        help="look at a log, or at the running graph, in the browser",
+        description="Opens a page for any number of visitors, who all see the same time. With --live it joins the "
+        "graph that runs on this machine, or behind --endpoint, and learns of its cameras from the graph itself.",
+    )
+    view.add_argument("log", type=Path, nargs="*", metavar="LOG", help="the twin's log; also the one it was made from")
+    view.add_argument("--live", action="store_true", help="the running graph instead of a log")
+    view.add_argument("--endpoint", metavar="ADDRESS", help="live: the graph's router (default tcp/127.0.0.1:7447)")
+    view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
+    view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints (default ur10e)")
+    view.add_argument("--width", type=width, metavar="PX", help="of the images (default 320 of logs, 160 live)")
     view.add_argument("--at", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into the log")
     view.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     view.add_argument("--port", type=whole, default=8080, help="port to listen on (default 8080)")
@@ -23,15 +31,35 @@ def add_view(commands: Any) -> None:
 
 
 def _view(options: argparse.Namespace) -> None:
+    if options.live == bool(options.log):
+        raise TwinError("view: expected a LOG, or --live for the running graph; give one of them")
+    if options.live:
+        _view_graph(options)
+        return
+    if options.endpoint:
+        raise TwinError("view: --endpoint is for --live; leave it out to look at a log")
+    view_log(options.log, options.rig, options.arm, options.width or 320, options.at, options.host, options.port)
+
+
+def view_log(
+    logs: list[Path],
+    rig: Path | None = None,
+    arm: str = "ur10e",
+    images_px: int = 320,
+    at_s: float = 0.0,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Shows the logs of a run until interrupted; says where."""
     from twin_node.nodes.playback import Playback
     from twin_node.nodes.viewer import CellPage, LogViewer
     from twin_node.robot import arm_model
 
-    arm = arm_model(options.arm)
-    with Playback(options.log, options.width, options.rig) as playback:
-        page = CellPage(arm, playback.cameras, options.host, options.port)
+    model = arm_model(arm)
+    with Playback(logs, images_px, rig) as playback:
+        page = CellPage(model, playback.cameras, host, port)
         viewer = LogViewer(playback, page)
-        viewer.seek(options.at)
+        viewer.seek(at_s)
         if not playback.has_twin:
             print(f"{playback.name}: no /twin topics; add the log that 'twin_node replay LOG -o FILE' writes")
         print(f"{page.url} (Ctrl-C ends)", flush=True)
@@ -39,3 +67,15 @@ def _view(options: argparse.Namespace) -> None:
             viewer.run()
         finally:
             page.close()
+
+
+def _view_graph(options: argparse.Namespace) -> None:
+    from twin_node.nodes.live.single import run_single
+    from twin_node.runtime.zenoh_session import ZenohParameters
+
+    parameters = {"host": options.host, "port": options.port, "rig_file": str(options.rig or "")}
+    if options.width:
+        parameters["width"] = options.width
+    zenoh = ZenohParameters(endpoint=options.endpoint) if options.endpoint else None
+    arm = {"arm": {"model": options.arm}}
+    run_single("viewer", parameters, "view", zenoh=zenoh, others=arm, follows_clock=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Protocol
 
@@ -57,6 +57,14 @@ class Said(Protocol):
         """As it was published."""
 
 
+Earlier = Callable[[str, int], Sequence[Said]]
+"""What was said on a topic in so many ns before a time, and at it, oldest first."""
+
+
+def _nothing(_topic: str, _ns: int) -> Sequence[Said]:
+    return ()
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said."""
@@ -67,6 +75,7 @@ class Snapshot:
     """The newest message of each topic."""
     cameras: Mapping[str, CameraTopics]
     assembler: FrameAssembler | None
+    earlier: Earlier = _nothing
 
     @cached_property
     def cloud(self) -> GaussianCloud | None:
@@ -175,7 +184,7 @@ class Playback:
         else:
             self._said = self._look_back(stamp)
         self._last_stamp = stamp
-        return Snapshot(stamp, self._said, self._cameras, self._assembler)
+        return Snapshot(stamp, self._said, self._cameras, self._assembler, partial(self._before, stamp))
 
     def stamps(self, topic: str, start_ns: int, stop_ns: int) -> list[int]:
         """Log times (ns) of a topic's messages from `start_ns` on and before `stop_ns`; none for an unknown topic."""
@@ -201,6 +210,11 @@ class Playback:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _before(self, stamp: int, topic: str, ns: int) -> Sequence[LogMessage]:
+        if topic not in self.topics:
+            return ()
+        return tuple(self.topics[topic].messages([topic], stamp - ns, stamp + 1))
 
     def _span(self) -> tuple[int, int]:
         """The time in which there is something of the twin to see; of the images where there is no twin."""

@@ -20,8 +20,13 @@ GRACE_S = 5.0
 class Child:
     """A spawned process: its orders go down a pipe, its events come up one, its output goes to a log."""
 
-    def __init__(self, name: str, order: Order, log: Path, on_news: Callable[[], None]) -> None:
-        """`on_news()` is called, in a thread of the child's, when it has loaded or configured nodes, and at its end."""
+    def __init__(
+        self, name: str, order: Order, log: Path, on_news: Callable[[], None], on_word: Callable[[str], None]
+    ) -> None:
+        """`on_news()` is called, in a thread of the child's, when it has loaded or configured nodes, and at its end.
+
+        `on_word(line)` is called there with what its nodes tell the user.
+        """
         self.name = name
         self.is_loaded = False
         self.is_configured = False
@@ -29,6 +34,7 @@ class Child:
         self.error: str | None = None
         """What it failed of, as far as it could say."""
         self._on_news = on_news
+        self._on_word = on_word
         read_fd, write_fd = os.pipe()
         with log.open("ab") as output:
             self._process = subprocess.Popen(
@@ -87,6 +93,8 @@ class Child:
                     self.is_loaded = True
                 elif event["event"] == "configured":
                     self.is_configured = True
+                elif event["event"] == "said":
+                    self._on_word(event["text"])
                 else:
                     self.error = event["error"]
                 self._on_news()

@@ -73,7 +73,7 @@ def _run_live(order: Order, events: Any) -> None:
     _say(events, event="loaded")
     if sys.stdin.readline().strip() != "configure":
         return
-    graph = Graph(order)
+    graph = Graph(order, lambda line: _say(events, event="said", text=line))
     try:
         graph.configure()
         _say(events, event="configured")

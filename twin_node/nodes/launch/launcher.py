@@ -154,7 +154,7 @@ class Launcher:
             str(plan.path),
         )
         log = self._log_folder / f"{process.name}.log"
-        return Child(process.name, order, log, self._news.set)
+        return Child(process.name, order, log, self._news.set, lambda line: self._say(f"{process.name}: {line}"))
 
     def _restarted(self, process: ProcessPlan, child: Child) -> bool:
         """Starts a failed process again, unless it must not be, or has failed too often."""

@@ -30,8 +30,16 @@ DIAGNOSTICS_PERIOD_S = 1.0
 class NodeThread:
     """One node, made anew whenever time jumps: nothing that it knew is true then."""
 
-    def __init__(self, name: str, order: Order, wire: Wire, clock: Clock, on_end: Callable[[], None]) -> None:
-        """`on_end()` is called, in the node's thread, when it has finished or failed."""
+    def __init__(
+        self,
+        name: str,
+        order: Order,
+        wire: Wire,
+        clock: Clock,
+        on_end: Callable[[], None],
+        say: Callable[[str], None],
+    ) -> None:
+        """`on_end()` is called, in the node's thread, when it has finished or failed; `say(line)` tells the user."""
         self.name = name
         self.error: BaseException | None = None
         self.is_finished = False
@@ -39,6 +47,7 @@ class NodeThread:
         self._wire = wire
         self._clock = clock
         self._on_end = on_end
+        self._say = say
         self._executor = Executor()
         self._orders = self._executor.inbox(lambda do: do(), 16)
         self._bus: WireBus
@@ -79,6 +88,7 @@ class NodeThread:
             self._order.where,
             self._finish,
             self._wire.endpoints,
+            self._say,
         )
         self._node = find_factory(self.name)(setup)
         self._node.configure()
@@ -133,8 +143,8 @@ def _traffic_diagnosis(name: str, traffic: tuple[Traffic, ...]) -> convert.Diagn
 class Graph:
     """All nodes of a process."""
 
-    def __init__(self, order: Order) -> None:
-        """Opens the wire. Raises `WireError` where zenoh cannot be used."""
+    def __init__(self, order: Order, say: Callable[[str], None]) -> None:
+        """Opens the wire; `say(line)` tells the user. Raises `WireError` where zenoh cannot be used."""
         self._wire = ZenohWire(fill(ZenohParameters, dict(order.zenoh), order.where))
         self._clock: Clock = SystemClock()
         self._ended = threading.Event()
@@ -143,7 +153,7 @@ class Graph:
             followed = FollowedClock(self._begin_anew)
             self._wire.subscribe("clock", CLOCK, kind_of(CLOCK), partial(_set_clock, followed))
             self._clock = followed
-        self._threads = [NodeThread(name, order, self._wire, self._clock, self._ended.set) for name in order.nodes]
+        self._threads = [NodeThread(name, order, self._wire, self._clock, self._ended.set, say) for name in order.nodes]
 
     def configure(self) -> None:
         """Makes and configures every node, the last first, so that nothing is missed of what the first ones say."""

@@ -19,6 +19,10 @@ from twin_node.runtime.wire_bus import WireBus
 T = TypeVar("T")
 
 
+def _print(line: str) -> None:
+    print(line, flush=True)
+
+
 @dataclass(frozen=True)
 class Setup:
     """A node's surroundings."""
@@ -34,6 +38,8 @@ class Setup:
     """The node calls this when it has nothing more to do."""
     endpoints: Callable[[], tuple[Endpoint, ...]]
     """Publishers and subscribers of the whole graph, as far as they are known by now."""
+    say: Callable[[str], None] = _print
+    """Tells the user something, in a line."""
 
     def parameters(self, kind: type[T], section: str | None = None) -> T:
         """The dataclass `kind` filled from the node's section and, for keys that it has, from `/**`.

@@ -6,44 +6,54 @@ from typing import Any
 
 import numpy as np
 
-from twin_node.forecast.score import projected
 from twin_node.geometry import quat_from_rotation
+from twin_node.nodes.overlays import ARM_COLOUR, MOVING_COLOUR, arm_mask, moving_mask, tinted
 from twin_node.nodes.playback import Snapshot
-from twin_node.robot import ArmModel, robot_mask
-from twin_node.scene import Bool, Camera, UInt8, View
+from twin_node.robot import ArmModel
+from twin_node.scene import Camera, UInt8, View
 
 FRUSTUM_M = 0.12
 """Size of a camera's frustum as drawn, m."""
-ROBOT_COLOUR, MOVING_COLOUR = (26, 115, 232), (217, 48, 37)
-TINT = 0.45
-"""Share of a mask's colour in the image."""
 
 
 class Frusta:
     """A frustum per camera with its newest image."""
 
-    def __init__(self, server: Any, cameras: tuple[Camera, ...], arm: ArmModel) -> None:
+    def __init__(self, server: Any, arm: ArmModel) -> None:
+        self._server = server
         self._arm = arm
-        self._handles = {camera.name: self._add(server, camera) for camera in cameras}
+        self._handles: dict[str, Any] = {}
+        self._shown: dict[str, object] = {}
         self.is_shown = True
         self.is_masked = False
         """Whether the arm and the space that moves are tinted."""
 
+    def set_cameras(self, cameras: tuple[Camera, ...]) -> None:
+        """Shows these cameras from now on, and no others."""
+        for handle in self._handles.values():
+            handle.remove()
+        self._handles = {camera.name: self._add(camera) for camera in cameras}
+        self._shown.clear()
+
     def show(self, snapshot: Snapshot) -> None:
-        """Puts the newest images into the frusta."""
+        """Puts the newest images into the frusta; an image that is there already is not sent again."""
         for handle in self._handles.values():
             handle.visible = self.is_shown
         frames = snapshot.frames if self.is_shown else None
         for view in frames.views if frames is not None else ():
-            self._handles[view.camera.name].image = self._masked(view, snapshot) if self.is_masked else view.rgb
+            name = view.camera.name
+            look = (view.stamp, self._masks_stamp(snapshot))
+            if self._shown.get(name) != look:
+                self._shown[name] = look
+                self._handles[name].image = self._masked(view, snapshot) if self.is_masked else view.rgb
 
-    def _add(self, server: Any, camera: Camera) -> Any:
-        return server.scene.add_camera_frustum(
+    def _add(self, camera: Camera) -> Any:
+        return self._server.scene.add_camera_frustum(
             f"/cameras/{camera.name}",
             fov=float(2 * np.arctan2(camera.height / 2, camera.K[1, 1])),
             aspect=camera.width / camera.height,
             scale=FRUSTUM_M,
-            color=ROBOT_COLOUR,
+            color=ARM_COLOUR,
             wxyz=quat_from_rotation(camera.T_base_cam[:3, :3]),
             position=camera.T_base_cam[:3, 3],
             format="jpeg",
@@ -51,20 +61,14 @@ class Frusta:
             receive_shadow=False,
         )
 
+    def _masks_stamp(self, snapshot: Snapshot) -> int | None:
+        """What the masks are drawn for; None: there are none."""
+        return snapshot.stamp if self.is_masked else None
+
     def _masked(self, view: View, snapshot: Snapshot) -> UInt8:
         image = view.rgb
-        if snapshot.joints is not None:
-            q = self._arm.ordered_positions(snapshot.joints)
-            image = tinted(image, robot_mask(self._arm, q, view.camera), ROBOT_COLOUR)
-        occupancy = snapshot.occupancy
-        if occupancy is not None:
-            moving = projected(view.camera, occupancy.grid, occupancy.layers[0].indices)
-            image = tinted(image, moving, MOVING_COLOUR)
-        return image
-
-
-def tinted(image: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
-    """The image with a mask [H, W] tinted."""
-    out = image.astype(np.float32)
-    out[mask] = (1 - TINT) * out[mask] + TINT * np.array(colour, np.float32)
-    return np.asarray(out, np.uint8)
+        arm = arm_mask(snapshot, view.camera, self._arm)
+        if arm is not None:
+            image = tinted(image, arm, ARM_COLOUR)
+        moving = moving_mask(snapshot, view.camera, 0)
+        return image if moving is None else tinted(image, moving, MOVING_COLOUR)

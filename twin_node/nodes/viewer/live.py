@@ -3,39 +3,63 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
-from twin_node.messages import Message
+from twin_node.errors import TwinError
+from twin_node.messages import Message, convert
 from twin_node.nodes.playback import Said, Snapshot
-from twin_node.nodes.topics import JOINT_STATES, RECORDED, TRAJECTORY, CameraTopics
+from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, RECORDED, TRAJECTORY, CameraTopics
 from twin_node.nodes.viewer.page import CellPage
+from twin_node.nodes.viewer.picked import HISTORY_NS
 from twin_node.rig import FrameAssembler
-from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
+from twin_node.runtime.executor import Timers
 from twin_node.runtime.node import Node
+from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire_bus import WireBus
 
 FRAME_S = 0.05
 """Shortest time between two pictures, s: what people see as motion, at a cost that the twin does not feel."""
+LOOK_S = 0.5
+"""How often cameras are looked for that are not there yet, s."""
+REMEMBERED = (OBSTACLES, GAUSSIANS_MOVING)
+"""Topics whose last seconds are kept, for the history of what is picked."""
 
 
 @dataclass(frozen=True)
 class Heard:
-    """A message as it came over the bus."""
+    """A message as it came; decoded when somebody looks at it."""
 
     stamp: int
-    message: Message
+    encoded: Encoded
+
+    @cached_property
+    def message(self) -> Message:
+        """Raises `MessageError` for damaged data."""
+        return self.encoded.decode()
 
 
 @dataclass(frozen=True)
 class ViewerParameters:
-    """Where the page is."""
+    """Where the page is, and what it shows."""
 
     host: str = "127.0.0.1"
     port: int = 8080
     width: int = 160
     """Of the cameras' images, px."""
+    rig_file: str = ""
+    """Calibration in place of what the graph says of its cameras; not looked at where a launch file has a rig."""
+
+
+@dataclass(frozen=True)
+class LiveCameras:
+    """The cameras of a graph: where their images come, and what makes views of them."""
+
+    topics: tuple[CameraTopics, ...]
+    assembler: FrameAssembler
 
 
 class ViewerNode(Node):
@@ -45,21 +69,33 @@ class ViewerNode(Node):
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, page: CellPage, cameras: Sequence[CameraTopics], assembler: FrameAssembler
+        self,
+        bus: WireBus,
+        clock: Clock,
+        timers: Timers,
+        page: CellPage,
+        find_cameras: Callable[[], LiveCameras | None],
     ) -> None:
-        """`assembler` undistorts the images of `cameras` for the page."""
+        """`find_cameras()`: the graph's cameras where they are others than when it was last called, else None."""
         super().__init__("viewer", bus, clock)
+        self._wire_bus = bus
+        self._timers = timers
         self._page = page
+        self._find_cameras = find_cameras
+        self._cameras: LiveCameras | None = None
+        self._images: set[str] = set()
         self._newest: dict[str, Said] = {}
-        self._assembler = assembler
-        self._cameras = {camera.name: camera for camera in cameras}
+        self._past: dict[str, deque[Said]] = {topic: deque() for topic in REMEMBERED}
+        self._now = 0
+        self._problem: str | None = None
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
     def on_configure(self) -> None:
-        topics = [*RECORDED, JOINT_STATES, TRAJECTORY, *(camera.image for camera in self._cameras.values())]
-        for topic in topics:
-            self.bus.subscribe(topic, partial(self._keep, topic))
+        for topic in (*RECORDED, JOINT_STATES, TRAJECTORY):
+            self._wire_bus.subscribe_raw(topic, partial(self._keep, topic))
+        self._look_for_cameras()
+        self._timers.every(LOOK_S, self._look_for_cameras)
 
     def on_activate(self) -> None:
         self._stopped.clear()
@@ -74,13 +110,59 @@ class ViewerNode(Node):
     def on_cleanup(self) -> None:
         self._page.close()
 
-    def _keep(self, topic: str, message: Message) -> None:
-        self._newest[topic] = Heard(self.clock.now(), message)
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """Who watches, or what cannot be shown."""
+        if self._problem is not None:
+            return (convert.Diagnosis(f"{self.name}: page", convert.Level.WARN, self._problem),)
+        readings = (convert.Reading("visitors", str(self._page.visitors)),)
+        return (convert.Diagnosis(f"{self.name}: page", convert.Level.OK, self._page.url, readings),)
+
+    def _look_for_cameras(self) -> None:
+        found = self._find_cameras()
+        if found is None:
+            return
+        self._cameras = found
+        for camera in found.topics:
+            if camera.image not in self._images:
+                self._images.add(camera.image)
+                self._wire_bus.subscribe_raw(camera.image, partial(self._keep, camera.image))
+
+    def _keep(self, topic: str, message: Encoded) -> None:
+        now = self.clock.now()
+        if now < self._now:  # a log has begun again: what was heard is of another time
+            self._newest = {}
+            self._past = {name: deque() for name in REMEMBERED}
+        self._now = now
+        heard = Heard(now, message)
+        self._newest[topic] = heard
+        if topic in self._past:
+            past = self._past[topic]
+            past.append(heard)
+            while past[0].stamp < now - HISTORY_NS:
+                past.popleft()
+
+    def _earlier(self, stamp: int, topic: str, ns: int) -> Sequence[Said]:
+        return [said for said in tuple(self._past.get(topic, ())) if stamp - ns <= said.stamp <= stamp]
 
     def _draw(self) -> None:
         drawn: dict[str, Said] = {}
+        cameras: LiveCameras | None = None
         while not self._stopped.wait(FRAME_S):
+            if self._cameras is not cameras:
+                cameras = self._cameras
+                self._page.set_cameras(() if cameras is None else cameras.assembler.cameras)
             newest = dict(self._newest)
             if newest and self._page.visitors and (newest != drawn or self._page.take_change()):
-                self._page.show(Snapshot(self.clock.now(), newest, self._cameras, self._assembler))
                 drawn = newest
+                self._show(newest, cameras)
+
+    def _show(self, newest: dict[str, Said], cameras: LiveCameras | None) -> None:
+        topics = {} if cameras is None else {camera.name: camera for camera in cameras.topics}
+        assembler = None if cameras is None else cameras.assembler
+        now = self.clock.now()
+        try:
+            self._page.show(Snapshot(now, newest, topics, assembler, partial(self._earlier, now)))
+            self._problem = None
+        except TwinError as error:  # of one message: the next may be sound, and the page says what was wrong
+            self._problem = str(error)
+        self._page.tell(self._problem)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from typing import Any
@@ -12,8 +13,9 @@ from twin_node.errors import TwinError
 from twin_node.nodes.playback import Snapshot
 from twin_node.nodes.viewer.frusta import Frusta
 from twin_node.nodes.viewer.panel import panel_text
-from twin_node.nodes.viewer.picking import PickedThing, Ray, pick
-from twin_node.nodes.viewer.solids import ArmBody, ObstacleShapes, Voxels
+from twin_node.nodes.viewer.picked import PickedThing
+from twin_node.nodes.viewer.picking import Ray, pick
+from twin_node.nodes.viewer.solids import ArmBody, ObstacleShapes, PickMark, Voxels
 from twin_node.nodes.viewer.splats import SplatLayers
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Camera, Float64, ObstacleKind
@@ -36,9 +38,9 @@ class CellPage:
     """
 
     def __init__(
-        self, arm: ArmModel, cameras: tuple[Camera, ...], host: str = LOOPBACK, port: int = DEFAULT_PORT
+        self, arm: ArmModel, cameras: tuple[Camera, ...] = (), host: str = LOOPBACK, port: int = DEFAULT_PORT
     ) -> None:
-        """Raises `ViewerError` where viser is not installed, or the port is taken."""
+        """`cameras`: those that are known already. Raises `ViewerError` where viser is missing or the port is taken."""
         self.server = _open_server(host, port)
         self.url = f"http://{host}:{port}"
         self.server.scene.set_up_direction("+z")
@@ -47,13 +49,15 @@ class CellPage:
         self._arm = ArmBody(self.server, arm)
         self._obstacles = ObstacleShapes(self.server)
         self._voxels = Voxels(self.server)
-        self._frusta = Frusta(self.server, cameras, arm)
+        self._frusta = Frusta(self.server, arm)
+        self._mark = PickMark(self.server)
         self._clicks: list[Ray] = []
         self._picked: PickedThing | None = None
         self._changed = threading.Event()
-        self._look_at(cameras)
+        self.set_cameras(cameras)
         self.server.gui.configure_theme(dark_mode=False, show_logo=False)
-        self._words = self.server.gui.add_markdown("")
+        self._words = self.server.gui.add_markdown("Waiting for a twin.")
+        self._problem = self.server.gui.add_markdown("", visible=False)
         with self.server.gui.add_folder("Picked"):
             self._picked_words = self.server.gui.add_markdown("Click at an obstacle or a Gaussian.")
         with self.server.gui.add_folder("Show"):
@@ -83,16 +87,24 @@ class CellPage:
             self._answer_click(snapshot)
         self.server.flush()
 
-    def close(self) -> None:
-        """Ends the page."""
-        self.server.stop()
-
-    def _look_at(self, cameras: tuple[Camera, ...]) -> None:
+    def set_cameras(self, cameras: tuple[Camera, ...]) -> None:
+        """Shows these cameras from now on; visitors who come later look first at what they see."""
+        self._frusta.set_cameras(cameras)
         middle: Float64 = np.array([0.5, 0.0, 0.3])
         if cameras:
             middle = np.mean([camera.T_base_cam[:3, 3] + camera.T_base_cam[:3, 2] for camera in cameras], axis=0)
         self.server.initial_camera.position = tuple(middle + FIRST_LOOK)
         self.server.initial_camera.look_at = tuple(middle)
+
+    def tell(self, problem: str | None) -> None:
+        """Shows what cannot be shown, in words; None: nothing is wrong any more."""
+        self._problem.content = f"**{problem}**" if problem else ""
+        self._problem.visible = problem is not None
+
+    def close(self) -> None:
+        """Ends the page."""
+        with contextlib.redirect_stdout(None):
+            self.server.stop()
 
     def _add_switches(self) -> None:
         gui = self.server.gui
@@ -127,13 +139,14 @@ class CellPage:
 
     def _answer_click(self, snapshot: Snapshot) -> None:
         if self._clicks:
-            hit = pick(snapshot, self._clicks[-1])
+            hit = pick(snapshot, self._clicks[-1], self._obstacles.shown, self._splats.is_shown)
             self._clicks.clear()
             self._picked = None if hit is None else PickedThing(hit)
             if hit is None:
                 self._picked_words.content = "Nothing there."
         if self._picked is not None:
             self._picked_words.content = self._picked.describe(snapshot)
+        self._mark.show(np.empty((0, 3)) if self._picked is None else self._picked.trail)
 
 
 def _open_server(host: str, port: int) -> Any:
@@ -149,4 +162,5 @@ def _open_server(host: str, port: int) -> Any:
         raise ViewerError(
             f"http://{host}:{port}: cannot be opened ({reason}); give another --port, or --host"
         ) from None
-    return viser.ViserServer(host=host, port=port, label="twin_node", verbose=False)
+    with contextlib.redirect_stdout(None):  # it prints a banner, whatever `verbose` says
+        return viser.ViserServer(host=host, port=port, label="twin_node", verbose=False)

@@ -1,8 +1,8 @@
-"""What a click hits: the nearest obstacle or Gaussian along its ray, and what is known of it."""
+"""What a click hits: the nearest obstacle or Gaussian along its ray."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from twin_node.geometry import rotation_from_quat
 from twin_node.nodes.export.moments import in_force
 from twin_node.nodes.playback import Snapshot
-from twin_node.scene import Float64, GaussianCloud, ObstacleKind, Obstacles, ObstacleShape, Tier
+from twin_node.scene import Float64, GaussianCloud, ObstacleKind, Obstacles, ObstacleShape
 
-HISTORY = 60
-"""Places of a picked thing that are remembered: two seconds at 30 Hz."""
 SOLID = 0.2
 """Opacity from which a Gaussian can be picked: fainter ones are not what is clicked at."""
 REACH_SIGMAS = 2.0
@@ -35,26 +33,33 @@ class Ray:
 class Pick:
     """What was hit."""
 
-    is_obstacle: bool
     id: int
+    kind: ObstacleKind | None
+    """Of an obstacle; None: a Gaussian."""
+
+    @property
+    def is_obstacle(self) -> bool:
+        """Whether it is an obstacle, not a Gaussian."""
+        return self.kind is not None
 
 
-def pick(snapshot: Snapshot, ray: Ray) -> Pick | None:
-    """The nearest thing along a ray: obstacles that move or are unknown, and Gaussians; None where nothing is hit.
+def pick(snapshot: Snapshot, ray: Ray, kinds: Collection[ObstacleKind], with_gaussians: bool) -> Pick | None:
+    """The nearest thing along a ray, an obstacle of one of `kinds` or a Gaussian; None where nothing is hit.
 
-    STATIC obstacles are boxes around what is seen anyway, so the Gaussians inside are picked instead.
+    What is not shown is not to be asked for: the obstacles around what stands hide the Gaussians in them.
     """
     best, hit = np.inf, None
     obstacles = in_force(snapshot.obstacles, snapshot.stamp)
     distances = _to_obstacles(obstacles, ray)
-    distances[obstacles.kinds == ObstacleKind.STATIC] = np.inf
+    distances[~np.isin(obstacles.kinds, list(kinds))] = np.inf
     if len(distances) and distances.min() < best:
-        best, hit = float(distances.min()), Pick(True, int(obstacles.ids[distances.argmin()]))
-    cloud = snapshot.cloud
+        row = int(distances.argmin())
+        best, hit = float(distances[row]), Pick(int(obstacles.ids[row]), ObstacleKind(int(obstacles.kinds[row])))
+    cloud = snapshot.cloud if with_gaussians else None
     if cloud is not None and len(cloud.means):
         distances = _to_gaussians(cloud, ray)
         if distances.min() < best:
-            hit = Pick(False, int(cloud.ids[distances.argmin()]))
+            hit = Pick(int(cloud.ids[distances.argmin()]), None)
     return hit
 
 
@@ -87,58 +92,3 @@ def _to_gaussians(cloud: GaussianCloud, ray: Ray) -> Float64:
     centers: NDArray[np.float64] = cloud.means.astype(np.float64)
     reach = REACH_SIGMAS * cloud.scales.astype(np.float64).mean(axis=1)
     return np.where(cloud.opacities >= SOLID, _to_spheres(centers, reach, ray), np.inf)
-
-
-class PickedThing:
-    """Follows what was picked from picture to picture."""
-
-    def __init__(self, picked: Pick) -> None:
-        self._picked = picked
-        self._places: deque[tuple[int, Float64]] = deque(maxlen=HISTORY)
-
-    def describe(self, snapshot: Snapshot) -> str:
-        """Markdown about the thing as it is now, and how it came here."""
-        return self._obstacle(snapshot) if self._picked.is_obstacle else self._gaussian(snapshot)
-
-    def _obstacle(self, snapshot: Snapshot) -> str:
-        o = in_force(snapshot.obstacles, snapshot.stamp)
-        rows = np.flatnonzero(o.ids == self._picked.id)
-        if not len(rows):
-            return f"**Obstacle {self._picked.id}** is no more."
-        row = int(rows[0])
-        size = " x ".join(f"{100 * side:.0f}" for side in o.sizes[row])
-        return "\n".join(
-            [
-                f"**Obstacle {self._picked.id}**, {ObstacleKind(int(o.kinds[row])).name}",
-                f"- {size} cm at {_point(o.positions[row])} m",
-                f"- speed {np.linalg.norm(o.velocities[row]):.2f} m/s, error bound {100 * o.bounds[row]:.1f} cm",
-                self._history(snapshot.stamp, o.positions[row]),
-            ]
-        )
-
-    def _gaussian(self, snapshot: Snapshot) -> str:
-        cloud = snapshot.cloud
-        rows = np.flatnonzero(cloud.ids == self._picked.id) if cloud is not None else np.empty(0, np.int64)
-        if cloud is None or not len(rows):
-            return f"**Gaussian {self._picked.id}** is no more."
-        row = int(rows[0])
-        sigmas = " x ".join(f"{1000 * s:.1f}" for s in cloud.scales[row])
-        return "\n".join(
-            [
-                f"**Gaussian {self._picked.id}**, {Tier(int(cloud.tiers[row])).name}",
-                f"- {sigmas} mm (1 sigma) at {_point(cloud.means[row])} m, opacity {cloud.opacities[row]:.2f}",
-                f"- speed {np.linalg.norm(cloud.velocities[row]):.2f} m/s",
-                self._history(snapshot.stamp, cloud.means[row].astype(np.float64)),
-            ]
-        )
-
-    def _history(self, stamp: int, place: Float64) -> str:
-        if self._places and stamp <= self._places[-1][0]:
-            self._places.clear()
-        self._places.append((stamp, place))
-        first_stamp, first = self._places[0]
-        return f"- moved {100 * np.linalg.norm(place - first):.1f} cm in the {(stamp - first_stamp) / 1e9:.1f} s since"
-
-
-def _point(place: NDArray[np.floating]) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in place) + ")"

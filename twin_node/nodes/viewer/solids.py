@@ -27,6 +27,9 @@ KIND_COLOURS = {
 }
 KIND_OPACITIES = {ObstacleKind.MOVING: 0.45, ObstacleKind.STATIC: 0.2, ObstacleKind.UNKNOWN: 0.12}
 MOVING_VOXELS, STATIC_VOXELS, UNKNOWN_VOXELS = (217, 48, 37), (95, 99, 104), (242, 153, 0)
+MARK_COLOUR = (161, 66, 244)
+MARK_M = 0.01
+"""Radius of the point at what was picked, m."""
 CAPSULE_SECTIONS = (12, 12)
 
 
@@ -205,3 +208,25 @@ class Voxels:
                 point_size=grid.voxel_size / 2,
                 point_shape="square",
             )
+
+
+class PickMark:
+    """A point at what was picked, and a line along where it has been."""
+
+    def __init__(self, server: Any) -> None:
+        self._point = server.scene.add_icosphere(
+            "/picked/here", radius=MARK_M, color=MARK_COLOUR, visible=False, cast_shadow=False, receive_shadow=False
+        )
+        nowhere = np.zeros((1, 2, 3), np.float32)
+        self._line = server.scene.add_line_segments(
+            "/picked/trail", nowhere, np.array(MARK_COLOUR, np.uint8), visible=False
+        )
+
+    def show(self, trail: Float64) -> None:
+        """Marks the last place of a trail [n, 3] m; nothing where it is empty."""
+        self._point.visible = len(trail) > 0
+        self._line.visible = len(trail) > 1
+        if len(trail):
+            self._point.position = trail[-1]
+        if len(trail) > 1:
+            self._line.points = np.stack([trail[:-1], trail[1:]], axis=1).astype(np.float32)

@@ -24,7 +24,7 @@ class SplatLayers:
         self._server = server
         self._layers: dict[str, Any] = {}
         self._still_stamp: int | None = None
-        self._is_shown = True
+        self.is_shown = True
 
     def show(self, snapshot: Snapshot) -> None:
         """Brings both layers up to date."""
@@ -39,7 +39,7 @@ class SplatLayers:
 
     def set_visible(self, is_shown: bool) -> None:
         """Shows or hides both layers."""
-        self._is_shown = is_shown
+        self.is_shown = is_shown
         for layer in self._layers.values():
             layer.visible = is_shown
 
@@ -55,7 +55,7 @@ class SplatLayers:
             self._layers[name].set_gaussians(centers, covariances, cloud.rgb, opacities)
         else:
             self._layers[name] = self._server.scene.add_gaussian_splats(
-                name, centers, covariances, cloud.rgb, opacities, scale=1 / SENT_SCALE, visible=self._is_shown
+                name, centers, covariances, cloud.rgb, opacities, scale=1 / SENT_SCALE, visible=self.is_shown
             )
 
 

@@ -1,0 +1,71 @@
+"""The cameras of a running graph, from what it says itself: image topics, CameraInfo and static transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from twin_node.messages import Message, MessageError
+from twin_node.messages.convert import TransformTree, rig_camera
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, find_cameras
+from twin_node.nodes.viewer import LiveCameras
+from twin_node.rig import FrameAssembler
+from twin_node.runtime.rmw_zenoh import EntityKind
+from twin_node.scene import Rig, RigCamera
+
+
+class GraphCameras:
+    """Called again and again, gives the calibrated cameras whenever there are others than at the call before."""
+
+    def __init__(self, setup: Setup, width: int, rig: Rig | None) -> None:
+        """`width`: of the views, px; `rig`: calibration in place of the graph's own."""
+        self._bus = setup.bus
+        self._endpoints = setup.endpoints
+        self._width = width
+        self._rig = rig
+        self._tree = TransformTree()
+        self._infos: dict[str, Message] = {}
+        self._asked: set[str] = set()
+        self._known: tuple[str, ...] = ()
+        self._bus.subscribe(TF_STATIC, self._tree.add)
+
+    def __call__(self) -> LiveCameras | None:
+        """None where nothing has changed."""
+        cameras = self._published()
+        for camera in cameras:
+            if camera.info not in self._asked and self._rig is None:
+                self._asked.add(camera.info)
+                self._bus.subscribe(camera.info, partial(self._infos.__setitem__, camera.info))
+        calibrated = self._calibrated(cameras)
+        names = tuple(camera.name for camera in calibrated)
+        if names == self._known:
+            return None
+        self._known = names
+        topics = tuple(camera for camera in cameras if camera.name in names)
+        return LiveCameras(topics, FrameAssembler(calibrated, self._width))
+
+    def _published(self) -> Sequence[CameraTopics]:
+        types = {e.topic: e.msgtype for e in self._endpoints() if e.kind is EntityKind.PUBLISHER}
+        try:
+            return find_cameras(types, "the graph")
+        except GraphError:  # nobody publishes images yet; somebody may later
+            return ()
+
+    def _calibrated(self, cameras: Sequence[CameraTopics]) -> Sequence[RigCamera]:
+        if self._rig is not None:
+            published = {camera.name for camera in cameras}
+            return [camera for camera in self._rig.cameras if camera.name in published]
+        found = [_camera(camera.name, self._infos.get(camera.info), self._tree) for camera in cameras]
+        return [camera for camera in found if camera is not None]
+
+
+def _camera(name: str, info: Any, tree: TransformTree) -> RigCamera | None:
+    """A camera whose calibration has come, whole and sound; None else."""
+    if info is None:
+        return None
+    try:
+        return rig_camera(info, name, tree.lookup(info.header.frame_id.lstrip("/")))
+    except MessageError:  # its transforms have not come yet, or it is not calibrated: there is no place to show it
+        return None
