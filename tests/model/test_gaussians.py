@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -120,7 +122,8 @@ def test_a_gradient_reaches_canonical_means_and_the_field() -> None:
     store.tiers[:2] = int(Tier.DEFORMABLE)
     rows = torch.tensor([0, 1])
     values = store.values[rows].requires_grad_()
-    placed = motion.place_values(values, store, rows, motion.poses([0.0, -0.01]), [0, 0])
+    some = replace(store.population(rows, motion.nodes), values=values)
+    placed = motion.place_population(some, motion.poses([0.0, -0.01]), [0, 0])
     placed.means[..., 2].sum().backward()
     assert values.grad is not None and values.grad[:, MEAN].abs().min() > 0
     before = motion.field.time.detach().clone()

@@ -34,14 +34,15 @@ def test_a_constant_velocity_is_carried_on_exactly() -> None:
 
 def test_the_window_remembers_and_interpolates() -> None:
     nodes = moving_nodes(1.0)
-    poses = nodes.poses_at([1000 + 2 * TICK_NS, 1000 + 2 * TICK_NS + TICK_NS // 2, 1000 + 6 * TICK_NS])
-    assert poses.positions[:, 0, 0].tolist() == pytest.approx([0.066, 0.0825, 0.198])
+    stamps = (1000 + 2 * TICK_NS, 1000 + 2 * TICK_NS + TICK_NS // 2, 1000 + 6 * TICK_NS)
+    x = [float(nodes.poses_at(stamp).positions[0, 0, 0]) for stamp in stamps]
+    assert x == pytest.approx([0.066, 0.0825, 0.198])
 
 
 def test_before_the_window_its_oldest_pose_holds_and_after_it_the_velocity() -> None:
     nodes = moving_nodes(1.0)
-    assert nodes.poses_at([0]).positions[0, 0, 0] == pytest.approx(0.0)
-    later = nodes.poses_at([1000 + 6 * TICK_NS + 100_000_000])
+    assert nodes.poses_at(0).positions[0, 0, 0] == pytest.approx(0.0)
+    later = nodes.poses_at(1000 + 6 * TICK_NS + 100_000_000)
     assert later.positions[0, 0, 0] == pytest.approx(0.298)
 
 
@@ -89,4 +90,15 @@ def test_rows_are_used_again_but_ids_never() -> None:
     again = nodes.give_birth(origin + 1, origin)
     assert again == first
     assert sorted(nodes.ids.tolist()) == [1, 2]
-    assert torch.equal(nodes.poses_at([nodes.stamp]).positions[0, again], origin + 1)
+
+
+def test_the_past_of_a_row_stays_with_the_node_that_had_it_then() -> None:
+    nodes = moving_nodes(1.0)
+    nodes.retire(torch.tensor([0]))
+    nodes.predict(1000 + 7 * TICK_NS, 1.0)
+    origin = torch.zeros(3, dtype=torch.float64)
+    assert nodes.give_birth(origin + 5, origin) == 0
+    nodes.remember()
+    assert nodes.poses_at(1000 + 6 * TICK_NS).positions[0, 0, 0] == pytest.approx(0.198)
+    between = nodes.poses_at(1000 + 6 * TICK_NS + TICK_NS // 2)
+    assert between.positions[0, 0].tolist() == pytest.approx([5.0, 5.0, 5.0])

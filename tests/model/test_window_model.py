@@ -148,6 +148,22 @@ def test_a_past_stamp_renders_the_past(followed: tuple[WindowModel, list[TwinSta
     assert np.abs(now - past).max() > 0.05
 
 
+def test_a_past_stamp_shows_what_has_died_since_as_well_as_it_was_shown_live() -> None:
+    model = WindowModel(QUICK)
+    sets = sliding(16, CAMERAS, depth=True)
+    live: dict[int, list[np.ndarray]] = {}
+    for one in sets:
+        then = model.update(one)
+        live[one.stamp] = [model.render(view.camera).rgb for view in one.views]
+    for index in range(16, 22):
+        now = model.update(frames(index, None, CAMERAS, depth=True))
+    assert len(np.setdiff1d(then.gaussians.ids, now.gaussians.ids)) > 50
+    for one in sets[4:]:
+        for view, shown in zip(one.views, live[one.stamp], strict=True):
+            again = model.render(view.camera, one.stamp).rgb
+            assert np.abs(again - shown).max() < 1e-3
+
+
 def test_a_non_finite_gaussian_is_set_back_and_reported() -> None:
     model = WindowModel(QUICK)
     for one in sliding(8, CAMERAS, depth=True):

@@ -85,7 +85,7 @@ def fit_moving(
     values = gaussians.values[rows]
     rates = _rates(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE
-    rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(values, gaussians, rows, stamps)
+    rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(gaussians.population(rows, motion.nodes), stamps)
     path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal)
     last = _descend(gaussians, path, steps if bend is None else max(steps - 1, 1))
     if _diverged(last.losses):

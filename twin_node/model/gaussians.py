@@ -47,6 +47,20 @@ class Newborns:
         return torch.cat([self.means, self.quats, self.scales.log(), opacity.logit(), self.rgb], 1)
 
 
+@dataclass(frozen=True)
+class Population:
+    """Some Gaussians in the frames of what carries them."""
+
+    values: Tensor
+    """[n, 14] as the columns of `Gaussians.values`."""
+    tiers: Tensor
+    """[n] uint8."""
+    carriers: Tensor
+    """[n] int64 rows of nodes, -1 for none."""
+    anchors: Tensor
+    """[M, 3] m, float64: where each node was born."""
+
+
 def activated(values: Tensor, means: Tensor, quats: Tensor) -> Splats:
     """Gaussians with the sizes, opacities and colours of `values` [n, 14], at `means` and `quats` [T, n, ...]."""
     return Splats(means, quats, values[:, LOG_SCALE].exp(), values[:, LOGIT.start].sigmoid(), values[:, RGB])
@@ -104,6 +118,10 @@ class Gaussians:
     def robot_rows(self) -> Tensor:
         """[r] rows of the Gaussians that the arm carries."""
         return torch.nonzero(self.alive & (self.tiers == Tier.ROBOT))[:, 0]
+
+    def population(self, rows: Tensor, nodes: Nodes) -> Population:
+        """Gaussians `rows` [n] as they are now."""
+        return Population(self.values[rows], self.tiers[rows], self.nodes[rows], nodes.anchors)
 
     @staticmethod
     def standing(values: Tensor) -> Splats:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from twin_node.model.carriage import Bend, carry
 from twin_node.model.field import HexPlane
-from twin_node.model.gaussians import MEAN, QUAT, Gaussians, activated
+from twin_node.model.gaussians import MEAN, QUAT, Gaussians, Population, activated
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rendering import Splats
 from twin_node.model.rotations import quat_from_vector
@@ -45,33 +45,29 @@ class Motion:
 
     def place(self, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]) -> Splats:
         """Gaussians `rows` [n] in `base_link` at each of T times."""
-        return self.place_values(gaussians.values[rows], gaussians, rows, poses, stamps)
+        return self.place_population(gaussians.population(rows, self.nodes), poses, stamps)
 
-    def place_values(
-        self, values: Tensor, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]
-    ) -> Splats:
-        """The same with attributes `values` [n, 14] in place of those stored: where a gradient is wanted."""
-        times = len(stamps)
+    def place_population(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:
+        """The same of Gaussians that need not be those stored."""
+        times, values = len(stamps), some.values
         means, quats = values[:, MEAN].expand(times, -1, -1), values[:, QUAT].expand(times, -1, -1)
-        carried = torch.nonzero(gaussians.nodes[rows] >= 0)[:, 0]
+        carried = torch.nonzero(some.carriers >= 0)[:, 0]
         if len(carried):
-            own, among = values[carried], rows[carried]
-            carriage, bend = carry(poses, gaussians.nodes[among]), self.bend(own, gaussians, among, stamps)
+            own = Population(values[carried], some.tiers[carried], some.carriers[carried], some.anchors)
+            carriage, bend = carry(poses, own.carriers), self.bend(own, stamps)
             if bend is not None:
                 carriage = carriage.bent(bend)
-            means = means.index_copy(1, carried, carriage.means(own[:, MEAN]))
-            quats = quats.index_copy(1, carried, carriage.quats(own[:, QUAT]))
+            means = means.index_copy(1, carried, carriage.means(own.values[:, MEAN]))
+            quats = quats.index_copy(1, carried, carriage.quats(own.values[:, QUAT]))
         return activated(values, means, quats)
 
-    def bend(self, values: Tensor, gaussians: Gaussians, rows: Tensor, stamps: list[int]) -> Bend | None:
-        """What the field does to the DEFORMABLE among `rows` [n] with attributes `values` [n, 14]; None without one."""
-        if not self.bends:
-            return None
-        chosen = torch.nonzero(gaussians.tiers[rows] == int(Tier.DEFORMABLE))[:, 0]
+    def bend(self, some: Population, stamps: list[int]) -> Bend | None:
+        """What the field does to the DEFORMABLE among `some`; None without one."""
+        chosen = torch.nonzero(some.tiers == int(Tier.DEFORMABLE))[:, 0]
         if not len(chosen):
             return None
-        means = values[chosen, MEAN]
-        anchors = self.nodes.anchors[gaussians.nodes[rows[chosen]].cpu()].to(means)
+        means = some.values[chosen, MEAN]
+        anchors = some.anchors[some.carriers[chosen].cpu()].to(means)
         residual = self.field.residual(means + anchors, stamps)
         return Bend(chosen, residual.offsets, quat_from_vector(residual.rotations))
 

@@ -47,6 +47,7 @@ class Nodes:
         self.births = torch.zeros(capacity, dtype=torch.int64)
         self.quats[:, 0] = 1
         self.history_stamps = torch.full((window,), -1, dtype=torch.int64)
+        self._history_ids = torch.full((window, capacity), -1, dtype=torch.int64)
         self._history_positions = torch.zeros(window, capacity, 3, dtype=torch.float64)
         self._history_quats = torch.zeros(window, capacity, 4, dtype=torch.float64)
         self._slot = -1
@@ -76,8 +77,6 @@ class Nodes:
         self.sigmas[row] = 0.05
         self.evidence[row] = 0
         self.births[row] = self.stamp
-        self._history_positions[:, row] = position
-        self._history_quats[:, row] = self.quats[row]
         self._next_id += 1
         return row
 
@@ -120,27 +119,26 @@ class Nodes:
         """Writes the present poses over the oldest of the window."""
         self._slot = (self._slot + 1) % len(self.history_stamps)
         self.history_stamps[self._slot] = self.stamp
+        self._history_ids[self._slot] = self.ids
         self._history_positions[self._slot] = self.positions
         self._history_quats[self._slot] = self.quats
 
-    def poses_at(self, stamps: list[int]) -> Poses:
-        """Poses at `stamps` (ns): interpolated inside the window, at constant velocity after its newest end."""
-        at = [self._pose_at(stamp) for stamp in stamps]
-        return Poses(torch.stack([p.positions[0] for p in at]), torch.stack([p.quats[0] for p in at]))
+    def poses_at(self, stamp: int) -> Poses:
+        """Poses of one time, `stamp` (ns): interpolated inside the window, at constant velocity after its newest end.
 
-    def _pose_at(self, stamp: int) -> Poses:
+        Before the window they are its oldest. A row that has changed hands between two sets has the newer node's pose.
+        """
         known = torch.nonzero(self.history_stamps >= 0)[:, 0]
         order = known[self.history_stamps[known].argsort()]
-        stamps = self.history_stamps[order]
-        older, newer = order[stamps <= stamp], order[stamps >= stamp]
-        if not len(newer) or not len(older):
-            edge = 0.0 if len(newer) else (stamp - self.stamp) * 1e-9
-            if len(newer):
-                return Poses(self._history_positions[newer[:1]], self._history_quats[newer[:1]])
-            return self.extrapolated([edge])
-        a, b = older[-1], newer[0]
+        older, newer = order[self.history_stamps[order] <= stamp], order[self.history_stamps[order] >= stamp]
+        if not len(newer):
+            return self.extrapolated([(stamp - self.stamp) * 1e-9])
+        b = newer[0]
+        a = older[-1] if len(older) else b
         span = float(self.history_stamps[b] - self.history_stamps[a])
-        share = 0.0 if span == 0 else float(stamp - self.history_stamps[a]) / span
+        part = 1.0 if span == 0 else float(stamp - self.history_stamps[a]) / span
+        share = torch.full((self.capacity, 1), part, dtype=torch.float64)
+        share[self._history_ids[a] != self._history_ids[b]] = 1.0
         positions = torch.lerp(self._history_positions[a], self._history_positions[b], share)
         turn = vector_from_quat(quat_product(self._history_quats[b], conjugate(self._history_quats[a])))
         quats = quat_product(quat_from_vector(turn * share), self._history_quats[a])

@@ -15,6 +15,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
+from twin_node.model.past import Past
 from twin_node.model.publishing import Publisher, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
@@ -58,6 +59,7 @@ class WindowModel:
         self._gaussians = Gaussians(0, self._device)
         self._frozen: Splats | None = None
         self._motion: Motion | None = None
+        self._past: Past | None = None
         self._tracker: Tracker | None = None
         self._publisher = Publisher()
         self._bytes_per_frame = 0
@@ -103,7 +105,8 @@ class WindowModel:
             self._begin(frames, robots)
         else:
             warnings = self._follow(frames, moving, robots)
-        assert self._motion is not None
+        assert self._motion is not None and self._past is not None
+        self._past.remember(self._gaussians, self._nodes)
         state = TwinState(
             frames.stamp,
             frames,
@@ -118,13 +121,11 @@ class WindowModel:
 
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
         """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""
-        if self._motion is None:
+        if self._motion is None or self._past is None:
             raise ModelError("render: no set has been seen yet; call update first")
-        at = self._nodes.stamp if stamp is None else stamp
-        poses = self._motion.poses([0.0]) if stamp is None else self._nodes.poses_at([stamp])
-        rows = torch.nonzero(self._gaussians.alive)[:, 0]
+        moment = self._past.at(self._nodes.stamp if stamp is None else stamp, self._nodes)
         with torch.no_grad():
-            splats = self._motion.place(self._gaussians, rows, poses, [at])
+            splats = self._motion.place_population(moment.population, moment.poses, [moment.stamp])
         return self._shoot(splats, camera)
 
     def render_frozen(self, camera: Camera) -> ModelImage:
@@ -165,6 +166,7 @@ class WindowModel:
         motion.slide(frames.stamp)
         self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, links)
         self._nodes.remember()
+        self._past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)
         rows = torch.nonzero(self._gaussians.alive)[:, 0]
         with torch.no_grad():
             self._frozen = motion.place(self._gaussians, rows, motion.poses([0.0]), [frames.stamp])
