@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.comparison import Truth
-from twin_node.forecast.grid import reach_of, spread
+from twin_node.forecast.growth import Points, reach_of, spread
 from twin_node.forecast.score import MOST_POINTS, litres_per_voxel
 from twin_node.scene import Float64, Grid
 
@@ -75,8 +75,9 @@ class PersistenceGrowth:
 
     def _volume_l(self, places: NDArray[np.int32], radius: float) -> float:
         count = places.shape[1]
-        reach = np.full(count, reach_of(self._grid, np.array([radius]))[0])
-        reached = spread(self._grid, places, reach, np.ones(count, np.bool_))
+        points = Points(places, np.zeros(count, np.int64), np.ones(count, np.bool_))
+        reach = reach_of(self._grid, np.array([[radius]]))
+        (reached,) = spread(self._grid, points, np.zeros((1, 1, 3), np.int32), reach)
         return len(reached.indices) * litres_per_voxel(self._grid)
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.grid import decode_runs, grow, pack, unpack
+from twin_node.forecast.grid import decode_runs
+from twin_node.forecast.growth import grown
 from twin_node.geometry import project
 from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, View
 
@@ -73,7 +74,7 @@ class SpaceTally:
         standing[forecast.static.indices] = True
         self._since[occupied | standing] = 0
         self._was_occupied = (self._was_occupied | occupied) & ~standing
-        near = unpack(grow(pack(occupied.reshape(self._grid.dims)), CLEAR_VOXELS), self._grid.dims[2]).reshape(-1)
+        near = grown(self._grid, occupied, CLEAR_VOXELS)
         left = np.flatnonzero(self._was_occupied & ~near & (self._since == 0))
         self._since[left[_seen_empty(state, self._grid, left)]] = state.stamp
         free = np.flatnonzero((self._since > 0) & ~blocked)

@@ -9,7 +9,7 @@ import numpy as np
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
-from twin_node.forecast.grid import reach_of, spread
+from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.static import StaticParameters
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
@@ -63,15 +63,14 @@ class BaselineForecaster:
     def _occupancy(self, evidence: Evidence, publish_stamp: int, travelled_s: Float64, radius: float) -> Occupancy:
         """What moves, `travelled_s` [H] further on at its velocity and grown by `radius` (m)."""
         parts = evidence.parts
-        reach = np.full(len(parts.indices), reach_of(self.grid, np.array([radius]))[0])
+        times, which = np.unique(travelled_s, return_inverse=True)
+        reach = np.full((len(times), parts.count), reach_of(self.grid, np.array([radius]))[0])
+        shifts = shifts_of(self.grid, evidence.velocities * times[:, None, None])
+        spreads = spread(self.grid, parts.points, shifts, reach)
         layers: list[OccupancyLayer] = []
-        for horizon, seconds in zip(HORIZONS_NS, travelled_s, strict=True):
-            if layers and seconds == travelled_s[0]:
-                layers.append(OccupancyLayer(horizon, layers[0].indices, layers[0].probability))
-                continue
-            reached = spread(self.grid, parts.moved(self.grid, evidence.velocities * seconds), reach, parts.likely)
-            probability = np.where(reached.core, 255, 128 if radius else RIM_PROBABILITY).astype(np.uint8)
-            layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
+        for horizon, row in zip(HORIZONS_NS, which, strict=True):
+            probability = np.where(spreads[row].core, 255, 128 if radius else RIM_PROBABILITY).astype(np.uint8)
+            layers.append(OccupancyLayer(horizon, spreads[row].indices, probability))
         return Occupancy(
             stamp=evidence.stamp,
             publish_stamp=publish_stamp,

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
-from twin_node.forecast.grid import reach_of, spread
+from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.judgement import held
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.prediction import Predictor
@@ -149,12 +149,11 @@ class Forecaster:
                 f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
             )
             self._tracks, self._predictor = Tracks(), Predictor(self.parameters.bound)
+        spreads = spread(self.grid, parts.points, shifts_of(self.grid, moved), reach_of(self.grid, self._radii))
         layers = []
-        for horizon, displacement, radius in zip(HORIZONS_NS, moved, self._radii, strict=True):
-            reach = reach_of(self.grid, radius)[parts.labels]
-            reached = spread(self.grid, parts.moved(self.grid, displacement), reach, parts.likely)
+        for horizon, reached in zip(HORIZONS_NS, spreads, strict=True):
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
-            layers.append(OccupancyLayer(horizon, reached.indices.astype(np.uint32), probability))
+            layers.append(OccupancyLayer(horizon, reached.indices, probability))
         return tuple(layers)
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.growth import Points
 from twin_node.forecast.tables import CameraTable, RigTables
 from twin_node.geometry import transform
 from twin_node.scene import Bool, Camera, Float32, Float64, Grid, TwinState, UInt8, View
@@ -31,10 +32,10 @@ class Parts:
     centers: Float64
     """[M, 3] mean of each part's voxels, m."""
 
-    def moved(self, grid: Grid, displacements: Float64) -> NDArray[np.int32]:
-        """Voxel coordinates [3, n] after each part has moved by its displacement [M, 3] (m, to the nearest voxel)."""
-        shifts = np.round(displacements / grid.voxel_size).astype(np.int32)
-        return self.places + np.ascontiguousarray(shifts.T)[:, self.labels]
+    @property
+    def points(self) -> Points:
+        """The voxels as growth takes them: the likely ones are cores."""
+        return Points(self.places, self.labels, self.likely)
 
     @property
     def count(self) -> int:

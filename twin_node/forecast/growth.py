@@ -1,0 +1,136 @@
+"""Growth of moving space: every part moved on and widened by balls, exactly, for all layers at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from twin_node.forecast.kernels import GrowRequest, Kernels, ListRequest, kernels
+from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
+from twin_node.splat.library import thread_count
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Voxels reached by balls about points."""
+
+    indices: UInt32
+    """[n] flat indices, strictly increasing."""
+    core: Bool
+    """[n] True for voxels that hold a core point themselves."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Voxels of parts, inside a grid or beside it."""
+
+    places: NDArray[np.int32]
+    """[3, n] voxel coordinates (i, j, k)."""
+    labels: NDArray[np.int64]
+    """[n] part of each."""
+    core: Bool
+    """[n] whether it makes its voxel a core."""
+
+
+PER_VOXEL = 4
+"""Units of reach in a voxel's edge."""
+
+
+def reach_of(grid: Grid, radii: Float64) -> UInt8:
+    """Radii [...] (m) as reach in quarter voxels, rounded up: by at most a seventh, as every level costs time.
+
+    Half a voxel's diagonal is added for the rounding of places to voxels, to all but radii of 0.
+    """
+    reach = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, _ROUNDING, 0))
+    return np.asarray(_REACHES[np.minimum(np.searchsorted(_REACHES, reach - 1e-6), len(_REACHES) - 1)])
+
+
+_ROUNDING = np.sqrt(3) / 2
+"""How far a place is from the middle of its voxel at most, voxels."""
+_REACHES = np.array(
+    [*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)], np.uint8
+)
+
+
+def shifts_of(grid: Grid, displacements: Float64) -> NDArray[np.int32]:
+    """Displacements [..., 3] (m) in whole voxels, to the nearest."""
+    return np.round(displacements / grid.voxel_size).clip(-_FARTHEST, _FARTHEST).astype(np.int32)
+
+
+_FARTHEST = 1 << 20
+"""Voxels beyond any grid."""
+
+
+def spread(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) -> tuple[Spread, ...]:
+    """Per layer the voxels of `grid` within a part's reach of one of its points.
+
+    In each of H layers every part of `points` has moved by its `shifts` [H, M, 3] (voxels) and has its `reach` [H, M]
+    (quarter voxels). Compiled; `spread_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return spread_plainly(grid, points, shifts, reach)
+    return _spread_by(compiled, grid, points, shifts, reach)
+
+
+def _spread_by(
+    compiled: Kernels, grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8
+) -> tuple[Spread, ...]:
+    nx, ny, nz = grid.dims
+    layers, parts = reach.shape
+    reached, core = np.zeros((2, layers, nx, ny, -(-nz // 64)), np.uint64)
+    counts = np.zeros(layers, np.int64)
+    given = (points.places.astype(np.int32), points.labels.astype(np.int64), points.core, shifts, reach)
+    arrays = (*(np.ascontiguousarray(array) for array in given), reached, core, counts)
+    addresses = (array.ctypes.data for array in arrays)
+    request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses)
+    compiled.grow(request)
+    spreads = []
+    for layer, count in enumerate(counts.tolist()):
+        found = Spread(np.empty(count, np.uint32), np.empty(count, np.bool_))
+        addresses = (array.ctypes.data for array in (reached[layer], core[layer], found.indices, found.core))
+        compiled.list(ListRequest(nx, ny, nz, *addresses))
+        spreads.append(found)
+    return tuple(spreads)
+
+
+def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) -> tuple[Spread, ...]:
+    """What `spread` does, by exact distance transforms: one per layer and reach."""
+    return tuple(
+        _layer_plainly(grid, points.places + layer.T[:, points.labels], own[points.labels], points.core)
+        for layer, own in zip(shifts, reach, strict=True)
+    )
+
+
+def _layer_plainly(grid: Grid, places: NDArray[np.int32], reach: UInt8, core_points: Bool) -> Spread:
+    reached, core = np.zeros((2, *grid.dims), np.bool_)
+    for level in np.unique(reach):
+        margin = int(level) // PER_VOXEL
+        mine = places[:, reach == level] + margin
+        dims = np.array(grid.dims) + 2 * margin
+        mine = mine[:, ((mine >= 0) & (mine < dims[:, None])).all(axis=0)]
+        if mine.shape[1] == 0:
+            continue
+        away = np.ones(dims, np.bool_)
+        away[tuple(mine)] = False
+        inner = tuple(slice(margin, margin + n) for n in grid.dims)
+        reached |= distance_transform_edt(away)[inner] <= level / PER_VOXEL
+    inside = ((places >= 0) & (places < np.array(grid.dims)[:, None])).all(axis=0) & core_points
+    core[tuple(places[:, inside])] = True
+    indices = np.flatnonzero(reached).astype(np.uint32)
+    return Spread(indices, core.ravel()[indices])
+
+
+def grown(grid: Grid, mask: Bool, voxels: float) -> Bool:
+    """Flat mask [grid.size] of the voxels whose centres lie within a whole quarter of `voxels` of a set one's."""
+    indices = np.flatnonzero(mask)
+    places = np.stack(np.unravel_index(indices, grid.dims)).astype(np.int32)
+    points = Points(places, np.zeros(len(indices), np.int64), np.ones(len(indices), np.bool_))
+    reach = np.array([[PER_VOXEL * voxels]], np.uint8)
+    (reached,) = spread(grid, points, np.zeros((1, 1, 3), np.int32), reach)
+    larger = np.zeros(grid.size, np.bool_)
+    larger[reached.indices] = True
+    return larger

@@ -1,0 +1,111 @@
+"""Loads the compiled kernels of the forecast and calls them; the structs mirror `native/interface.h`."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import warnings
+from ctypes import c_int32, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+
+from twin_node import native_build
+from twin_node.forecast.errors import ForecastError
+
+INTERFACE_VERSION = 1
+
+
+class GrowRequest(ctypes.Structure):
+    """`forecast::GrowRequest`."""
+
+    _fields_ = (
+        ("points", c_int64),
+        *((name, c_int32) for name in ("layers", "parts", "nx", "ny", "nz", "threads")),
+        *((name, c_void_p) for name in ("places", "labels", "cores", "shifts", "reaches", "reached", "core", "counts")),
+    )
+
+
+class ListRequest(ctypes.Structure):
+    """`forecast::ListRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("nx", "ny", "nz")),
+        *((name, c_void_p) for name in ("reached", "core", "indices", "is_core")),
+    )
+
+
+class Sight(ctypes.Structure):
+    """`forecast::Sight`."""
+
+    _fields_ = tuple((name, c_void_p) for name in ("pixels", "depths", "free_until", "moving_until", "flags"))
+
+
+class CarveRequest(ctypes.Structure):
+    """`forecast::CarveRequest`."""
+
+    _fields_ = (
+        ("blocks", c_int64),
+        *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
+        *((name, c_void_p) for name in ("chosen", "sights", "verdicts")),
+    )
+
+
+class Kernels:
+    """One compiled variant. Safe from several threads; a forked child gets `ForecastError`."""
+
+    def __init__(self, path: Path) -> None:
+        """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
+        self._dll = ctypes.CDLL(str(path))
+        version = self._dll.forecast_interface_version()
+        if version != INTERFACE_VERSION:
+            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
+        self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
+        self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
+        self._dll.forecast_list.restype = None
+        self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
+        self._forked = False
+        os.register_at_fork(after_in_child=self._mark_forked)
+
+    def grow(self, request: GrowRequest) -> None:
+        """Unites balls about moved voxels, layer by layer. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_grow(request))
+
+    def list(self, request: ListRequest) -> None:
+        """Lists the voxels of one layer; takes one thread."""
+        self._dll.forecast_list(request)
+
+    def carve(self, request: CarveRequest) -> None:
+        """Says of every voxel of some blocks what the views show. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_carve(request))
+
+    def _mark_forked(self) -> None:
+        self._forked = True
+
+    def _require_not_forked(self) -> None:
+        if self._forked:
+            raise ForecastError(
+                "forecast: called in a process forked from one that had loaded its kernels, where OpenMP would hang; "
+                "start the process with the `spawn` method instead"
+            )
+
+
+def _check(status: int) -> None:
+    if status:
+        raise MemoryError("no memory for the forecast's grids")
+
+
+def load_variant(variant: str) -> Kernels:
+    """The kernels of one instruction set. Raises `native_build.CompileError` or `OSError`."""
+    return Kernels(native_build.FORECAST.best_library(variant))
+
+
+@cache
+def kernels() -> Kernels | None:
+    """The best kernels for this processor; None, with one warning, where there are none."""
+    try:
+        return load_variant(native_build.supported_variants()[0])
+    except (native_build.CompileError, OSError) as error:
+        warnings.warn(f"the forecast runs in plain NumPy, about ten times slower: {error}", stacklevel=2)
+        return None

@@ -1,0 +1,56 @@
+// What crosses the plain C boundary: these structs are mirrored field by field in kernels.py.
+#pragma once
+
+#include <cstdint>
+
+namespace forecast {
+
+constexpr int32_t kInterfaceVersion = 1;
+
+enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
+
+// Parts of a grid's voxels, moved and grown once per layer. Voxel (x, y, z) is bit z of column (x, y).
+struct GrowRequest {
+  int64_t points;
+  int32_t layers, parts, nx, ny, nz, threads;
+  const int32_t *places;   // [3, points] voxels, also outside the grid
+  const int64_t *labels;   // [points] part of each
+  const uint8_t *cores;    // [points] 1: makes its voxel a core
+  const int32_t *shifts;   // [layers, parts, 3] voxels
+  const uint8_t *reaches;  // [layers, parts] radius in quarter voxels
+  uint64_t *reached;       // [layers, nx, ny, words] comes zeroed
+  uint64_t *core;          // the same
+  int64_t *counts;         // [layers] voxels reached
+};
+
+// The set bits of one layer in rising order.
+struct ListRequest {
+  int32_t nx, ny, nz;
+  const uint64_t *reached, *core;  // [nx, ny, words]
+  uint32_t *indices;               // [count]
+  uint8_t *is_core;                // [count]
+};
+
+// What one view says along the ray of every pixel; one more entry stands for outside the image.
+struct Sight {
+  const int32_t *pixels;      // [blocks * 64] of every voxel, block by block
+  const float *depths;        // [blocks * 64] m
+  const float *free_until;    // [pixels + 1] m
+  const float *moving_until;  // [pixels + 1] m, or null
+  const uint8_t *flags;       // [pixels + 1] bits of Flag
+};
+
+enum Flag : uint8_t { kMoving = 1, kRobot = 2, kSeen = 4, kBeside = 8 };
+
+enum Verdict : uint8_t { kFree = 0, kUnknown = 1, kMayMove = 2, kLikelyMoves = 3 };
+
+// Every voxel of some blocks of 4 x 4 x 4 against every view.
+struct CarveRequest {
+  int64_t blocks;
+  int32_t views, nx, ny, nz, threads;
+  const int64_t *chosen;  // [blocks]
+  const Sight *sights;    // [views]
+  uint8_t *verdicts;      // [nx, ny, nz] comes zeroed
+};
+
+}  // namespace forecast

@@ -1,0 +1,40 @@
+// The plain C interface. Nothing throws across it: functions return a Status.
+#include <omp.h>
+
+#include <new>
+
+#include "carve.h"
+#include "grow.h"
+
+namespace {
+
+// The runtime is torch's too: after another library's omp_set_dynamic(1) it would take threads away under load.
+template <class Work>
+int32_t guarded(const Work &work) {
+  omp_set_dynamic(0);
+  try {
+    work();
+    return forecast::kOk;
+  } catch (const std::bad_alloc &) {
+    return forecast::kOutOfMemory;
+  }
+}
+
+}  // namespace
+
+#pragma GCC visibility push(default)
+extern "C" {
+
+int32_t forecast_interface_version() { return forecast::kInterfaceVersion; }
+
+int32_t forecast_grow(const forecast::GrowRequest *request) {
+  return guarded([&] { forecast::grow(*request); });
+}
+
+void forecast_list(const forecast::ListRequest *request) { forecast::list(*request); }
+
+int32_t forecast_carve(const forecast::CarveRequest *request) {
+  return guarded([&] { forecast::carve(*request); });
+}
+}
+#pragma GCC visibility pop
