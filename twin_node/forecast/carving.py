@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.tables import REACHES, CameraTable, RigTables
+from twin_node.forecast.verdicts import BESIDE, LIKELY_MOVES, MAY_MOVE, MOVING, ROBOT, SEEN, UNKNOWN, Sight, verdicts
 from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
 _NEVER = np.float32(0)
 _ALWAYS = np.float32(1e6)
 _PIXEL_ERROR = 0.5
 """A mask is no sharper than its pixels."""
-_MOVING, _ROBOT, _SEEN, _BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Carver:
         self._tables = tables
         self._blocks = tables.blocks
         self._backdrops = Backdrops()
-        self._last: tuple[TwinState, list[_Sight]] | None = None
+        self._last: tuple[TwinState, list[Sight]] | None = None
 
     def carve(self, state: TwinState, speed: float) -> Carved:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
@@ -68,7 +68,9 @@ class Carver:
         self._backdrops.update(state)
         sights = self._sights(state, speed)
         self._last = (state, sights)
-        return self._decide(self._undecided_blocks(sights), sights)
+        found = verdicts(self._blocks, self._undecided_blocks(sights), sights)
+        moving = np.flatnonzero(found >= MAY_MOVE)
+        return Carved(moving, found[moving] == LIKELY_MOVES, np.flatnonzero(found == UNKNOWN))
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n]."""
@@ -80,7 +82,7 @@ class Carver:
             freed |= seen.depth < sight.free_until[seen.pixels]
         return freed
 
-    def _sights(self, state: TwinState, speed: float) -> list[_Sight]:
+    def _sights(self, state: TwinState, speed: float) -> list[Sight]:
         sights = []
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             table = self._tables.of(view.camera)
@@ -88,79 +90,54 @@ class Carver:
             error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
             backdrop = self._backdrops.of(view)
-            sights.append(_Sight(table, view, moving, robot, backdrop, error_pixels=pixels, parameters=self.parameters))
+            sights.append(_sight(table, view, moving, robot, backdrop, error_pixels=pixels, parameters=self.parameters))
         return sights
 
-    def _undecided_blocks(self, sights: list[_Sight]) -> NDArray[np.int64]:
+    def _undecided_blocks(self, sights: list[Sight]) -> NDArray[np.int64]:
         """Blocks that no camera frees as a whole."""
         undecided = np.ones(self._blocks.count, np.bool_)
         for sight in sights:
-            undecided &= ~sight.frees_blocks()
+            undecided &= ~_freed_blocks(sight)
         return np.flatnonzero(undecided)
 
-    def _decide(self, blocks: NDArray[np.int64], sights: list[_Sight]) -> Carved:
-        """Every voxel of these blocks against every camera."""
-        left = self._blocks.places(blocks)
-        for sight in sights:
-            seen = sight.table.at(left)
-            left = left[seen.depth >= sight.free_until[seen.pixels]]
-        moving_views, robot_views, seen_views = np.zeros((3, len(left)), np.uint8)
-        surface_views, beside = np.zeros((2, len(left)), np.bool_)
-        for sight in sights:
-            seen = sight.table.at(left)
-            flags = sight.flags[seen.pixels]
-            moving_views += flags & _MOVING
-            robot_views += (flags & _ROBOT) // _ROBOT
-            seen_views += (flags & _SEEN) // _SEEN
-            beside |= flags >= _BESIDE
-            if sight.moving_until is not None:
-                surface_views |= seen.depth < sight.moving_until[seen.pixels]
-        moving = (moving_views >= 2) | surface_views
-        robot_itself = (robot_views >= 2) & (robot_views == seen_views)
-        indices = self._blocks.indices(left)
-        chosen = np.flatnonzero(moving)
-        chosen = chosen[np.argsort(indices[chosen])]
-        return Carved(indices[chosen], ~beside[chosen], np.sort(indices[~moving & ~robot_itself]))
+
+def _sight(
+    table: CameraTable,
+    view: View,
+    moving: Bool,
+    robot: Bool | None,
+    backdrop: Float32,
+    *,
+    error_pixels: float,
+    parameters: CarvingParameters,
+) -> Sight:
+    seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid
+    blind = ~seen if robot is None else ~seen | robot
+    widened = _dilate(moving, error_pixels)
+    free_image = _free_until(view, widened | blind, blind, error_pixels, parameters)
+    blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
+    flags = blunt * MOVING + seen * SEEN + (seen & ~moving & ~blind) * BESIDE
+    if robot is not None:
+        flags += (robot & seen) * ROBOT
+    until = None if view.depth is None else _moving_until(view, moving, blind, backdrop, parameters)
+    return Sight(
+        table,
+        free_until=np.append(free_image, _NEVER),
+        flags=np.append(flags, np.uint8(0)),
+        moving_until=None if until is None else _flat(until, blind, error_pixels),
+    )
 
 
-class _Sight:
-    """What one view says along the ray of every pixel, flat, with one more entry for outside the image."""
-
-    def __init__(
-        self,
-        table: CameraTable,
-        view: View,
-        moving: Bool,
-        robot: Bool | None,
-        backdrop: Float32,
-        *,
-        error_pixels: float,
-        parameters: CarvingParameters,
-    ) -> None:
-        self.table = table
-        seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid
-        blind = ~seen if robot is None else ~seen | robot
-        widened = _dilate(moving, error_pixels)
-        self.free_image = _free_until(view, widened | blind, blind, error_pixels, parameters)
-        self.free_until = np.append(self.free_image, _NEVER)
-        blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
-        flags = blunt * _MOVING + seen * _SEEN + (seen & ~moving & ~blind) * _BESIDE
-        if robot is not None:
-            flags += (robot & seen) * _ROBOT
-        self.flags = np.append(flags, np.uint8(0))
-        until = None if view.depth is None else _moving_until(view, moving, blind, backdrop, parameters)
-        self.moving_until = None if until is None else _flat(until, blind, error_pixels)
-
-    def frees_blocks(self) -> Bool:
-        """[blocks] True where every voxel of the block is freed."""
-        frees = np.zeros(len(self.table.block_far), np.bool_)
-        for level, reach in enumerate(REACHES):
-            mine = np.flatnonzero((self.table.block_reach == level) & (self.table.blocks.pixels < self.table.outside))
-            if len(mine) == 0:
-                continue
-            least = cv2.erode(self.free_image, np.ones((2 * reach + 1,) * 2, np.uint8), borderValue=0)
-            frees[mine] = self.table.block_far[mine] < least.ravel()[self.table.blocks.pixels[mine]]
-        return frees
+def _freed_blocks(sight: Sight) -> Bool:
+    """[blocks] True where every voxel of the block is freed."""
+    table = sight.table
+    free_image = sight.free_until[:-1].reshape(table.camera.height, table.camera.width)
+    freed = np.zeros(table.block_count, np.bool_)
+    for reach, group in zip(REACHES, table.blocks_by_reach, strict=True):
+        if len(group.rows):
+            least = cv2.erode(free_image, np.ones((2 * reach + 1,) * 2, np.uint8), borderValue=0)
+            freed[group.rows] = group.far < least.ravel()[group.pixels]
+    return freed
 
 
 def _free_until(view: View, moving: Bool, blind: Bool, error_pixels: float, parameters: CarvingParameters) -> Float32:

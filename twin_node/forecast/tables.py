@@ -80,22 +80,41 @@ class Sighting:
     """m along the optical axis."""
 
 
+@dataclass(frozen=True)
+class SeenBlocks:
+    """Blocks inside an image."""
+
+    rows: NDArray[np.int64]
+    """[n] which."""
+    pixels: NDArray[np.int32]
+    """[n] of their centres, flat."""
+    far: Float32
+    """[n] depth that nothing of them exceeds, m."""
+
+
+def _seen_blocks(sighting: Sighting, far: Float32, chosen: Bool) -> SeenBlocks:
+    rows = np.flatnonzero(chosen)
+    return SeenBlocks(rows, sighting.pixels[rows], far[rows])
+
+
 class CameraTable:
     """Where a camera sees every voxel and block; pixel `width * height` stands for outside the image."""
 
     def __init__(self, camera: Camera, blocks: Blocks) -> None:
         self.camera = camera
         self.outside = camera.width * camera.height
+        self.block_count = blocks.count
         self._blocks = blocks
         self.voxels = self._sight(blocks.voxel_centers)
         """Of all voxels, block by block."""
-        self.blocks = self._sight(blocks.centers)
-        """Of the blocks' centres."""
+        seen = self._sight(blocks.centers)
         radius = np.sqrt(3) / 2 * BLOCK * blocks.grid.voxel_size
-        self.block_far: Float32 = self.blocks.depth + np.float32(radius)
-        near = np.maximum(self.blocks.depth - radius, 1e-3)
+        far: Float32 = seen.depth + np.float32(radius)
+        near = np.maximum(seen.depth - radius, 1e-3)
         reach = np.ceil(camera.K[:2, :2].max() * radius / near * 1.5) + 1
-        self.block_reach = np.searchsorted(np.array(REACHES), reach)
+        levels = np.where(seen.pixels < self.outside, np.searchsorted(np.array(REACHES), reach), len(REACHES))
+        self.blocks_by_reach = tuple(_seen_blocks(seen, far, levels == level) for level in range(len(REACHES)))
+        """For each of `REACHES`, the blocks whose image it holds."""
         distance = float(np.linalg.norm(blocks.centers.mean(axis=0) - camera.T_base_cam[:3, 3]))
         self.pixels_per_metre = camera.K[0, 0] / max(distance, blocks.grid.voxel_size)
 

@@ -1,0 +1,93 @@
+"""What the views of a rig together say about voxels."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast import kernels
+from twin_node.forecast.tables import Blocks, CameraTable
+from twin_node.scene import Float32, UInt8
+from twin_node.splat.library import thread_count
+
+MOVING, ROBOT, SEEN, BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
+"""Bits of a pixel: the widened moving mask where no surface is measured, the arm, a valid pixel, a valid pixel that
+shows nothing that moves."""
+FREE, UNKNOWN, MAY_MOVE, LIKELY_MOVES = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
+"""Verdicts on a voxel: some view frees it (or it is the arm); nothing explains it; what moves explains it; that, and no
+view sees past what moves."""
+WITNESSES = 2
+"""Views that must show the same to be believed where no surface is measured."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one view says along the ray of every pixel, flat, with one more entry for outside the image."""
+
+    table: CameraTable
+    free_until: Float32
+    """[pixels + 1] depth up to which each pixel frees its ray, m."""
+    flags: UInt8
+    """[pixels + 1] bits."""
+    moving_until: Float32 | None
+    """[pixels + 1] depth up to which a measured moving surface explains the ray, m; None without depth."""
+
+
+def verdicts(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight]) -> UInt8:
+    """[grid.size] verdicts on the voxels of the `chosen` [n] blocks; all others are `FREE`.
+
+    Compiled; `verdicts_plainly` where that cannot be.
+    """
+    compiled = kernels.kernels()
+    if compiled is None:
+        return verdicts_plainly(blocks, chosen, sights)
+    given = (kernels.Sight * len(sights))()
+    held = [_arrays(sight) for sight in sights]  # alive until the call is over
+    for row, arrays in enumerate(held):
+        given[row] = kernels.Sight(*(None if array is None else array.ctypes.data for array in arrays))
+    verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)
+    addresses = (chosen.ctypes.data, ctypes.addressof(given), verdicts.ctypes.data)
+    compiled.carve(kernels.CarveRequest(len(chosen), len(sights), *blocks.grid.dims, thread_count(), *addresses))
+    return verdicts
+
+
+def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
+    """In the order of `kernels.Sight`."""
+    until = sight.moving_until
+    return (
+        sight.table.voxels.pixels,
+        sight.table.voxels.depth,
+        np.ascontiguousarray(sight.free_until, np.float32),
+        None if until is None else np.ascontiguousarray(until, np.float32),
+        np.ascontiguousarray(sight.flags, np.uint8),
+    )
+
+
+def verdicts_plainly(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight]) -> UInt8:
+    """What `verdicts` does, view by view."""
+    left = blocks.places(chosen)
+    for sight in sights:
+        seen = sight.table.at(left)
+        left = left[seen.depth >= sight.free_until[seen.pixels]]
+    moving_views, robot_views, seen_views = np.zeros((3, len(left)), np.uint8)
+    surface, beside = np.zeros((2, len(left)), np.bool_)
+    for sight in sights:
+        seen = sight.table.at(left)
+        flags = sight.flags[seen.pixels]
+        moving_views += (flags & MOVING) // MOVING
+        robot_views += (flags & ROBOT) // ROBOT
+        seen_views += (flags & SEEN) // SEEN
+        beside |= (flags & BESIDE) > 0
+        if sight.moving_until is not None:
+            surface |= seen.depth < sight.moving_until[seen.pixels]
+    moving = (moving_views >= WITNESSES) | surface
+    robot_itself = (robot_views >= WITNESSES) & (robot_views == seen_views)
+    verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)
+    verdicts[blocks.indices(left)] = np.where(
+        moving, np.where(beside, MAY_MOVE, LIKELY_MOVES), np.where(robot_itself, FREE, UNKNOWN)
+    )
+    return verdicts
