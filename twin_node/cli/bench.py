@@ -17,6 +17,7 @@ from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.bench_graph import add_bench_graph
 from twin_node.cli.bench_occupancy import add_bench_occupancy
 from twin_node.cli.bench_refined import add_bench_refined
+from twin_node.cli.bench_stability import add_bench_stability
 from twin_node.cli.bench_ur import add_bench_ur
 from twin_node.cli.bench_viewer import add_bench_viewer
 from twin_node.cli.methods import add_methods
@@ -48,6 +49,7 @@ def add_bench(commands: Any) -> None:
     add_bench_ur(benches)
     add_bench_graph(benches)
     add_bench_viewer(benches)
+    add_bench_stability(benches)
 
 
 def _bench_track(options: argparse.Namespace) -> None:

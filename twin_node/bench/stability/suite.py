@@ -1,0 +1,223 @@
+"""All failures at all levels, in processes of their own, and what the runs add up to."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+import torch
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.stability.case import BASELINES, Case, CaseResult, run_case
+from twin_node.bench.stability.failures import FAILURES, UNDISTURBED
+from twin_node.bench.stability.pictures import OURS, PICTURES
+from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
+from twin_node.nodes.chain import ChainParameters, GridParameters
+
+LEAST_PICTURE_DB = 15.0
+"""A picture below this on the pixels that changed shows nothing of use: the first image for ever reaches 13 dB here."""
+METHODS = (OURS, *BASELINES, *PICTURES)
+
+Progress = Callable[[Iterable[CaseResult], int], Iterable[CaseResult]]
+"""May wrap the results as they come; told how many there will be."""
+
+
+def _small_chain() -> ChainParameters:
+    """The chain as shipped, but for coarser voxels and a shorter first fit: both take time that tells nothing here."""
+    chain = ChainParameters()
+    model = replace(chain.model, seed=replace(chain.model.seed, steps=80))
+    return replace(chain, model=model, grid=GridParameters(0.03))
+
+
+@dataclass(frozen=True)
+class StabilityParameters:
+    """How much is run."""
+
+    names: tuple[str, ...] = tuple(FAILURES)
+    """Of `FAILURES`."""
+    seeds: int = 1
+    """Runs per level, of other noise and stamps."""
+    seconds: float = 2.4
+    """Usual length of a run, s."""
+    stride: int = 1
+    """Every so many sets of the 30 Hz rig are taken."""
+    most_levels: int | None = None
+    """Levels per failure, the hardest and evenly below it; None: all."""
+    processes: int = 2
+    chain: ChainParameters = field(default_factory=_small_chain)
+
+
+QUICK = StabilityParameters(seconds=1.8, stride=2, most_levels=2)
+"""Two levels of each failure at 15 Hz: shows that all run, and the roughest of what they show."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """All runs of a failure at one level."""
+
+    level: float
+    methods: Mapping[str, Pooled]
+    answered: float
+    """Share of the rig's sets for which a forecast came."""
+    warnings: tuple[str, ...]
+    """What the status said, each once."""
+
+
+@dataclass(frozen=True)
+class Stability:
+    """The whole suite."""
+
+    failures: Mapping[str, Sequence[Level]]
+    """Per failure, its levels in rising order."""
+    isometry_error: float | None
+    """Of the undisturbed runs: mean change of the distance of two Gaussians of a rigid box in 200 ms, as a share."""
+    isometry_error_mm: float | None
+    ghost: Mapping[str, float]
+    """Of the undisturbed runs: energy left where something has just been, per kind of picture; 1: a whole ghost."""
+    parameters: StabilityParameters
+
+    def gives_way(self, method: str, failure: str) -> float | None:
+        """The first level at which a method fails; None where it never does.
+
+        A forecast fails where its recall over the runs is less than `LEAST_RECALL`, a picture where it is below
+        `LEAST_PICTURE_DB` on the pixels that changed.
+        """
+        for one in self.failures[failure]:
+            pooled = one.methods[method]
+            value, least = (pooled.recall, LEAST_RECALL) if pooled.recall is not None else _picture(method, pooled)
+            if value is not None and value < least:
+                return one.level
+        return None
+
+    def picture_gives_way(self, failure: str) -> float | None:
+        """The same of our pictures."""
+        below = (
+            one.level
+            for one in self.failures[failure]
+            if (one.methods[OURS].psnr_moving_db or np.inf) < LEAST_PICTURE_DB
+        )
+        return next(below, None)
+
+    def silent_failures(self, method: str) -> int:
+        """Over all runs."""
+        return sum(one.methods[method].silent_failures for levels in self.failures.values() for one in levels)
+
+    def warning_share(self, method: str) -> float | None:
+        """Share of the ticks of undisturbed runs at which the status warned; None where none was run."""
+        shares = [
+            one.methods[method].warning_share
+            for name in UNDISTURBED
+            for one in self.failures.get(name, ())
+            if one.methods[method].warning_share is not None
+        ]
+        return float(np.mean(np.array(shares, np.float64))) if shares else None
+
+    def as_json(self) -> dict[str, object]:
+        """The stable names that `--json` prints."""
+        return {
+            **{method: self._figures(method) for method in METHODS},
+            "elastic_jelly": {"isometry_error": self.isometry_error, "isometry_error_mm": self.isometry_error_mm},
+            "ghost": dict(self.ghost),
+            "settings": {
+                "seeds": self.parameters.seeds,
+                "seconds": self.parameters.seconds,
+                "stride": self.parameters.stride,
+                "voxel_m": self.parameters.chain.grid.voxel_size,
+            },
+        }
+
+    def _figures(self, method: str) -> dict[str, object]:
+        levels = {
+            name: [
+                {"level": one.level, **asdict(one.methods[method]), "answered": one.answered, "warnings": one.warnings}
+                for one in runs
+            ]
+            for name, runs in self.failures.items()
+        }
+        figures: dict[str, object] = {
+            "silent_failures": self.silent_failures(method),
+            "warning_share": self.warning_share(method),
+            "gives_way": {name: self.gives_way(method, name) for name in self.failures},
+            "levels": levels,
+        }
+        if method == OURS:
+            figures["pictures_give_way"] = {name: self.picture_gives_way(name) for name in self.failures}
+        return figures
+
+
+def _picture(method: str, pooled: Pooled) -> tuple[float | None, float]:
+    """Figure and least value of a method without a forecast."""
+    return (pooled.psnr_moving_db if method in PICTURES else None), LEAST_PICTURE_DB
+
+
+def run(
+    parameters: StabilityParameters | None = None, progress: Progress = lambda results, total: results
+) -> Stability:
+    """Runs the suite. Raises `BenchError` for a failure that is none."""
+    parameters = parameters or StabilityParameters()
+    for name in parameters.names:
+        if name not in FAILURES:
+            raise BenchError(f"--only {name}: expected one of {', '.join(FAILURES)}")
+    cases = list(_cases(parameters))
+    return summed(list(progress(_results(cases, parameters.processes), len(cases))), parameters)
+
+
+def _cases(parameters: StabilityParameters) -> Iterator[Case]:
+    for name in parameters.names:
+        for level in chosen_levels(FAILURES[name].levels, parameters.most_levels):
+            for seed in range(1, parameters.seeds + 1):
+                yield Case(name, level, seed, parameters.seconds, parameters.stride, parameters.chain)
+
+
+def chosen_levels(levels: Sequence[float], most: int | None) -> tuple[float, ...]:
+    """At most so many of the levels: the hardest, and others evenly below it."""
+    if most is None or len(levels) <= most:
+        return tuple(levels)
+    return tuple(levels[len(levels) - 1 - (index * len(levels)) // most] for index in reversed(range(most)))
+
+
+def _results(cases: Sequence[Case], processes: int) -> Iterator[CaseResult]:
+    if processes <= 1 or len(cases) <= 1:
+        yield from map(run_case, cases)
+        return
+    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
+    with ProcessPoolExecutor(min(processes, len(cases)), mp_context=spawn, initializer=_one_thread) as pool:
+        yield from pool.map(run_case, cases)
+
+
+def _one_thread() -> None:
+    """As many processes as cores leave a core to each."""
+    torch.set_num_threads(1)
+
+
+def summed(results: Sequence[CaseResult], parameters: StabilityParameters) -> Stability:
+    """Pools the runs of each level over the seeds."""
+    failures: dict[str, list[Level]] = {}
+    for name in dict.fromkeys(result.failure for result in results):
+        of_name = [result for result in results if result.failure == name]
+        failures[name] = [
+            _level(level, [result for result in of_name if result.level == level])
+            for level in sorted({result.level for result in of_name})
+        ]
+    calm = [result.shape for result in results if result.failure in UNDISTURBED]
+    return Stability(
+        failures,
+        _mean([shape.isometry_error for shape in calm]),
+        _mean([shape.isometry_error_mm for shape in calm]),
+        {name: value for name in (OURS, *PICTURES) if (value := _mean([s.ghost.get(name) for s in calm])) is not None},
+        parameters,
+    )
+
+
+def _level(level: float, results: Sequence[CaseResult]) -> Level:
+    methods = {name: Pooled.of([result.outcomes[name] for result in results]) for name in METHODS}
+    warnings = tuple(dict.fromkeys(warning for result in results for warning in result.warnings))
+    return Level(level, methods, float(np.mean([result.answered for result in results])), warnings)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,43 @@
+"""`twin_node bench stability`: named failures of rising difficulty."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from twin_node.cli.arguments import whole
+
+
+def add_bench_stability(benches: Any) -> None:
+    """Adds `bench stability`."""
+    stability = benches.add_parser("stability", help="failures of rising difficulty: where ours and baselines give way")
+    stability.add_argument("--quick", action="store_true", help="two levels of each at 15 Hz: shows that all run")
+    stability.add_argument("--only", nargs="+", metavar="NAME", help="only these failures; a wrong name lists them all")
+    stability.add_argument("--seeds", type=whole, default=1, metavar="N", help="runs per level (default 1)")
+    stability.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
+    stability.add_argument("--out", type=Path, metavar="DIR", help="write stability.json, .md, .png and .svg here")
+    stability.add_argument("--json", action="store_true", help="print one JSON object")
+    stability.set_defaults(run=_bench_stability)
+
+
+def _bench_stability(options: argparse.Namespace) -> None:
+    from twin_node.bench.stability import chart
+    from twin_node.bench.stability.suite import QUICK, StabilityParameters, run
+
+    parameters = replace(
+        QUICK if options.quick else StabilityParameters(), seeds=options.seeds, processes=options.processes
+    )
+    if options.only:
+        parameters = replace(parameters, names=tuple(dict.fromkeys(options.only)))
+    found = run(parameters, lambda results, total: tqdm(results, total=total, unit="run", disable=None))
+    figures = found.as_json()
+    if options.out is not None:
+        picture = chart.draw(found, options.out)
+        picture.with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
+        picture.with_suffix(".md").write_text(chart.markdown(found))
+    print(json.dumps(figures) if options.json else chart.text(found))
