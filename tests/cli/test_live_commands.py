@@ -13,12 +13,16 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from twin_node.bag import RecordingWriter, open_log
+from twin_node.bag import LogWriter, RecordingWriter, open_log
+from twin_node.bench.visitors import BYTES_PER_SPLAT, Visitor, free_port
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
-from twin_node.messages import builtin_types, message_type, serialize
+from twin_node.messages import builtin_types, convert, message_type, serialize
+from twin_node.model.ply import StoredGaussians, cloud_from_stored
+from twin_node.nodes.topics import GAUSSIANS
 
 PATIENCE_S = 60.0
 
@@ -97,6 +101,43 @@ def test_what_is_played_is_recorded(tmp_path: Path, start: Callable[..., subproc
         heard = [bytes(m.data) for m in written.messages(["/chatter"])]
     assert heard
     assert set(heard) <= known
+
+
+def splat_log(path: Path) -> Path:
+    """Four hundred Gaussians, said ten times a second."""
+    rng = np.random.default_rng(0)
+    stored = StoredGaussians(
+        rng.normal(size=(400, 3)).astype(np.float32),
+        rng.normal(size=(400, 4)).astype(np.float32),
+        np.full((400, 3), -4, np.float32),
+        np.zeros(400, np.float32),
+        np.zeros((400, 1, 3), np.float32),
+    )
+    with LogWriter(path) as log:
+        for i in range(20):
+            stamp = 10**18 + i * 100_000_000
+            log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_from_stored(stored), stamp), stamp)
+    return path
+
+
+def test_a_visitor_of_the_live_viewer_sees_what_is_played(
+    tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """The log's own time is told; the page ends when it is asked to, with status 0."""
+    pytest.importorskip("viser")
+    port = free_port()
+    page = start("view", "--live", "--port", str(port))
+    player = start("play", str(splat_log(tmp_path / "splats.mcap")), "--loop", "--clock")
+    visitor = Visitor(port, range(400 * BYTES_PER_SPLAT, 10**9))
+    try:
+        visitor.wait()
+        assert page.stdout is not None and page.stdout.readline() == f"http://127.0.0.1:{port}\n"
+        assert visitor.sent(updates=2).updates >= 2
+    finally:
+        visitor.end()
+    for process in (player, page):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 0
 
 
 def test_info_and_check_of_a_sound_log(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from twin_node.bench.errors import BenchError
+from twin_node.bench.visitors import BYTES_PER_SPLAT, PATIENCE_S, connect_to, free_port, visiting
 from twin_node.messages import convert
 from twin_node.nodes.playback import Snapshot
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING
@@ -25,11 +20,6 @@ from twin_node.nodes.viewer.live import Heard
 from twin_node.robot import ur_model
 from twin_node.runtime.wire import encoded
 from twin_node.scene import GaussianCloud, Tier
-
-BYTES_PER_SPLAT = 32
-"""What viser sends of a Gaussian."""
-PATIENCE_S = 60.0
-"""Longest wait for a page or a picture."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +57,15 @@ def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None
     """Measures; `log` is what a twin has written. Raises `BenchError` where no page or picture comes."""
     parameters = parameters or ViewerBenchParameters()
     first = None if log is None else _first_picture_s(log)
-    port = _free_port()
+    port = free_port()
     page = CellPage(ur_model("ur10e"), (), port=port)
+    size = parameters.moving * BYTES_PER_SPLAT
     try:
-        with _visitors(port, parameters) as pipes:
+        with visiting(port, parameters.visitors, range(size, 2 * size)) as visitors:
+            for visitor in visitors:
+                visitor.wait()
             times = _show_all(page, parameters)
-            counts = [_count_of(pipe) for pipe in pipes]
+            counts = [visitor.sent().updates for visitor in visitors]
     finally:
         page.close()
     spent = parameters.seconds
@@ -81,9 +74,7 @@ def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None
 
 def _first_picture_s(log: Path) -> float:
     """From the start of the command until a message as large as the log's cloud is with a visitor."""
-    from websockets.sync.client import connect
-
-    port = _free_port()
+    port = free_port()
     begun = time.perf_counter()
     process = subprocess.Popen(
         [sys.executable, "-c", "from twin_node.cli import main; main()", "view", str(log), "--port", str(port)],
@@ -94,7 +85,7 @@ def _first_picture_s(log: Path) -> float:
             if process.poll() is not None or time.perf_counter() - begun > PATIENCE_S:
                 raise BenchError(f"{log}: expected a page, found none; try 'twin_node view {log}'")
             try:
-                with connect(f"ws://127.0.0.1:{port}", max_size=None, subprotocols=[_protocol()]) as visitor:
+                with connect_to(port) as visitor:
                     while len(visitor.recv(timeout=PATIENCE_S)) < 1000 * BYTES_PER_SPLAT:
                         pass
                     return time.perf_counter() - begun
@@ -142,61 +133,3 @@ def _cloud(parameters: ViewerBenchParameters) -> GaussianCloud:
         ids=np.arange(n, dtype=np.uint32),
         nodes=np.full(n, -1, np.int32),
     )
-
-
-@contextmanager
-def _visitors(port: int, parameters: ViewerBenchParameters) -> Iterator[list[Connection]]:
-    """Processes that watch the page; each says when it is connected and, at the end, what it has counted."""
-    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
-    pipes, processes = [], []
-    for _ in range(parameters.visitors):
-        ours, theirs = spawn.Pipe()
-        process = spawn.Process(target=_watch, args=(port, parameters, theirs), daemon=True)
-        process.start()
-        pipes.append(ours)
-        processes.append(process)
-    try:
-        for pipe in pipes:
-            _count_of(pipe)
-        yield pipes
-    finally:
-        for process in processes:
-            process.kill()
-            process.join()
-
-
-def _watch(port: int, parameters: ViewerBenchParameters, pipe: Connection) -> None:
-    """A visitor: counts messages that hold the moving Gaussians for as long as pictures come."""
-    from websockets.sync.client import connect
-
-    size = parameters.moving * BYTES_PER_SPLAT
-    with connect(f"ws://127.0.0.1:{port}", max_size=None, subprotocols=[_protocol()]) as page:
-        pipe.send(0)
-        count = 0
-        try:
-            while True:
-                length = len(page.recv(timeout=2.0))
-                count += size <= length < 2 * size
-        except TimeoutError:
-            pipe.send(count)
-            pipe.poll(None)
-
-
-def _count_of(pipe: Connection) -> int:
-    if not pipe.poll(PATIENCE_S):
-        raise BenchError("viewer: expected a visitor to answer, found silence; is the machine overloaded?")
-    count: int = pipe.recv()
-    return count
-
-
-def _protocol() -> Any:
-    """Viser asks its visitors for the version that they speak."""
-    import viser
-    from websockets.typing import Subprotocol
-
-    return Subprotocol(f"viser-v{viser.__version__}")
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])

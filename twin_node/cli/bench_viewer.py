@@ -9,17 +9,29 @@ from typing import Any
 
 import yaml
 
+from twin_node.cli.arguments import whole
+
 
 def add_bench_viewer(benches: Any) -> None:
     """Adds `viewer` to the benches."""
-    viewer = benches.add_parser("viewer", help="how soon and how often the viewer shows what moves")
+    viewer = benches.add_parser("viewer", help="how soon and how often the viewer shows what moves, and at what cost")
     viewer.add_argument("log", type=Path, nargs="?", metavar="LOG", help="a twin's log: also time its first picture")
+    viewer.add_argument(
+        "--latency", type=Path, metavar="RECORDING", help="instead: replay it in real time with and without visitors"
+    )
+    viewer.add_argument("--rounds", type=whole, default=3, metavar="N", help="replays of each kind (default 3)")
+    viewer.add_argument("-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="of the replays")
     viewer.add_argument("--json", action="store_true", help="print one JSON object")
     viewer.set_defaults(run=_bench_viewer)
 
 
 def _bench_viewer(options: argparse.Namespace) -> None:
-    from twin_node.bench.viewer import run
+    if options.latency is not None:
+        from twin_node.bench.viewer_latency import cost
 
-    figures = run(options.log).as_json()
+        figures = cost(options.latency, options.rounds, tuple(options.param)).as_json()
+    else:
+        from twin_node.bench.viewer import run
+
+        figures = run(options.log).as_json()
     print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())

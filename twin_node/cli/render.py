@@ -34,6 +34,7 @@ def add_render(commands: Any) -> None:
     render.add_argument("--rate", type=positive, default=30.0, metavar="HZ", help="pictures per second (default 30)")
     render.add_argument("--width", type=width, default=480, metavar="PX", help="of one camera's picture (default 480)")
     render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    render.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
     render.set_defaults(run=_render)
 
 
@@ -41,13 +42,14 @@ def _render(options: argparse.Namespace) -> None:
     from twin_node.nodes.export import ExportSpan
     from twin_node.nodes.film import Film, write_film, write_picture
     from twin_node.nodes.playback import Playback
+    from twin_node.robot import arm_model
 
     if options.output.suffix not in (".mp4", ".png"):
         raise TwinError(f"-o {options.output}: expected a name that ends in .mp4 or .png")
     is_film = options.output.suffix == ".mp4"
     with Playback(options.log, options.width, options.rig) as playback:
         view = options.view or ("beside" if playback.cameras else "orbit")
-        film = Film(playback, view, options.width, options.camera)
+        film = Film(playback, view, options.width, arm_model(options.arm), options.camera)
         span = ExportSpan(options.start, options.stop, options.rate) if is_film else ExportSpan.one(options.at)
         stamps = span.stamps(playback.start_ns, playback.end_ns)
         if not is_film:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, positive, with_source_options
+from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
+from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
 
 
@@ -30,6 +32,8 @@ def add_demo(commands: Any) -> None:
     """Adds `demo` to the subcommands."""
     demo = commands.add_parser("demo", help="make a log of a simulated cell and replay it")
     demo.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for log and report")
+    demo.add_argument("--viewer", action="store_true", help="then show the run in the browser, until Ctrl-C")
+    demo.add_argument("--port", type=whole, default=8080, help="of the viewer (default 8080)")
     demo.set_defaults(run=_demo)
 
 
@@ -58,7 +62,14 @@ def _demo(options: argparse.Namespace) -> None:
 
         write_log(load_scenario("demo"), log, show)
     parameters = load_parameters(Path("launch/demo.yaml"))
-    _run(LogSession(log), parameters, 1.0, options.out / "twin.mcap", options.out / "report")
+    twin = options.out / "twin.mcap"
+    _run(LogSession(log), parameters, 1.0, twin, options.out / "report")
+    if find_spec("viser") is None:
+        print("viewer: expected the package viser; install it with pip install 'twin-node[viewer]'")
+    elif options.viewer:
+        view_log([twin, log], arm=parameters.arm.model, port=options.port)
+    else:
+        print(f"viewer: twin_node view {twin} {log} --arm {parameters.arm.model}")
 
 
 def _run(session: Any, parameters: Any, rate: float | None, output: Path | None, report: Path | None) -> None:

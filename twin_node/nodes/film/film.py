@@ -8,26 +8,32 @@ from functools import partial
 import cv2
 import numpy as np
 
-from twin_node.forecast.score import projected
 from twin_node.nodes.export.moments import in_force
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.film.writer import FilmError
+from twin_node.nodes.overlays import arm_mask, moving_mask
 from twin_node.nodes.playback import Playback, Snapshot
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
+from twin_node.robot import ArmModel
 from twin_node.scene import Camera, Float32, ObstacleKind, UInt8, View
 
 ERROR_GAIN = 3.0
 """Differences are shown so many times as large: an error of a third is white."""
 CAPTION_PX = 22
 MOVING_COLOUR = (217, 48, 37)
+ARM_COLOUR = (242, 153, 0)
+"""Of boxes about what moves, and of the arm's outline."""
 
 
 class Film:
     """Draws snapshots of a playback in one of the `VIEWS`."""
 
-    def __init__(self, playback: Playback, view: str, width: int, camera: str | None = None) -> None:
-        """`width`: of one camera's picture, px; `camera`: only this one. Raises `FilmError` for what is not there."""
+    def __init__(self, playback: Playback, view: str, width: int, arm: ArmModel, camera: str | None = None) -> None:
+        """`width`: of one camera's picture, px; `arm`: of the log's joints; `camera`: only this one.
+
+        Raises `FilmError` for what is not there.
+        """
         if view not in VIEWS:
             raise FilmError(f"--view {view}: expected one of {', '.join(VIEWS)}")
         names = [c.name for c in playback.cameras]
@@ -40,6 +46,7 @@ class Film:
             raise FilmError(f"--camera {camera}: expected one of {', '.join(names) or 'none'}")
         self._cameras = [c for c in playback.cameras if camera in (None, c.name)]
         self._width = width
+        self._arm = arm
         self._start = playback.start_ns
         self._draw: Callable[[Snapshot], UInt8] = partial(VIEWS[view], self)
 
@@ -72,7 +79,20 @@ class Film:
             return np.hstack([blank, _pixels(ours), blank, blank])
         error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
         heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
-        return np.hstack([view.rgb, _pixels(ours), cv2.cvtColor(heat, cv2.COLOR_BGR2RGB), _foreseen(view, snapshot)])
+        heat = cv2.cvtColor(heat, cv2.COLOR_BGR2RGB)
+        return np.hstack([view.rgb, _pixels(ours), heat, self._foreseen(view, snapshot)])
+
+    def _foreseen(self, view: View, snapshot: Snapshot) -> UInt8:
+        """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined."""
+        picture = view.rgb
+        foreseen, moving = moving_mask(snapshot, view.camera, -1), moving_mask(snapshot, view.camera, 0)
+        arm = arm_mask(snapshot, view.camera, self._arm)
+        if foreseen is not None:
+            picture = fill(picture, foreseen, FORESEEN)
+        for mask, colour in ((arm, ARM_COLOUR), (moving, TRUE)):
+            if mask is not None:
+                picture = outline(picture, mask, colour)
+        return picture
 
     def _rendering(self, camera: Camera, snapshot: Snapshot) -> Float32:
         cloud = snapshot.cloud
@@ -100,12 +120,3 @@ VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
 
 def _pixels(image: Float32) -> UInt8:
     return np.asarray(np.clip(image, 0, 1) * 255, np.uint8)
-
-
-def _foreseen(view: View, snapshot: Snapshot) -> UInt8:
-    """The image, space that moves now outlined in green, space foreseen for the last horizon in blue."""
-    occupancy = snapshot.occupancy
-    if occupancy is None:
-        return view.rgb
-    picture = fill(view.rgb, projected(view.camera, occupancy.grid, occupancy.layers[-1].indices), FORESEEN)
-    return outline(picture, projected(view.camera, occupancy.grid, occupancy.layers[0].indices), TRUE)

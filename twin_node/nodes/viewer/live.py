@@ -14,6 +14,7 @@ from twin_node.nodes.playback import Said, Snapshot
 from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, RECORDED, TRAJECTORY, CameraTopics
 from twin_node.nodes.viewer.page import CellPage
 from twin_node.nodes.viewer.picked import HISTORY_NS
+from twin_node.nodes.viewer.priority import go_last
 from twin_node.rig import FrameAssembler
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
@@ -145,6 +146,7 @@ class ViewerNode(Node):
         return [said for said in tuple(self._past.get(topic, ())) if stamp - ns <= said.stamp <= stamp]
 
     def _draw(self) -> None:
+        go_last()
         drawn: dict[str, Said] = {}
         cameras: LiveCameras | None = None
         while not self._stopped.wait(FRAME_S):

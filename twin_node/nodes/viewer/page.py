@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from twin_node.nodes.viewer.frusta import Frusta
 from twin_node.nodes.viewer.panel import panel_text
 from twin_node.nodes.viewer.picked import PickedThing
 from twin_node.nodes.viewer.picking import Ray, pick
+from twin_node.nodes.viewer.priority import go_last
 from twin_node.nodes.viewer.solids import ArmBody, ObstacleShapes, PickMark, Voxels
 from twin_node.nodes.viewer.splats import SplatLayers
 from twin_node.robot import ArmModel
@@ -48,8 +50,10 @@ class CellPage:
         self._splats = SplatLayers(self.server)
         self._arm = ArmBody(self.server, arm)
         self._obstacles = ObstacleShapes(self.server)
-        self._voxels = Voxels(self.server)
-        self._frusta = Frusta(self.server, arm)
+        self.voxels = Voxels(self.server)
+        """What is shown of occupied space."""
+        self.frusta = Frusta(self.server, arm)
+        """What is shown of the cameras."""
         self._mark = PickMark(self.server)
         self._clicks: list[Ray] = []
         self._picked: PickedThing | None = None
@@ -81,15 +85,15 @@ class CellPage:
             self._splats.show(snapshot)
             self._arm.show(snapshot)
             self._obstacles.show(snapshot)
-            self._voxels.show(snapshot)
-            self._frusta.show(snapshot)
+            self.voxels.show(snapshot)
+            self.frusta.show(snapshot)
             self._words.content = panel_text(snapshot)
             self._answer_click(snapshot)
         self.server.flush()
 
     def set_cameras(self, cameras: tuple[Camera, ...]) -> None:
         """Shows these cameras from now on; visitors who come later look first at what they see."""
-        self._frusta.set_cameras(cameras)
+        self.frusta.set_cameras(cameras)
         middle: Float64 = np.array([0.5, 0.0, 0.3])
         if cameras:
             middle = np.mean([camera.T_base_cam[:3, 3] + camera.T_base_cam[:3, 2] for camera in cameras], axis=0)
@@ -110,16 +114,16 @@ class CellPage:
         gui = self.server.gui
         layers = {NO_LAYER: None, **{f"{ns // 1_000_000} ms": k for k, ns in enumerate(HORIZONS_NS)}}
         horizon = gui.add_button_group("Occupied in", tuple(layers))
-        self._on(horizon, lambda event: setattr(self._voxels, "horizon", layers[event.target.value]), "on_click")
+        self._on(horizon, lambda event: setattr(self.voxels, "horizon", layers[event.target.value]), "on_click")
         self._switch("Gaussians", True, self._splats.set_visible)
         self._switch("Arm, now and in 200 ms", True, self._arm.set_visible)
         for kind in ObstacleKind:
             shown = kind in self._obstacles.shown
             self._switch(f"{kind.name} obstacles", shown, lambda on, kind=kind: self._obstacles.set_visible(kind, on))
-        self._switch("Standing space", False, lambda on: setattr(self._voxels, "is_static_shown", on))
-        self._switch("Unknown space", False, lambda on: setattr(self._voxels, "is_unknown_shown", on))
-        self._switch("Cameras", True, lambda on: setattr(self._frusta, "is_shown", on))
-        self._switch("Arm and moving space on images", False, lambda on: setattr(self._frusta, "is_masked", on))
+        self._switch("Standing space", False, lambda on: setattr(self.voxels, "is_static_shown", on))
+        self._switch("Unknown space", False, lambda on: setattr(self.voxels, "is_unknown_shown", on))
+        self._switch("Cameras", True, lambda on: setattr(self.frusta, "is_shown", on))
+        self._switch("Arm and moving space on images", False, lambda on: setattr(self.frusta, "is_masked", on))
 
     def _switch(self, label: str, initial: bool, apply: Any) -> None:
         box = self.server.gui.add_checkbox(label, initial)
@@ -162,5 +166,5 @@ def _open_server(host: str, port: int) -> Any:
         raise ViewerError(
             f"http://{host}:{port}: cannot be opened ({reason}); give another --port, or --host"
         ) from None
-    with contextlib.redirect_stdout(None):  # it prints a banner, whatever `verbose` says
-        return viser.ViserServer(host=host, port=port, label="twin_node", verbose=False)
+    with ThreadPoolExecutor(1, initializer=go_last) as starter, contextlib.redirect_stdout(None):  # it prints a banner
+        return starter.submit(viser.ViserServer, host=host, port=port, label="twin_node", verbose=False).result()

@@ -1,0 +1,193 @@
+"""The viewer's node on a graph: it finds the cameras, draws while somebody watches, and survives what it is sent."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from twin_logs import PERIOD, START, cloud_at, obstacles_at
+
+from twin_node.bag import open_log
+from twin_node.bench.visitors import free_port
+from twin_node.messages import convert
+from twin_node.nodes.live.graph_cameras import GraphCameras
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.live.viewer import make_viewer
+from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, TF_STATIC, kind_of
+from twin_node.nodes.viewer import CellPage, ViewerError, ViewerNode
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
+from twin_node.runtime.wire import Encoded, LocalWire
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.scene import JointSample, Rig, RigCamera
+
+pytest.importorskip("viser")
+
+PATIENCE_S = 60.0
+
+
+class SetClock:
+    """Time is what it was set to."""
+
+    def __init__(self) -> None:
+        self.stamp = START
+
+    def now(self) -> int:
+        return self.stamp
+
+
+class Graph:
+    """A viewer's node on a wire, and what it shows."""
+
+    def __init__(self, sections: dict[str, Any] | None = None) -> None:
+        self.wire, self.executor, self.clock = LocalWire(), Executor(), SetClock()
+        self.published: list[Endpoint] = []
+        self.said: list[str] = []
+        bus = WireBus(self.wire, self.executor, "viewer", kind_of)
+        sections = {"viewer": {"port": free_port(), "width": 32}, "arm": {"model": "ur5e"}, **(sections or {})}
+        self.setup = Setup(
+            "viewer", bus, self.clock, self.executor, sections, "test", lambda: None, lambda: tuple(self.published)
+        )
+        setup = Setup(**{**vars(self.setup), "say": self.said.append})
+        self.node = make_viewer(setup)
+        assert isinstance(self.node, ViewerNode)
+        self.page: CellPage = self.node._page
+        self.snapshots: list[Snapshot] = []
+        self._drawn = threading.Event()
+        self._show = self.page.show
+        self.page.show = self._watch  # type: ignore[method-assign]
+        self.node.configure()
+        self.node.activate()
+
+    def _watch(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+        try:
+            self._show(snapshot)
+        finally:
+            self._drawn.set()
+
+    def send(self, topic: str, message: Any, stamp: int = START) -> None:
+        self.clock.stamp = stamp
+        msgtype = kind_of(topic).msgtype or message.__msgtype__
+        self.wire.publisher("test", topic, TopicKind(msgtype, kind_of(topic).qos))(message)
+
+    def until(self, shown: Callable[[], bool]) -> None:
+        """Until the page shows something; the graph's own messages are dealt with meanwhile."""
+        for _ in range(int(PATIENCE_S / 0.1)):
+            while self.executor.step(0.0):
+                pass
+            self._drawn.wait(0.1)
+            self._drawn.clear()
+            if shown():
+                return
+        raise AssertionError("the page never showed it")
+
+    def handle(self, name: str) -> Any:
+        return self.page.server.scene.get_handle_by_name(name)
+
+    def close(self) -> None:
+        self.node.deactivate()
+        self.node.cleanup()
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
+    monkeypatch.setattr(CellPage, "visitors", 1)
+    made = Graph()
+    yield made
+    made.close()
+
+
+def publisher(topic: str) -> Endpoint:
+    kind = kind_of(topic)
+    node = NodeIdentity("a" * 32, 1, "cameras")
+    return Endpoint(EntityKind.PUBLISHER, node, 1, topic, kind.msgtype or "", "", kind.qos)
+
+
+def test_the_newest_of_every_topic_is_shown_and_followed(graph: Graph) -> None:
+    assert graph.said == [graph.page.url]
+    graph.send(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START))
+    graph.until(lambda: graph.handle("/gaussians/static") is not None)
+    stamp = START + 9 * PERIOD
+    graph.send(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(cloud_at(9, False), stamp), stamp)
+    moved = cloud_at(9, False).means
+    graph.until(lambda: np.allclose(graph.handle("/gaussians/moving").centers / 10, moved, atol=1e-5))
+
+
+def test_a_graph_tells_of_its_cameras(graph: Graph, cell_log: Callable[..., Path]) -> None:
+    """Nobody has told the node of a rig: it learns of cameras when they publish, and sees through them."""
+    with open_log(cell_log(0.5)) as log:
+        wanted = ("/cam_front/image_raw/compressed", "/cam_front/camera_info", TF_STATIC)
+        messages = {message.topic: message for message in log.messages(wanted)}
+    for topic in wanted:
+        graph.published.append(publisher(topic))
+        message = messages[topic]
+        graph.send(topic, Encoded(message.msgtype, message.data, message.types))
+    graph.until(lambda: graph.handle("/cameras/cam_front") is not None)
+    message = messages[wanted[0]]
+    graph.send(wanted[0], Encoded(message.msgtype, message.data, message.types))
+    graph.until(lambda: graph.handle("/cameras/cam_front").image is not None)
+    assert graph.handle("/cameras/cam_front").image.shape[1] == 32
+
+
+def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> None:
+    front = RigCamera("cam_front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
+    cameras = GraphCameras(graph.setup, 32, Rig((front,)))
+    assert cameras() is None
+    graph.published += [publisher("/cam_front/image_raw/compressed"), publisher("/cam_left/image_raw/compressed")]
+    found = cameras()
+    assert found is not None and [camera.name for camera in found.topics] == ["cam_front"]
+    assert cameras() is None
+
+
+def test_a_message_that_cannot_be_shown_is_told_and_the_next_one_shown(graph: Graph) -> None:
+    wrong = JointSample(START, ("axis_1", "axis_2"), np.zeros(2), np.zeros(2))
+    graph.send(JOINT_STATES, convert.joint_sample_to_message(wrong))
+    graph.until(lambda: "axis_1" in graph.node.diagnoses()[0].message)
+    names = tuple(f"{j}_joint" for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
+    right = JointSample(START, names, np.zeros(6), np.zeros(6))
+    graph.send(JOINT_STATES, convert.joint_sample_to_message(right))
+    graph.until(lambda: graph.handle("/arm/forearm_link").visible)
+    graph.until(lambda: graph.node.diagnoses()[0].message == graph.page.url)
+
+
+def test_two_seconds_are_remembered_and_forgotten_when_time_goes_back(graph: Graph) -> None:
+    for k in range(30):
+        stamp = START + k * PERIOD
+        graph.send(OBSTACLES, convert.obstacles_to_message(obstacles_at(k, stamp)), stamp)
+        while graph.executor.step(0.0):
+            pass
+    graph.until(lambda: bool(graph.snapshots) and graph.snapshots[-1].stamp == START + 29 * PERIOD)
+    earlier = graph.snapshots[-1].earlier(OBSTACLES, 2_000_000_000)
+    assert [said.stamp for said in earlier] == [START + k * PERIOD for k in range(9, 30)]
+    graph.send(OBSTACLES, convert.obstacles_to_message(obstacles_at(0, START)))  # a log begins again
+    graph.until(lambda: graph.snapshots[-1].stamp == START)
+    assert len(graph.snapshots[-1].earlier(OBSTACLES, 2_000_000_000)) == 1
+
+
+def test_nothing_is_drawn_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Visitors are asked for before every picture; the first comes after the fifth time."""
+    asked: list[int] = []
+
+    def visitors(_page: CellPage) -> int:
+        asked.append(len(graph.snapshots))
+        return int(len(asked) > 5)
+
+    monkeypatch.setattr(CellPage, "visitors", property(visitors))
+    graph = Graph()
+    graph.send(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START))
+    graph.until(lambda: bool(graph.snapshots))
+    graph.close()
+    assert asked[:6] == [0] * 6
+
+
+def test_a_port_in_use_is_an_error(graph: Graph) -> None:
+    port = int(graph.page.url.rpartition(":")[2])
+    with pytest.raises(ViewerError, match="give another --port"):
+        Graph({"viewer": {"port": port}})

@@ -1,0 +1,181 @@
+"""The viewer with logs that hold less, more or other things than a twin's usually do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from twin_logs import PERIOD, START, cloud_at
+
+from twin_node.bag import LogWriter, RecordingWriter, open_log
+from twin_node.bench.visitors import free_port
+from twin_node.cli import main
+from twin_node.messages import convert
+from twin_node.nodes.playback import Playback
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, OCCUPANCY
+from twin_node.nodes.viewer import CellPage
+from twin_node.robot import RobotError, ur_model
+from twin_node.scene import GaussianCloud, Grid, JointSample, Occupancy, OccupancyLayer
+
+pytest.importorskip("viser")
+
+
+@pytest.fixture
+def page() -> Iterator[CellPage]:
+    made = CellPage(ur_model("ur5e"), (), port=free_port())
+    yield made
+    made.close()
+
+
+def shown(page: CellPage, *logs: Path, seconds: float = 0.5) -> Callable[[str], Any]:
+    """Shows a time of the logs; looks up what is in the scene by its name, None where it is not visible."""
+    with Playback(logs, 80) as playback:
+        page.set_cameras(playback.cameras)
+        page.show(playback.at(START + round(seconds * 1e9)))
+
+    def find(name: str) -> Any:
+        handle = page.server.scene.get_handle_by_name(name)
+        return handle if handle is not None and handle.visible else None
+
+    return find
+
+
+def part_of(log: Path, out: Path, *left_out: str) -> Path:
+    """The log without some topics."""
+    with open_log(log) as whole, RecordingWriter(out) as part:
+        for message in whole.messages([topic.name for topic in whole.topics if topic.name not in left_out]):
+            part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, whole.types)
+    return out
+
+
+def test_all_of_a_twin_is_shown(page: CellPage, twin_log: Path) -> None:
+    find = shown(page, twin_log)
+    for name in ("/gaussians/static", "/gaussians/moving", "/arm/forearm_link", "/obstacles/MOVING/BOX"):
+        assert find(name) is not None, name
+    assert len(find("/obstacles/MOVING/SPHERE").batched_positions) == 1
+
+
+def test_without_an_arm_there_is_none(page: CellPage, twin_log: Path, tmp_path: Path) -> None:
+    find = shown(page, part_of(twin_log, tmp_path / "part.mcap", JOINT_STATES))
+    assert find("/arm/forearm_link") is None and find("/arm_ahead/forearm_link") is None
+    assert find("/gaussians/static") is not None
+
+
+def test_without_a_forecast_nothing_is_occupied(page: CellPage, twin_log: Path, tmp_path: Path) -> None:
+    page.voxels.horizon, page.voxels.is_static_shown, page.voxels.is_unknown_shown = 0, True, True
+    find = shown(page, part_of(twin_log, tmp_path / "part.mcap", OBSTACLES))
+    assert find("/obstacles/MOVING/BOX") is None and find("/occupancy/moving") is None
+    assert find("/gaussians/moving") is not None
+
+
+def test_layers_of_the_forecast_are_points_where_the_voxels_are(page: CellPage, tmp_path: Path) -> None:
+    grid = Grid(np.array([0.0, 0.0, 0.0]), 0.1, (4, 4, 4))
+    certain = np.full(2, 255, np.uint8)
+    layers = tuple(OccupancyLayer(50_000_000 * k, np.array([k, 8 + k], np.uint32), certain) for k in range(5))
+    standing = OccupancyLayer(0, np.array([20, 21], np.uint32), certain)
+    said = Occupancy(START, START, grid, layers, standing, np.array([[40, 3]], np.uint32))
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(OCCUPANCY, convert.occupancy_to_message(said), START)
+    page.voxels.horizon, page.voxels.is_unknown_shown = 3, True
+    find = shown(page, tmp_path / "a.mcap", seconds=0)
+    assert np.allclose(find("/occupancy/moving").points, grid.centers(np.array([3, 11])), atol=1e-3)
+    assert np.allclose(find("/occupancy/unknown").points, grid.centers(np.array([40, 41, 42])), atol=1e-3)
+    assert find("/occupancy/static") is None
+
+
+def test_images_of_one_camera_are_in_its_frustum(
+    page: CellPage, twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    with open_log(cell_log(0.5)) as log:
+        others = [topic.name for topic in log.topics if topic.name.startswith(("/cam_left/", "/cam_back/"))]
+    one = part_of(cell_log(0.5), tmp_path / "one.mcap", *others)
+    find = shown(page, twin_log, one, seconds=0.4)
+    assert find("/cameras/cam_front").image.shape[1] == 80
+    assert find("/cameras/cam_left") is None and find("/cameras/cam_back") is None
+
+
+def test_arm_and_moving_space_are_tinted_on_the_images(
+    page: CellPage, twin_log: Path, cell_log: Callable[..., Path]
+) -> None:
+    """The arm of the log's joints is in the picture: tinted there, and the image as it was elsewhere."""
+    plain = shown(page, twin_log, cell_log(0.5), seconds=0.4)("/cameras/cam_front").image.astype(int)
+    page.frusta.is_masked = True
+    tinted = shown(page, twin_log, cell_log(0.5), seconds=0.4)("/cameras/cam_front").image.astype(int)
+    changed = (plain != tinted).any(axis=2)
+    assert 0.005 < changed.mean() < 0.5
+    assert (tinted[changed][:, 2] > plain[changed][:, 2]).mean() > 0.9  # towards blue
+
+
+def cloud_log(path: Path, cloud: GaussianCloud) -> Path:
+    with LogWriter(path) as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, START), START)
+        log.write(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(cloud.only(cloud.tiers > 0), START), START)
+    return path
+
+
+def test_no_gaussians_are_no_splats(page: CellPage, tmp_path: Path) -> None:
+    find = shown(page, cloud_log(tmp_path / "a.mcap", cloud_at(0, True).only(np.zeros(50, np.bool_))), seconds=0)
+    assert find("/gaussians/static") is None and find("/gaussians/moving") is None
+
+
+def test_splats_that_are_gone_are_taken_away(page: CellPage, twin_log: Path, tmp_path: Path) -> None:
+    assert shown(page, twin_log)("/gaussians/moving") is not None
+    still = cloud_at(0, True)
+    find = shown(page, cloud_log(tmp_path / "a.mcap", still.only(still.tiers == 0)), seconds=0)
+    assert find("/gaussians/static") is not None and find("/gaussians/moving") is None
+
+
+def test_two_hundred_thousand_gaussians_are_shown(page: CellPage, tmp_path: Path) -> None:
+    cloud = cloud_at(0, True).only(np.arange(200_000) % 50)
+    find = shown(
+        page, cloud_log(tmp_path / "a.mcap", replace(cloud, ids=np.arange(200_000, dtype=np.uint32))), seconds=0
+    )
+    assert len(find("/gaussians/static").centers) == 160_000 and len(find("/gaussians/moving").centers) == 40_000
+
+
+def test_joints_of_another_arm_are_an_error_that_names_them(page: CellPage, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        sample = JointSample(START, ("axis_1", "axis_2"), np.zeros(2), np.zeros(2))
+        log.write(JOINT_STATES, convert.joint_sample_to_message(sample), START)
+    with pytest.raises(RobotError, match="axis_1"):
+        shown(page, tmp_path / "a.mcap", seconds=0)
+
+
+def test_time_before_the_first_word_is_an_empty_page(page: CellPage, twin_log: Path) -> None:
+    find = shown(page, twin_log, seconds=-1e-9 * PERIOD)
+    assert find("/gaussians/static") is None and find("/arm/forearm_link") is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["notes.txt"], "notes.txt"),
+        (["missing.mcap"], "missing.mcap"),
+        ([], "expected a LOG, or --live"),
+        (["a.mcap", "--live"], "expected a LOG, or --live"),
+        (["a.mcap", "--endpoint", "tcp/127.0.0.1:1"], "--endpoint is for --live"),
+        (["LOG", "--arm", "ur99"], "ur99"),
+        (["LOG", "--host", "198.51.100.7"], "cannot be opened"),
+        (["LOG", "--rig", "missing.yaml"], "missing.yaml"),
+    ],
+)
+def test_wrong_wishes_are_one_line(
+    twin_log: Path,
+    cell_log: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes.txt").write_text("not a log")
+    logs = [str(twin_log), str(cell_log(0.5))]
+    given = [part for argument in arguments for part in (logs if argument == "LOG" else [argument])]
+    assert main(["view", *given]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
