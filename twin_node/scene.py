@@ -47,6 +47,17 @@ class ObstacleShape(IntEnum):
     BOX = 1
 
 
+class MotionExpert(IntEnum):
+    """What forecasts motion; values as in `twin_msgs/Obstacle`."""
+
+    PERSISTENCE = 0
+    CONSTANT_VELOCITY = 1
+    DAMPED = 2
+    CONSTANT_ACCELERATION = 3
+    AUTOREGRESSION = 4
+    NO_EXPERT = 255
+
+
 @dataclass(frozen=True)
 class RigCamera:
     """One camera of a rig as calibrated: the raw, distorted image and where its pixels come from."""
@@ -326,6 +337,8 @@ class Obstacles:
     """[n] ns."""
     valid_to: NDArray[np.int64]
     """[n] ns."""
+    experts: UInt8 | None = None
+    """[n] values of `MotionExpert`: which had the most weight in the forecast; None where nobody says."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.forecast.experts import (
+    EXPERT_NAMES,
     EXPERTS,
     KNOTS,
     LAGS,
@@ -22,6 +23,7 @@ from twin_node.forecast.experts import (
     steps,
 )
 from twin_node.forecast.neighbours import Neighbours
+from twin_node.scene import MotionExpert
 
 HORIZONS = np.array([0.0, 0.1, 0.2])
 
@@ -33,6 +35,12 @@ def history(positions: np.ndarray, period: float = 0.02) -> History:
 def polynomial(coefficients: np.ndarray, times: np.ndarray) -> np.ndarray:
     """[T, M, 3] of coefficients [D, M, 3]."""
     return np.einsum("td,dmc->tmc", np.vander(times, len(coefficients), increasing=True), coefficients)
+
+
+def test_experts_are_called_as_on_the_wire() -> None:
+    named = [expert for expert in MotionExpert if expert is not MotionExpert.NO_EXPERT]
+    assert [expert.name.lower() for expert in named] == list(EXPERT_NAMES)
+    assert [int(expert) for expert in named] == list(range(len(EXPERT_NAMES)))
 
 
 @settings(max_examples=30, deadline=None)

@@ -14,6 +14,7 @@ from twin_node.scene import (
     Bool,
     Float64,
     Grid,
+    MotionExpert,
     ObstacleKind,
     Obstacles,
     Occupancy,
@@ -106,13 +107,17 @@ def test_unknown_space_becomes_few_coarse_boxes() -> None:
     assert held(obstacles, middle, 40_000_000, ObstacleKind.UNKNOWN).all()
 
 
-def test_motion_gives_velocity_and_bound() -> None:
+def test_motion_gives_velocity_bound_and_expert() -> None:
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
-    motion = Motion(blobs[:1], np.array([[0.5, 0.0, 0.0]]), np.full((5, 1), 0.06))
+    motion = Motion(
+        blobs[:1], np.array([[0.5, 0.0, 0.0]]), np.full((5, 1), 0.06), np.array([MotionExpert.DAMPED], np.uint8)
+    )
     obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
     moving = obstacles.kinds == ObstacleKind.MOVING
     assert np.allclose(obstacles.velocities[moving], [0.5, 0, 0])
     assert np.allclose(obstacles.bounds[moving], 0.06)
+    assert obstacles.experts is not None and (obstacles.experts[moving] == MotionExpert.DAMPED).all()
+    assert (obstacles.experts[~moving] == MotionExpert.NO_EXPERT).all()
     assert np.allclose(obstacles.velocities[~moving], 0)
 
 

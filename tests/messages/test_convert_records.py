@@ -1,6 +1,7 @@
 """Clouds, occupancy, obstacles, joints, separation, status, calibration and transforms through messages and back."""
 
 from dataclasses import fields, is_dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from twin_node.scene import (
     Grid,
     JointPath,
     JointSample,
+    MotionExpert,
     ObstacleKind,
     Obstacles,
     ObstacleShape,
@@ -144,15 +146,32 @@ def test_obstacles_survive(n: int) -> None:
         bounds=rng.random(n),
         valid_from=np.array([STAMP, STAMP + 1], dtype=np.int64)[:n],
         valid_to=np.array([STAMP + 50, STAMP + 10**9], dtype=np.int64)[:n],
+        experts=np.array([MotionExpert.DAMPED, MotionExpert.NO_EXPERT], dtype=np.uint8)[:n],
     )
     assert_same(c.obstacles_from_message(sent(c.obstacles_to_message(obstacles))), obstacles)
+
+
+def test_obstacles_of_older_logs_do_not_say_their_experts() -> None:
+    kind = ObstacleKind.MOVING
+    one = Obstacles(
+        STAMP,
+        *(np.array([value], np.uint8) for value in (7, kind, ObstacleShape.BOX)),
+        *(np.ones((1, width)) for width in (3, 4, 3, 3)),
+        np.ones(1),
+        *(np.full(1, STAMP) for _ in range(2)),
+    )
+    message = c.obstacles_to_message(one)
+    fields = {name: value for name, value in vars(message.obstacles[0]).items() if name != "expert"}
+    old = replace(message, obstacles=[SimpleNamespace(**fields)])
+    experts = c.obstacles_from_message(old).experts
+    assert experts is not None and experts.tolist() == [MotionExpert.NO_EXPERT]
 
 
 def test_constants_are_those_of_the_records() -> None:
     from twin_node.messages import message_type
 
     obstacle, status = message_type("twin_msgs/msg/Obstacle"), message_type("twin_msgs/msg/TwinStatus")
-    for member in (*ObstacleKind, *ObstacleShape):
+    for member in (*ObstacleKind, *ObstacleShape, *MotionExpert):
         assert getattr(obstacle, member.name) == member
     for tier in Tier:
         assert getattr(status, tier.name) == tier

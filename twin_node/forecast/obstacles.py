@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
-from twin_node.scene import Float64, Grid, ObstacleKind, Obstacles, ObstacleShape, Occupancy
+from twin_node.scene import Float64, Grid, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Occupancy, UInt8
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,8 @@ class Motion:
     """[M, 3] m/s."""
     radii: Float64
     """[H, M] bound at each horizon, m."""
+    experts: UInt8 | None = None
+    """[M] values of `MotionExpert`: which has the most weight; None where nobody says."""
 
 
 def cover(
@@ -210,12 +212,15 @@ def _obstacles(stamp: int, batches: list[_Batch], motion: Motion | None) -> Obst
     quats = np.zeros((total, 4))
     quats[:, 0] = 1
     velocities, bounds = np.zeros((total, 3)), np.zeros(total)
+    experts = np.full(total, MotionExpert.NO_EXPERT, np.uint8)
     moving = kinds == ObstacleKind.MOVING
     if motion is not None and len(motion.centers):
         centers = (lower + upper)[moving] / 2
         nearest = _nearest(centers, motion.centers)
         velocities[moving] = motion.velocities[nearest]
         bounds[moving] = motion.radii[-1][nearest]
+        if motion.experts is not None:
+            experts[moving] = motion.experts[nearest]
     return Obstacles(
         stamp=stamp,
         ids=np.concatenate([batch.ids for batch in batches]),
@@ -228,6 +233,7 @@ def _obstacles(stamp: int, batches: list[_Batch], motion: Motion | None) -> Obst
         bounds=bounds,
         valid_from=np.repeat([batch.valid_from for batch in batches], counts).astype(np.int64),
         valid_to=np.repeat([batch.valid_to for batch in batches], counts).astype(np.int64),
+        experts=experts,
     )
 
 

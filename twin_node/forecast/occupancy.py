@@ -88,10 +88,11 @@ class Forecaster:
 
     @property
     def motion(self) -> Motion:
-        """Where the parts are, how they move, and their bounds, as of the last update."""
+        """Where the parts are, how they move, their bounds and their experts, as of the last update."""
         if len(self._tracks.times) == 0:
             return Motion(np.zeros((0, 3)), np.zeros((0, 3)), self._radii)
-        return Motion(self._tracks.positions[-1], self._tracks.velocities, self._radii)
+        experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
+        return Motion(self._tracks.positions[-1], self._tracks.velocities, self._radii, experts)
 
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""

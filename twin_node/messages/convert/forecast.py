@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin_node.messages.convert.camera import BASE_FRAME
 from twin_node.messages.stamps import from_duration, from_time, header, header_stamp, to_duration, to_time
 from twin_node.messages.types import Message, MessageError, message_type
-from twin_node.scene import Grid, Obstacles, Occupancy, OccupancyLayer
+from twin_node.scene import Grid, MotionExpert, Obstacles, Occupancy, OccupancyLayer
 
 
 def occupancy_to_message(occupancy: Occupancy) -> Message:
@@ -70,6 +70,7 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
         obstacles.bounds,
         obstacles.valid_from,
         obstacles.valid_to,
+        np.full(len(obstacles.ids), MotionExpert.NO_EXPERT) if obstacles.experts is None else obstacles.experts,
     )
     messages = [
         obstacle(
@@ -82,8 +83,9 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
             bound=bound,
             valid_from=times[valid_from],
             valid_to=times[valid_to],
+            expert=expert,
         )
-        for number, kind, shape, position, (qw, qx, qy, qz), size, velocity, bound, valid_from, valid_to in zip(
+        for number, kind, shape, position, (qw, qx, qy, qz), size, velocity, bound, valid_from, valid_to, expert in zip(
             *(column.tolist() for column in columns), strict=True
         )
     ]
@@ -91,7 +93,7 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
 
 
 def obstacles_from_message(message: Message) -> Obstacles:
-    """Obstacles from a `twin_msgs/msg/ObstacleArray`."""
+    """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts."""
     items: Sequence[Message] = message.obstacles
 
     def table(rows: list[list[float]], columns: int) -> NDArray[np.float64]:
@@ -110,6 +112,7 @@ def obstacles_from_message(message: Message) -> Obstacles:
         bounds=np.array([item.bound for item in items], dtype=np.float64),
         valid_from=np.array([from_time(item.valid_from) for item in items], dtype=np.int64),
         valid_to=np.array([from_time(item.valid_to) for item in items], dtype=np.int64),
+        experts=np.array([getattr(item, "expert", MotionExpert.NO_EXPERT) for item in items], dtype=np.uint8),
     )
 
 

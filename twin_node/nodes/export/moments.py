@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -83,7 +83,9 @@ def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
         return _NO_OBSTACLES
     at = max(stamp, int(obstacles.valid_from.min()))
     chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
-    columns = {name: values[chosen] for name, values in vars(obstacles).items() if name != "stamp"}
+    columns: dict[str, Any] = {
+        name: None if values is None else values[chosen] for name, values in vars(obstacles).items() if name != "stamp"
+    }
     return Obstacles(stamp=obstacles.stamp, **columns)
 
 

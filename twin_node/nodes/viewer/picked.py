@@ -14,7 +14,7 @@ from twin_node.nodes.export.moments import in_force
 from twin_node.nodes.playback import Said, Snapshot
 from twin_node.nodes.topics import GAUSSIANS_MOVING, OBSTACLES
 from twin_node.nodes.viewer.picking import Pick
-from twin_node.scene import Float64, GaussianCloud, ObstacleKind, Obstacles, ObstacleShape, Tier
+from twin_node.scene import Float64, GaussianCloud, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Tier
 
 HISTORY_NS = 2_000_000_000
 """How far back a thing is followed, ns: what a person remembers of a motion just seen."""
@@ -69,6 +69,7 @@ class PickedThing:
                 f"- {size} cm at {_point(o.positions[row])} m",
                 f"- speed {np.linalg.norm(o.velocities[row]):.2f} m/s",
                 f"- error bound {100 * o.bounds[row]:.1f} cm, inside its size",
+                *_expert_of(o, row),
                 *self._told(),
             ]
         )
@@ -170,7 +171,14 @@ def _bound_at(snapshot: Snapshot, place: Float64) -> list[str]:
     if not len(about):
         return ["- no moving obstacle holds it"]
     row = int(about[o.sizes[about].prod(axis=1).argmin()])
-    return [f"- error bound {100 * o.bounds[row]:.1f} cm, of obstacle {o.ids[row]} about it"]
+    return [f"- error bound {100 * o.bounds[row]:.1f} cm, of obstacle {o.ids[row]} about it", *_expert_of(o, row)]
+
+
+def _expert_of(obstacles: Obstacles, row: int) -> list[str]:
+    """Who forecasts it, where the twin says so."""
+    if obstacles.experts is None or obstacles.experts[row] == MotionExpert.NO_EXPERT:
+        return []
+    return [f"- forecast mostly by {MotionExpert(int(obstacles.experts[row])).name.lower().replace('_', ' ')}"]
 
 
 def _point(place: NDArray[np.floating]) -> str:
