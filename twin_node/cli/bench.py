@@ -16,6 +16,7 @@ from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.bench_graph import add_bench_graph
 from twin_node.cli.bench_occupancy import add_bench_occupancy
+from twin_node.cli.bench_pareto import add_bench_pareto
 from twin_node.cli.bench_refined import add_bench_refined
 from twin_node.cli.bench_stability import add_bench_stability
 from twin_node.cli.bench_ur import add_bench_ur
@@ -50,6 +51,7 @@ def add_bench(commands: Any) -> None:
     add_bench_graph(benches)
     add_bench_viewer(benches)
     add_bench_stability(benches)
+    add_bench_pareto(benches)
 
 
 def _bench_track(options: argparse.Namespace) -> None:

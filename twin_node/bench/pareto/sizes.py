@@ -1,0 +1,70 @@
+"""Ours from tiny to full: the same algorithm with less or more of what costs time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from twin_node.model import ModelParameters
+from twin_node.model.sequence import Recording
+from twin_node.scene import Bool, Camera, Float32, UInt8, View
+
+
+@dataclass(frozen=True)
+class Size:
+    """What the live model may spend on a set."""
+
+    width: int
+    """Working width of the images, px; wider ones are made smaller, narrower ones stay."""
+    gaussians_per_pixel: float
+    most_gaussians: int
+    steps: int
+    """Gradient steps per set on what moves."""
+    births: int
+    """Gaussians born per set at most."""
+
+    def model(self, base: ModelParameters) -> ModelParameters:
+        """The parameters of a model of this size; what a size does not say stays as it is in `base`."""
+        return replace(
+            base,
+            gaussians_per_pixel=self.gaussians_per_pixel,
+            most_gaussians=self.most_gaussians,
+            track=replace(base.track, steps=self.steps),
+            birth=replace(base.birth, per_set=self.births),
+        )
+
+
+SIZES: Mapping[str, Size] = {
+    "tiny": Size(64, 0.1, 2_000, 1, 40),
+    "small": Size(96, 0.2, 6_000, 2, 80),
+    "medium": Size(128, 0.3, 12_000, 4, 140),
+    "large": Size(160, 0.3, 24_000, 6, 200),
+    "full": Size(240, 0.5, 48_000, 12, 400),
+}
+"""Each takes about half as long as the next; `large` is what ships."""
+SHIPPED = "large"
+
+
+def narrowed(recording: Recording, width: int) -> Recording:
+    """The training images made smaller to a width in pixels; what is scored stays as it is."""
+    return replace(recording, train=tuple(_narrowed(view, width) for view in recording.train))
+
+
+def _narrowed(view: View, width: int) -> View:
+    camera = view.camera
+    if camera.width <= width:
+        return view
+    size = (width, round(camera.height * width / camera.width))
+    scale = np.diag([size[0] / camera.width, size[1] / camera.height, 1.0])
+    smaller = Camera(camera.name, *size, scale @ camera.K, camera.T_base_cam, camera.sigma_m)
+    rgb: UInt8 = cv2.resize(view.rgb, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    depth: Float32 | None = None
+    if view.depth is not None:
+        depth = cv2.resize(view.depth, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+    valid: Bool | None = None
+    if view.valid is not None:
+        valid = cv2.resize(view.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    return replace(view, camera=smaller, rgb=rgb, depth=depth, valid=valid)

@@ -1,0 +1,226 @@
+"""All methods on all data, and what the points add up to."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.methods.made_up import MADE_UP_QUICK, MadeUpParameters, make_up
+from twin_node.bench.methods.protocol import QUICK as QUICK_BUDGET
+from twin_node.bench.methods.protocol import Budget
+from twin_node.bench.methods.table import METHODS
+from twin_node.bench.methods.truth import MotionTruth
+from twin_node.bench.pareto.foresight import ForesightJob, ForesightPoint, foresee, has_truth
+from twin_node.bench.pareto.front import dominated_sizes, on_front
+from twin_node.bench.pareto.measure import OURS, Job, Point, measure
+from twin_node.bench.pareto.sizes import SHIPPED, SIZES
+from twin_node.model.sequence import ReadOptions, Recording
+from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.recordings import read_recording
+from twin_node.nodes.synchronizer import SynchronizerParameters
+
+HEXPLANE = "4dgs_hexplane"
+RIVALS = tuple(name for name in METHODS if name not in (OURS, "static_3dgs"))
+"""What ours is charted with; 3DGS of all frames is one of the ablations of `bench methods`."""
+
+Progress = Callable[[Iterable[str], int], Iterable[str]]
+"""May wrap the names of what is done, as it is done; told how many there will be."""
+
+
+@dataclass(frozen=True)
+class ParetoParameters:
+    """How much is run."""
+
+    logs: tuple[Path, ...] = ()
+    """Recordings beside the made-up scene."""
+    made_up: MadeUpParameters | None = field(default_factory=MadeUpParameters)
+    """None leaves it out."""
+    width: int = 160
+    """Of recorded images, px; sizes that work on smaller ones make them so."""
+    frames: int = 60
+    """Sets taken of each log, for pictures."""
+    forecast_frames: int = 120
+    """The same for forecasts of logs with exact truth."""
+    rivals: tuple[str, ...] = (*RIVALS, *(f"{HEXPLANE}:{steps}" for steps in (75, 150, 300, 600, 1200)))
+    """Names of `METHODS`, with a number of steps where one is given."""
+    sizes: tuple[str, ...] = tuple(SIZES)
+    images: int = 12
+    """Images that are scored, of the training cameras and of those left out each."""
+    budget: Budget = field(default_factory=lambda: Budget(offline_steps=2400))
+    chain: ChainParameters = field(default_factory=ChainParameters)
+    processes: int = 1
+    """Measured at once; each uses one core."""
+
+
+QUICK = ParetoParameters(
+    made_up=MADE_UP_QUICK,
+    width=96,
+    frames=12,
+    forecast_frames=40,
+    rivals=RIVALS,
+    images=4,
+    budget=QUICK_BUDGET,
+    processes=2,
+)
+"""Shows that all run, not what they reach."""
+
+
+@dataclass(frozen=True)
+class Pareto:
+    """All points."""
+
+    points: tuple[Point, ...]
+
+    def as_json(self) -> dict[str, object]:
+        """The stable names that `--json` prints."""
+        return {
+            "methods": [
+                {
+                    **asdict(point),
+                    "on_front": on_front(point, self.points),
+                    "dominates_ours": list(dominated_sizes(point, self.points)),
+                }
+                for point in self.points
+            ],
+            "against_hexplane": [asdict(one) for one in self.against_hexplane()],
+        }
+
+    def against_hexplane(self) -> list[AgainstHexplane]:
+        """Per data set, ours as shipped beside the shortest training of 4DGS on planes that does as well."""
+        found = []
+        for data in dict.fromkeys(point.data for point in self.points):
+            ours = next((p for p in self.points if p.data == data and p.name == f"{OURS}_{SHIPPED}"), None)
+            if ours is None or ours.psnr_left_out_db is None:
+                continue
+            rivals = [p for p in self.points if p.data == data and p.name.split(":")[0] == HEXPLANE]
+            rivals.sort(key=lambda one: one.ms_per_frame)
+            equal = next((p for p in rivals if (p.psnr_left_out_db or -1.0) >= ours.psnr_left_out_db), None)
+            if equal is not None:
+                found.append(AgainstHexplane.of(data, ours, equal))
+        return found
+
+
+@dataclass(frozen=True)
+class AgainstHexplane:
+    """Ours beside 4DGS on planes at equal PSNR of moving pixels of left-out cameras."""
+
+    data: str
+    hexplane: str
+    """Name of the shortest training that reaches ours."""
+    ours_db: float
+    hexplane_db: float
+    times_faster_per_set: float
+    """Training of the planes over our time per set: what a new set costs a method that is trained on the window."""
+    times_faster_amortised: float
+    """The same with the training spread over all sets of the recording."""
+    times_fewer_parameters: float | None
+
+    @staticmethod
+    def of(data: str, ours: Point, equal: Point) -> AgainstHexplane:
+        """Ratios of two points."""
+        fewer = None if not ours.parameters or not equal.parameters else equal.parameters / ours.parameters
+        return AgainstHexplane(
+            data,
+            equal.name,
+            ours.psnr_left_out_db or 0.0,
+            equal.psnr_left_out_db or 0.0,
+            (equal.latency_ms or 0.0) / ours.ms_per_frame,
+            equal.ms_per_frame / ours.ms_per_frame,
+            fewer,
+        )
+
+
+def run(parameters: ParetoParameters | None = None, progress: Progress = lambda names, total: names) -> Pareto:
+    """Measures every method on every data set. Raises `BenchError` for a log of a single camera, and a log's errors."""
+    parameters = parameters or ParetoParameters()
+    names = (*parameters.rivals, *(f"{OURS}_{size}" for size in parameters.sizes))
+    data = list(_data(parameters))
+    jobs = [Job(name, one.recording, one.truth, parameters.budget, parameters.images) for one in data for name in names]
+    forecasts = [
+        ForesightJob(one.recording.name, size, one.forecast_log, parameters.forecast_frames, parameters.chain)
+        for one in data
+        if one.forecast_log is not None
+        for size in parameters.sizes
+    ]
+    spawn = multiprocessing.get_context(
+        "spawn"
+    )  # nothing may fork after OpenMP has started; peaks need fresh processes
+    with ProcessPoolExecutor(parameters.processes, mp_context=spawn, max_tasks_per_child=1) as pool:
+        measured = [pool.submit(measure, job) for job in jobs]
+        foreseen = [pool.submit(foresee, job) for job in forecasts]
+        labels = [f"{job.name}, {job.recording.name}" for job in jobs] + [f"forecast, {job.size}" for job in forecasts]
+        for _ in progress(_as_done(labels, [*measured, *foreseen]), len(labels)):
+            pass
+        points = [one.result() for one in measured]
+        for job, one in zip(forecasts, foreseen, strict=True):
+            points = _with_forecast(points, job, one.result())
+    return Pareto(tuple(points))
+
+
+def _as_done(labels: Sequence[str], futures: Sequence[Future[Any]]) -> Iterator[str]:
+    for label, future in zip(labels, futures, strict=True):
+        future.result()
+        yield label
+
+
+@dataclass(frozen=True)
+class _Data:
+    """What all methods are given."""
+
+    recording: Recording
+    truth: MotionTruth | None = None
+    forecast_log: Path | None = None
+    """Log with the exact occupancy that forecasts are scored on."""
+
+
+def _data(parameters: ParetoParameters) -> Iterator[_Data]:
+    if parameters.made_up is not None:
+        scene = make_up(parameters.made_up)
+        yield _Data(scene.recording, scene.truth)
+    for log in parameters.logs:
+        hold_out = _camera_to_leave_out(log)
+        reading = ReadOptions(parameters.width, parameters.frames, (hold_out,))
+        recording = read_recording(log, reading, SynchronizerParameters(parameters.width))
+        yield _Data(replace(recording, name=log.stem), None, log if has_truth(log) else None)
+
+
+def _camera_to_leave_out(log: Path) -> str:
+    """The rig's first; two others must be left."""
+    with LogSession(log) as session:
+        names = [camera.name for camera in session.rig.cameras]
+    if len(names) < 3:
+        raise BenchError(f"{log}: expected three cameras, so that one can be left out, found {len(names)}")
+    return names[0]
+
+
+def _with_forecast(points: Sequence[Point], job: ForesightJob, foreseen: Sequence[ForesightPoint]) -> list[Point]:
+    """The points with the forecasts of one of our sizes; beside those of the size that ships come the baselines'."""
+    own, *others = foreseen
+    name = f"{OURS}_{job.size}"
+    result = [
+        replace(point, recall=own.score.recall, volume_l=own.score.volume_l, forecast_ms=own.forecast_ms)
+        if (point.data, point.name) == (job.data, name)
+        else point
+        for point in points
+    ]
+    if job.size != SHIPPED:
+        return result
+    return result + [
+        Point(
+            one.name,
+            f"forecast: {one.name.replace('_', ' ')}",
+            job.data,
+            True,
+            one.forecast_ms,
+            recall=one.score.recall,
+            volume_l=one.score.volume_l,
+            forecast_ms=one.forecast_ms,
+        )
+        for one in others
+    ]
