@@ -69,6 +69,18 @@ def test_depth_frees_nothing_behind_the_measured_surface() -> None:
     assert not np.isin(before, np.concatenate([carved.moving, carved.unknown])).any()
 
 
+def test_unseen_space_in_front_of_a_measured_thing_does_not_move() -> None:
+    state = state_of(0, CENTER, cameras=RIG[:1], with_depth=True)
+    beside = np.zeros_like(state.moving_masks[0])
+    columns = np.flatnonzero(state.moving_masks[0].any(axis=0))
+    beside[:, columns.min() : int(columns.mean())] = True  # the arm hides the left half, and with errors some more
+    carved = carve(replace(state, robot_masks=(beside,)))
+    camera_at = RIG[0].T_base_cam[:3, 3]
+    nearest = np.linalg.norm(GRID.centers(carved.moving) - camera_at, axis=1).min()
+    assert len(carved.moving)
+    assert nearest > np.linalg.norm(CENTER - camera_at) - 0.2
+
+
 def test_unknown_depth_frees_nothing() -> None:
     state = state_of(0, None, cameras=RIG[:1], with_depth=True)
     view = replace(state.frames.views[0], depth=np.zeros((HEIGHT, WIDTH), np.float32))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from twin_node.forecast import CoverParameters, ForecastError, Motion, cover
 from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.hiding import Hidden
 from twin_node.scene import (
     HORIZONS_NS,
     Bool,
@@ -105,6 +106,18 @@ def test_unknown_space_becomes_few_coarse_boxes() -> None:
     assert 1 <= len(obstacles.ids) <= 8
     middle = GRID.indices(GRID.origin + np.array([[0.16, 0.16, 0.3]]))
     assert held(obstacles, middle, 40_000_000, ObstacleKind.UNKNOWN).all()
+
+
+def test_unknown_space_is_an_obstacle_by_what_may_be_in_it() -> None:
+    reachable, maybe_full, empty = np.zeros((3, *GRID.dims), np.bool_)
+    reachable[:8, :8, :8] = maybe_full[:8, 16:24, :8] = empty[16:24, :8, :8] = True
+    unknown = (reachable | maybe_full | empty).ravel()
+    found = occupancy(np.full((5, 3), 100.0), np.zeros(0, np.int64), unknown)
+    obstacles = cover(found, None, None, None, Hidden(reachable.ravel(), maybe_full.ravel()))
+    for mask, kind in ((reachable, ObstacleKind.UNKNOWN), (maybe_full, ObstacleKind.STATIC)):
+        assert held(obstacles, np.flatnonzero(mask), 40_000_000, kind).all()
+    for kind in ObstacleKind:
+        assert not held(obstacles, np.flatnonzero(empty), 40_000_000, kind).any()
 
 
 def test_motion_gives_velocity_bound_and_expert() -> None:

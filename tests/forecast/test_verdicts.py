@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.tables import Blocks, CameraTable
-from twin_node.forecast.verdicts import FREE, LIKELY_MOVES, MAY_MOVE, UNKNOWN, Sight, verdicts, verdicts_plainly
+from twin_node.forecast.verdicts import (
+    FREE,
+    LIKELY_MOVES,
+    MAY_MOVE,
+    UNKNOWN,
+    Sight,
+    Surface,
+    verdicts,
+    verdicts_plainly,
+)
 from twin_node.scene import Grid
 
 BLOCKS = Blocks(Grid(np.array([-0.5, -0.4, 0.1]), 0.05, (21, 18, 14)))
@@ -19,11 +28,11 @@ TABLES = tuple(CameraTable(camera, BLOCKS) for camera in RIG)
 
 def random_sight(table: CameraTable, rng: np.random.Generator) -> Sight:
     """Depths about those of the grid, any flags; outside the image nothing is freed or explained."""
-    free_until, moving_until = np.where(rng.uniform(size=(2, table.outside + 1)) < 0.8, 0, rng.uniform(1, 3))
+    free_until, end = np.where(rng.uniform(size=(2, table.outside + 1)) < 0.8, 0, rng.uniform(1, 3)).astype(np.float32)
     flags = rng.integers(0, 16, table.outside + 1).astype(np.uint8)
-    free_until[-1] = moving_until[-1] = flags[-1] = 0
-    measured = rng.uniform() < 0.5
-    return Sight(table, free_until.astype(np.float32), flags, moving_until.astype(np.float32) if measured else None)
+    free_until[-1] = end[-1] = flags[-1] = 0
+    begin = end - rng.uniform(0, 1, len(end)).astype(np.float32)
+    return Sight(table, free_until, flags, Surface(begin, end) if rng.uniform() < 0.5 else None)
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")

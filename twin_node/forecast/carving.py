@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.tables import REACHES, CameraTable, RigTables
-from twin_node.forecast.verdicts import BESIDE, LIKELY_MOVES, MAY_MOVE, MOVING, ROBOT, SEEN, UNKNOWN, Sight, verdicts
+from twin_node.forecast.verdicts import (
+    BESIDE,
+    LIKELY_MOVES,
+    MAY_MOVE,
+    MOVING,
+    ROBOT,
+    SEEN,
+    UNKNOWN,
+    Sight,
+    Surface,
+    verdicts,
+)
 from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
 _NEVER = np.float32(0)
@@ -119,12 +130,12 @@ def _sight(
     flags = blunt * MOVING + seen * SEEN + (seen & ~moving & ~blind) * BESIDE
     if robot is not None:
         flags += (robot & seen) * ROBOT
-    until = None if view.depth is None else _moving_until(view, moving, blind, backdrop, parameters)
+    surface = None if view.depth is None else _surface(view, moving, blind, backdrop, parameters, error_pixels)
     return Sight(
         table,
         free_until=np.append(free_image, _NEVER),
         flags=np.append(flags, np.uint8(0)),
-        moving_until=None if until is None else _flat(until, blind, error_pixels),
+        surface=surface,
     )
 
 
@@ -151,23 +162,25 @@ def _free_until(view: View, moving: Bool, blind: Bool, error_pixels: float, para
     return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 1 else free
 
 
-def _moving_until(view: View, moving: Bool, blind: Bool, backdrop: Float32, parameters: CarvingParameters) -> Float32:
-    """[H, W] depth up to which a measured moving surface explains its ray, m.
+def _surface(
+    view: View, moving: Bool, blind: Bool, backdrop: Float32, parameters: CarvingParameters, error_pixels: float
+) -> Surface:
+    """The moving surface of a view with depth, widened by the calibration's error.
 
-    A thing is not much thicker than it is wide, and ends where something that stands was seen behind it.
+    A thing begins where it is measured: in front of it is space that is free, or that nobody sees. It is not much
+    thicker than it is wide, and ends where something that stands was seen behind it.
     """
     assert view.depth is not None
     width = 2 * _local_radius(moving | blind) * view.depth / view.camera.K[0, 0]
     thickness = np.minimum(parameters.thickness, parameters.thickness_share * width + parameters.depth_margin)
-    until = np.minimum(view.depth + thickness, backdrop + parameters.depth_margin)
+    front = view.depth * (1 - parameters.depth_share) - parameters.depth_margin
+    back = np.minimum(view.depth + thickness, backdrop + parameters.depth_margin)
     stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
-    return np.where(moving & ~blind & (view.depth > 0) & stands_out, until, _NEVER).astype(np.float32)
-
-
-def _flat(until: Float32, blind: Bool, error_pixels: float) -> Float32:
-    """The image widened by the calibration's error, flat, with the entry for outside."""
-    widened = np.where(blind, _NEVER, cv2.dilate(until, _disk(error_pixels)))
-    return np.append(widened, _NEVER).astype(np.float32)
+    found = moving & ~blind & (view.depth > 0) & stands_out
+    kernel = _disk(error_pixels)
+    begin = cv2.erode(np.where(found, front, _ALWAYS).astype(np.float32), kernel)
+    end = np.where(blind, _NEVER, cv2.dilate(np.where(found, back, _NEVER).astype(np.float32), kernel))
+    return Surface(np.append(begin, _ALWAYS).astype(np.float32), np.append(end, _NEVER).astype(np.float32))
 
 
 _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carved, Carver, CarvingParameters
 from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
 from twin_node.forecast.parts import Parts, PartVelocities, split
@@ -33,6 +34,8 @@ class Evidence:
     """What stands."""
     unknown_runs: UInt32
     """[r, 2] runs of flat indices that nothing frees and nothing explains."""
+    hidden: Hidden
+    """What may be in these."""
 
 
 class Observer:
@@ -49,6 +52,7 @@ class Observer:
         self._carver = Carver(self.tables, carving)
         self._velocities = PartVelocities(self.tables)
         self._static = StaticSpace(self.grid, static)
+        self._hiding = HidingPlaces(self.grid)
         self._last_centers = np.zeros((0, 3))
         self._last_velocities = np.zeros((0, 3))
 
@@ -59,16 +63,20 @@ class Observer:
         velocities = self._velocities.update(state, parts, self._expected(parts.centers))
         self._last_centers, self._last_velocities = parts.centers, velocities
         static = self._static.update(state, self._carver)
-        stands, unknown = np.zeros((2, self.grid.size), np.bool_)
+        stands, unknown, moving = np.zeros((3, self.grid.size), np.bool_)
         stands[static.indices] = True
         unknown[carved.unknown] = True
+        unknown &= ~stands
+        moving[carved.moving] = True
+        hidden = self._hiding.update(state.stamp, unknown, moving, stands)
         standing = np.flatnonzero(self.margin.cropped(stands)).astype(np.uint32)
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),
             velocities=velocities,
             static=OccupancyLayer(static.horizon_ns, standing, np.full(len(standing), 255, np.uint8)),
-            unknown_runs=encode_runs(self.margin.cropped(unknown & ~stands)),
+            unknown_runs=encode_runs(self.margin.cropped(unknown)),
+            hidden=hidden.masked(self.margin.cropped),
         )
 
     def _without_arm(self, state: TwinState, carved: Carved) -> Carved:

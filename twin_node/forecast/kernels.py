@@ -12,7 +12,7 @@ from pathlib import Path
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 
-INTERFACE_VERSION = 1
+INTERFACE_VERSION = 2
 
 
 class GrowRequest(ctypes.Structure):
@@ -37,7 +37,7 @@ class ListRequest(ctypes.Structure):
 class Sight(ctypes.Structure):
     """`forecast::Sight`."""
 
-    _fields_ = tuple((name, c_void_p) for name in ("pixels", "depths", "free_until", "moving_until", "flags"))
+    _fields_ = tuple((name, c_void_p) for name in ("pixels", "depths", "free_until", "begin", "end", "flags"))
 
 
 class CarveRequest(ctypes.Structure):

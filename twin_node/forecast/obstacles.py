@@ -9,7 +9,18 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
-from twin_node.scene import Float64, Grid, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Occupancy, UInt8
+from twin_node.forecast.hiding import Hidden
+from twin_node.scene import (
+    Bool,
+    Float64,
+    Grid,
+    MotionExpert,
+    ObstacleKind,
+    Obstacles,
+    ObstacleShape,
+    Occupancy,
+    UInt8,
+)
 
 
 @dataclass(frozen=True)
@@ -21,7 +32,7 @@ class CoverParameters:
     most_static: int = 128
     """Largest number of STATIC obstacles."""
     most_unknown: int = 64
-    """Largest number of UNKNOWN obstacles."""
+    """Largest number of UNKNOWN obstacles, and of STATIC ones for unknown space that may be full."""
     unknown_share: float = 0.5
     """A cell counts as UNKNOWN obstacle from this share of unknown voxels on: rims of the carving are left out."""
 
@@ -45,13 +56,16 @@ def cover(
     previous: Obstacles | None = None,
     parameters: CoverParameters | None = None,
     motion: Motion | None = None,
+    hidden: Hidden | None = None,
 ) -> Obstacles:
     """Obstacles that hold every occupied voxel of `occupancy`, whole, for as long as it is occupied.
 
     MOVING ones are valid from one horizon to the next and hold the voxels of both layers; STATIC and UNKNOWN ones are
     valid throughout. Each is the tight box about the voxels in one cell of a fixed lattice; ids name kind, interval and
     cell, so they stay while things move within cells. `previous` keeps the lattice from flickering between two
-    sizes; `motion` gives velocities and bounds, zero without it.
+    sizes; `motion` gives velocities and bounds, zero without it. Unknown space is UNKNOWN where something may come out
+    of it, STATIC where it may be full, and no obstacle where it is known to be empty: as `hidden` tells, all of it
+    UNKNOWN without.
 
     Raises `ForecastError` for a cap below 1.
     """
@@ -69,8 +83,14 @@ def cover(
     first, last = stamps[0], stamps[-1]
     standing = _coarsened(_cells(grid, occupancy.static.indices.astype(np.int64)), parameters.most_static, 0)
     batches.append(_batch(grid, standing, ObstacleKind.STATIC, 0, first, last))
-    unknown = _unknown_cells(occupancy, parameters)
-    batches.append(_batch(grid, unknown, ObstacleKind.UNKNOWN, 0, first, last))
+    if hidden is None:
+        unknown = decode_runs(occupancy.unknown_runs, grid.size)
+        hidden = Hidden(reachable=unknown, maybe_full=np.zeros(grid.size, np.bool_))
+    for kind, mask, number in (
+        (ObstacleKind.UNKNOWN, hidden.reachable, 0),
+        (ObstacleKind.STATIC, hidden.maybe_full, 1),
+    ):
+        batches.append(_batch(grid, _mostly(grid, mask, parameters), kind, number, first, last))
     return _obstacles(occupancy.stamp, batches, motion)
 
 
@@ -167,11 +187,9 @@ def _coarsened(boxes: _Cells, most: int, at_least_level: int) -> _Cells:
     return boxes
 
 
-def _unknown_cells(occupancy: Occupancy, parameters: CoverParameters) -> _Cells:
-    """Cells that are mostly unknown, coarse enough to be few."""
-    grid = occupancy.grid
-    unknown = np.flatnonzero(decode_runs(occupancy.unknown_runs, grid.size))
-    voxels = np.stack(np.unravel_index(unknown, grid.dims), axis=1)
+def _mostly(grid: Grid, mask: Bool, parameters: CoverParameters) -> _Cells:
+    """Cells that unknown voxels, a flat mask, mostly fill, coarse enough to be few."""
+    voxels = np.stack(np.unravel_index(np.flatnonzero(mask), grid.dims), axis=1)
     level = 0
     while True:
         side = _SMALLEST << level

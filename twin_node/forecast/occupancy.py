@@ -13,6 +13,7 @@ from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageCont
 from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
+from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import held
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.prediction import Predictor
@@ -73,6 +74,12 @@ class Forecaster:
         self._judged_at = 0
         self._radii = np.zeros((len(HORIZONS_NS), 0))
         self._warnings: tuple[str, ...] = ()
+        self._hidden: Hidden | None = None
+
+    @property
+    def hidden(self) -> Hidden | None:
+        """What may be in the unknown space of the last update; None before the first."""
+        return self._hidden
 
     @property
     def quality(self) -> ForecastQuality:
@@ -98,6 +105,7 @@ class Forecaster:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         evidence = self._observer.observe(state)
+        self._hidden = evidence.hidden
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
         self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)

@@ -25,6 +25,16 @@ WITNESSES = 2
 
 
 @dataclass(frozen=True)
+class Surface:
+    """Between which depths a measured moving surface explains the ray of every pixel, flat, as in `Sight`."""
+
+    begin: Float32
+    """[pixels + 1] m."""
+    end: Float32
+    """[pixels + 1] m; at most `begin` where there is none."""
+
+
+@dataclass(frozen=True)
 class Sight:
     """What one view says along the ray of every pixel, flat, with one more entry for outside the image."""
 
@@ -33,8 +43,8 @@ class Sight:
     """[pixels + 1] depth up to which each pixel frees its ray, m."""
     flags: UInt8
     """[pixels + 1] bits."""
-    moving_until: Float32 | None
-    """[pixels + 1] depth up to which a measured moving surface explains the ray, m; None without depth."""
+    surface: Surface | None
+    """What moves, as measured; None without depth."""
 
 
 def verdicts(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight]) -> UInt8:
@@ -57,12 +67,12 @@ def verdicts(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight])
 
 def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
     """In the order of `kernels.Sight`."""
-    until = sight.moving_until
+    measured = (None, None) if sight.surface is None else (sight.surface.begin, sight.surface.end)
     return (
         sight.table.voxels.pixels,
         sight.table.voxels.depth,
         np.ascontiguousarray(sight.free_until, np.float32),
-        None if until is None else np.ascontiguousarray(until, np.float32),
+        *(None if depths is None else np.ascontiguousarray(depths, np.float32) for depths in measured),
         np.ascontiguousarray(sight.flags, np.uint8),
     )
 
@@ -82,8 +92,9 @@ def verdicts_plainly(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence
         robot_views += (flags & ROBOT) // ROBOT
         seen_views += (flags & SEEN) // SEEN
         beside |= (flags & BESIDE) > 0
-        if sight.moving_until is not None:
-            surface |= seen.depth < sight.moving_until[seen.pixels]
+        if sight.surface is not None:
+            begun, ended = sight.surface.begin[seen.pixels], sight.surface.end[seen.pixels]
+            surface |= (begun <= seen.depth) & (seen.depth < ended)
     moving = (moving_views >= WITNESSES) | surface
     robot_itself = (robot_views >= WITNESSES) & (robot_views == seen_views)
     verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)

@@ -40,7 +40,10 @@ class ForecastNode(Node):
 
     def _on_state(self, state: TwinState) -> None:
         occupancy = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
-        self._obstacles = cover(occupancy, self._obstacles, self._cover_parameters, self._forecaster.motion)
+        forecaster = self._forecaster
+        self._obstacles = cover(
+            occupancy, self._obstacles, self._cover_parameters, forecaster.motion, forecaster.hidden
+        )
         self.bus.publish(FORECAST, Forecast(occupancy, self._obstacles, self._forecaster.quality))
         self.bus.publish(OCCUPANCY, convert.occupancy_to_message(occupancy))
         self.bus.publish(OBSTACLES, convert.obstacles_to_message(self._obstacles))

@@ -24,7 +24,7 @@ inline Verdict verdict_of(const CarveRequest &r, int64_t place) {
     robot += (flags & kRobot) != 0;
     seen += (flags & kSeen) != 0;
     beside |= (flags & kBeside) != 0;
-    surface |= sight.moving_until && depth < sight.moving_until[pixel];
+    surface |= sight.begin && sight.begin[pixel] <= depth && depth < sight.end[pixel];
   }
   if (moving >= kWitnesses || surface) return beside ? kMayMove : kLikelyMoves;
   return robot >= kWitnesses && robot == seen ? kFree : kUnknown;

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 1;
+constexpr int32_t kInterfaceVersion = 2;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -36,7 +36,7 @@ struct Sight {
   const int32_t *pixels;      // [blocks * 64] of every voxel, block by block
   const float *depths;        // [blocks * 64] m
   const float *free_until;    // [pixels + 1] m
-  const float *moving_until;  // [pixels + 1] m, or null
+  const float *begin, *end;   // [pixels + 1] m, where a measured moving surface explains the ray; null without depth
   const uint8_t *flags;       // [pixels + 1] bits of Flag
 };
 

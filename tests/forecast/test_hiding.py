@@ -1,0 +1,115 @@
+"""What may be in unseen space: hands hang on arms, loose things come to rest, and what was seen empty stays empty."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.forecast.hiding import Hidden, HidingPlaces
+from twin_node.scene import Bool, Grid
+
+GRID = Grid(np.zeros(3), 0.02, (40, 40, 30))
+STEP_NS = 33_000_000
+SHADOW = (slice(14, 24), slice(14, 24), slice(8, 18))
+"""A place in the middle that touches no side."""
+
+
+def mask(*boxes: tuple[slice, slice, slice]) -> Bool:
+    dense = np.zeros(GRID.dims, np.bool_)
+    for box in boxes:
+        dense[box] = True
+    return dense.reshape(-1)
+
+
+NOTHING = mask()
+
+
+class Watch:
+    """Plays masks into the hiding places at camera rate."""
+
+    def __init__(self) -> None:
+        self.places = HidingPlaces(GRID)
+        self.stamp = 0
+
+    def see(self, unknown: Bool, moving: Bool = NOTHING, standing: Bool = NOTHING, after_ns: int = STEP_NS) -> Hidden:
+        self.stamp += after_ns
+        return self.places.update(self.stamp, unknown & ~moving & ~standing, moving, standing)
+
+
+def test_space_never_seen_may_be_full_and_lets_nothing_out() -> None:
+    found = Watch().see(mask(SHADOW))
+    assert np.array_equal(found.maybe_full, mask(SHADOW))
+    assert not found.reachable.any()
+
+
+def test_space_seen_empty_stays_empty_in_a_shadow() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    found = watch.see(mask(SHADOW))
+    assert not found.reachable.any() and not found.maybe_full.any()
+
+
+def test_unseen_space_up_to_a_side_is_reachable() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    tunnel = mask((slice(0, 24), slice(14, 24), slice(8, 18)))
+    assert np.array_equal(watch.see(tunnel).reachable, tunnel)
+
+
+def test_a_way_thinner_than_a_hand_leads_nowhere() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    assert not watch.see(mask(SHADOW, (slice(0, 14), slice(14, 24), slice(8, 9)))).reachable[mask(SHADOW)].any()
+    assert watch.see(mask(SHADOW, (slice(0, 14), slice(14, 24), slice(8, 10)))).reachable[mask(SHADOW)].all()
+
+
+def test_what_stands_closes_the_way() -> None:
+    watch = Watch()
+    tunnel = mask((slice(0, 24), slice(14, 24), slice(8, 18)))
+    wall = mask((slice(6, 8), slice(10, 28), slice(4, 22)))
+    found = watch.see(tunnel, standing=wall)
+    inside = tunnel & mask((slice(8, 40), slice(0, 40), slice(0, 30)))
+    assert not found.reachable[inside].any() and found.maybe_full[inside].all()
+
+
+def test_what_goes_into_a_shadow_may_come_out_until_it_lies_still() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    ball = mask((slice(10, 13), slice(17, 20), slice(11, 14)))
+    assert not watch.see(mask(SHADOW)).maybe_full.any()
+    assert watch.see(mask(SHADOW), moving=ball).reachable[mask(SHADOW)].all()
+    for _ in range(20):
+        assert watch.see(mask(SHADOW)).reachable.any()
+    for _ in range(20):
+        found = watch.see(mask(SHADOW))
+    assert not found.reachable.any()
+    assert np.array_equal(found.maybe_full, mask(SHADOW))
+
+
+def test_a_hand_that_is_still_seen_to_reach_in_may_always_come_out() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    forearm = mask((slice(0, 14), slice(17, 21), slice(11, 15)))
+    for _ in range(90):
+        found = watch.see(mask(SHADOW), moving=forearm)
+    assert found.reachable[mask(SHADOW)].all()
+
+
+def test_a_thing_faster_than_the_cameras_is_not_missed_on_its_way() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    near = mask((slice(11, 13), slice(17, 20), slice(11, 14)))
+    watch.see(NOTHING, moving=near)
+    assert watch.see(mask(SHADOW)).reachable.any()
+
+
+def test_after_a_pause_nothing_is_known_to_be_empty() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    found = watch.see(mask(SHADOW), after_ns=2_000_000_000)
+    assert (found.reachable | found.maybe_full)[mask(SHADOW)].all()
+
+
+def test_nothing_comes_through_the_table() -> None:
+    watch = Watch()
+    watch.see(NOTHING)
+    assert not watch.see(mask((slice(14, 24), slice(14, 24), slice(0, 12)))).reachable.any()
