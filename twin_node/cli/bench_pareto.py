@@ -1,4 +1,4 @@
-"""`twin_node bench pareto`: speed against accuracy of every method."""
+"""`twin_node bench pareto | ablations | costs`: speed against accuracy, what each part is worth, and what it costs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import whole
+from twin_node.cli.arguments import whole, width
 
 
 def add_bench_pareto(benches: Any) -> None:
@@ -44,3 +44,46 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         picture.with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
         picture.with_suffix(".md").write_text(chart.markdown(found))
     print(json.dumps(figures) if options.json else chart.text(found))
+
+
+def add_bench_ablations(benches: Any) -> None:
+    """Adds `bench ablations`."""
+    ablations = benches.add_parser("ablations", help="what each part of the twin is worth, on a log")
+    ablations.add_argument("log", type=Path, metavar="LOG")
+    ablations.add_argument("--frames", type=whole, default=150, metavar="N", help="sets taken (default 150)")
+    ablations.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
+    ablations.add_argument("--width", type=width, default=160, metavar="PX", help="working width (default 160)")
+    ablations.add_argument("--processes", type=whole, default=1, metavar="N", help="run at once (default 1)")
+    ablations.add_argument("--json", action="store_true", help="print one JSON object")
+    ablations.set_defaults(run=_bench_ablations)
+
+
+def add_bench_costs(benches: Any) -> None:
+    """Adds `bench costs`."""
+    costs = benches.add_parser("costs", help="what a set costs by what moves, the scene's size and the run's length")
+    costs.add_argument("--passes", type=whole, default=20, metavar="N", help="to and fro over 1 s; 3600 are an hour")
+    costs.add_argument("--processes", type=whole, default=1, metavar="N", help="run at once (default 1)")
+    costs.add_argument("--json", action="store_true", help="print one JSON object")
+    costs.set_defaults(run=_bench_costs)
+
+
+def _bench_ablations(options: argparse.Namespace) -> None:
+    from twin_node.bench.pareto import ablations
+
+    parameters = ablations.AblationParameters(
+        options.log,
+        options.frames,
+        params=options.params,
+        width=options.width,
+        processes=options.processes,
+    )
+    rows = ablations.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
+    print(json.dumps(ablations.as_json(rows)) if options.json else ablations.text(rows))
+
+
+def _bench_costs(options: argparse.Namespace) -> None:
+    from twin_node.bench.pareto import costs
+
+    parameters = costs.CostParameters(passes=options.passes, processes=options.processes)
+    found = costs.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
+    print(json.dumps(costs.as_json(found)) if options.json else costs.text(found))

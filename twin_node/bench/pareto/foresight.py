@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from twin_node.bench.errors import BenchError
+from twin_node.bench.pareto.following import BASELINES, OURS, Follower, settled_ms
 from twin_node.bench.pareto.sizes import SIZES
-from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
-from twin_node.forecast.comparison import Comparison, Score
-from twin_node.nodes.chain import ChainParameters, make_model
+from twin_node.forecast.comparison import Score
+from twin_node.nodes.chain import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.replay import ASSUMED_LATENCY_NS
-from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import VoxelTruth
-from twin_node.scene import FrameSet
-
-OURS = "ours"
-BASELINES = ("persistence", "constant_velocity", "worst_case")
-WARM_UP_NS = 400_000_000
-"""Forecasts of so long are made and not scored: nothing has had time to be seen moving, ns."""
 
 
 @dataclass(frozen=True)
@@ -63,35 +53,14 @@ def foresee(job: ForesightJob) -> list[ForesightPoint]:
     size = SIZES[job.size]
     chain = replace(job.chain, model=size.model(job.chain.model))
     with LogSession(job.log) as session:
-        source = LogSource(session, SynchronizerParameters(size.width))
-        grid = default_grid(source.workspace, chain.grid.voxel_size)
-        model, arm = make_model(chain), chain.arm.arm()
-        forecaster = Forecaster(grid, chain.forecast, arm)
-        baselines = BaselineForecaster(grid, chain.forecast.carving, chain.forecast.static, arm)
-        comparison = Comparison(VoxelTruth(session.log), BASELINES[0])
-        laps = []
-        begin = None
-        for frames in _first(source, job.frames):
-            begin = frames.stamp if begin is None else begin
-            state = model.update(frames)
-            times = [time.process_time()]
-            ours = forecaster.update(state, state.stamp + ASSUMED_LATENCY_NS)
-            times.append(time.process_time())
-            others = baselines.update(state, state.stamp + ASSUMED_LATENCY_NS)
-            times.append(time.process_time())
-            laps.append(np.diff(times))
-            forecasts = {OURS: ours, **{name: getattr(others, name) for name in BASELINES}}
-            comparison.add(state, forecasts if state.stamp - begin >= WARM_UP_NS else {})
-    scores = comparison.scores()
+        source = LogSource(session, replace(chain.synchronizer, width=size.width))
+        follower = Follower(chain, chain.arm.arm(), source.workspace, VoxelTruth(session.log))
+        for _ in follower.follow(islice(source, job.frames)):
+            pass
+    scores, laps = follower.scores, follower.laps
     if not scores:
-        raise BenchError(f"{job.log}: expected more than 0.7 s of images to score forecasts on, found {len(laps)} sets")
-    ours_ms, others_ms = 1e3 * np.median(laps[1:], axis=0)
-    costs = {OURS: ours_ms, **dict.fromkeys(BASELINES, others_ms)}
-    return [ForesightPoint(name, scores[name], float(cost)) for name, cost in costs.items()]
-
-
-def _first(source: LogSource, count: int) -> Iterator[FrameSet]:
-    for number, frames in enumerate(source):
-        if number == count:
-            return
-        yield frames
+        raise BenchError(
+            f"{job.log}: expected more than 0.7 s of images to score forecasts on, found {len(laps.model)} sets"
+        )
+    costs = {OURS: settled_ms(laps.forecast), **dict.fromkeys(BASELINES, settled_ms(laps.baselines))}
+    return [ForesightPoint(name, scores[name], cost) for name, cost in costs.items()]

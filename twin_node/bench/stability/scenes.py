@@ -104,13 +104,10 @@ def turning_box(speed: float, seconds: float) -> Scenario:
 
 
 def blinking_box(per_second: float, seconds: float) -> Scenario:
-    """A box that stands in mid-air for half of each period, somewhere else each time, and is nowhere in between."""
+    """A box that stands in mid-air for the second half of each period, and is nowhere in the first."""
 
     def course(t: float) -> Float64:
-        turn, share = divmod(t * per_second, 1.0)
-        angle = 2.4 * turn
-        here: Float64 = MIDDLE + RADIUS_M * np.array([np.cos(angle), np.sin(angle), 0.0])
-        return here if share >= 0.5 else OFF_STAGE
+        return MIDDLE if (t * per_second) % 1.0 >= 0.5 else OFF_STAGE
 
     return one_box(course, seconds)
 

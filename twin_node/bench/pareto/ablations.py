@@ -1,0 +1,169 @@
+"""What each part of the twin is worth: the chain on a log with one part at a time left out."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from twin_node.bench.pareto.following import OURS, Follower, settled_ms
+from twin_node.nodes.chain import ChainParameters, load_parameters
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.report.quality import clouds_against_images, score
+from twin_node.nodes.topics import TRUTH_OCCUPANCY
+from twin_node.nodes.truth import LaterTruth, VoxelTruth
+
+NEVER = 1_000_000
+"""Members that no node ever has."""
+
+Progress = Callable[[Iterable["Ablated"], int], Iterable["Ablated"]]
+"""May wrap the rows as they come; told how many there will be."""
+Change = Callable[[ChainParameters], ChainParameters]
+
+
+def _without_nodes(chain: ChainParameters) -> ChainParameters:
+    return replace(chain, model=replace(chain.model, birth=replace(chain.model.birth, node_members=NEVER)))
+
+
+def _without_transients(chain: ChainParameters) -> ChainParameters:
+    return replace(chain, model=replace(chain.model, birth=replace(chain.model.birth, transient_s=0.0)))
+
+
+def _without_steps(chain: ChainParameters) -> ChainParameters:
+    return replace(chain, model=replace(chain.model, track=replace(chain.model.track, steps=0)))
+
+
+def _without_alignment(chain: ChainParameters) -> ChainParameters:
+    return replace(chain, model=replace(chain.model, track=replace(chain.model.track, alignments=0)))
+
+
+def _without_adaptation(chain: ChainParameters) -> ChainParameters:
+    bound = replace(chain.forecast.bound, follow=0.0, correction=0.0)
+    return replace(chain, forecast=replace(chain.forecast, bound=bound))
+
+
+def _as_it_is(chain: ChainParameters) -> ChainParameters:
+    return chain
+
+
+ABLATIONS: Mapping[str, Change] = {
+    "whole": _as_it_is,
+    "no_nodes": _without_nodes,
+    "no_transients": _without_transients,
+    "no_gradient_steps": _without_steps,
+    "no_alignment": _without_alignment,
+    "no_self_filter": _as_it_is,
+    "bound_not_adapted": _without_adaptation,
+}
+"""By the names that `--json` prints: the tiers RIGID and DEFORMABLE, TRANSIENT, the descent on what moves, the motion
+of nodes from optical flow, the robot's own space with the tier ROBOT, and the bound's correction by what comes true."""
+SELF_FILTER = "no_self_filter"
+
+
+@dataclass(frozen=True)
+class AblationParameters:
+    """Which log, and how much of it."""
+
+    log: Path
+    frames: int = 150
+    names: tuple[str, ...] = tuple(ABLATIONS)
+    params: Path | None = None
+    """Parameter file of the chain, which says which arm the log has."""
+    width: int = 160
+    processes: int = 1
+
+
+@dataclass(frozen=True)
+class Ablated:
+    """The twin with one part left out."""
+
+    name: str
+    model_ms: float
+    """Median update, of one core."""
+    forecast_ms: float
+    psnr_moving_db: float | None
+    psnr_unchanged_db: float | None
+    recall: float | None
+    """Against the log's exact occupancy, else against what was seen to move when the time had come."""
+    recall_new: float | None
+    moving_volume_l: float | None
+    coverage: float | None
+    """Of the bound by its own record."""
+    kb_per_frame: float
+    parameters: int
+    moving_gaussians: float
+    """Mean, of all tiers but STATIC and ROBOT."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    name: str
+    parameters: AblationParameters
+
+
+def run(parameters: AblationParameters, progress: Progress = lambda rows, total: rows) -> list[Ablated]:
+    """Follows the log once per ablation, each in a process and on a core of its own. Raises the log's errors."""
+    load_parameters(parameters.params)
+    with LogSession(parameters.log):
+        jobs = [_Job(name, parameters) for name in parameters.names]
+    return list(progress(_results(jobs, parameters.processes), len(jobs)))
+
+
+def _results(jobs: list[_Job], processes: int) -> Iterator[Ablated]:
+    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
+    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+        yield from pool.map(_follow, jobs)
+
+
+def as_json(rows: Iterable[Ablated]) -> dict[str, object]:
+    """The stable names that `--json` prints."""
+    return {row.name: {key: value for key, value in asdict(row).items() if key != "name"} for row in rows}
+
+
+def _follow(job: _Job) -> Ablated:
+    """One ablation on one core."""
+    torch.set_num_threads(1)
+    chain = ABLATIONS[job.name](load_parameters(job.parameters.params))
+    arm = None if job.name == SELF_FILTER else chain.arm.arm()
+    with LogSession(job.parameters.log) as session:
+        has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in session.log.topics)
+        truth: VoxelTruth | LaterTruth = VoxelTruth(session.log) if has_exact else LaterTruth()
+        source = LogSource(session, replace(chain.synchronizer, width=job.parameters.width))
+        follower = Follower(chain, arm, source.workspace, truth)
+        ticks = follower.follow(islice(source, job.parameters.frames))
+        quality = score(clouds_against_images(ticks, lambda camera: follower.model.render_frozen(camera).rgb))
+    scores, laps, coverage = follower.scores, follower.laps, follower.quality.coverage
+    ours = scores.get(OURS)
+    return Ablated(
+        name=job.name,
+        model_ms=settled_ms(laps.model),
+        forecast_ms=settled_ms(laps.forecast),
+        psnr_moving_db=quality.psnr_moving_db,
+        psnr_unchanged_db=quality.psnr_unchanged_db,
+        recall=None if ours is None else ours.recall,
+        recall_new=None if ours is None else ours.recall_new,
+        moving_volume_l=None if ours is None else ours.moving_volume_l,
+        coverage=coverage if np.isfinite(coverage) else None,
+        kb_per_frame=float(np.mean(laps.sent[1:])) / 1e3,
+        parameters=follower.model.parameters_count,
+        moving_gaussians=float(np.mean(laps.moving)),
+    )
+
+
+def text(rows: Iterable[Ablated]) -> str:
+    """The table as lines."""
+    lines = [f"{'':20}" + "".join(f"{name:>18}" for name in _COLUMNS)]
+    for row in rows:
+        values = [getattr(row, name) for name in _COLUMNS]
+        cells = ["-" if value is None else f"{value:.4g}" for value in values]
+        lines.append(f"{row.name:20}" + "".join(f"{cell:>18}" for cell in cells))
+    return "\n".join(lines)
+
+
+_COLUMNS = tuple(field.name for field in fields(Ablated) if field.name != "name")
