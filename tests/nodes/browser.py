@@ -67,9 +67,17 @@ class Tab:
     def click_middle(self) -> None:
         """Clicks at the middle of what is drawn in 3D."""
         box = self._canvas()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        self._click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+    def _click(self, x: float, y: float) -> None:
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def slide(self, share: float) -> None:
+        """Clicks at a share of the way along the page's first slider."""
+        find = "JSON.stringify(document.querySelector('[role=slider]').parentElement.getBoundingClientRect())"
+        box = json.loads(self.call("Runtime.evaluate", expression=find, returnByValue=True)["result"]["value"])
+        self._click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
 
     def picture(self) -> NDArray[np.uint8]:
         """[H, W, 3] RGB of what the page draws in 3D, without the panels."""

@@ -1,26 +1,19 @@
-"""The viewer: what a click hits, what the page shows, and the page in a real browser."""
+"""The viewer: what a click hits, what is known of it, and playing a log."""
 
 from __future__ import annotations
 
-import os
-import queue
-import socket
-import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, Tab, open_tab
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
+from twin_node.bench.visitors import free_port
 from twin_node.cli import main
-from twin_node.geometry import quat_from_rotation
 from twin_node.messages import convert
 from twin_node.nodes.playback import Playback, Snapshot
-from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
+from twin_node.nodes.topics import OBSTACLES
 from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.nodes.viewer.live import Heard
 from twin_node.nodes.viewer.picked import PickedThing
@@ -29,14 +22,9 @@ from twin_node.nodes.viewer.solids import capsule_mesh
 from twin_node.nodes.viewer.splats import covariances_of
 from twin_node.robot import ur_model
 from twin_node.runtime.wire import encoded
-from twin_node.scene import Camera, ObstacleKind
+from twin_node.scene import ObstacleKind
 
-viser = pytest.importorskip("viser")
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
+pytest.importorskip("viser")
 
 
 @pytest.fixture
@@ -146,57 +134,3 @@ def test_a_port_in_use_is_one_line(twin_log: Path, page: CellPage, capsys: pytes
     port = page.url.rpartition(":")[2]
     assert main(["view", str(twin_log), "--port", port]) == 2
     assert "give another --port" in capsys.readouterr().err
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_a_browser_shows_the_splats_and_answers(twin_log: Path, page: CellPage, tmp_path: Path) -> None:
-    """The browser's picture is that of our own rasteriser; buttons move the time, a click names what it hit."""
-    visitors: queue.Queue[Any] = queue.Queue()
-    page.server.on_client_connect(visitors.put)
-    with Playback([twin_log]) as playback, open_tab(page.url) as tab:
-        client = visitors.get(timeout=60)
-        assert tab.shows("Click at an obstacle")
-        page.show(Snapshot(START, {GAUSSIANS: playback.at(START).said[GAUSSIANS]}, {}, None))
-        _compare_pictures(client, tab)
-        viewer = LogViewer(playback, page)
-        runner = threading.Thread(target=viewer.run)
-        runner.start()
-        try:
-            assert tab.press("+1 s")
-            box = obstacles_at(10, START).positions[0]
-            client.camera.position = tuple(box + np.array([0, -1.0, 0.01]))
-            client.camera.look_at = tuple(box)
-            client.flush()
-            assert any(_hits(tab, "Obstacle 7") for _ in range(10))  # the first clicks may come before the camera
-            tab.screenshot(Path(os.environ.get("CI_ARTEFACTS", tmp_path)) / "viewer.png")
-            own = "computeBoundingSphere"  # viser's splats have a geometry of their own, of which three.js complains
-            assert [error for error in tab.errors if own not in error] == []
-        finally:
-            viewer.stop()
-            runner.join()
-
-
-def _hits(tab: Tab, words: str) -> bool:
-    tab.click_middle()
-    return tab.shows(words, 2.0)
-
-
-def _compare_pictures(client: Any, tab: Tab) -> None:
-    """The cloud alone from one side, on white: by the browser and by us."""
-    T = np.eye(4)
-    T[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # looks along y, z up
-    T[:3, 3] = [1.0, -1.6, 0.5]
-    client.camera.wxyz, client.camera.position, client.camera.fov = quat_from_rotation(T[:3, :3]), T[:3, 3], 0.9
-    client.flush()
-    height, width = tab.picture().shape[:2]
-    focal = height / 2 / np.tan(0.45)
-    camera = Camera("view", width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), T)
-    cloud = cloud_at(0, True)
-    ours = render_cloud(cloud, camera) + 1 - render_cloud(replace(cloud, rgb=np.ones_like(cloud.rgb)), camera)
-    drawn = (1 - ours).max(axis=2) > 0.2
-    drawn[:160, :320] = False  # viser says there that it has no GPU
-    assert drawn.sum() > 5000
-    error = np.inf
-    for _ in range(20):  # the page sorts its splats in a thread of its own: its first pictures are without them
-        error = min(error, np.abs(tab.picture() / 255 - ours)[drawn].mean())
-    assert error < 0.05

@@ -90,11 +90,11 @@ def idle(seconds: float) -> IdleFigures:
     with running(plan) as run:
         run.spin(2.0)
         names = run.launcher.children()
-        before = {name: _cpu_s(pid) for name, pid in names.items()}
+        before = {name: cpu_s(pid) for name, pid in names.items()}
         begun = time.monotonic()
         time.sleep(seconds)
         passed = time.monotonic() - begun
-        shares = {name: (_cpu_s(pid) - before[name]) / passed for name, pid in names.items()}
+        shares = {name: (cpu_s(pid) - before[name]) / passed for name, pid in names.items()}
     return IdleFigures(sum(shares.values()), tuple(sorted(shares.items())))
 
 
@@ -153,6 +153,7 @@ def _percentiles(samples: Sequence[float]) -> Percentiles:
     )
 
 
-def _cpu_s(pid: int) -> float:
+def cpu_s(pid: int) -> float:
+    """Processor time of a process, s."""
     times = psutil.Process(pid).cpu_times()
     return float(times.user + times.system)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from twin_node.bench.errors import BenchError
+from twin_node.bench.graph import cpu_s
 from twin_node.bench.graph_run import running
 from twin_node.bench.visitors import free_port, visiting
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.nodes.topics import STATUS
 
@@ -29,7 +32,11 @@ class Run:
     """From the evidence's newest image to the obstacles made of it, over the last 300 sets."""
     sets: int
     """That went through the twin."""
-    seen_mb: float
+    twin_ms_per_set: float
+    """Processor time of the twin's process per set: what others on the machine take from it does not count."""
+    page_cores: float = 0.0
+    """Processor time of the page's process, share of one core."""
+    seen_mb: float = 0.0
     """What each visitor was sent, mean, megabytes."""
 
 
@@ -41,6 +48,8 @@ class ViewerCost:
     watched: tuple[Run, ...]
     p99_cost_ms: float
     """Median of the watched runs less that of the others."""
+    twin_cost_ms_per_set: float
+    """The same of the twin's processor time."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
@@ -62,19 +71,47 @@ def cost(log: Path, rounds: int, settings: tuple[str, ...] = ()) -> ViewerCost:
                 visitor.wait()
             seen = [visitor.sent().data for visitor in visitors]
             watched.append(replace(run, seen_mb=float(np.mean(seen)) / 1e6))
-    p99_cost = float(np.median([r.p99_ms for r in watched]) - np.median([r.p99_ms for r in without]))
-    return ViewerCost(tuple(without), tuple(watched), p99_cost)
+    return ViewerCost(
+        tuple(without), tuple(watched), _cost(without, watched, "p99_ms"), _cost(without, watched, "twin_ms_per_set")
+    )
+
+
+def _cost(without: Sequence[Run], watched: Sequence[Run], figure: str) -> float:
+    return float(np.median([getattr(r, figure) for r in watched]) - np.median([getattr(r, figure) for r in without]))
 
 
 def _replayed(log: Path, settings: tuple[str, ...], port: int | None) -> Run:
     """One run of the launch file of replays to the log's end; `port`: of the page, None without one."""
     given = [f"log:={log}", f"viewer:={port is not None}"]
     page = [] if port is None else [f"viewer.port:={port}"]
-    said: list[convert.Status] = []
+    spent: list[_Spent] = []
     with running(read_launch_file("launch/replay.yaml", given, [*settings, *page])) as run:
-        run.listen(STATUS, lambda message: said.append(convert.status_from_message(message)))
+        run.listen(STATUS, lambda message: spent.append(_Spent.at(message, run.launcher.children())))
         run.spin(LONGEST_S, lambda: "player" not in run.launcher.children())
-    if not said or not math.isfinite(said[-1].latency_p99_ms):
+    if len(spent) < 2 or not math.isfinite(spent[-1].status.latency_p99_ms):
         raise BenchError(f"{log}: expected the twin to tell its latency, found it silent; is the log long enough?")
-    last = said[-1]
-    return Run(last.latency_p50_ms, last.latency_p99_ms, last.sets, 0.0)
+    first, last = spent[0], spent[-1]
+    sets, seconds = last.status.sets - first.status.sets, last.at_s - first.at_s
+    return Run(
+        last.status.latency_p50_ms,
+        last.status.latency_p99_ms,
+        last.status.sets,
+        1e3 * (last.twin_s - first.twin_s) / max(sets, 1),
+        (last.page_s - first.page_s) / seconds,
+    )
+
+
+@dataclass(frozen=True)
+class _Spent:
+    """What the twin says of itself, and the processor time spent by then."""
+
+    status: convert.Status
+    at_s: float
+    twin_s: float
+    page_s: float
+
+    @staticmethod
+    def at(message: Message, processes: Mapping[str, int]) -> _Spent:
+        status = convert.status_from_message(message)
+        twin, page = (cpu_s(processes[name]) if name in processes else 0.0 for name in ("twin", "page"))
+        return _Spent(status, time.monotonic(), twin, page)

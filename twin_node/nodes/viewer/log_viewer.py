@@ -27,8 +27,6 @@ class LogViewer:
         self._wanted: threading.Event = threading.Event()
         self._stopped = threading.Event()
         self._sought: float | None = 0.0
-        self.pictures = 0
-        """Drawn so far."""
         with page.server.gui.add_folder("Time", order=-1):
             self._add_controls(page.server.gui)
 
@@ -43,7 +41,6 @@ class LogViewer:
             if self._page.take_change() or drawn_s != self._at_s:
                 self._page.show(self._playback.at(self._playback.start_ns + round(self._at_s * 1e9)))
                 drawn_s = self._at_s
-                self.pictures += 1
             self._wanted.wait(max(FRAME_S - (time.monotonic() - now), 0.001))
             self._wanted.clear()
 
