@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.scene import Bool, Grid
+from twin_node.scene import Bool, Float32, Grid
+
+Words = NDArray[np.uint64]
 
 HAND_M = 0.04
 """Thinnest thing that is looked for, m: a hand, as detection capability is told in ISO 13855."""
@@ -19,6 +22,7 @@ COMES_TO_REST_S = 1.0
 """What went out of sight and is attached to nothing lies still after this long, s: a ball rolls out of it sooner."""
 LONGEST_GAP_S = 0.5
 """After a longer time without evidence nothing is known of space that is not seen, s."""
+_NEVER = np.float32(1e9)
 
 
 @dataclass(frozen=True)
@@ -49,78 +53,108 @@ class HidingPlaces:
         self._grid = grid
         self._width = max(1, int(HAND_M / grid.voxel_size))
         self._maybe_full = np.ones(grid.size, np.bool_)
-        self._reached_ns = np.zeros(_half(np.zeros(grid.dims, np.bool_)).shape, np.int64)
+        cells = tuple(-(-n // 2) for n in grid.dims)
+        self._cells = np.ravel_multi_index(
+            tuple(np.meshgrid(*(np.arange(n) // 2 for n in grid.dims), indexing="ij")), cells
+        ).reshape(-1)
+        self._age_s = np.full(cells, _NEVER, np.float32)  # since a cell was last reached by what is attached
         self._stamp: int | None = None
 
     def update(self, stamp: int, unknown: Bool, moving: Bool, standing: Bool) -> Hidden:
         """What flat masks [grid.size] of unknown, moving and standing voxels at a time (ns, rising) leave possible."""
-        elapsed_s = np.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
-        started = self._stamp is None
+        elapsed_s = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         self._stamp = stamp
-        dims = self._grid.dims
-        beside = _widened(standing.reshape(dims), 1, 1)
-        beside[..., 0] = True
-        passable = (unknown.reshape(dims) & ~beside) | moving.reshape(dims)
-        ways = _half(_wide(passable, self._width))
-        self._reached_ns = self._spread(stamp, elapsed_s, ways, _half(moving.reshape(dims)))
-        reached = _widened(self._reached_ns > 0, 1, 1)
-        if not started and elapsed_s > LONGEST_GAP_S:
+        if elapsed_s > LONGEST_GAP_S:
             self._maybe_full[:] = True
-        reachable = unknown & _doubled(reached, dims).reshape(-1)
+        moves = self._packed(moving)
+        ways = self._ways(self._packed(unknown), moves, self._packed(standing))
+        self._age_s = self._spread(elapsed_s, ways, self._halved(moves))
+        reached = _least_around(self._age_s, 1) <= COMES_TO_REST_S
+        reachable = np.zeros(self._grid.size, np.bool_)
+        unseen = np.flatnonzero(unknown)
+        reachable[unseen] = reached.reshape(-1)[self._cells[unseen]]
         self._maybe_full &= unknown
         self._maybe_full |= reachable
         return Hidden(reachable, self._maybe_full & ~reachable)
 
-    def _spread(self, stamp: int, elapsed_s: float, ways: Bool, moving: Bool) -> NDArray[np.int64]:
-        """When each cell was last reached by what is attached, ns; 0 where that is over, or never was."""
-        sources = self._reached_ns
-        sources[moving] = stamp
-        for face in (sources[0], sources[-1], sources[:, 0], sources[:, -1], sources[:, :, -1]):
-            face[...] = stamp
-        if np.isfinite(elapsed_s):
-            cells = int(np.ceil(PERSON_SPEED * min(elapsed_s, LONGEST_GAP_S) / (2 * self._grid.voxel_size)))
-            sources = ndimage.maximum_filter(sources, 2 * cells + 1)
+    def _ways(self, unknown: Words, moving: Words, standing: Words) -> Bool:
+        """Cells where a hand's width is unknown or moving; beside what stands lie the rims of its measurement."""
+        beside = _joined(np.bitwise_or, standing, (-1, 0, 1))
+        beside[..., 0] |= np.uint64(1)
+        passable = (unknown & ~beside) | moving
+        steps = range(self._width)
+        corners = _joined(np.bitwise_and, passable, tuple(-step for step in steps))
+        return self._halved(_joined(np.bitwise_or, corners, tuple(steps)))
+
+    def _spread(self, elapsed_s: float, ways: Bool, moving: Bool) -> Float32:
+        """How long ago each cell was reached by what is attached, s; `_NEVER` where that is over, or never was."""
+        ages = self._age_s + np.float32(elapsed_s)
+        ages[moving] = 0
+        for face in (ages[0], ages[-1], ages[:, 0], ages[:, -1], ages[:, :, -1]):
+            face[...] = 0
+        cells = int(np.ceil(PERSON_SPEED * min(elapsed_s, LONGEST_GAP_S) / (2 * self._grid.voxel_size)))
+        ages = _least_around(ages, cells)
         labels, count = ndimage.label(ways, np.ones((3, 3, 3), np.bool_))
-        newest = np.zeros(count + 1, np.int64)
-        np.maximum.at(newest, labels[ways], sources[ways])
-        newest[newest < stamp - round(COMES_TO_REST_S * 1e9)] = 0
-        reached: NDArray[np.int64] = np.where(ways, newest[labels], 0)
-        return reached
+        newest = np.full(count + 1, _NEVER)
+        np.minimum.at(newest, labels[ways], ages[ways])
+        newest[newest > COMES_TO_REST_S] = _NEVER
+        return np.where(ways, newest[labels], _NEVER)
+
+    def _packed(self, mask: Bool) -> Words:
+        """Bits [nx, ny, w] of a flat mask, 64 voxels along z per word, lowest bit first."""
+        nx, ny, nz = self._grid.dims
+        columns = np.packbits(mask.reshape(nx, ny, nz), axis=2, bitorder="little")
+        padded = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
+        padded[..., : columns.shape[2]] = columns
+        words: Words = padded.view(np.uint64)
+        return words
+
+    def _halved(self, words: Words) -> Bool:
+        """Cells of two by two by two voxels that hold any of the packed ones; bits beside the grid do not count."""
+        nx, ny, nz = self._grid.dims
+        padded = np.pad(words, ((0, nx % 2), (0, ny % 2), (0, 0)))
+        padded = padded[::2] | padded[1::2]
+        bits = np.unpackbits((padded[:, ::2] | padded[:, 1::2]).view(np.uint8), axis=2, count=nz, bitorder="little")
+        even, odd = bits[..., ::2].view(np.bool_), bits[..., 1::2].view(np.bool_)
+        cells: Bool = even.copy()
+        cells[..., : odd.shape[2]] |= odd
+        return cells
 
 
-def _wide(mask: Bool, width: int) -> Bool:
-    """The voxels of a mask [nx, ny, nz] that lie in a cube of it, `width` voxels wide."""
-    corners = mask[tuple(slice(0, max(n - width + 1, 0)) for n in mask.shape)].copy()
-    for offset in itertools.product(range(width), repeat=3):
-        corners &= mask[tuple(slice(o, o + n) for o, n in zip(offset, corners.shape, strict=True))]
-    wide = np.zeros(mask.shape, np.bool_)
-    for offset in itertools.product(range(width), repeat=3):
-        wide[tuple(slice(o, o + n) for o, n in zip(offset, corners.shape, strict=True))] |= corners
-    return wide
+def _least_around(values: Float32, cells: int) -> Float32:
+    """[nx, ny, nz] the least value of the cube of so many cells around each."""
+    nx, ny, nz = values.shape
+    width = 2 * cells + 1
+    least = cv2.erode(values.reshape(nx, ny * nz), np.ones((width, 1), np.uint8)).reshape(nx, ny, nz)
+    least = cv2.erode(least.reshape(nx * ny, nz), np.ones((1, width), np.uint8)).reshape(nx, ny, nz)
+    rows = [cv2.erode(plane, np.ones((width, 1), np.uint8)) for plane in least]
+    return np.stack(rows).astype(np.float32, copy=False)
 
 
-def _widened(mask: Bool, below: int, above: int) -> Bool:
-    """A mask [nx, ny, nz] and so many voxels below and above each of it, along every axis."""
+def _joined(join: np.ufunc, words: Words, steps: tuple[int, ...]) -> Words:
+    """Packed bits joined with themselves moved by so many voxels along every axis; outside there are none."""
     for axis in range(3):
-        source, mask = np.moveaxis(mask, axis, 0), mask.copy()
-        target = np.moveaxis(mask, axis, 0)
-        for step in range(1, below + 1):
-            target[:-step] |= source[step:]
-        for step in range(1, above + 1):
-            target[step:] |= source[:-step]
-    return mask
+        words = functools.reduce(join, [_moved(words, axis, step) for step in steps])
+    return words
 
 
-def _half(mask: Bool) -> Bool:
-    """Cells [ceil(n / 2)] of two by two by two voxels that hold any of a mask [nx, ny, nz]."""
-    padded = np.pad(mask, [(0, n % 2) for n in mask.shape])
-    padded = padded[::2] | padded[1::2]
-    padded = padded[:, ::2] | padded[:, 1::2]
-    halved: Bool = padded[..., ::2] | padded[..., 1::2]
-    return halved
-
-
-def _doubled(cells: Bool, dims: tuple[int, int, int]) -> Bool:
-    """The voxels [nx, ny, nz] of cells."""
-    wide = cells.repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
-    return wide[: dims[0], : dims[1], : dims[2]]
+def _moved(words: Words, axis: int, step: int) -> Words:
+    """Packed bits moved by -1, 0 or more voxels along an axis."""
+    if step == 0:
+        return words
+    moved = np.zeros_like(words)
+    if axis < 2:
+        source, target = np.moveaxis(words, axis, 0), np.moveaxis(moved, axis, 0)
+        if step > 0:
+            target[step:] = source[:-step]
+        else:
+            target[:step] = source[-step:]
+        return moved
+    shift, rest = np.uint64(abs(step)), np.uint64(64 - abs(step))
+    if step > 0:
+        moved = words << shift
+        moved[..., 1:] |= words[..., :-1] >> rest
+    else:
+        moved = words >> shift
+        moved[..., :-1] |= words[..., 1:] << rest
+    return moved

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes, united
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
 from twin_node.scene import (
-    Bool,
     Float64,
     Grid,
     MotionExpert,
@@ -61,11 +62,11 @@ def cover(
     """Obstacles that hold every occupied voxel of `occupancy`, whole, for as long as it is occupied.
 
     MOVING ones are valid from one horizon to the next and hold the voxels of both layers; STATIC and UNKNOWN ones are
-    valid throughout. Each is the tight box about the voxels in one cell of a fixed lattice; ids name kind, interval and
-    cell, so they stay while things move within cells. `previous` keeps the lattice from flickering between two
-    sizes; `motion` gives velocities and bounds, zero without it. Unknown space is UNKNOWN where something may come out
-    of it, STATIC where it may be full, and no obstacle where it is known to be empty: as `hidden` tells, all of it
-    UNKNOWN without.
+    valid throughout. Each is the tight box about the voxels in one cell of an octree, small where that spares most
+    space; ids name kind, interval and cell, so they stay while things move within cells. `previous` keeps the cover
+    from flickering between two that are equally good; `motion` gives velocities and bounds, zero without it.
+    Unknown space is UNKNOWN where something may come out of it, STATIC where it may be full, and no obstacle where it
+    is known to be empty: as `hidden` tells, all of it UNKNOWN without.
 
     Raises `ForecastError` for a cap below 1.
     """
@@ -73,44 +74,27 @@ def cover(
     _check(parameters)
     grid = occupancy.grid
     stamps = [occupancy.publish_stamp + layer.horizon_ns for layer in occupancy.layers]
-    cells = [_cells(grid, layer.indices.astype(np.int64)) for layer in occupancy.layers]
-    batches = []
-    for interval in range(len(stamps) - 1):
-        both = _united(cells[interval], cells[interval + 1])
-        floor = _previous_level(previous, ObstacleKind.MOVING, interval)
-        boxes = _coarsened(both, parameters.most_moving, floor)
-        batches.append(_batch(grid, boxes, ObstacleKind.MOVING, interval, stamps[interval], stamps[interval + 1]))
-    first, last = stamps[0], stamps[-1]
-    standing = _coarsened(_cells(grid, occupancy.static.indices.astype(np.int64)), parameters.most_static, 0)
-    batches.append(_batch(grid, standing, ObstacleKind.STATIC, 0, first, last))
     if hidden is None:
         unknown = decode_runs(occupancy.unknown_runs, grid.size)
         hidden = Hidden(reachable=unknown, maybe_full=np.zeros(grid.size, np.bool_))
-    for kind, mask, number in (
-        (ObstacleKind.UNKNOWN, hidden.reachable, 0),
-        (ObstacleKind.STATIC, hidden.maybe_full, 1),
-    ):
-        batches.append(_batch(grid, _mostly(grid, mask, parameters), kind, number, first, last))
+    batches = []
+
+    def hold(boxes: Boxes, most: int, kind: ObstacleKind, interval: int, valid: tuple[int, int]) -> None:
+        few = fitted(grid, boxes, most, _before(previous, kind, interval))
+        batches.append(_batch(grid, few, kind, interval, *valid))
+
+    layers = [smallest_boxes(grid, layer.indices.astype(np.int64)) for layer in occupancy.layers]
+    for interval, valid in enumerate(itertools.pairwise(stamps)):
+        both = united(layers[interval], layers[interval + 1])
+        hold(both, parameters.most_moving, ObstacleKind.MOVING, interval, valid)
+    throughout = stamps[0], stamps[-1]
+    standing = smallest_boxes(grid, occupancy.static.indices.astype(np.int64))
+    hold(standing, parameters.most_static, ObstacleKind.STATIC, 0, throughout)
+    maybe_full = mostly_full(grid, hidden.maybe_full, parameters.unknown_share)
+    hold(maybe_full, parameters.most_unknown, ObstacleKind.STATIC, 1, throughout)
+    reachable = mostly_full(grid, hidden.reachable, parameters.unknown_share)
+    hold(reachable, parameters.most_unknown, ObstacleKind.UNKNOWN, 0, throughout)
     return _obstacles(occupancy.stamp, batches, motion)
-
-
-_SMALLEST = 4
-"""Voxels along a cell of level 0; each level doubles it."""
-_MANY = 4000
-"""Voxels per layer above which boxes are fitted to pairs of voxels: finer ones are merged under any cap anyway."""
-
-
-@dataclass(frozen=True)
-class _Cells:
-    """Boxes about voxels, one per occupied cell of a lattice, in voxel coordinates."""
-
-    level: int
-    cells: NDArray[np.int64]
-    """[c, 3] cell coordinates."""
-    lower: NDArray[np.int64]
-    """[c, 3] first voxel."""
-    upper: NDArray[np.int64]
-    """[c, 3] last voxel."""
 
 
 @dataclass(frozen=True)
@@ -131,91 +115,17 @@ def _check(parameters: CoverParameters) -> None:
             raise ForecastError(f"{name}: expected at least 1 obstacle, found {getattr(parameters, name)}; raise it")
 
 
-def _cells(grid: Grid, indices: NDArray[np.int64]) -> _Cells:
-    """The finest cells that hold voxels [n]; many voxels are taken two by two by two, with boxes to match."""
-    stride = 2 if len(indices) > _MANY else 1
-    dims = np.array(grid.dims)
-    if stride == 2:
-        indices, coarse = _halved(grid, indices)
-    else:
-        coarse = grid.dims
-    voxels = np.stack(np.unravel_index(indices, coarse), axis=1) * stride
-    return _boxed(0, voxels // _SMALLEST, voxels, np.minimum(voxels + stride, dims) - 1)
+def _before(previous: Obstacles | None, kind: ObstacleKind, interval: int) -> NDArray[np.int64]:
+    """[k] places of the last cover's boxes."""
+    if previous is None:
+        return np.zeros(0, np.int64)
+    ids = previous.ids.astype(np.int64)
+    places: NDArray[np.int64] = ids[ids >> 24 == (int(kind) << 3) | interval] & 0xFFFFFF
+    return places
 
 
-def _halved(grid: Grid, indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
-    """Flat indices, and size, on a lattice of half the resolution: the cells that hold any of the voxels [n]."""
-    x, y, z = (-(-n // 2) for n in grid.dims)
-    dense = np.zeros((2 * x, 2 * y, 2 * z), np.bool_)
-    flat = np.zeros(grid.size, np.bool_)
-    flat[indices] = True
-    dense[: grid.dims[0], : grid.dims[1], : grid.dims[2]] = flat.reshape(grid.dims)
-    dense = dense[::2] | dense[1::2]
-    dense = dense[:, ::2] | dense[:, 1::2]
-    return np.flatnonzero(dense[..., ::2] | dense[..., 1::2]), (x, y, z)
-
-
-def _boxed(level: int, cells: NDArray[np.int64], lower: NDArray[np.int64], upper: NDArray[np.int64]) -> _Cells:
-    """One box per distinct cell about the boxes (lower, upper) [n, 3] that lie in it."""
-    if len(cells) == 0:
-        return _Cells(level, cells, lower, upper)
-    keys = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    first = order[starts]
-    return _Cells(
-        level,
-        cells[first],
-        np.minimum.reduceat(lower[order], starts, axis=0),
-        np.maximum.reduceat(upper[order], starts, axis=0),
-    )
-
-
-def _united(one: _Cells, other: _Cells) -> _Cells:
-    return _boxed(
-        one.level,
-        np.concatenate([one.cells, other.cells]),
-        np.concatenate([one.lower, other.lower]),
-        np.concatenate([one.upper, other.upper]),
-    )
-
-
-def _coarsened(boxes: _Cells, most: int, at_least_level: int) -> _Cells:
-    """Cells of twice the size until there are at most `most`."""
-    while len(boxes.cells) > most or boxes.level < at_least_level:
-        boxes = _boxed(boxes.level + 1, boxes.cells // 2, boxes.lower, boxes.upper)
-    return boxes
-
-
-def _mostly(grid: Grid, mask: Bool, parameters: CoverParameters) -> _Cells:
-    """Cells that unknown voxels, a flat mask, mostly fill, coarse enough to be few."""
-    voxels = np.stack(np.unravel_index(np.flatnonzero(mask), grid.dims), axis=1)
-    level = 0
-    while True:
-        side = _SMALLEST << level
-        lattice = [-(-n // side) for n in grid.dims]
-        counts = np.bincount(np.ravel_multi_index(tuple((voxels // side).T), tuple(lattice)), minlength=1)
-        full = np.flatnonzero(counts >= parameters.unknown_share * side**3)
-        if len(full) <= parameters.most_unknown:
-            break
-        level += 1
-    cells = np.stack(np.unravel_index(full, tuple(lattice)), axis=1)
-    return _Cells(level, cells, cells * side, np.minimum((cells + 1) * side, np.array(grid.dims)) - 1)
-
-
-def _previous_level(previous: Obstacles | None, kind: ObstacleKind, interval: int) -> int:
-    """One level below the lattice of the last cover: it may get finer by one step at a time only."""
-    if previous is None or len(previous.ids) == 0:
-        return 0
-    mine = (previous.ids >> 24) == np.uint32((int(kind) << 3) | interval)
-    levels = (previous.ids[mine] >> 21) & 7
-    return max(int(levels.max(initial=0)) - 1, 0)
-
-
-def _batch(grid: Grid, boxes: _Cells, kind: ObstacleKind, interval: int, valid_from: int, valid_to: int) -> _Batch:
-    lattice = np.array([-(-n // _SMALLEST) for n in grid.dims])
-    places = (boxes.cells[:, 0] * lattice[1] + boxes.cells[:, 1]) * lattice[2] + boxes.cells[:, 2]
-    ids = (((int(kind) << 3) | interval) << 24) | (boxes.level << 21) | (places & 0x1FFFFF)
+def _batch(grid: Grid, boxes: Boxes, kind: ObstacleKind, interval: int, valid_from: int, valid_to: int) -> _Batch:
+    ids = (((int(kind) << 3) | interval) << 24) | boxes.places(grid)
     lower = grid.origin + boxes.lower * grid.voxel_size
     upper = grid.origin + (boxes.upper + 1) * grid.voxel_size
     return _Batch(ids.astype(np.uint32), kind, lower, upper, valid_from, valid_to)

@@ -1,0 +1,85 @@
+"""Boxes on an octree: all that is occupied inside, few, and small where that spares space."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes, united
+from twin_node.scene import Bool, Grid
+
+GRID = Grid(np.zeros(3), 0.02, (50, 37, 29))
+NO_PLACES = np.zeros(0, np.int64)
+
+
+def filled(boxes: Boxes) -> Bool:
+    """[grid] True inside the boxes."""
+    dense = np.zeros(GRID.dims, np.bool_)
+    for lower, upper in zip(boxes.lower, boxes.upper + 1, strict=True):
+        dense[tuple(slice(a, b) for a, b in zip(lower, upper, strict=True))] = True
+    return dense
+
+
+def space(boxes: Boxes) -> int:
+    return int(np.prod(boxes.upper - boxes.lower + 1, axis=1).sum())
+
+
+def blobs(seed: int, count: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    dense = np.zeros(GRID.dims, np.bool_)
+    for _ in range(count):
+        start = rng.integers(0, GRID.dims)
+        stop = start + rng.integers(1, 15, 3)
+        dense[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))] = True
+    return np.flatnonzero(dense)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 12), most=st.integers(1, 60))
+def test_few_boxes_hold_every_voxel(seed: int, count: int, most: int) -> None:
+    voxels = blobs(seed, count)
+    boxes = fitted(GRID, smallest_boxes(GRID, voxels), most, NO_PLACES)
+    assert len(boxes) <= most
+    assert filled(boxes).reshape(-1)[voxels].all()
+    assert len(np.unique(boxes.places(GRID))) == len(boxes)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_more_boxes_hold_no_more_space(seed: int) -> None:
+    smallest = smallest_boxes(GRID, blobs(seed, 8))
+    spaces = [space(fitted(GRID, smallest, most, NO_PLACES)) for most in (1, 4, 16, 64)]
+    assert spaces == sorted(spaces, reverse=True)
+    assert spaces[-1] >= space(smallest)
+
+
+def test_far_small_things_keep_boxes_of_their_own() -> None:
+    """Two voxels in opposite corners and a block: three boxes are enough for no space to be wasted on the corners."""
+    dense = np.zeros(GRID.dims, np.bool_)
+    dense[0, 0, 0] = dense[-1, -1, -1] = True
+    dense[16:32, 16:32, 8:16] = True
+    boxes = fitted(GRID, smallest_boxes(GRID, np.flatnonzero(dense)), 6, NO_PLACES)
+    assert space(boxes) < 1.3 * dense.sum()
+
+
+def test_an_earlier_cover_is_kept_where_it_is_nearly_as_good() -> None:
+    first = fitted(GRID, smallest_boxes(GRID, blobs(3, 10)), 12, NO_PLACES)
+    nearly = np.setdiff1d(blobs(3, 10), blobs(3, 10)[::40])
+    second = fitted(GRID, smallest_boxes(GRID, nearly), 12, first.places(GRID))
+    shared = np.isin(second.places(GRID), first.places(GRID)).mean()
+    assert shared >= 0.8
+
+
+def test_united_boxes_hold_both() -> None:
+    one, other = blobs(1, 3), blobs(2, 3)
+    both = united(smallest_boxes(GRID, one), smallest_boxes(GRID, other))
+    assert filled(both).reshape(-1)[np.concatenate([one, other])].all()
+    assert len(np.unique(both.places(GRID))) == len(both)
+
+
+def test_cells_count_from_their_share_on() -> None:
+    dense = np.zeros(GRID.dims, np.bool_)
+    dense[:4, :4, :2] = dense[8:12, :4, :1] = True
+    assert np.array_equal(mostly_full(GRID, dense.reshape(-1), 0.5).cells, [[0, 0, 0]])
+    assert len(mostly_full(GRID, dense.reshape(-1), 0.25)) == 2

@@ -1,0 +1,188 @@
+"""Boxes about voxels on an octree: as few as asked for, about as little else as possible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.scene import Bool, Float64, Grid
+
+SMALLEST = 4
+"""Voxels along a cell of level 0; each level doubles it."""
+HIGHEST_LEVEL = 7
+"""One cell of this level is 512 voxels wide: longer grids have several roots, and a cover of at least as many boxes."""
+_MANY = 4000
+"""Voxels above which boxes are fitted to pairs of voxels: the time goes with their number."""
+_PRICES = np.append(np.geomspace(1.0, 1e6, 40), np.inf)
+"""What one more box may cost, in voxels of space that it spares: rising, up to one box at any price."""
+_LOYALTY = 0.7
+"""Space of a box that was there before counts this much less: a cover does not flicker between equally good ones."""
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Tight boxes about the occupied voxels of distinct octree cells, in voxel coordinates."""
+
+    levels: NDArray[np.int64]
+    """[c] of the cells."""
+    cells: NDArray[np.int64]
+    """[c, 3] cell coordinates on their level."""
+    lower: NDArray[np.int64]
+    """[c, 3] first voxel."""
+    upper: NDArray[np.int64]
+    """[c, 3] last voxel."""
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def rows(self, chosen: NDArray[np.int64] | Bool) -> Boxes:
+        """Some of them."""
+        return Boxes(self.levels[chosen], self.cells[chosen], self.lower[chosen], self.upper[chosen])
+
+    def joined(self, *others: Boxes) -> Boxes:
+        """These and others, one after the other."""
+        parts = (self, *others)
+        return Boxes(
+            np.concatenate([part.levels for part in parts]),
+            np.concatenate([part.cells for part in parts]),
+            np.concatenate([part.lower for part in parts]),
+            np.concatenate([part.upper for part in parts]),
+        )
+
+    def places(self, grid: Grid) -> NDArray[np.int64]:
+        """[c] number of each cell: level << 21, plus its flat index on the lattice of level 0."""
+        lattice = [-(-n // SMALLEST) for n in grid.dims]
+        flat = (self.cells[:, 0] * lattice[1] + self.cells[:, 1]) * lattice[2] + self.cells[:, 2]
+        return (self.levels << 21) | (flat & 0x1FFFFF)
+
+
+def smallest_boxes(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
+    """One box per cell of level 0 that holds any of the voxels [n]; many are taken two by two by two."""
+    if len(indices) > _MANY:
+        stride = 2
+        indices, dims = _halved(grid, indices)
+    else:
+        stride, dims = 1, grid.dims
+    voxels = np.stack(np.unravel_index(indices, dims), axis=1) * stride
+    return _by_cell(0, voxels // SMALLEST, voxels, np.minimum(voxels + stride, np.array(grid.dims)) - 1).boxes
+
+
+def mostly_full(grid: Grid, mask: Bool, share: float) -> Boxes:
+    """The whole cells of level 0 that a flat mask fills at least to a share."""
+    voxels = np.stack(np.unravel_index(np.flatnonzero(mask), grid.dims), axis=1)
+    lattice = tuple(-(-n // SMALLEST) for n in grid.dims)
+    counts = np.bincount(np.ravel_multi_index(tuple((voxels // SMALLEST).T), lattice), minlength=1)
+    cells = np.stack(np.unravel_index(np.flatnonzero(counts >= share * SMALLEST**3), lattice), axis=1)
+    upper = np.minimum((cells + 1) * SMALLEST, np.array(grid.dims)) - 1
+    return Boxes(np.zeros(len(cells), np.int64), cells, cells * SMALLEST, upper)
+
+
+def united(one: Boxes, other: Boxes) -> Boxes:
+    """Boxes of level 0 about what two sets of such boxes hold."""
+    both = one.joined(other)
+    return _by_cell(0, both.cells, both.lower, both.upper).boxes
+
+
+def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Boxes:
+    """At most `most` boxes that hold what `boxes`, of level 0, hold, about as little other space as possible.
+
+    Every price of a box has a best set of cells; the lowest price whose set is small enough is taken. `before` [k] are
+    the `places` of an earlier cover, which are kept where they are nearly as good.
+    """
+    if len(boxes) <= most:
+        return boxes
+    levels = _octree(boxes)
+    costs, counts, divided = _best_divisions(grid, levels, before)
+    affordable = np.flatnonzero(counts.sum(axis=1) <= most)
+    price = int(affordable[0]) if len(affordable) else len(costs) - 1
+    return _divided(levels, [split[price] for split in divided])
+
+
+@dataclass(frozen=True)
+class _Level:
+    """All cells of one level."""
+
+    boxes: Boxes
+    children: NDArray[np.int64]
+    """[n] rows of the level below (or of what the boxes were made of), cell by cell."""
+    starts: NDArray[np.int64]
+    """[c] where each cell's children begin."""
+
+
+def _by_cell(level: int, cells: NDArray[np.int64], lower: NDArray[np.int64], upper: NDArray[np.int64]) -> _Level:
+    """One box per distinct cell about the boxes (lower, upper) [n, 3] that lie in it."""
+    if len(cells) == 0:
+        nothing = np.zeros(0, np.int64)
+        return _Level(Boxes(nothing, cells, lower, upper), nothing, nothing)
+    keys = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
+    order = np.argsort(keys, kind="stable")
+    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    boxes = Boxes(
+        np.full(len(starts), level),
+        cells[order[starts]],
+        np.minimum.reduceat(lower[order], starts, axis=0),
+        np.maximum.reduceat(upper[order], starts, axis=0),
+    )
+    return _Level(boxes, order, starts)
+
+
+def _octree(leaves: Boxes) -> list[_Level]:
+    """From the leaves up to one cell, or to the highest level."""
+    rows = np.arange(len(leaves))
+    levels = [_Level(leaves, rows, rows)]
+    while len(levels[-1].boxes) > 1 and len(levels) <= HIGHEST_LEVEL:
+        below = levels[-1].boxes
+        levels.append(_by_cell(len(levels), below.cells // 2, below.lower, below.upper))
+    return levels
+
+
+def _best_divisions(
+    grid: Grid, levels: list[_Level], before: NDArray[np.int64]
+) -> tuple[Float64, NDArray[np.int64], list[Bool]]:
+    """For every price: the roots' costs and numbers of boxes [prices, roots], and per level which cells are divided.
+
+    A cell is divided where its children together cost less than its own box, which costs its space and one price.
+    """
+    costs, counts = np.zeros((len(_PRICES), 0)), np.zeros((len(_PRICES), 0), np.int64)
+    divided: list[Bool] = []
+    for number, level in enumerate(levels):
+        space = np.prod(level.boxes.upper - level.boxes.lower + 1, axis=1).astype(np.float64)
+        space *= np.where(np.isin(level.boxes.places(grid), before), _LOYALTY, 1.0)
+        whole = space + _PRICES[:, None]
+        if number == 0:
+            costs, counts = whole, np.ones(whole.shape, np.int64)
+            divided.append(np.zeros(whole.shape, np.bool_))
+            continue
+        apart = np.add.reduceat(costs[:, level.children], level.starts, axis=1)
+        numbers = np.add.reduceat(counts[:, level.children], level.starts, axis=1)
+        divide = apart < whole
+        costs, counts = np.where(divide, apart, whole), np.where(divide, numbers, 1)
+        divided.append(divide)
+    return costs, counts, divided
+
+
+def _divided(levels: list[_Level], divided: list[Bool]) -> Boxes:
+    """The boxes that are left when, from the roots down, the cells [c] of each level are divided as told."""
+    found: list[Boxes] = []
+    reached = np.ones(len(levels[-1].boxes), np.bool_)
+    for level, divide in zip(reversed(levels), reversed(divided), strict=True):
+        found.append(level.boxes.rows(reached & ~divide))
+        sizes = np.diff(level.starts, append=len(level.children))
+        below = np.zeros(len(level.children), np.bool_)
+        below[level.children] = np.repeat(reached & divide, sizes)
+        reached = below
+    return found[0].joined(*found[1:])
+
+
+def _halved(grid: Grid, indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    """Flat indices, and size, on a lattice of half the resolution: the cells that hold any of the voxels [n]."""
+    x, y, z = (-(-n // 2) for n in grid.dims)
+    dense = np.zeros((2 * x, 2 * y, 2 * z), np.bool_)
+    flat = np.zeros(grid.size, np.bool_)
+    flat[indices] = True
+    dense[: grid.dims[0], : grid.dims[1], : grid.dims[2]] = flat.reshape(grid.dims)
+    dense = dense[::2] | dense[1::2]
+    dense = dense[:, ::2] | dense[:, 1::2]
+    return np.flatnonzero(dense[..., ::2] | dense[..., 1::2]), (x, y, z)
