@@ -19,6 +19,52 @@ class Held:
 
     seen: int
     covered: int
+    measured: int = 0
+    """Points of moving surfaces that depth cameras measured, seen to move by the others too or not."""
+    agreed: int = 0
+    """Of these, those in space that no other camera sees past."""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What the forecaster can tell of its own failures, as of the last judgement."""
+
+    unforeseen: float = 0.0
+    """Share of all that moves now, new or not, that lay outside the forecast made for now."""
+    agreement: float = 1.0
+    """Running mean share of the measured moving surface that no other camera sees past."""
+
+    def after(self, all_: Held) -> Watch:
+        """With a judgement of everything that moves now."""
+        unforeseen = 1 - all_.covered / all_.seen if all_.seen >= FEWEST else 0.0
+        if all_.measured < FEWEST:
+            return Watch(unforeseen, self.agreement)
+        rate = 1 / AGREEMENT_JUDGEMENTS
+        return Watch(unforeseen, (1 - rate) * self.agreement + rate * all_.agreed / all_.measured)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know; stable as long as nothing changes."""
+        told = ((self.unforeseen > MOST_UNFORESEEN, _UNFORESEEN), (self.agreement < LEAST_AGREEMENT, _AT_ODDS))
+        return tuple(line for is_so, line in told if is_so)
+
+
+_UNFORESEEN = (
+    "forecast: what moves now was not foreseen: it is new, or faster or more sudden than what the bound was learnt "
+    "from; keep clear until this ends"
+)
+_AT_ODDS = (
+    "forecast: cameras measure what moves where others see past it: look for mirrors and glass, clocks that are off "
+    "and cameras out of place"
+)
+FEWEST = 30
+"""Pixels or points below which nothing is told by their shares."""
+MOST_UNFORESEEN = 0.2
+"""Share from which what moves counts as unforeseen: on recorded people and arms 6 % at most once they are in motion."""
+LEAST_AGREEMENT = 0.55
+"""Share below which cameras contradict each other: 0.7 to 1 where all is well, 0.4 on a mirror."""
+AGREEMENT_JUDGEMENTS = 6
+"""Judgements, 50 ms and more apart, that agreement is averaged over: things come into view piece by piece."""
 
 
 def held(
@@ -32,11 +78,13 @@ def held(
     """
     known = _mask(margin.outer.size, here)
     foreseen = _mask(margin.outer.size, margin.outer_indices(forecast))
-    seen = covered = 0
+    seen = covered = measured = agreed = 0
     for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
         if view.depth is not None:
             places = _measured(view, moving, margin)
+            measured += len(places)
             places = places[known[places]]
+            agreed += len(places)
             seen += len(places)
             covered += int(np.count_nonzero(foreseen[places]))
             continue
@@ -44,7 +92,7 @@ def held(
         explained = moving & table.image_of(tables.blocks.locate(here))
         seen += int(np.count_nonzero(explained))
         covered += int(np.count_nonzero(explained & table.image_of(tables.blocks.locate(np.flatnonzero(foreseen)))))
-    return Held(seen, covered)
+    return Held(seen, covered, measured, agreed)
 
 
 def _measured(view: View, moving: Bool, margin: Margin) -> NDArray[np.int64]:

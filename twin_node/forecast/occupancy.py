@@ -14,7 +14,7 @@ from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
-from twin_node.forecast.judgement import held
+from twin_node.forecast.judgement import Watch, held
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.prediction import Predictor
 from twin_node.forecast.static import StaticParameters
@@ -56,7 +56,7 @@ class ForecastQuality:
     expert_weights: Float64
     """[E] mean weights of persistence, constant velocity, damped, constant acceleration, autoregression."""
     warnings: tuple[str, ...] = ()
-    """What went wrong with the last forecast, and what was forecast instead."""
+    """What went wrong with the last forecast and what was forecast instead, and what earlier ones turn out to miss."""
 
 
 class Forecaster:
@@ -73,6 +73,7 @@ class Forecaster:
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._radii = np.zeros((len(HORIZONS_NS), 0))
+        self._watch = Watch()
         self._warnings: tuple[str, ...] = ()
         self._hidden: Hidden | None = None
 
@@ -90,7 +91,7 @@ class Forecaster:
             bound_radius=float(np.median(self._radii[-1])) if self._radii.shape[1] else 0.0,
             factor=self._control.factor,
             expert_weights=self._mean_weights(),
-            warnings=self._warnings,
+            warnings=self._warnings + self._watch.warnings,
         )
 
     @property
@@ -135,7 +136,11 @@ class Forecaster:
             return
         known = self._tracks.born <= due.stamp * 1e-9
         here = evidence.parts.indices[known[evidence.parts.labels]]
-        found = held(state, self._observer.margin, self._observer.tables, here, due.indices)
+        observer = self._observer
+        found = held(state, observer.margin, observer.tables, here, due.indices)
+        self._watch = self._watch.after(
+            held(state, observer.margin, observer.tables, evidence.parts.indices, due.indices)
+        )
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
             self._control.observe(found.covered / found.seen, elapsed)
