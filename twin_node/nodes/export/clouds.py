@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from twin_node.model.ply import StoredGaussians, stored_from_cloud
-from twin_node.nodes.export.moments import ExportError, Moment
+from twin_node.nodes.export.moments import ExportError, Moments
 
 WriteCloud = Callable[[StoredGaussians, Path], None]
 
 
-def write_clouds(moments: Sequence[Moment], path: Path, write: WriteCloud) -> None:
+def write_clouds(moments: Moments, path: Path, write: WriteCloud) -> None:
     """One file for one moment; for more, a folder `path` with a file per moment, numbered from 0.
 
     Raises `ExportError` where a moment has no Gaussians.

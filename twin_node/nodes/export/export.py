@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from twin_node.model.ply import write_ply
+from twin_node.nodes.export.arrays import write_arrays
 from twin_node.nodes.export.clouds import write_clouds, write_spz
 from twin_node.nodes.export.mjcf import write_collision_scene
-from twin_node.nodes.export.moments import ExportError, Moment, Source
-from twin_node.nodes.export.tables import write_arm_table, write_arrays, write_obstacle_table
+from twin_node.nodes.export.moments import ExportError, Moments, Source
+from twin_node.nodes.export.tables import write_tables
 from twin_node.nodes.export.usd import write_stage
 from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
 from twin_node.robot import ArmModel
 
-Write = Callable[[Sequence[Moment], ArmModel, float, Path], None]
+Write = Callable[[Moments, Path], None]
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,9 @@ class Format:
     """What its name may end in; none: a folder."""
     topic: str
     """What it is made of, and cannot do without."""
+    with_clouds: bool
+    """Whether Gaussians go into it."""
     write: Write
-
-    @property
-    def with_clouds(self) -> bool:
-        """Whether Gaussians go into it."""
-        return self.topic == GAUSSIANS
 
 
 def export(
@@ -76,13 +74,10 @@ def export(
     chosen = _format(form, output)
     source.require(chosen.topic, f"an export to {form}")
     stamps = span.stamps(source.start_ns, source.end_ns)
-    taken = []
-    for moment in source.moments(stamps, arm, chosen.with_clouds or form == "usd"):
-        taken.append(moment)
-        progress(len(taken), len(stamps))
+    moments = Moments(source, stamps, arm, span.rate_hz, chosen.with_clouds, lambda count: progress(count, len(stamps)))
     with _whole(output) as unfinished:
-        chosen.write(taken, arm, span.rate_hz, unfinished)
-    return len(taken)
+        chosen.write(moments, unfinished)
+    return len(stamps)
 
 
 def _format(form: str, output: Path) -> Format:
@@ -113,17 +108,11 @@ def _whole(output: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _write_tables(taken: Sequence[Moment], arm: ArmModel, _rate_hz: float, path: Path) -> None:
-    path.mkdir()
-    write_obstacle_table(taken, path / "obstacles.csv")
-    write_arm_table(taken, arm, path / "arm.csv")
-
-
 FORMATS: Mapping[str, Format] = {
-    "ply": Format((".ply",), GAUSSIANS, lambda taken, _arm, _hz, path: write_clouds(taken, path, write_ply)),
-    "spz": Format((".spz",), GAUSSIANS, lambda taken, _arm, _hz, path: write_clouds(taken, path, write_spz)),
-    "npz": Format((".npz",), GAUSSIANS, lambda taken, _arm, _hz, path: write_arrays(taken, path)),
-    "mjcf": Format((".xml",), OBSTACLES, lambda taken, arm, _hz, path: write_collision_scene(taken, arm, path)),
-    "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, write_stage),
-    "csv": Format((), OBSTACLES, _write_tables),
+    "ply": Format((".ply",), GAUSSIANS, True, lambda moments, path: write_clouds(moments, path, write_ply)),
+    "spz": Format((".spz",), GAUSSIANS, True, lambda moments, path: write_clouds(moments, path, write_spz)),
+    "npz": Format((".npz",), GAUSSIANS, True, write_arrays),
+    "mjcf": Format((".xml",), OBSTACLES, False, write_collision_scene),
+    "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, True, write_stage),
+    "csv": Format((), OBSTACLES, False, write_tables),
 }

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.nodes.export.moments import Moment
-from twin_node.robot import ArmModel
+from twin_node.nodes.export.moments import Moment, Moments
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
 
@@ -90,23 +89,24 @@ class _Cast:
         return poses
 
 
-def write_collision_scene(moments: Sequence[Moment], arm: ArmModel, path: Path) -> None:
+def write_collision_scene(moments: Moments, path: Path) -> None:
     """Writes the model to `path` and its player beside it, as `<name>_play.py`.
 
     Keyframe k is moment k; bodies that are not needed stand at `PARKED`. The arm is there where the log has its joints.
     Contact masks let the arm meet obstacles, and obstacles nothing else.
     """
-    has_arm = moments[0].q is not None
-    root = ET.fromstring(write_mjcf(arm)) if has_arm else ET.fromstring("<mujoco><worldbody/></mujoco>")
+    taken = list(moments)
+    has_arm = taken[0].q is not None
+    root = ET.fromstring(write_mjcf(moments.arm)) if has_arm else ET.fromstring("<mujoco><worldbody/></mujoco>")
     root.set("model", path.stem)
     cast = _Cast()
-    scenes = [cast.play(moment.obstacles) for moment in moments]
+    scenes = [cast.play(moment.obstacles) for moment in taken]
     world = root.find("worldbody")
     assert world is not None
     for number, body in enumerate(cast.bodies):
         world.append(_body_element(number, body))
     keys = ET.SubElement(root, "keyframe")
-    for moment, poses in zip(moments, scenes, strict=True):
+    for moment, poses in zip(taken, scenes, strict=True):
         placed = [poses.get(number, _NOWHERE) for number in range(len(cast.bodies))]
         keys.append(_key_element(moment, placed if cast.bodies else [], has_arm))
     ET.indent(root)

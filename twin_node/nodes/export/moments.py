@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -52,6 +52,29 @@ class Source(Protocol):
 
     def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
         """The moments at rising `stamps` (ns)."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The moments of an export, read one after another: never more than one is held. Each pass reads them anew."""
+
+    source: Source
+    stamps: Sequence[int]
+    """Rising, ns."""
+    arm: ArmModel
+    """Whose joints the source has."""
+    rate_hz: float
+    with_clouds: bool
+    on_read: Callable[[int], None]
+    """Told how many have been read."""
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __iter__(self) -> Iterator[Moment]:
+        for count, moment in enumerate(self.source.moments(self.stamps, self.arm, self.with_clouds), 1):
+            yield moment
+            self.on_read(count)
 
 
 class LogSource:

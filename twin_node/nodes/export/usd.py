@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twin_node.geometry import quat_from_rotation
-from twin_node.nodes.export.moments import ExportError, Moment
+from twin_node.nodes.export.moments import ExportError, Moment, Moments
 from twin_node.robot import ArmModel, Capsules, forward_kinematics
 from twin_node.scene import Float64, GaussianCloud, ObstacleKind, ObstacleShape, Tier
 
@@ -23,12 +22,12 @@ SIGMAS_SHOWN = 2.0
 """A point is drawn as wide as so many standard deviations of its Gaussian, either side."""
 
 
-def write_stage(moments: Sequence[Moment], arm: ArmModel, rate_hz: float, path: Path) -> None:
-    """Writes a stage whose time codes are frames at `rate_hz`.
+def write_stage(moments: Moments, path: Path) -> None:
+    """Writes a stage whose time codes are frames at the export's rate.
 
     /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are boxes and spheres with collision,
     kinematic where they move, invisible and without collision while they are not in force; /World/Arm are capsules with
-    collision. Raises `ExportError` where usd-core is not installed.
+    collision, where the first moment has the arm's joints. Raises `ExportError` where usd-core is not installed.
     """
     try:
         from pxr import Usd, UsdGeom, UsdPhysics
@@ -40,37 +39,45 @@ def write_stage(moments: Sequence[Moment], arm: ArmModel, rate_hz: float, path: 
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    stage.SetTimeCodesPerSecond(rate_hz)
-    stage.SetFramesPerSecond(rate_hz)
+    stage.SetTimeCodesPerSecond(moments.rate_hz)
+    stage.SetFramesPerSecond(moments.rate_hz)
     stage.SetStartTimeCode(0)
     stage.SetEndTimeCode(len(moments) - 1)
     world = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(world.GetPrim())
     UsdPhysics.Scene.Define(stage, "/World/Physics")
-    _add_gaussians(stage, moments)
-    _add_obstacles(stage, moments)
-    if moments[0].q is not None:
-        _add_arm(stage, moments, arm)
+    gaussians, obstacles, arm = _Gaussians(stage), _Obstacles(stage), None
+    for frame, moment in enumerate(moments):
+        if frame == 0 and moment.q is not None:
+            arm = _Arm(stage, moments.arm)
+        gaussians.place(frame, moment)
+        obstacles.place(frame, moment)
+        if arm is not None:
+            arm.place(frame, moment)
     stage.Save()
 
 
-def _add_gaussians(stage: Any, moments: Sequence[Moment]) -> None:
+class _Gaussians:
     """Standing points where they change, moving ones at every frame."""
-    from pxr import UsdGeom
 
-    UsdGeom.Scope.Define(stage, "/World/Gaussians")
-    standing = UsdGeom.Points.Define(stage, "/World/Gaussians/Static")
-    moving = UsdGeom.Points.Define(stage, "/World/Gaussians/Moving")
-    shown: GaussianCloud | None = None
-    for frame, moment in enumerate(moments):
+    def __init__(self, stage: Any) -> None:
+        from pxr import UsdGeom
+
+        UsdGeom.Scope.Define(stage, "/World/Gaussians")
+        self._standing = UsdGeom.Points.Define(stage, "/World/Gaussians/Static")
+        self._moving = UsdGeom.Points.Define(stage, "/World/Gaussians/Moving")
+        self._shown: GaussianCloud | None = None
+
+    def place(self, frame: int, moment: Moment) -> None:
+        """Sets the points of a frame; a moment without Gaussians leaves them as they are."""
         if moment.cloud is None:
-            continue
+            return
         still = moment.cloud.tiers == Tier.STATIC
         now = moment.cloud.only(still)
-        if shown is None or not _same(shown, now):
-            _set_points(standing, now, frame)
-            shown = now
-        _set_points(moving, moment.cloud.only(~still), frame)
+        if self._shown is None or not _same(self._shown, now):
+            _set_points(self._standing, now, frame)
+            self._shown = now
+        _set_points(self._moving, moment.cloud.only(~still), frame)
 
 
 def _same(a: GaussianCloud, b: GaussianCloud) -> bool:
@@ -95,23 +102,29 @@ def _set_points(points: Any, cloud: GaussianCloud, frame: int) -> None:
     opacity.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(cloud.opacities, np.float32)), frame)
 
 
-def _add_obstacles(stage: Any, moments: Sequence[Moment]) -> None:
-    from pxr import UsdGeom
+class _Obstacles:
+    """A collider per obstacle, from the first frame on that it is in force at."""
 
-    UsdGeom.Scope.Define(stage, "/World/Obstacles")
-    prims: dict[str, _Collider] = {}
-    for frame, moment in enumerate(moments):
+    def __init__(self, stage: Any) -> None:
+        from pxr import UsdGeom
+
+        UsdGeom.Scope.Define(stage, "/World/Obstacles")
+        self._stage = stage
+        self._colliders: dict[str, _Collider] = {}
+
+    def place(self, frame: int, moment: Moment) -> None:
+        """Puts those in force at a frame where they are, and hides all others."""
         here = set()
         o = moment.obstacles
         for row in range(len(o.ids)):
             kind, shape = ObstacleKind(int(o.kinds[row])), ObstacleShape(int(o.shapes[row]))
             name = f"{kind.name}_{o.ids[row]}" + ("_sphere" if shape == ObstacleShape.SPHERE else "")
-            if name not in prims:
-                prims[name] = _Collider(stage, f"/World/Obstacles/{name}", kind, shape)
-            prims[name].place(frame, o.positions[row], o.quats[row], o.sizes[row] / 2)
+            if name not in self._colliders:
+                self._colliders[name] = _Collider(self._stage, f"/World/Obstacles/{name}", kind, shape)
+            self._colliders[name].place(frame, o.positions[row], o.quats[row], o.sizes[row] / 2)
             here.add(name)
-        for name in prims.keys() - here:
-            prims[name].hide(frame)
+        for name in self._colliders.keys() - here:
+            self._colliders[name].hide(frame)
 
 
 class _Collider:
@@ -149,7 +162,6 @@ class _Collider:
         self._show(frame, False)
 
     def _show(self, frame: int, is_shown: bool) -> None:
-
         if self._is_shown is None and frame > 0:
             self._set(0, False)
         if self._is_shown != is_shown:
@@ -163,24 +175,31 @@ class _Collider:
         self._collides.Set(is_shown, frame)
 
 
-def _add_arm(stage: Any, moments: Sequence[Moment], arm: ArmModel) -> None:
+class _Arm:
     """A transform per link, and in it the link's capsules."""
-    from pxr import Gf, UsdGeom, UsdPhysics
 
-    UsdGeom.Xform.Define(stage, "/World/Arm")
-    links = []
-    for link, name in enumerate(arm.link_names):
-        xform = UsdGeom.Xform.Define(stage, f"/World/Arm/{name}")
-        UsdPhysics.RigidBodyAPI.Apply(xform.GetPrim()).CreateKinematicEnabledAttr(True)
-        links.append((xform.AddTranslateOp(), xform.AddOrientOp()))
-        for number, row in enumerate(np.flatnonzero(arm.capsules.links == link)):
-            _add_capsule(stage, f"/World/Arm/{name}/capsule_{number}", arm.capsules, int(row))
-    for frame, moment in enumerate(moments):
-        if moment.q is not None:
-            poses = forward_kinematics(arm, moment.q)
-            for (move, turn), pose in zip(links, poses, strict=True):
-                move.Set(Gf.Vec3d(*pose[:3, 3].tolist()), frame)
-                turn.Set(Gf.Quatf(*quat_from_rotation(pose[:3, :3]).tolist()), frame)
+    def __init__(self, stage: Any, arm: ArmModel) -> None:
+        from pxr import UsdGeom, UsdPhysics
+
+        self._arm = arm
+        self._links = []
+        UsdGeom.Xform.Define(stage, "/World/Arm")
+        for link, name in enumerate(arm.link_names):
+            xform = UsdGeom.Xform.Define(stage, f"/World/Arm/{name}")
+            UsdPhysics.RigidBodyAPI.Apply(xform.GetPrim()).CreateKinematicEnabledAttr(True)
+            self._links.append((xform.AddTranslateOp(), xform.AddOrientOp()))
+            for number, row in enumerate(np.flatnonzero(arm.capsules.links == link)):
+                _add_capsule(stage, f"/World/Arm/{name}/capsule_{number}", arm.capsules, int(row))
+
+    def place(self, frame: int, moment: Moment) -> None:
+        """Poses the links of a frame; a moment without joints leaves them where they are."""
+        from pxr import Gf
+
+        if moment.q is None:
+            return
+        for (move, turn), pose in zip(self._links, forward_kinematics(self._arm, moment.q), strict=True):
+            move.Set(Gf.Vec3d(*pose[:3, 3].tolist()), frame)
+            turn.Set(Gf.Quatf(*quat_from_rotation(pose[:3, :3]).tolist()), frame)
 
 
 def _add_capsule(stage: Any, path: str, capsules: Capsules, row: int) -> None:
