@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import whole, width
+from twin_node.cli.arguments import not_negative, whole, width
 
 
 def add_bench_pareto(benches: Any) -> None:
@@ -18,6 +18,8 @@ def add_bench_pareto(benches: Any) -> None:
     pareto = benches.add_parser("pareto", help="speed against accuracy: all methods, ours at five sizes")
     pareto.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="recordings beside the made-up scene")
     pareto.add_argument("--quick", action="store_true", help="small and short: shows that all run")
+    pareto.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="skip so much of each log")
+    pareto.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     pareto.add_argument("--frames", type=whole, metavar="N", help="sets of images taken of each log")
     pareto.add_argument("--methods", metavar="A,B", help="only these beside ours; a wrong name lists them")
     pareto.add_argument("--processes", type=whole, metavar="N", help="measured at once, each on one core (default 1)")
@@ -29,12 +31,15 @@ def add_bench_pareto(benches: Any) -> None:
 def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import chart
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
+    from twin_node.nodes.chain import load_parameters
 
     rivals = None if options.methods is None else tuple(options.methods.split(","))
     given = {"frames": options.frames, "processes": options.processes, "rivals": rivals}
     parameters = replace(
         QUICK if options.quick else ParetoParameters(),
         logs=tuple(options.logs),
+        start_offset_s=options.start_offset,
+        chain=load_parameters(options.params),
         **{name: value for name, value in given.items() if value is not None},
     )
     found = run(parameters, lambda names, total: tqdm(names, total=total, unit="method", disable=None))

@@ -26,6 +26,7 @@ class ForesightJob:
     """What the chart calls the log."""
     size: str
     log: Path
+    start_offset_s: float
     frames: int
     """Sets, from the first."""
     chain: ChainParameters
@@ -52,7 +53,7 @@ def foresee(job: ForesightJob) -> list[ForesightPoint]:
     torch.set_num_threads(1)
     size = SIZES[job.size]
     chain = replace(job.chain, model=size.model(job.chain.model))
-    with LogSession(job.log) as session:
+    with LogSession(job.log, start_offset_s=job.start_offset_s) as session:
         source = LogSource(session, replace(chain.synchronizer, width=size.width))
         follower = Follower(chain, chain.arm.arm(), source.workspace, VoxelTruth(session.log))
         for _ in follower.follow(islice(source, job.frames)):

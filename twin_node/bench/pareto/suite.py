@@ -19,10 +19,9 @@ from twin_node.bench.pareto.foresight import ForesightJob, ForesightPoint, fores
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.measure import OURS, Job, Point, measure
 from twin_node.bench.pareto.sizes import SHIPPED, SIZES
-from twin_node.model.sequence import ReadOptions, Recording
+from twin_node.model.sequence import Recording, recording_of
 from twin_node.nodes.chain import ChainParameters
-from twin_node.nodes.log_source import LogSession
-from twin_node.nodes.recordings import read_recording
+from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 
 HEXPLANE = "4dgs_hexplane"
@@ -31,6 +30,12 @@ RIVALS = tuple(name for name in METHODS if name not in (OURS, "static_3dgs"))
 
 Progress = Callable[[Iterable[str], int], Iterable[str]]
 """May wrap the names of what is done, as it is done; told how many there will be."""
+
+
+def _full_budget() -> Budget:
+    """What `bench methods` gives, with a NeRF that is as good after a quarter of its steps on images this small."""
+    budget = Budget(offline_steps=1200)
+    return replace(budget, nerf=replace(budget.nerf, steps=500))
 
 
 @dataclass(frozen=True)
@@ -43,16 +48,20 @@ class ParetoParameters:
     """None leaves it out."""
     width: int = 160
     """Of recorded images, px; sizes that work on smaller ones make them so."""
-    frames: int = 60
+    start_offset_s: float = 0.0
+    """Where in each log to begin, s."""
+    rate_hz: float = 15.0
+    """Sets taken of each log per second, for pictures: a method that learns for seconds sees things move."""
+    frames: int = 30
     """Sets taken of each log, for pictures."""
     forecast_frames: int = 120
-    """The same for forecasts of logs with exact truth."""
-    rivals: tuple[str, ...] = (*RIVALS, *(f"{HEXPLANE}:{steps}" for steps in (75, 150, 300, 600, 1200)))
+    """The same for forecasts of logs with exact truth, at the log's own rate."""
+    rivals: tuple[str, ...] = (*RIVALS, *(f"{HEXPLANE}:{steps}" for steps in (75, 150, 300, 600)))
     """Names of `METHODS`, with a number of steps where one is given."""
     sizes: tuple[str, ...] = tuple(SIZES)
     images: int = 12
     """Images that are scored, of the training cameras and of those left out each."""
-    budget: Budget = field(default_factory=lambda: Budget(offline_steps=2400))
+    budget: Budget = field(default_factory=_full_budget)
     chain: ChainParameters = field(default_factory=ChainParameters)
     processes: int = 1
     """Measured at once; each uses one core."""
@@ -137,13 +146,24 @@ class AgainstHexplane:
 
 
 def run(parameters: ParetoParameters | None = None, progress: Progress = lambda names, total: names) -> Pareto:
-    """Measures every method on every data set. Raises `BenchError` for a log of a single camera, and a log's errors."""
+    """Measures every method on every data set.
+
+    Raises `BenchError` for a method or size that is none and a log of fewer than three cameras, and a log's errors.
+    """
     parameters = parameters or ParetoParameters()
+    _check(parameters)
     names = (*parameters.rivals, *(f"{OURS}_{size}" for size in parameters.sizes))
     data = list(_data(parameters))
     jobs = [Job(name, one.recording, one.truth, parameters.budget, parameters.images) for one in data for name in names]
     forecasts = [
-        ForesightJob(one.recording.name, size, one.forecast_log, parameters.forecast_frames, parameters.chain)
+        ForesightJob(
+            one.recording.name,
+            size,
+            one.forecast_log,
+            parameters.start_offset_s,
+            parameters.forecast_frames,
+            parameters.chain,
+        )
         for one in data
         if one.forecast_log is not None
         for size in parameters.sizes
@@ -161,6 +181,14 @@ def run(parameters: ParetoParameters | None = None, progress: Progress = lambda 
         for job, one in zip(forecasts, foreseen, strict=True):
             points = _with_forecast(points, job, one.result())
     return Pareto(tuple(points))
+
+
+def _check(parameters: ParetoParameters) -> None:
+    for what, given, known in (("--methods", parameters.rivals, METHODS), ("sizes", parameters.sizes, SIZES)):
+        for name in given:
+            base, _, steps = name.partition(":")
+            if base not in known or not (steps.isdigit() or steps == ""):
+                raise BenchError(f"{what}: expected some of {', '.join(known)}, found '{name}'")
 
 
 def _as_done(labels: Sequence[str], futures: Sequence[Future[Any]]) -> Iterator[str]:
@@ -184,19 +212,18 @@ def _data(parameters: ParetoParameters) -> Iterator[_Data]:
         scene = make_up(parameters.made_up)
         yield _Data(scene.recording, scene.truth)
     for log in parameters.logs:
-        hold_out = _camera_to_leave_out(log)
-        reading = ReadOptions(parameters.width, parameters.frames, (hold_out,))
-        recording = read_recording(log, reading, SynchronizerParameters(parameters.width))
-        yield _Data(replace(recording, name=log.stem), None, log if has_truth(log) else None)
+        recording = _recorded(log, parameters)
+        yield _Data(recording, None, log if has_truth(log) else None)
 
 
-def _camera_to_leave_out(log: Path) -> str:
-    """The rig's first; two others must be left."""
-    with LogSession(log) as session:
+def _recorded(log: Path, parameters: ParetoParameters) -> Recording:
+    """Some sets of a log; the rig's first camera is left out, and two others must be left."""
+    with LogSession(log, start_offset_s=parameters.start_offset_s) as session:
         names = [camera.name for camera in session.rig.cameras]
-    if len(names) < 3:
-        raise BenchError(f"{log}: expected three cameras, so that one can be left out, found {len(names)}")
-    return names[0]
+        if len(names) < 3:
+            raise BenchError(f"{log}: expected three cameras, so that one can be left out, found {len(names)}")
+        source = LogSource(session, SynchronizerParameters(parameters.width, parameters.rate_hz))
+        return recording_of(log.stem, source, names[:1], parameters.frames)
 
 
 def _with_forecast(points: Sequence[Point], job: ForesightJob, foreseen: Sequence[ForesightPoint]) -> list[Point]:

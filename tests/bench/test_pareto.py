@@ -1,0 +1,153 @@
+"""Speed against accuracy: who dominates whom, what sizes change, and all of it on a scene as small as can be."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.methods.made_up import MadeUpParameters, make_up
+from twin_node.bench.methods.protocol import QUICK as QUICK_BUDGET
+from twin_node.bench.pareto import ablations, costs
+from twin_node.bench.pareto.chart import draw, markdown, text
+from twin_node.bench.pareto.front import dominated_sizes, on_front
+from twin_node.bench.pareto.measure import Job, Point, measure
+from twin_node.bench.pareto.sizes import SIZES, narrowed
+from twin_node.bench.pareto.suite import HEXPLANE, Pareto, ParetoParameters, run
+from twin_node.model import ModelParameters, SeedParameters
+
+TINY = MadeUpParameters(width=48, frames=4, rate_hz=3.0, cameras=3, held_out=1)
+BUDGET = dataclasses.replace(
+    QUICK_BUDGET, gaussians=300, offline_steps=6, online=ModelParameters(seed=SeedParameters(steps=10))
+)
+
+
+def point(name: str, ms: float, db: float | None, online: bool = True, **figures: float) -> Point:
+    return Point(name, name, "scene", online, ms, psnr_left_out_db=db, **figures)
+
+
+def test_the_front_is_who_nobody_beats_in_both() -> None:
+    points = [
+        point("frozen", 1, 12),
+        point("ours_tiny", 10, 15),
+        point("ours_large", 30, 18),
+        point("streaming", 40, 17),
+        point("previous", 0.1, None),
+    ]
+    assert [one.name for one in points if on_front(one, points)] == ["frozen", "ours_tiny", "ours_large"]
+    assert not any(dominated_sizes(one, points) for one in points)
+
+
+def test_a_rival_that_is_faster_and_better_dominates_and_one_that_knows_the_future_does_not() -> None:
+    ours = point("ours_large", 30, 18)
+    assert dominated_sizes(point("rival", 20, 18), [ours]) == ("ours_large",)
+    assert dominated_sizes(point("rival", 30, 18), [ours]) == ()
+    assert dominated_sizes(point("offline", 20, 30, online=False), [ours]) == ()
+    assert on_front(ours, [ours, point("offline", 20, 30, online=False)])
+
+
+def test_a_forecast_that_blocks_more_space_does_not_dominate() -> None:
+    ours = point("ours_large", 30, 18, recall=0.98, volume_l=100.0, forecast_ms=10.0)
+    worst = point("worst_case", 5, None, recall=0.99, volume_l=300.0, forecast_ms=5.0)
+    better = dataclasses.replace(worst, volume_l=100.0)
+    assert dominated_sizes(worst, [ours]) == ()
+    assert dominated_sizes(better, [ours]) == ("ours_large",)
+
+
+def test_another_data_set_is_another_matter() -> None:
+    other = dataclasses.replace(point("rival", 1, 40), data="elsewhere")
+    assert dominated_sizes(other, [point("ours_tiny", 10, 15)]) == ()
+
+
+def test_planes_are_compared_where_they_do_as_well() -> None:
+    planes = [
+        point(f"{HEXPLANE}:{steps}", 10.0 * steps, db, online=False, latency_ms=1000.0 * steps, parameters=600)
+        for steps, db in ((1, 15), (2, 18), (3, 20))
+    ]
+    found = Pareto((point("ours_large", 10, 17.5, parameters=200), *reversed(planes))).against_hexplane()
+    assert [one.hexplane for one in found] == [f"{HEXPLANE}:2"]
+    assert found[0].times_faster_per_set == pytest.approx(200)
+    assert found[0].times_faster_amortised == pytest.approx(2)
+    assert found[0].times_fewer_parameters == pytest.approx(3)
+
+
+def test_narrowed_images_show_the_same_from_the_same_place() -> None:
+    recording = make_up(TINY).recording
+    half = narrowed(recording, 24)
+    for view, smaller in zip(recording.train, half.train, strict=True):
+        assert smaller.rgb.shape == (18, 24, 3)
+        np.testing.assert_allclose(smaller.camera.K[:2], view.camera.K[:2] / 2)
+        np.testing.assert_allclose(smaller.rgb.mean((0, 1)), view.rgb.mean((0, 1)), atol=1)
+    assert half.held_out is recording.held_out
+    assert narrowed(recording, 100).train == recording.train
+
+
+def test_sizes_rise_in_everything() -> None:
+    sizes = list(SIZES.values())
+    for smaller, larger in itertools.pairwise(sizes):
+        pairs = zip(dataclasses.astuple(smaller), dataclasses.astuple(larger), strict=True)
+        assert all(a <= b for a, b in pairs)
+        assert smaller != larger
+
+
+@pytest.fixture(scope="module")
+def measured() -> Iterator[Pareto]:
+    """Four methods, measured in this process, which is given back its threads."""
+    threads = torch.get_num_threads()
+    scene = make_up(TINY)
+    names = ("frozen", "previous", f"{HEXPLANE}:5", "ours_tiny")
+    yield Pareto(tuple(measure(Job(name, scene.recording, scene.truth, BUDGET, 2)) for name in names))
+    torch.set_num_threads(threads)
+
+
+def test_what_is_measured_is_told(measured: Pareto) -> None:
+    frozen, previous, planes, ours = json.loads(json.dumps(measured.as_json()))["methods"]
+    assert frozen["online"] and ours["online"] and not planes["online"]
+    assert previous["psnr_left_out_db"] is None, "it has no image of a camera that it does not have"
+    assert ours["ms_per_frame"] > frozen["ms_per_frame"] > 0
+    assert ours["latency_ms"] >= ours["ms_per_frame"] - ours["draw_ms"]
+    assert planes["title"].endswith("5 steps")
+    assert 0 < ours["ssim"] < 1
+    assert ours["track_mm"] > 0
+
+
+def test_it_is_drawn_and_tabled(measured: Pareto, tmp_path: Path) -> None:
+    assert "ours, tiny *" in text(measured)
+    assert markdown(measured).startswith("### made-up")
+    picture = draw(measured, tmp_path)
+    assert picture.stat().st_size < 300_000
+    assert picture.with_suffix(".svg").is_file()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BenchError, match="choose another folder"):
+        draw(measured, tmp_path / "file")
+
+
+def test_a_method_that_is_none_is_named_before_anything_is_run() -> None:
+    with pytest.raises(BenchError, match="expected some of frozen"):
+        run(ParetoParameters(made_up=TINY, rivals=("magic",)))
+
+
+def test_ablations_leave_out_one_part_each(tmp_path: Path) -> None:
+    chain = ablations.load_parameters(None)
+    changed = {name: change(chain) for name, change in ablations.ABLATIONS.items()}
+    same = [name for name, one in changed.items() if one == chain]
+    assert same == ["whole", ablations.SELF_FILTER]
+    assert changed["no_gradient_steps"].model.track.steps == 0
+
+
+def test_more_of_the_image_moves_in_a_larger_crowd() -> None:
+    shares = []
+    for share in (0.02, 0.2):
+        source = costs.CellSource(costs.crowd(share, 0.1))
+        rig = source.simulated
+        exact = [rig.see(index, rig.scenario.start_ns) for index in range(3)]
+        shares.append(float(np.mean([one.shows(rig.world.moving_owners).mean() for one in exact])))
+    assert 0.005 < shares[0] < 0.06
+    assert 0.08 < shares[1] < 0.35
