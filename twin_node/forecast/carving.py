@@ -189,6 +189,15 @@ _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 
 def _local_radius(mask: Bool) -> Float32:
     """[H, W] upper bound of the radius in pixels of the largest disk inside the mask that holds each pixel."""
+    radius = np.zeros(mask.shape, np.float32)
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    # with a rim of one pixel: only the image's own sides do not count as edges of the mask
+    rows, columns = slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
+    radius[rows, columns] = _radius_within(mask[rows, columns])
+    return radius
+
+
+def _radius_within(mask: Bool) -> Float32:
     radius = np.where(mask, np.float32(_RADII[0]), np.float32(0))
     depth_inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
     for smaller, larger in itertools.pairwise((*_RADII, 2 * _RADII[-1])):

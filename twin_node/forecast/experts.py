@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -35,6 +36,33 @@ class History:
         between: Float64 = (1 - share) * self.positions[before] + share * self.positions[after]
         return between
 
+    @cached_property
+    def line(self) -> Float64:
+        """[1, M, 3] velocities of the last `LINE_S`, m/s."""
+        return self._polynomial(1, LINE_S)
+
+    @cached_property
+    def parabola(self) -> Float64:
+        """[2, M, 3] velocities and halves of accelerations of the last `PARABOLA_S`, m/s and m/s^2."""
+        return self._polynomial(2, PARABOLA_S)
+
+    def _polynomial(self, degree: int, span: float) -> Float64:
+        """Coefficients [degree, M, 3] of the least-squares polynomial in time about the last position.
+
+        Of the samples of the last `span` seconds; missing coefficients of too few samples are 0.
+        """
+        ages = self.times - self.times[-1]
+        used = min(max(int(np.count_nonzero(ages >= -span - 1e-6)), degree + 1), len(ages))
+        fitted = min(degree, used - 1)
+        design = np.vander(ages[-used:], fitted + 1, increasing=True)[:, 1:]
+        moved = self.positions[-used:] - self.positions[-1]
+        coefficients = np.zeros((degree, *moved.shape[1:]))
+        coefficients[:fitted] = (np.linalg.pinv(design) @ moved.reshape(used, -1)).reshape(fitted, *moved.shape[1:])
+        return coefficients
+
+
+LINE_S, PARABOLA_S = 0.07, 0.15
+"""Spans that velocities, and accelerations, are fitted to, s: two and five samples of a camera and the last one."""
 
 Expert = Callable[[History, Float64], Float64]
 
@@ -45,8 +73,9 @@ def persistence(history: History, horizons: Float64) -> Float64:
 
 
 def constant_velocity(history: History, horizons: Float64) -> Float64:
-    """Straight on at the velocity of the last 70 ms (least squares)."""
-    return _polynomial(history, horizons, degree=1, span=0.07)
+    """Straight on at the velocity of the last `LINE_S` (least squares)."""
+    straight: Float64 = np.asarray(horizons)[:, None, None] * history.line
+    return straight
 
 
 def damped(history: History, horizons: Float64, relaxation: float = 0.15) -> Float64:
@@ -56,22 +85,10 @@ def damped(history: History, horizons: Float64, relaxation: float = 0.15) -> Flo
 
 
 def constant_acceleration(history: History, horizons: Float64) -> Float64:
-    """A parabola through the last 150 ms (least squares)."""
-    return _polynomial(history, horizons, degree=2, span=0.15)
-
-
-def _polynomial(history: History, horizons: Float64, degree: int, span: float) -> Float64:
-    """Extrapolates the least-squares polynomial in time through the samples of the last `span` seconds."""
-    ages = history.times - history.times[-1]
-    used = max(int(np.count_nonzero(ages >= -span - 1e-6)), degree + 1)
-    used = min(used, len(ages))
-    degree = min(degree, used - 1)
-    design = np.vander(ages[-used:], degree + 1, increasing=True)[:, 1:]
-    moved = history.positions[-used:] - history.positions[-1]
-    coefficients = np.linalg.pinv(design) @ moved.reshape(used, -1)
-    powers = np.vander(np.asarray(horizons), degree + 1, increasing=True)[:, 1:]
-    forecast: Float64 = (powers @ coefficients).reshape(len(powers), *moved.shape[1:])
-    return forecast
+    """A parabola through the last `PARABOLA_S` (least squares)."""
+    time = np.asarray(horizons)[:, None, None]
+    curved: Float64 = time * history.parabola[0] + time**2 * history.parabola[1]
+    return curved
 
 
 EXPERTS: tuple[Expert, ...] = (persistence, constant_velocity, damped, constant_acceleration)

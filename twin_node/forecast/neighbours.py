@@ -30,10 +30,11 @@ class Neighbours:
         self._near_weights = _weights(distances**2, NEAR_SCALE)
         keys = np.floor(positions / _CELL).astype(np.int64)
         _, cells, sizes = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        self._cells, self._sizes = cells.reshape(-1), sizes.astype(np.float64)
+        rows = cells.reshape(-1)
+        self._members = csr_array((1 / sizes[rows], (rows, np.arange(count))), shape=(len(sizes), count))
         centers = self._cell_means(positions)
         squared = ((positions[:, None] - centers) ** 2).sum(axis=2)
-        self._body_weights = _weights(squared, BODY_SCALE, self._sizes)
+        self._body_weights = _weights(squared, BODY_SCALE, sizes.astype(np.float64))
 
     def near(self, values: Float64) -> Float64:
         """Averages [M, F] of values [M, F] over a limb's width."""
@@ -46,10 +47,7 @@ class Neighbours:
         return averages
 
     def _cell_means(self, values: Float64) -> Float64:
-        cells = len(self._sizes)
-        rows = np.arange(len(self._cells))
-        members = csr_array((1 / self._sizes[self._cells], (self._cells, rows)), shape=(cells, len(rows)))
-        means: Float64 = members @ values
+        means: Float64 = self._members @ values
         return means
 
 
