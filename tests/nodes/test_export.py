@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import weakref
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +16,15 @@ from plyfile import PlyData
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
 from twin_node.arm import ArmCollisionChecker
+from twin_node.bag import RecordingWriter, open_log
 from twin_node.cli import main
 from twin_node.model.ply import StoredGaussians, read_ply, stored_from_cloud, write_ply
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
-from twin_node.nodes.export import in_force
-from twin_node.robot import ur_model
-from twin_node.scene import Camera, View
+from twin_node.nodes.export import ExportSpan, Moment, export, in_force
+from twin_node.nodes.report.quality import render_cloud
+from twin_node.nodes.topics import JOINT_STATES
+from twin_node.robot import ArmModel, ur_model
+from twin_node.scene import Camera, GaussianCloud, View
 
 SH_C0 = 0.28209479177387814
 
@@ -37,6 +42,33 @@ def test_ply_holds_the_cloud_for_a_second_reader(twin_log: Path, tmp_path: Path)
     assert np.array_equal(read_ply(tmp_path / "a.ply").means, means)
     colours = np.stack([vertex[f"f_dc_{c}"] for c in range(3)], axis=1) * SH_C0 + 0.5
     assert np.allclose(colours, expected.rgb, atol=1e-6)
+
+
+def test_a_second_reader_of_ply_draws_the_same_picture(twin_log: Path, tmp_path: Path) -> None:
+    """Every property by another reader, and the log's own cloud and the read one from the same side."""
+    assert run(twin_log, "--to", "ply", "--at", 0, "-o", tmp_path / "a.ply") == 0
+    vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
+
+    def columns(*names: str) -> np.ndarray:
+        return np.stack([vertex[name] for name in names], axis=1)
+
+    expected = cloud_at(0, True)
+    read = replace(
+        expected,
+        means=columns("x", "y", "z"),
+        quats=columns("rot_0", "rot_1", "rot_2", "rot_3"),
+        scales=np.exp(columns("scale_0", "scale_1", "scale_2")),
+        opacities=1 / (1 + np.exp(-columns("opacity")[:, 0])),
+        rgb=columns("f_dc_0", "f_dc_1", "f_dc_2") * np.float32(SH_C0) + np.float32(0.5),
+    )
+    for name in ("means", "quats", "scales", "opacities", "rgb"):
+        assert np.allclose(getattr(read, name), getattr(expected, name), rtol=1e-5, atol=1e-6), name
+    T = np.eye(4)
+    T[:3, 3] = [1.0, 0.0, -1.0]
+    camera = Camera("side", 160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), T)
+    error = ((render_cloud(read, camera) - render_cloud(expected, camera)) ** 2).mean()
+    assert render_cloud(expected, camera).max() > 0.3
+    assert -10 * np.log10(error + 1e-20) >= 60
 
 
 def test_a_range_of_ply_is_a_folder(twin_log: Path, tmp_path: Path) -> None:
@@ -83,6 +115,54 @@ def _smallest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     carried = [g for g in np.flatnonzero(~is_obstacle) if model.body(model.geom_bodyid[g]).name != "base_link"]
     pairs = [(int(a), int(b)) for a in carried for b in np.flatnonzero(is_obstacle)]
     return min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a, b in pairs)
+
+
+def test_an_arm_whose_joints_come_late_stands_as_it_is_first_seen(twin_log: Path, tmp_path: Path) -> None:
+    """The log without the first half second of joints, as a recorder that was quicker than the arm writes it."""
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom
+
+    late = tmp_path / "late.mcap"
+    with open_log(twin_log) as whole, RecordingWriter(late) as part:
+        for message in whole.messages():
+            if message.topic != JOINT_STATES or message.stamp >= START + 5 * PERIOD:
+                part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, whole.types)
+    assert run(late, "--to", "mjcf", "--rate", 10, "-o", tmp_path / "late.xml") == 0
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "late.xml"))
+    assert model.key_qpos[:, 0] == pytest.approx([0.5] * 6 + [0.1 * k for k in range(6, 15)])
+    assert run(late, "--to", "usd", "--rate", 10, "-o", tmp_path / "late.usda") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "late.usda"))
+    link = UsdGeom.Xformable(stage.GetPrimAtPath("/World/Arm/forearm_link"))
+    assert link.ComputeLocalToWorldTransform(0) == link.ComputeLocalToWorldTransform(5)
+    assert link.ComputeLocalToWorldTransform(5) != link.ComputeLocalToWorldTransform(9)
+
+
+@pytest.mark.parametrize("form", ["ply", "npz"])
+def test_a_long_range_is_never_held_whole(form: str, tmp_path: Path) -> None:
+    alive: list[weakref.ref[GaussianCloud]] = []
+    most = [0]
+
+    class Long:
+        """A source of clouds that counts how many of them somebody still holds."""
+
+        start_ns, end_ns = 0, 10**10
+
+        def require(self, topic: str, purpose: str) -> None:
+            """Has everything."""
+
+        def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+            for k, stamp in enumerate(stamps):
+                cloud = cloud_at(k, True)
+                alive.append(weakref.ref(cloud))
+                yield Moment(stamp, stamp / 1e9, in_force(None, stamp), None, cloud)
+                del cloud
+                most[0] = max(most[0], sum(ref() is not None for ref in alive))
+
+    told: list[int] = []
+    span = ExportSpan(0, 1.9, 10)
+    count = export(Long(), form, span, ur_model("ur5e"), tmp_path / f"a.{form}", lambda done, _total: told.append(done))
+    assert count == len(told) == len(alive) == 20
+    assert most[0] <= 3
 
 
 def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path: Path) -> None:

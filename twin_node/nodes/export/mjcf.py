@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.nodes.export.moments import Moment, Moments
+from twin_node.nodes.export.moments import Moments
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
 
@@ -96,8 +96,8 @@ def write_collision_scene(moments: Moments, path: Path) -> None:
     Contact masks let the arm meet obstacles, and obstacles nothing else.
     """
     taken = list(moments)
-    has_arm = taken[0].q is not None
-    root = ET.fromstring(write_mjcf(moments.arm)) if has_arm else ET.fromstring("<mujoco><worldbody/></mujoco>")
+    q = next((moment.q for moment in taken if moment.q is not None), None)
+    root = ET.fromstring(write_mjcf(moments.arm)) if q is not None else ET.fromstring("<mujoco><worldbody/></mujoco>")
     root.set("model", path.stem)
     cast = _Cast()
     scenes = [cast.play(moment.obstacles) for moment in taken]
@@ -108,7 +108,8 @@ def write_collision_scene(moments: Moments, path: Path) -> None:
     keys = ET.SubElement(root, "keyframe")
     for moment, poses in zip(taken, scenes, strict=True):
         placed = [poses.get(number, _NOWHERE) for number in range(len(cast.bodies))]
-        keys.append(_key_element(moment, placed if cast.bodies else [], has_arm))
+        q = q if moment.q is None else moment.q
+        keys.append(_key_element(moment.seconds, placed if cast.bodies else [], q))
     ET.indent(root)
     path.write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     path.with_name(f"{path.stem}_play.py").write_text(PLAYER.format(model=path.name), encoding="utf-8")
@@ -130,10 +131,10 @@ def _body_element(number: int, body: _Body) -> ET.Element:
     return element
 
 
-def _key_element(moment: Moment, placed: Sequence[_Pose], has_arm: bool) -> ET.Element:
-    key = ET.Element("key", name=f"t{moment.seconds:.3f}", time=_text(np.array([moment.seconds])))
-    if has_arm and moment.q is not None:
-        key.set("qpos", _text(moment.q))
+def _key_element(seconds: float, placed: Sequence[_Pose], q: Float64 | None) -> ET.Element:
+    key = ET.Element("key", name=f"t{seconds:.3f}", time=_text(np.array([seconds])))
+    if q is not None:
+        key.set("qpos", _text(q))
     if placed:
         key.set("mpos", _text(np.concatenate([pose.position for pose in placed])))
         key.set("mquat", _text(np.concatenate([pose.quat for pose in placed])))

@@ -27,7 +27,8 @@ def write_stage(moments: Moments, path: Path) -> None:
 
     /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are boxes and spheres with collision,
     kinematic where they move, invisible and without collision while they are not in force; /World/Arm are capsules with
-    collision, where the first moment has the arm's joints. Raises `ExportError` where usd-core is not installed.
+    collision, where the log has the joints; until it first has them they stand as then. Raises `ExportError` where
+    usd-core is not installed.
     """
     try:
         from pxr import Usd, UsdGeom, UsdPhysics
@@ -48,7 +49,7 @@ def write_stage(moments: Moments, path: Path) -> None:
     UsdPhysics.Scene.Define(stage, "/World/Physics")
     gaussians, obstacles, arm = _Gaussians(stage), _Obstacles(stage), None
     for frame, moment in enumerate(moments):
-        if frame == 0 and moment.q is not None:
+        if arm is None and moment.q is not None:
             arm = _Arm(stage, moments.arm)
         gaussians.place(frame, moment)
         obstacles.place(frame, moment)
