@@ -9,10 +9,11 @@ from model_scenes import block, frames, rig, table
 
 from twin_node import splat
 from twin_node.model.carriage import carry
-from twin_node.model.fitting import Path, _descend_fused, _descend_plain, fit_all
+from twin_node.model.descending import Path, descend_fused, descend_plain
+from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import LOG_SCALE, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
-from twin_node.model.photometric import Goal, photometric, targets_of
+from twin_node.model.photometric import Goal, focused, photometric, targets_of
 from twin_node.model.rendering import Splats, draw
 from twin_node.model.rotations import quat_product, rotate
 from twin_node.scene import Tier
@@ -90,18 +91,21 @@ def test_each_view_weighs_the_same_however_few_of_its_pixels_count() -> None:
     assert torch.allclose(both, first + torch.stack(alone[1:]).sum(), rtol=1e-3)
 
 
-@pytest.mark.parametrize("steps", [1, 3])
-def test_fused_steps_are_those_of_torch(steps: int) -> None:
+@pytest.mark.parametrize(("steps", "focus"), [(1, 0.0), (3, 0.0), (3, 0.2)])
+def test_fused_steps_are_those_of_torch(steps: int, focus: float) -> None:
     if not splat.can_descend(torch.device("cpu")):
         pytest.skip("the compiled library is not at hand")
     views = frames(0, -0.1, CAMERAS, depth=True).views
     generator = torch.Generator().manual_seed(2)
     backdrops = [torch.rand(48, 64, 4, generator=generator) for _ in views]
+    for backdrop, view in zip(backdrops, views, strict=True):
+        assert view.depth is not None
+        backdrop[:, :32] = torch.from_numpy(np.dstack([view.rgb / 255, view.depth])[:, :32])
     masks = [np.zeros((48, 64), bool) for _ in views]
     for mask in masks:
         mask[8:40, 10:60] = True
     outcomes = []
-    for descend in (_descend_plain, _descend_fused):
+    for descend in (descend_plain, descend_fused):
         store = stored(block(0.1))
         store.values[:, LOG_SCALE] += 0.2 * torch.randn(len(store), 3, generator=torch.Generator().manual_seed(3))
         rows = torch.arange(0, len(store), 2)
@@ -109,12 +113,15 @@ def test_fused_steps_are_those_of_torch(steps: int) -> None:
         goal = Goal(CAMERAS, masks, targets_of(views, masks, torch.device("cpu")), backdrops)
         carriage = carry(poses(3, 1), torch.full((len(rows),), -1))
         rates = torch.full((len(rows), WIDTH), 1e-3)
-        last = descend(store, Path(rows, carriage, rates, still, goal), steps)
+        last = descend(store, Path(rows, carriage, rates, still, goal, focus), steps)
         outcomes.append((store, last))
     (plain, of_plain), (fused, of_fused) = outcomes
     assert torch.allclose(of_plain.sheets[0].rgbd, of_fused.sheets[0].rgbd, atol=1e-3)
     assert torch.allclose(plain.moment1, fused.moment1, rtol=2e-2, atol=1e-6)
-    assert torch.equal(plain.steps, fused.steps) and fused.steps[rows].eq(steps).all()
+    taken = fused.steps[rows]
+    assert torch.equal(plain.steps, fused.steps) and taken.max() == steps
+    if focus:
+        assert 0.2 < focused(goal, of_plain.sheets, focus).scale < 0.9
     moved = plain.moment1.abs() > 1e-5
     assert moved[rows].any() and torch.allclose(plain.values[moved], fused.values[moved], atol=2e-4)
     assert torch.equal(plain.values[1::2], fused.values[1::2])
@@ -131,6 +138,6 @@ def test_fused_steps_that_are_not_finite_are_refused_alone() -> None:
     rows = torch.arange(len(store))
     carriage = carry(poses(3, 1), torch.full((len(rows),), -1))
     nobody = store.standing(store.values[:0])
-    _descend_fused(store, Path(rows, carriage, torch.full((len(rows), WIDTH), 1e-3), nobody, goal), 1)
+    descend_fused(store, Path(rows, carriage, torch.full((len(rows), WIDTH), 1e-3), nobody, goal), 1)
     assert store.refused == 1 and torch.equal(store.values[3], before[3]) and not store.moment2[3].any()
     assert torch.isfinite(store.values).all() and not torch.equal(store.values[4], before[4])

@@ -98,7 +98,8 @@ def follow(followed: Followed, sets: Iterable[FrameSet]) -> Iterator[Tick]:
         followed.watch.begin()
         state = followed.model.update(frames)
         followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
-        followed.seconds += followed.updates_ms[-1] / 1e3
+        followed.model.refine()
+        followed.seconds += time.perf_counter() - begun
         followed.count(state)
         yield Tick(frames, state)
 

@@ -1,11 +1,19 @@
 """The 4D model: Gaussians, their motion, and the window they are fitted in."""
 
 from twin_node.model.moving_mask import MovingMask, MovingMaskParameters
-from twin_node.model.parameters import BirthParameters, ModelError, ModelParameters, SeedParameters, TrackParameters
+from twin_node.model.parameters import (
+    BirthParameters,
+    MapParameters,
+    ModelError,
+    ModelParameters,
+    SeedParameters,
+    TrackParameters,
+)
 from twin_node.model.window_model import ModelImage, WindowModel
 
 __all__ = [
     "BirthParameters",
+    "MapParameters",
     "ModelError",
     "ModelImage",
     "ModelParameters",

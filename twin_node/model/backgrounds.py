@@ -84,6 +84,10 @@ class Backgrounds:
         """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
         self._changed = True
 
+    def repaint(self) -> None:
+        """STATIC Gaussians look otherwise, but stand where they stood: the images are rendered anew, one per set."""
+        self._waiting += [name for name in self._known if name not in self._waiting]
+
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera; called once per set."""
         self._age += 1

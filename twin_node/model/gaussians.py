@@ -215,16 +215,17 @@ class Descent:
         """[n, 14] as they are now."""
 
     def step(self, gradient: Tensor, rates: Tensor) -> None:
-        """One step down `gradient` [n, 14] at `rates` [n, 14].
+        """One step down `gradient` [n, 14] at `rates` [n, 14]; none for rows that nothing pulls at.
 
         Rows that would not stay finite keep their values and forget their moments.
         """
-        self._steps = self._steps + 1
-        k = self._steps[:, None].to(gradient.dtype)
-        m = self._moment1.lerp_(gradient, 0.1)
-        v = self._moment2.mul_(0.99).addcmul_(gradient, gradient, value=0.01)
+        pulled = (gradient != 0).any(1)
+        self._steps = self._steps + pulled
+        k = self._steps[:, None].to(gradient.dtype).clamp_min(1)
+        m = self._moment1.lerp_(gradient, 0.1 * pulled[:, None])
+        v = self._moment2.mul_(torch.where(pulled, 0.99, 1.0)[:, None]).addcmul_(gradient, gradient, value=0.01)
         update = (m / (1 - 0.9**k)).div_((v / (1 - 0.99**k)).sqrt_().add_(1e-12))
-        values = self.values - update.mul_(rates)
+        values = self.values - update.mul_(rates * pulled[:, None])
         scales, rgb = values[:, LOG_SCALE], values[:, RGB]
         torch.minimum(scales, self._ceiling, out=scales)
         scales.clamp_(min=SMALLEST)

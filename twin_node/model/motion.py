@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from twin_node import splat
 from twin_node.model.carriage import Bend, carry
 from twin_node.model.field import HexPlane
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians, Population, activated
@@ -49,6 +50,14 @@ class Motion:
 
     def place_population(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:
         """The same of Gaussians that need not be those stored."""
+        bends = bool((some.tiers == int(Tier.DEFORMABLE)).any())
+        if not bends and not torch.is_grad_enabled() and splat.can_place(some.values.device):
+            placed = splat.place(some.values, some.carriers, poses.positions, poses.quats)
+            return Splats(*vars(placed).values())
+        return self.place_plain(some, poses, stamps)
+
+    def place_plain(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:
+        """The same in torch, on any device: the reference of the compiled library, with gradients and the field."""
         times, values = len(stamps), some.values
         means, quats = values[:, MEAN].expand(times, -1, -1), values[:, QUAT].expand(times, -1, -1)
         carried = torch.nonzero(some.carriers >= 0)[:, 0]

@@ -34,6 +34,8 @@ class Observed:
     surprise: Float32
     """[H, W] largest channel of |image - background|, 0 to 1, less what the background's fit to the image at rest left
     over; 0 where the pixel does not count."""
+    misfit: Float32
+    """[H, W] what the background's fit to the image at rest left over, 0 to 1."""
     active: Bool
     """[H, W] pixels to be explained by more than the background: near what moves, or other than the background."""
     nearest: Float32 | None
@@ -87,6 +89,7 @@ class Observer:
                     grown,
                     usable,
                     surprise,
+                    self._misfit[view.camera.name],
                     active,
                     _nearest(view.depth),
                     stale,
@@ -98,7 +101,7 @@ class Observer:
 
     def _surprise(self, name: str, rgb: Float32, background: Background) -> Float32:
         """[H, W] what the image differs by beyond what the background's own fit to the first images left over."""
-        difference = _largest_channel(rgb, background.rgb)
+        difference = largest_channel(rgb, background.rgb)
         known = self._misfit.get(name)
         if known is None or known.shape != difference.shape:
             known = difference if self._seeding else np.zeros_like(difference)
@@ -126,7 +129,8 @@ def _nearest(depth: Float32 | None) -> Float32 | None:
     return np.where(np.isfinite(around), around, np.float32(0)).astype(np.float32)
 
 
-def _largest_channel(a: Float32, b: Float32) -> Float32:
+def largest_channel(a: Float32, b: Float32) -> Float32:
+    """[H, W] the largest difference of a channel between images [H, W, 3]."""
     difference = np.abs(a - b)
     largest: Float32 = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
     return largest

@@ -67,6 +67,23 @@ class BirthParameters:
 
 
 @dataclass(frozen=True)
+class MapParameters:
+    """How what stands still is refined beside the tracking."""
+
+    steps: int = 2
+    """Gradient steps per set; 0: STATIC Gaussians keep the shape that the first set gave them."""
+    learning_rate: float = 1.0
+    """Multiplies all rates of `descending.RATES`."""
+    threshold: float = 0.02
+    """Difference (0 to 1) between background and image at rest, beyond what the first fit left over, that is worth a
+    step: five grey levels, above the noise of 8-bit video."""
+    calm_s: float = 0.15
+    """For how long a pixel must have been free and still before what it shows is learnt."""
+    most_learners: int = 1000
+    """Gaussians that learn at once: what a fraction of a frame's time is enough for."""
+
+
+@dataclass(frozen=True)
 class ModelParameters:
     """Parameters of `WindowModel`."""
 
@@ -83,3 +100,4 @@ class ModelParameters:
     seed: SeedParameters = field(default_factory=SeedParameters)
     track: TrackParameters = field(default_factory=TrackParameters)
     birth: BirthParameters = field(default_factory=BirthParameters)
+    map: MapParameters = field(default_factory=MapParameters)

@@ -17,6 +17,7 @@ from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving, held_pixels
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.mapping import Mapper
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
@@ -40,6 +41,14 @@ class Tracked:
     """Gaussians."""
     braked: float | None
     """Share of the learning rate that is left after steps that diverged and were undone; None: they did not."""
+
+
+@dataclass(frozen=True)
+class _Due:
+    """A set that has been tracked and that the mapper has not seen yet."""
+
+    observed: Sequence[Observed]
+    dt_s: float
 
 
 @dataclass(frozen=True)
@@ -69,8 +78,10 @@ class Tracker:
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
         self._links = links
+        self._mapper = Mapper(parameters.map, gaussians, backgrounds)
         self._turn = 0
         self._pace = 1.0
+        self._due: _Due | None = None
 
     def track(
         self,
@@ -81,6 +92,7 @@ class Tracker:
         on_stage: OnStage = unwatched,
     ) -> Tracked:
         """Follows `frames`, taken `dt_s` after the set before."""
+        self.refine()
         self._turn += 1
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
@@ -98,7 +110,14 @@ class Tracker:
         born = self._bear(observed, fitted.renderings or aligned.renderings)
         on_stage("bear")
         self._nodes.remember()
+        self._due = _Due(observed, dt_s)
         return Tracked(born, self._pace if fitted.diverged else None)
+
+    def refine(self) -> None:
+        """The mapper's share of the last set, where it has not been taken yet."""
+        if self._due is not None and self._parameters.map.steps:
+            self._mapper.refine(self._due.observed, self._due.dt_s)
+        self._due = None
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""

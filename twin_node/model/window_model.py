@@ -119,6 +119,15 @@ class WindowModel:
         self.on_stage("publish")
         return state
 
+    def refine(self) -> None:
+        """Refines what stands still on the last set; once per set, by the next `update` where nobody has called it.
+
+        A live node calls it when the state is published, so that it costs no latency.
+        """
+        if self._tracker is not None:
+            self._tracker.refine()
+            self.on_stage("refine")
+
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
         """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""
         if self._motion is None or self._past is None:

@@ -40,3 +40,4 @@ class ModelNode(Node):
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
+        self.model.refine()

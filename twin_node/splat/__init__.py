@@ -1,22 +1,27 @@
 """Draws 3D Gaussians and differentiates the images: gsplat's semantics on a CPU, gsplat itself on CUDA."""
 
 from twin_node.splat.arguments import RasterMeta
-from twin_node.splat.descent import Aims, Bystanders, Descended, Learners, can_descend, descend
+from twin_node.splat.descent import Aims, Bystanders, Course, Descended, Learners, can_descend, descend
 from twin_node.splat.dispatch import rasterize, rasterize_plain
 from twin_node.splat.errors import SplatError
 from twin_node.splat.loss import image_loss, image_loss_plain
+from twin_node.splat.placing import Placed, can_place, place
 
 __all__ = [
     "Aims",
     "Bystanders",
+    "Course",
     "Descended",
     "Learners",
+    "Placed",
     "RasterMeta",
     "SplatError",
     "can_descend",
+    "can_place",
     "descend",
     "image_loss",
     "image_loss_plain",
+    "place",
     "rasterize",
     "rasterize_plain",
 ]

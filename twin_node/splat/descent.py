@@ -82,9 +82,9 @@ class Descended:
     """What the last step saw and did."""
 
     seen: Tensor
-    """[T, H, W, 4] colour and depth before it, the backdrop behind."""
+    """[T, H, W, 4] colour and depth before it, the backdrop behind; what no longer counted as it was seen before."""
     alphas: Tensor
-    """[T, H, W] of what is drawn."""
+    """[T, H, W] of what is drawn; 0 where pixels no longer counted."""
     v_means: Tensor
     """[T, n, 3] gradient by the learners' carried means."""
     v_quats: Tensor
@@ -95,17 +95,30 @@ class Descended:
     """[steps] float64, before each of them."""
 
 
-def descend(learners: Learners, bystanders: Bystanders, aims: Aims, steps: int, smallest_log_scale: float) -> Descended:
-    """Takes `steps` (1 or more) steps of Adam down `image_loss` (0.8 L1 + 0.2 (1 - SSIM) + depth) of what is seen.
+@dataclass(frozen=True)
+class Course:
+    """How steps are taken."""
 
-    Gaussians that would not stay finite keep their values and forget their moments. Float32 tensors on the CPU.
+    steps: int
+    """1 or more."""
+    smallest_log_scale: float
+    focus: float = 0.0
+    """Mean error of a cell of 4x4 pixels from which on it counts, with the cells around it, after the first step: what
+    is right by then needs no further steps. 0: all pixels count in all of them."""
+
+
+def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Course) -> Descended:
+    """Takes steps of Adam down `image_loss` (0.8 L1 + 0.2 (1 - SSIM) + depth) of what is seen.
+
+    Gaussians that nothing pulls at are left alone; those that would not stay finite keep their values and forget their
+    moments. Float32 tensors on the CPU.
     Raises `ValueError` naming a target that is not finite, or where the library is not at hand (see `can_descend`).
     """
     library = native.native_library()
     if library is None:
         raise ValueError("descend: the compiled library is not at hand; see can_descend")
     call = _Call(learners, bystanders, aims)
-    request = call.request(steps, smallest_log_scale)
+    request = call.request(course)
     try:
         library.descend(native.Workspace(library), request)
     except native.NonFiniteError as error:
@@ -150,13 +163,15 @@ class _Call:
         self.depth = torch.empty(0) if aims.depth is None else aims.depth.contiguous()
         self.carriage = [t.contiguous() for t in (learners.turns, learners.shifts, learners.products)]
         self.loss = torch.zeros(1, dtype=torch.float64)
+        self.focus_mask = torch.empty(times, height, width, dtype=torch.bool)
+        self.focus_weights = torch.empty(times, height, width)
         self.refused = torch.zeros(1, dtype=torch.int64)
         self.losses = torch.zeros(0, dtype=torch.float64)
 
-    def request(self, steps: int, smallest_log_scale: float) -> native.DescentRequest:
+    def request(self, course: Course) -> native.DescentRequest:
         """The pointers in it are valid for as long as this object and the learners live."""
         learners = self.learners
-        self.losses = torch.zeros(steps, dtype=torch.float64)
+        self.losses = torch.zeros(course.steps, dtype=torch.float64)
         drawn = (self.means, self.quats, self.scales, self.opacities, self.colors)
         own = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.rates, learners.ceilings)
         return native.DescentRequest(
@@ -166,9 +181,11 @@ class _Call:
             *(_pointer(t) for t in (self.backdrop, self.seen, self.v_alphas)),
             self.standing,
             self.learned,
-            steps,
-            smallest_log_scale,
-            *(_pointer(t) for t in (*drawn, *own, *self.carriage, self.refused, self.losses)),
+            course.steps,
+            course.smallest_log_scale,
+            *(_pointer(t) for t in (*drawn, *own, *self.carriage)),
+            course.focus,
+            *(_pointer(t) for t in (self.focus_mask, self.focus_weights, self.refused, self.losses)),
         )
 
     def _scene(self) -> native.Request:

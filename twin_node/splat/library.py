@@ -14,7 +14,7 @@ import torch  # loads the OpenMP runtime that the library then shares
 from twin_node import native_build
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 3
+INTERFACE_VERSION = 4
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -67,7 +67,20 @@ class DescentRequest(ctypes.Structure):
         ("smallest_log_scale", c_float),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors")),
         *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps_taken", "rates", "ceilings")),
-        *((name, c_void_p) for name in ("turns", "shifts", "products", "refused", "losses")),
+        *((name, c_void_p) for name in ("turns", "shifts", "products")),
+        ("focus", c_float),
+        *((name, c_void_p) for name in ("focus_mask", "focus_weights", "refused", "losses")),
+    )
+
+
+class PlaceRequest(ctypes.Structure):
+    """`splat::PlaceRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "times", "nodes")),
+        ("threads", c_int32),
+        *((name, c_void_p) for name in ("values", "carriers", "positions", "rotations")),
+        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb")),
     )
 
 
@@ -130,6 +143,8 @@ class NativeLibrary:
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
+        self._dll.splat_place.argtypes = [ctypes.POINTER(PlaceRequest)]
+        self._dll.splat_place.restype = None
         self._dll.splat_look.argtypes = [ctypes.POINTER(LookRequest)]
         self._dll.splat_look.restype = None
         self._dll.splat_gather_motion.argtypes = [ctypes.POINTER(MotionRequest)]
@@ -169,6 +184,11 @@ class NativeLibrary:
         """Takes steps of Adam. Raises `NonFiniteError` as `image_loss`, `ValueError` or `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.splat_descend(workspace.handle, request))
+
+    def place(self, request: PlaceRequest) -> None:
+        """Carries Gaussians to where they are drawn."""
+        self._require_not_forked()
+        self._dll.splat_place(request)
 
     def look(self, request: LookRequest) -> None:
         """Finds the pixels of points; takes one thread."""

@@ -159,12 +159,24 @@ struct Filtered {
   }
 };
 
+// Whether columns filtered down at [x, x + kLanes) of a padded row are read by a pixel of the row that counts: each
+// vector of pixels reads its own and those behind it as far as the window reaches.
+inline bool needed(const float *weights, int x, int columns) {
+  constexpr int kBehind = (2 * kRadius + kLanes - 1) / kLanes;
+  for (int at = std::max(0, x - kBehind * kLanes); at <= x && at < columns; at += kLanes) {
+    if (any(gt(load(weights + at), Vec{}))) return true;
+  }
+  return false;
+}
+
 // SSIM of row `y` of the box, channel q, weighted and summed; leaves the weighted derivatives in the maps.
 inline Vec ssim_row(const Window &window, LossImage &image, int q, int y, Filtered &filtered) {
   const int stride = image.stride;
   const float *x_rows = &image.x[q * image.plane() + static_cast<int64_t>(y) * stride];
   const float *y_rows = &image.y[q * image.plane() + static_cast<int64_t>(y) * stride];
+  const float *weights = &image.weights[static_cast<int64_t>(y) * stride];
   for (int x = 0; x < image.columns() + 2 * kRadius; x += kLanes) {
+    if (!needed(weights, x, image.columns())) continue;
     Vec mean_x{}, mean_y{}, squares{}, product{};
     for (int k = 0; k < kTaps; k++) {
       const Vec a = load(x_rows + k * stride + x), b = load(y_rows + k * stride + x);
@@ -179,7 +191,6 @@ inline Vec ssim_row(const Window &window, LossImage &image, int q, int y, Filter
     store(filtered.row(2) + x, squares);
     store(filtered.row(3) + x, product);
   }
-  const float *weights = &image.weights[static_cast<int64_t>(y) * stride];
   float *map = &image.maps[q * kMaps * image.plane() + static_cast<int64_t>(y + kRadius) * stride + kRadius];
   Vec total{};
   for (int x = 0; x < image.columns(); x += kLanes) {
@@ -226,8 +237,10 @@ inline float sign(float x) { return x > 0.f ? 1.f : (x < 0.f ? -1.f : 0.f); }
 inline float gradient_row(const LossRequest &r, const Factors &f, const Window &window, int index, LossImage &image,
                           int q, int y, Filtered &filtered) {
   const int stride = image.stride;
+  const float *weights = &image.weights[static_cast<int64_t>(y) * stride];
   if (f.ssim != 0.f) {
     for (int x = 0; x < image.columns() + 2 * kRadius; x += kLanes) {
+      if (!needed(weights, x, image.columns())) continue;
       for (int map = 0; map < kMaps; map++) {
         const float *rows = &image.maps[(q * kMaps + map) * image.plane() + static_cast<int64_t>(y) * stride + x];
         Vec sum{};
@@ -237,7 +250,6 @@ inline float gradient_row(const LossRequest &r, const Factors &f, const Window &
     }
   }
   const int64_t in_plane = q * image.plane() + static_cast<int64_t>(y + kRadius) * stride + kRadius;
-  const float *weights = &image.weights[static_cast<int64_t>(y) * stride];
   const int64_t first = (static_cast<int64_t>(index) * r.height + image.y0 + y) * r.width + image.x0;
   float *to = r.gradient + first * r.channels + q;
   Vec total{};

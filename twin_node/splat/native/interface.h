@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 3;
+constexpr int32_t kInterfaceVersion = 4;
 
 enum Status : int32_t {
   kOk = 0,
@@ -88,8 +88,22 @@ struct DescentRequest {
   const float *rates;                                  // [learned, 14]
   const float *ceilings;                               // [learned] largest log scale
   const float *turns, *shifts, *products;              // [B, learned, 3, 3], [B, learned, 3], [B, learned, 4, 4]
+  float focus;          // mean error of a cell of pixels from which on it counts after the first step; 0: all do
+  uint8_t *focus_mask;  // [B, H, W] room for the pixels that then count, and for their weights
+  float *focus_weights;
   int64_t *refused;                                    // [1]
   double *losses;                                      // [steps] before each of them
+};
+
+// Gaussians [count] in the frames of their carriers, wanted where those are at several times.
+struct PlaceRequest {
+  int64_t count, times, nodes;
+  int32_t threads;
+  const float *values;                  // [count, 14] mean, quat, log scale, logit, rgb
+  const int64_t *carriers;              // [count] nodes, -1 for none
+  const double *positions, *rotations;  // [times, nodes, 3], [times, nodes, 4]
+  float *means, *quats;                 // [times, count, 3], [times, count, 4]
+  float *scales, *opacities, *rgb;      // [count, 3], [count], [count, 3]
 };
 
 // Points [count, 3] seen by one camera.

@@ -3,6 +3,7 @@
 
 #include "descent.h"
 #include "motion.h"
+#include "place.h"
 
 namespace {
 
@@ -61,6 +62,11 @@ int32_t splat_backward(void *workspace, const splat::Request *request, const spl
 }
 
 void splat_look(const splat::LookRequest *request) { splat::look(*request); }
+
+void splat_place(const splat::PlaceRequest *request) {
+  omp_set_dynamic(0);
+  splat::place(*request);
+}
 
 void splat_gather_motion(const splat::MotionRequest *request) { splat::gather_motion(*request); }
 

@@ -1,0 +1,149 @@
+"""Steps of Adam on some of the Gaussians that a scene is drawn from: compiled where that is possible, else in torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node import splat
+from twin_node.model.carriage import Carriage
+from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, WIDTH, Gaussians, activated
+from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate, focused
+from twin_node.model.rendering import Sheet, Splats, join
+
+RATES = torch.zeros(WIDTH)
+RATES[MEAN] = 0.08
+RATES[QUAT] = 5e-3
+RATES[LOG_SCALE] = 1.5e-2
+RATES[LOGIT] = 5e-2
+RATES[RGB] = 1.5e-2
+"""Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """What n Gaussians learn from, and how they are carried meanwhile."""
+
+    rows: Tensor
+    """[n]."""
+    carriage: Carriage
+    rates: Tensor
+    """[n, 14]."""
+    static: Splats
+    """What is drawn with them and does not learn."""
+    goal: Goal
+    focus: float = 0.0
+    """See `splat.Course`."""
+
+
+@dataclass(frozen=True)
+class Descended:
+    """The last step: what was seen before it, and the gradient [T, n, ...] by carried means and quaternions."""
+
+    sheets: list[Sheet]
+    of_means: Tensor
+    of_quats: Tensor
+    losses: list[float]
+    """Before each step."""
+
+
+def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:
+    """`steps` steps, 1 or more, by the fastest way there is."""
+    if splat.can_descend(gaussians.values.device) and len(path.goal.targets) == 1:
+        return descend_fused(gaussians, path, steps)
+    return descend_plain(gaussians, path, steps)
+
+
+def descend_plain(gaussians: Gaussians, path: Path, steps: int) -> Descended:
+    """Steps in torch, on any device: the reference of the fused ones."""
+    descent, carriage, losses, goal = gaussians.descent(path.rows), path.carriage, [], path.goal
+    for step in range(steps):
+        values = descent.values
+        moving = activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
+        seen = differentiate(join(path.static, moving), goal)
+        losses.append(seen.loss)
+        if step == 0 and path.focus > 0:
+            goal = focused(path.goal, seen.sheets, path.focus)
+        gradient = _tail(seen.gradient, len(path.rows))
+        local = replace(
+            gradient,
+            means=carriage.means_gradient(gradient.means),
+            quats=carriage.quats_gradient(gradient.quats),
+        )
+        descent.step(to_columns(moving, local), path.rates)
+    descent.end()
+    return Descended(seen.sheets, gradient.means, gradient.quats, losses)
+
+
+def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
+    """The same in one call of the compiled library, for cameras of one size."""
+    rows, goal, times = path.rows, path.goal, len(path.goal.cameras)
+    target = goal.targets[0]
+    assert goal.backdrops is not None
+    learners = splat.Learners(
+        gaussians.values[rows],
+        gaussians.moment1[rows],
+        gaussians.moment2[rows],
+        gaussians.steps[rows],
+        path.rates,
+        gaussians.largest[rows],
+        *vars(path.carriage).values(),
+    )
+    static = path.static
+    bystanders = splat.Bystanders(
+        static.means.expand(times, -1, -1),
+        static.quats.expand(times, -1, -1),
+        static.scales,
+        static.opacities,
+        static.rgb,
+    )
+    aims = splat.Aims(
+        torch.from_numpy(np.stack([camera.viewmat for camera in goal.cameras])).float(),
+        torch.from_numpy(np.stack([camera.K for camera in goal.cameras])).float(),
+        torch.stack(tuple(goal.backdrops)),
+        None if goal.masks is None else torch.from_numpy(np.stack(goal.masks)),
+        target.rgb,
+        target.weights,
+        target.depth,
+        0.0 if target.depth is None else DEPTH_WEIGHT,
+    )
+    done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.focus))
+    gaussians.take(rows, learners.values, learners.moment1, learners.moment2, learners.steps)
+    gaussians.refused += done.refused
+    sheet = Sheet(list(range(times)), done.seen, done.alphas)
+    return Descended([sheet], done.v_means, done.v_quats, done.losses.tolist())
+
+
+def _tail(splats: Splats, count: int) -> Splats:
+    """The last `count` Gaussians."""
+    start = splats.means.shape[1] - count
+    return Splats(
+        splats.means[:, start:],
+        splats.quats[:, start:],
+        splats.scales[start:],
+        splats.opacities[start:],
+        splats.rgb[start:],
+    )
+
+
+def to_columns(splats: Splats, gradient: Splats) -> Tensor:
+    """[n, 14] gradient with respect to `Gaussians.values`, from that with respect to the `splats` they stand for."""
+    logit = gradient.opacities * splats.opacities * (1 - splats.opacities)
+    columns = [
+        gradient.means.sum(0),
+        gradient.quats.sum(0),
+        gradient.scales * splats.scales,
+        logit[:, None],
+        gradient.rgb,
+    ]
+    return torch.cat(columns, 1)
+
+
+def rates_of(values: Tensor, factor: float) -> Tensor:
+    """[n, 14] Adam's rates of Gaussians `values` [n, 14]."""
+    rates = (RATES.to(values.device) * factor).repeat(len(values), 1)
+    rates[:, MEAN] *= values[:, LOG_SCALE].exp().mean(-1, keepdim=True)
+    return rates

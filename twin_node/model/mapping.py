@@ -1,0 +1,180 @@
+"""The mapper: what stands still is refined on images at rest, in the time that the tracker leaves.
+
+The tracker never touches a STATIC Gaussian's shape; here those that show where a background and what its camera sees at
+rest differ take steps of Adam, in all views at once. Where nothing differs nothing is selected, so a scene at rest
+stays as it is to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node.model.backgrounds import Background, Backgrounds, grow
+from twin_node.model.carriage import carry
+from twin_node.model.descending import Path, descend, rates_of
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.nodes import Poses
+from twin_node.model.observation import Observed, largest_channel
+from twin_node.model.parameters import MapParameters
+from twin_node.model.photometric import Goal, Targets
+from twin_node.model.rendering import by_size
+from twin_node.scene import Bool, Camera, Float32
+
+UPTAKE = 0.3
+"""Share of each image that enters what a pixel shows at rest: noise is averaged over about six images."""
+STIRRED = 25 / 255
+"""Change from what a pixel shows at rest that is no noise: it starts anew (the threshold for moving pixels)."""
+FOOTPRINT_PX = 3
+"""Pixels around a Gaussian that learns that its views are held to: it is about two pixels wide."""
+
+
+class _AtRest:
+    """What one camera sees where nothing moves."""
+
+    def __init__(self, camera: Camera, rgb: Float32) -> None:
+        """Begins with an image [H, W, 3], 0 to 1."""
+        self.camera = camera
+        self.rgb = rgb
+        """[H, W, 3] running mean of what pixels show at rest."""
+        self.since_s = 0.0
+        """For how long it has not looked."""
+        self.counted = np.zeros(rgb.shape[:2], bool)
+        """[H, W] pixels that had been at rest for long enough when it looked last."""
+        self.wrong = np.zeros(rgb.shape[:2], bool)
+        """[H, W] those of them where the background looks otherwise, and the pixels around."""
+        self._calm_s = np.zeros(rgb.shape[:2], np.float32)
+
+    def see(self, one: Observed, parameters: MapParameters) -> None:
+        """Takes in an image."""
+        change = largest_channel(one.rgb, self.rgb)
+        calm = one.usable & ~one.near_moving & (change < STIRRED)
+        self._calm_s = np.where(calm, self._calm_s + np.float32(self.since_s), np.float32(0))
+        self.since_s = 0.0
+        self.rgb += np.where(calm, np.float32(UPTAKE), np.float32(1))[..., None] * (one.rgb - self.rgb)
+        self.counted = self._calm_s > parameters.calm_s
+        missed = cv2.blur(largest_channel(self.rgb, one.background.rgb) - one.misfit, (3, 3))
+        self.wrong = grow(self.counted & (missed > parameters.threshold), 1)
+
+
+@dataclass(frozen=True)
+class _Wanting:
+    """One view of what stands still, and what it should look like."""
+
+    background: Background
+    at_rest: _AtRest
+
+    @property
+    def camera(self) -> Camera:
+        """That both are of."""
+        return self.background.camera
+
+
+class Mapper:
+    """Refines STATIC Gaussians of one model; a set's share of the work is `refine`."""
+
+    def __init__(self, parameters: MapParameters, gaussians: Gaussians, backgrounds: Backgrounds) -> None:
+        self._parameters = parameters
+        self._gaussians = gaussians
+        self._backgrounds = backgrounds
+        self._at_rest: dict[str, _AtRest] = {}
+        self._turn = 0
+        self._learning = torch.zeros(gaussians.capacity, dtype=torch.bool, device=gaussians.values.device)
+
+    def refine(self, observed: Sequence[Observed], dt_s: float) -> int:
+        """Takes the steps of one set, `dt_s` after the set before; returns how many Gaussians learned."""
+        self._turn += 1
+        views = []
+        for index, one in enumerate(observed):
+            at_rest = self._at_rest_of(one, dt_s)
+            if index == self._turn % len(observed):
+                at_rest.see(one, self._parameters)
+            views.append(_Wanting(one.background, at_rest))
+        return sum(self._learn([views[index] for index in chosen]) for chosen in by_size([v.camera for v in views]))
+
+    def _at_rest_of(self, one: Observed, dt_s: float) -> _AtRest:
+        """What a view's camera sees at rest, `dt_s` older than before."""
+        camera, at_rest = one.view.camera, self._at_rest.get(one.view.camera.name)
+        if at_rest is None or at_rest.camera is not camera:
+            at_rest = self._at_rest[camera.name] = _AtRest(camera, one.rgb.copy())
+        at_rest.since_s += dt_s
+        return at_rest
+
+    def _learn(self, views: Sequence[_Wanting]) -> int:
+        """A few steps for the Gaussians that show at wrong pixels of `views`, cameras of one size."""
+        chosen = self._chosen(views)
+        g, rows = self._gaussians, self._backgrounds.rows
+        standing = (g.alive[rows] & (g.tiers[rows] == 0)).cpu().numpy()
+        chosen &= standing
+        if not chosen.any():
+            return 0
+        masks = [_footprint(view, chosen) for view in views]
+        reaching = np.any([_reaching(view, mask) for view, mask in zip(views, masks, strict=True)], axis=0)
+        learners, others = rows[_at(chosen, rows)], rows[_at(standing & reaching & ~chosen, rows)]
+        fresh = learners[~self._learning[learners]]
+        g.forget_moments(fresh)
+        self._learning[:] = False
+        self._learning[learners] = True
+        device = g.values.device
+        goal = Goal(
+            [view.camera for view in views],
+            masks,
+            [
+                Targets(
+                    torch.from_numpy(np.stack([view.at_rest.rgb for view in views])).to(device),
+                    torch.from_numpy(np.stack(masks)).to(device).float(),
+                    None,
+                )
+            ],
+            [_behind(view.background, device) for view in views],
+        )
+        still = Poses(torch.zeros(len(views), 0, 3), torch.zeros(len(views), 0, 4))
+        carriage = carry(still, torch.full((len(learners),), -1, device=device))
+        rates = rates_of(g.values[learners], self._parameters.learning_rate)
+        descend(g, Path(learners, carriage, rates, g.standing(g.values[others]), goal), self._parameters.steps)
+        self._backgrounds.repaint()
+        return len(learners)
+
+    def _chosen(self, views: Sequence[_Wanting]) -> Bool:
+        """[n] which of the background's rows show at a wrong pixel of some view, as many as may learn at once."""
+        need = np.zeros(len(self._backgrounds.rows), np.int64)
+        for view in views:
+            seen = view.background.static
+            need += seen.inside & ~view.background.occluded(seen) & view.at_rest.wrong[seen.rows, seen.columns]
+        chosen = need > 0
+        if chosen.sum() > self._parameters.most_learners:
+            order = np.argsort(-need, kind="stable")
+            chosen[order[self._parameters.most_learners :]] = False
+        return chosen
+
+
+def _footprint(view: _Wanting, chosen: Bool) -> Bool:
+    """[H, W] counted pixels at and around the chosen Gaussians."""
+    seen = view.background.static
+    at = chosen & seen.inside
+    mask = np.zeros(view.at_rest.counted.shape, bool)
+    mask[seen.rows[at], seen.columns[at]] = True
+    return grow(mask, FOOTPRINT_PX) & view.at_rest.counted
+
+
+def _reaching(view: _Wanting, mask: Bool) -> Bool:
+    """[n] which of the background's rows reach into a mask [H, W]."""
+    seen, reach_px = view.background.static, view.background.reach_px
+    apart = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3)
+    return (reach_px >= 0) & (apart[seen.rows, seen.columns] <= reach_px + 1)
+
+
+def _at(mask: Bool, like: Tensor) -> Tensor:
+    return torch.from_numpy(mask).to(like.device)
+
+
+def _behind(background: Background, device: torch.device) -> Tensor:
+    """[H, W, 4] black at the depth of plane and shell."""
+    behind = np.zeros((*background.surface.shape, 4), np.float32)
+    behind[..., 3] = background.surface
+    return torch.from_numpy(behind).to(device)

@@ -1,0 +1,55 @@
+"""Gaussians from the frames of what carries them to where they are drawn: one call of the compiled library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node.splat import library as native
+
+
+@dataclass(frozen=True)
+class Placed:
+    """n Gaussians at T times, as `rasterize` takes them."""
+
+    means: Tensor
+    """[T, n, 3]."""
+    quats: Tensor
+    """[T, n, 4] w, x, y, z."""
+    scales: Tensor
+    """[n, 3] linear."""
+    opacities: Tensor
+    """[n] 0 to 1."""
+    rgb: Tensor
+    """[n, 3]."""
+
+
+def can_place(device: torch.device) -> bool:
+    """Whether `place` works for tensors on this device."""
+    return device.type == "cpu" and native.native_library() is not None
+
+
+def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor) -> Placed:
+    """Carries Gaussians to where their nodes are at T times; nothing is differentiated.
+
+    `values` [n, 14] float32: mean, quaternion, log scale, opacity logit and colour in the frames of the nodes,
+    `carriers` [n] int64 rows of these, -1 for none, `positions` [T, M, 3] and `quats` [T, M, 4] float64 their poses.
+    On the CPU; see `can_place`.
+    """
+    library = native.native_library()
+    assert library is not None
+    count, times = len(values), positions.shape[0]
+    placed = Placed(
+        torch.empty(times, count, 3),
+        torch.empty(times, count, 4),
+        torch.empty(count, 3),
+        torch.empty(count),
+        torch.empty(count, 3),
+    )
+    given = [t.detach().contiguous() for t in (values.float(), carriers, positions.double(), quats.double())]
+    tensors = (*given, *vars(placed).values())
+    pointers = (tensor.data_ptr() for tensor in tensors)
+    library.place(native.PlaceRequest(count, times, positions.shape[1], native.thread_count(), *pointers))
+    return placed
