@@ -69,9 +69,9 @@ def test_the_orbit_looks_at_the_cell_and_boxes_fall_on_what_they_hold(twin_log: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-o", "a.avi"], "ends in .mp4 or .png"),
+        (["-o", "a.avi"], "ends in .mp4, .png, .jpg"),
         (["-o", "a.png", "--view", "beside"], "expected images, found none"),
-        (["-o", "a.png", "--view", "above"], "expected one of beside, cameras, orbit"),
+        (["-o", "a.png", "--view", "above"], "expected one of beside, cameras, forecast, orbit"),
         (["-o", "a.png", "--camera", "left"], "--camera left: expected one of none"),
         (["-o", "missing/a.mp4"], "cannot be written"),
         (["-o", "a.png", "--at", "7"], "expected a span inside the log's"),

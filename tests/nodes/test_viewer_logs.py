@@ -161,6 +161,7 @@ def test_time_before_the_first_word_is_an_empty_page(page: CellPage, twin_log: P
         (["LOG", "--arm", "ur99"], "ur99"),
         (["LOG", "--host", "198.51.100.7"], "cannot be opened"),
         (["LOG", "--rig", "missing.yaml"], "missing.yaml"),
+        (["--live", "--endpoint", "nonsense"], "expected addresses such as tcp/127.0.0.1:7447"),
     ],
 )
 def test_wrong_wishes_are_one_line(

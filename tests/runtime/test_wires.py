@@ -169,5 +169,7 @@ def test_wrong_settings_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any
     with pytest.raises(WireError, match="from 0 to 232, found '233'"):
         _ = ZenohParameters().domain_id
     (tmp_path / "bad.json5").write_text("{mode: 'starship'}")
+    with pytest.raises(WireError, match="expected addresses such as tcp/127.0.0.1:7447, found .*nonsense"):
+        open_session(ZenohParameters(endpoint="nonsense"))
     with pytest.raises(WireError, match=r"bad\.json5: not a zenoh configuration"):
         open_session(ZenohParameters(config=str(tmp_path / "bad.json5")))

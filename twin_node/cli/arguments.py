@@ -51,6 +51,14 @@ def whole(text: str) -> int:
     return int(value)
 
 
+def port(text: str) -> int:
+    """A TCP port that can be listened on."""
+    value = _number(text)
+    if value != int(value) or not 1 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"{text}: expected a port, 1 to 65535")
+    return int(value)
+
+
 def width(text: str) -> int:
     """A width in pixels."""
     value = _number(text)

@@ -12,6 +12,8 @@ from tqdm import tqdm
 from twin_node.cli.arguments import not_negative, positive, width
 from twin_node.errors import TwinError
 
+FILM = ".mp4"
+
 
 def add_render(commands: Any) -> None:
     """Adds `render` to the subcommands."""
@@ -20,12 +22,12 @@ def add_render(commands: Any) -> None:
         "log", type=Path, nargs="+", metavar="LOG", help="the twin's log; also the one it was made from"
     )
     render.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="a film .mp4, or a picture .png"
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="a film .mp4, or a picture .png or .jpg"
     )
     render.add_argument(
         "--view",
         metavar="VIEW",
-        help="beside (image, twin, error, forecast), cameras, or orbit; default what the log allows",
+        help="beside (image, twin, error, forecast), cameras, forecast or orbit; default what the log allows",
     )
     render.add_argument("--camera", metavar="NAME", help="only this camera")
     render.add_argument("--at", type=not_negative, default=0.0, metavar="S", help="time of a picture (default 0)")
@@ -40,13 +42,13 @@ def add_render(commands: Any) -> None:
 
 def _render(options: argparse.Namespace) -> None:
     from twin_node.nodes.export import ExportSpan
-    from twin_node.nodes.film import Film, write_film, write_picture
+    from twin_node.nodes.film import PICTURES, Film, write_film, write_picture
     from twin_node.nodes.playback import Playback
     from twin_node.robot import arm_model
 
-    if options.output.suffix not in (".mp4", ".png"):
-        raise TwinError(f"-o {options.output}: expected a name that ends in .mp4 or .png")
-    is_film = options.output.suffix == ".mp4"
+    if options.output.suffix not in (FILM, *PICTURES):
+        raise TwinError(f"-o {options.output}: expected a name that ends in {', '.join((FILM, *PICTURES))}")
+    is_film = options.output.suffix == FILM
     with Playback(options.log, options.width, options.rig) as playback:
         view = options.view or ("beside" if playback.cameras else "orbit")
         film = Film(playback, view, options.width, arm_model(options.arm), options.camera)

@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
+from twin_node.cli.arguments import add_source_options, port, positive, with_source_options
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
 
@@ -33,7 +33,7 @@ def add_demo(commands: Any) -> None:
     demo = commands.add_parser("demo", help="make a log of a simulated cell and replay it")
     demo.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for log and report")
     demo.add_argument("--viewer", action="store_true", help="then show the run in the browser, until Ctrl-C")
-    demo.add_argument("--port", type=whole, default=8080, help="of the viewer (default 8080)")
+    demo.add_argument("--port", type=port, default=8080, help="of the viewer (default 8080)")
     demo.set_defaults(run=_demo)
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, whole, width
+from twin_node.cli.arguments import not_negative, port, width
 from twin_node.errors import TwinError
 
 
@@ -26,7 +26,7 @@ def add_view(commands: Any) -> None:
     view.add_argument("--width", type=width, metavar="PX", help="of the images (default 320 of logs, 160 live)")
     view.add_argument("--at", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into the log")
     view.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
-    view.add_argument("--port", type=whole, default=8080, help="port to listen on (default 8080)")
+    view.add_argument("--port", type=port, default=8080, help="port to listen on (default 8080)")
     view.set_defaults(run=_view)
 
 

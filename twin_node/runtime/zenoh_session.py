@@ -126,10 +126,16 @@ def _router_config(parameters: ZenohParameters) -> Any:
 
 def _config(settings: dict[str, Any]) -> Any:
     """Multicast stays off, gossip on and samples stamped: as in rmw_zenoh's own default files."""
-    config = _zenoh().Config()
+    zenoh = _zenoh()
+    config = zenoh.Config()
     common = {"scouting/multicast/enabled": False, "scouting/gossip/enabled": True, "timestamping/enabled": True}
     for key, value in {**common, **settings}.items():
-        config.insert_json5(key, json.dumps(value))
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError:
+            raise WireError(
+                f"zenoh {key}: expected addresses such as {ROUTER_ENDPOINT}, found {json.dumps(value)}; correct them"
+            ) from None
     return config
 
 

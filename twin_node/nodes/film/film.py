@@ -64,6 +64,11 @@ class Film:
         """The twin as the cameras see it, side by side."""
         return np.hstack([_pixels(self._rendering(camera, snapshot)) for camera in self._cameras])
 
+    def forecast(self, snapshot: Snapshot) -> UInt8:
+        """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
+        views = {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
+        return np.hstack([self._foreseen(camera, views.get(camera.name), snapshot) for camera in self._cameras])
+
     def orbit(self, snapshot: Snapshot) -> UInt8:
         """The twin from a camera that goes around it, with boxes about what moves."""
         height = self._width * 9 // 16
@@ -75,18 +80,17 @@ class Film:
     def _row(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         ours = self._rendering(camera, snapshot)
         if view is None:
-            blank = np.zeros((camera.height, camera.width, 3), np.uint8)
-            return np.hstack([blank, _pixels(ours), blank, blank])
+            return np.hstack([_blank(camera), _pixels(ours), _blank(camera), _blank(camera)])
         error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
         heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
         heat = cv2.cvtColor(heat, cv2.COLOR_BGR2RGB)
-        return np.hstack([view.rgb, _pixels(ours), heat, self._foreseen(view, snapshot)])
+        return np.hstack([view.rgb, _pixels(ours), heat, self._foreseen(camera, view, snapshot)])
 
-    def _foreseen(self, view: View, snapshot: Snapshot) -> UInt8:
+    def _foreseen(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined."""
-        picture = view.rgb
-        foreseen, moving = moving_mask(snapshot, view.camera, -1), moving_mask(snapshot, view.camera, 0)
-        arm = arm_mask(snapshot, view.camera, self._arm)
+        picture = _blank(camera) if view is None else view.rgb
+        foreseen, moving = moving_mask(snapshot, camera, -1), moving_mask(snapshot, camera, 0)
+        arm = arm_mask(snapshot, camera, self._arm)
         if foreseen is not None:
             picture = fill(picture, foreseen, FORESEEN)
         for mask, colour in ((arm, ARM_COLOUR), (moving, TRUE)):
@@ -114,8 +118,13 @@ class Film:
 VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
     "beside": Film.beside,
     "cameras": Film.cameras,
+    "forecast": Film.forecast,
     "orbit": Film.orbit,
 }
+
+
+def _blank(camera: Camera) -> UInt8:
+    return np.zeros((camera.height, camera.width, 3), np.uint8)
 
 
 def _pixels(image: Float32) -> UInt8:

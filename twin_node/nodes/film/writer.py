@@ -1,4 +1,4 @@
-"""Pictures into files: H.264 in MP4, or PNG; whole, or not at all."""
+"""Pictures into files: H.264 in MP4, PNG or JPEG; whole, or not at all."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ QUALITY = "20"
 """Constant rate factor of x264: 18 is visually lossless, 23 its default."""
 PRESET = "veryfast"
 """Of x264: at our sizes slower ones save a tenth of the bytes for three times the time."""
+
+
+PICTURES = (".png", ".jpg")
+"""What names of pictures end in."""
 
 
 class FilmError(TwinError):
@@ -51,9 +55,9 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
 
 
 def write_picture(picture: UInt8, path: Path) -> None:
-    """Writes a picture as PNG. Raises `FilmError` where it cannot."""
+    """Writes a picture [H, W, 3] as its name says, PNG or JPEG. Raises `FilmError` where it cannot."""
     try:
-        path.write_bytes(cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+        path.write_bytes(cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
     except OSError as error:
         raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
 

@@ -13,7 +13,7 @@ import numpy as np
 from twin_node.errors import TwinError
 from twin_node.nodes.playback import Snapshot
 from twin_node.nodes.viewer.frusta import Frusta
-from twin_node.nodes.viewer.panel import panel_text
+from twin_node.nodes.viewer.panel import arm_text, twin_text
 from twin_node.nodes.viewer.picked import PickedThing
 from twin_node.nodes.viewer.picking import Ray, pick
 from twin_node.nodes.viewer.priority import go_last
@@ -60,10 +60,11 @@ class CellPage:
         self._changed = threading.Event()
         self.set_cameras(cameras)
         self.server.gui.configure_theme(dark_mode=False, show_logo=False)
-        self._words = self.server.gui.add_markdown("Waiting for a twin.")
         self._problem = self.server.gui.add_markdown("", visible=False)
+        self._arm_words = self.server.gui.add_markdown("Waiting for a twin.")
         with self.server.gui.add_folder("Picked"):
             self._picked_words = self.server.gui.add_markdown("Click at an obstacle or a Gaussian.")
+        self._twin_words = self.server.gui.add_markdown("")
         with self.server.gui.add_folder("Show"):
             self._add_switches()
         self.server.scene.on_click()(self._on_click)
@@ -87,7 +88,8 @@ class CellPage:
             self._obstacles.show(snapshot)
             self.voxels.show(snapshot)
             self.frusta.show(snapshot)
-            self._words.content = panel_text(snapshot)
+            self._arm_words.content = arm_text(snapshot)
+            self._twin_words.content = twin_text(snapshot)
             self._answer_click(snapshot)
         self.server.flush()
 
@@ -161,8 +163,8 @@ def _open_server(host: str, port: int) -> Any:
     try:
         with socket.create_server((host, port)):
             pass
-    except OSError as error:
-        reason = error.strerror or str(error)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
         raise ViewerError(
             f"http://{host}:{port}: cannot be opened ({reason}); give another --port, or --host"
         ) from None

@@ -9,14 +9,14 @@ from twin_node.nodes.playback import Snapshot
 from twin_node.scene import Separation, Tier
 
 
-def panel_text(snapshot: Snapshot) -> str:
-    """Markdown: the arm's distance and speed with the reason, then how the twin does."""
-    parts = []
-    if snapshot.separation is not None:
-        parts.append(_arm(snapshot.separation))
-    if snapshot.status is not None:
-        parts.append(_twin(snapshot.status))
-    return "\n\n".join(parts) or "The log holds no decision and no status of a twin."
+def arm_text(snapshot: Snapshot) -> str:
+    """Markdown: the arm's distance and speed, with the reason."""
+    return "No decision about the arm's speed was heard." if snapshot.separation is None else _arm(snapshot.separation)
+
+
+def twin_text(snapshot: Snapshot) -> str:
+    """Markdown: how the twin does."""
+    return "The twin has not said how it does." if snapshot.status is None else _twin(snapshot.status)
 
 
 def _arm(separation: Separation) -> str:

@@ -135,7 +135,7 @@ class PickedThing:
         first, now = self._places[0], self._places[-1]
         age = (now.stamp - first.stamp) / 1e9
         moved = 100 * np.linalg.norm(now.position - first.position)
-        yield f"- known for {age:.1f} s{' or longer' if self._is_older else ''}; moved {moved:.1f} cm in them"
+        yield f"- known for {age:.1f} s{' or longer' if self._is_older else ''}; moved {moved:.1f} cm since"
         for told in TOLD_S:
             nearest = min(self._places, key=lambda place: abs((now.stamp - place.stamp) / 1e9 - told))
             if abs((now.stamp - nearest.stamp) / 1e9 - told) < 0.25:
