@@ -23,13 +23,16 @@ def add_bench_pareto(benches: Any) -> None:
     pareto.add_argument("--frames", type=whole, metavar="N", help="sets of images taken of each log")
     pareto.add_argument("--methods", metavar="A,B", help="only these beside ours; a wrong name lists them")
     pareto.add_argument("--processes", type=whole, metavar="N", help="measured at once, each on one core (default 1)")
-    pareto.add_argument("--out", type=Path, metavar="DIR", help="write pareto.json, .md, .png and .svg here")
+    pareto.add_argument(
+        "--out", type=Path, metavar="DIR", help="write pareto.json, .md, .png, .svg and sizes.yaml here"
+    )
     pareto.add_argument("--json", action="store_true", help="print one JSON object")
     pareto.set_defaults(run=_bench_pareto)
 
 
 def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import chart
+    from twin_node.bench.pareto.choosing import front_text
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
     from twin_node.nodes.chain import load_parameters
 
@@ -48,6 +51,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         picture = chart.draw(found, options.out)
         picture.with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
         picture.with_suffix(".md").write_text(chart.markdown(found))
+        (options.out / "sizes.yaml").write_text(front_text(found.points))
     print(json.dumps(figures) if options.json else chart.text(found))
 
 

@@ -16,7 +16,7 @@ from twin_node.cli.arguments import whole
 def add_bench_stability(benches: Any) -> None:
     """Adds `bench stability`."""
     stability = benches.add_parser("stability", help="failures of rising difficulty: where ours and baselines give way")
-    stability.add_argument("--quick", action="store_true", help="two levels of each at 15 Hz: shows that all run")
+    stability.add_argument("--quick", action="store_true", help="two levels of each in shorter runs: shows that all run")
     stability.add_argument("--only", nargs="+", metavar="NAME", help="only these failures; a wrong name lists them all")
     stability.add_argument("--seeds", type=whole, default=1, metavar="N", help="runs per level (default 1)")
     stability.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")

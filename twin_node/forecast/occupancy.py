@@ -30,6 +30,9 @@ BOUND_PROBABILITY = 90
 JUDGED_EVERY_NS = 50_000_000
 """Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
 
+MOTION_SHOWS_NS = 150_000_000
+"""After so long it shows what moved when the first images came; forecasts made before could not know, ns."""
+
 
 @dataclass(frozen=True)
 class ForecastParameters:
@@ -74,6 +77,7 @@ class Forecaster:
         self._judged_at = 0
         self._radii = np.zeros((len(HORIZONS_NS), 0))
         self._watch = Watch()
+        self._sees_motion_from = 0
         self._warnings: tuple[str, ...] = ()
         self._hidden: Hidden | None = None
 
@@ -105,6 +109,7 @@ class Forecaster:
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
+        self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
@@ -138,9 +143,9 @@ class Forecaster:
         here = evidence.parts.indices[known[evidence.parts.labels]]
         observer = self._observer
         found = held(state, observer.margin, observer.tables, here, due.indices)
-        self._watch = self._watch.after(
-            held(state, observer.margin, observer.tables, evidence.parts.indices, due.indices)
-        )
+        if due.stamp >= self._sees_motion_from:
+            everything = held(state, observer.margin, observer.tables, evidence.parts.indices, due.indices)
+            self._watch = self._watch.after(everything)
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
             self._control.observe(found.covered / found.seen, elapsed)

@@ -1,0 +1,96 @@
+"""A size is picked by need: the best that keeps a budget here, or the fastest that reaches a quality."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from twin_node.bench.errors import BenchError
+from twin_node.bench.pareto import choosing
+from twin_node.bench.pareto.choosing import by_budget, by_target, front_text, read_front, timed_ms
+from twin_node.bench.pareto.measure import Point
+from twin_node.bench.pareto.sizes import SHIPPED, SIZES
+from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.log_source import LogSession
+
+
+def point(name: str, ms: float, db: float | None) -> Point:
+    return Point(name, name, "scene", True, ms, psnr_left_out_db=db)
+
+
+@pytest.fixture
+def front(tmp_path: Path) -> Path:
+    """Three sizes, the middle one as good as the best."""
+    points = [point("ours_tiny", 10, 15.0), point("ours_small", 20, 18.0), point("ours_large", 50, 18.0)]
+    path = tmp_path / "sizes.yaml"
+    path.write_text(front_text([*points, point("frozen", 1, 12.0)]))
+    return path
+
+
+def test_what_is_written_is_read(front: Path) -> None:
+    assert [(rated.name, rated.ms_per_frame) for rated in read_front(front)] == [
+        ("tiny", 10.0),
+        ("small", 20.0),
+        ("large", 50.0),
+    ]
+
+
+def test_the_fastest_that_reaches_a_quality_is_taken(front: Path) -> None:
+    assert by_target(14, front).size == "tiny"
+    assert by_target(17.5, front).size == "small"
+    with pytest.raises(BenchError, match=r"--target 30: expected at most 18\.0 dB"):
+        by_target(30, front)
+
+
+@pytest.mark.parametrize("content", ["sizes: [{name: huge}]", "sizes: 3", "[", "{}", "widths: []"])
+def test_a_file_that_is_none_is_named(content: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text(content)
+    with pytest.raises(BenchError, match=r"wrong\.yaml: expected sizes"):
+        read_front(path)
+
+
+def test_the_table_that_ships_rates_every_size() -> None:
+    assert [rated.name for rated in read_front(None)] == list(SIZES)
+
+
+@pytest.mark.parametrize(("budget_ms", "chosen"), [(1000, "full"), (60, "large"), (30, "small"), (1, "tiny")])
+def test_the_best_that_keeps_the_budget_is_taken(
+    budget_ms: float, chosen: str, monkeypatch: pytest.MonkeyPatch, cell_log: Callable[..., Path]
+) -> None:
+    """Sizes take as many milliseconds as a table says; a fifth of the budget is spare."""
+    spent = dict(zip(("tiny", "small", "medium", "large", "full"), (10, 20, 30, 45, 90), strict=True))
+    by_width = {SIZES[name].width: ms for name, ms in spent.items()}
+    monkeypatch.setattr(choosing, "timed_ms", lambda _, chain: by_width[chain.synchronizer.width])
+    with LogSession(cell_log(1.0)) as session:
+        choice = by_budget(session, ChainParameters(), budget_ms)
+    assert choice.size == chosen
+    assert f"size {chosen}: {spent[chosen]} ms per set here" in choice.reason
+    assert ("fastest" in choice.reason) is (budget_ms == 1)
+
+
+def test_a_size_is_timed_on_the_logs_own_sets(cell_log: Callable[..., Path]) -> None:
+    """The clock goes on by a second per look, so that each set takes one."""
+    chain = choosing.Choice("tiny", "").applied(ChainParameters())
+    chain = replace(chain, model=replace(chain.model, seed=replace(chain.model.seed, steps=5)))
+
+    def seconds() -> Iterator[float]:
+        now = 0.0
+        while True:
+            yield now
+            now += 1.0
+
+    ticks = seconds()
+    with LogSession(cell_log(1.0)) as session:
+        assert timed_ms(session, chain, lambda: next(ticks)) == pytest.approx(1000)
+
+
+def test_a_size_changes_what_it_says_and_nothing_else() -> None:
+    chain = ChainParameters()
+    applied = choosing.Choice(SHIPPED, "").applied(chain)
+    assert applied.synchronizer.width == SIZES[SHIPPED].width
+    assert applied.model == chain.model, "the size that ships is what the model's defaults are"
+    assert replace(applied, synchronizer=chain.synchronizer, model=chain.model) == chain

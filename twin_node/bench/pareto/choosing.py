@@ -1,0 +1,137 @@
+"""Picks a size by need: the largest that keeps a budget on this machine, or the smallest that reaches a quality."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from twin_node import resources
+from twin_node.bench.errors import BenchError
+from twin_node.bench.pareto.measure import OURS, Point
+from twin_node.bench.pareto.sizes import SIZES
+from twin_node.forecast import Forecaster, default_grid
+from twin_node.model import WindowModel
+from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.replay import ASSUMED_LATENCY_NS
+from twin_node.runtime.parameters import ParameterError, fill
+
+FRONT_FILE = "launch/sizes.yaml"
+"""What `bench pareto` has found, as shipped."""
+TRIED_SETS = 10
+"""Sets that a size is timed on; the first, which builds the model, does not count."""
+SPARE = 0.8
+"""Share of a budget that the median set may take: slow sets take longer."""
+
+
+@dataclass(frozen=True)
+class Rated:
+    """What a size reached on the bench's data, mean over the data sets."""
+
+    name: str = ""
+    """In `SIZES`."""
+    ms_per_frame: float = 0.0
+    """Model alone, of one core of the machine that the table was made on."""
+    psnr_left_out_db: float = 0.0
+    """Moving pixels of cameras left out."""
+
+
+@dataclass(frozen=True)
+class _Front:
+    """The file."""
+
+    sizes: tuple[Rated, ...] = ()
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A size, and why."""
+
+    size: str
+    reason: str
+    """One line to tell the user."""
+
+    def applied(self, chain: ChainParameters) -> ChainParameters:
+        """The chain at this size."""
+        size = SIZES[self.size]
+        synchronizer = replace(chain.synchronizer, width=size.width)
+        return replace(chain, synchronizer=synchronizer, model=size.model(chain.model))
+
+
+def by_target(psnr_db: float, path: Path | None = None) -> Choice:
+    """The fastest size whose moving pixels of left-out cameras reached `psnr_db` on the bench's data.
+
+    Raises `BenchError` where none did, naming the best.
+    """
+    front = read_front(path)
+    good = [rated for rated in front if rated.psnr_left_out_db >= psnr_db]
+    if not good:
+        best = max(rated.psnr_left_out_db for rated in front)
+        raise BenchError(f"--target {psnr_db:g}: expected at most {best:.1f} dB, the best of {path or FRONT_FILE}")
+    chosen = min(good, key=lambda rated: rated.ms_per_frame)
+    reached = f"{chosen.psnr_left_out_db:.1f} dB in {path or FRONT_FILE}"
+    return Choice(chosen.name, f"size {chosen.name}: the fastest that reached {psnr_db:g} dB ({reached})")
+
+
+def by_budget(
+    session: LogSession, chain: ChainParameters, budget_ms: float, sizes: Sequence[str] = tuple(SIZES)
+) -> Choice:
+    """The best size whose model and forecast of a set take no more than `budget_ms` on the log's first sets, here.
+
+    `sizes` rise; they are tried from the best down, a second or two each. Where none keeps the budget, the fastest is
+    taken.
+    """
+    name, spent = sizes[0], 0.0
+    for name in reversed(sizes):
+        spent = timed_ms(session, Choice(name, "").applied(chain))
+        if spent <= SPARE * budget_ms:
+            return Choice(name, f"size {name}: {spent:.0f} ms per set here, the best within {budget_ms:g} ms")
+    return Choice(name, f"size {name}: {spent:.0f} ms per set here, the fastest; none keeps {budget_ms:g} ms")
+
+
+def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Median time of model and forecast on the first sets of a log, ms by the wall clock."""
+    source, arm = LogSource(session, chain.synchronizer), chain.arm.arm()
+    model = WindowModel(chain.model, arm=arm)
+    forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, arm)
+    laps = []
+    for frames in islice(source, TRIED_SETS):
+        begun = clock()
+        state = model.update(frames)
+        forecaster.update(state, state.stamp + ASSUMED_LATENCY_NS)
+        laps.append(1e3 * (clock() - begun))
+    if len(laps) < 2:
+        raise BenchError(f"{session.log.path}: expected two sets of images to measure on, found {len(laps)}")
+    return float(np.median(laps[1:]))
+
+
+def read_front(path: Path | None) -> tuple[Rated, ...]:
+    """The sizes of a file that `bench pareto` wrote; None: as shipped. Raises `BenchError` for one that is none."""
+    path = path or resources.find(Path(FRONT_FILE))
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        sizes = fill(_Front, content, str(path)).sizes if isinstance(content, dict) else ()
+    except (OSError, yaml.YAMLError, ParameterError) as error:
+        raise BenchError(f"{path}: expected sizes as `twin_node bench pareto` writes them: {error}") from error
+    unknown = [rated.name for rated in sizes if rated.name not in SIZES]
+    if unknown or not sizes:
+        raise BenchError(f"{path}: expected sizes of {', '.join(SIZES)}, found {', '.join(unknown) or 'none'}")
+    return sizes
+
+
+def front_text(points: Sequence[Point]) -> str:
+    """What `read_front` reads, of measured points."""
+    lines = ["# Sizes of the live model, as measured; made by `twin_node bench pareto`.", "sizes:"]
+    for name in SIZES:
+        own = [p for p in points if p.name == f"{OURS}_{name}" and p.psnr_left_out_db is not None]
+        if own:
+            ms = float(np.mean([p.ms_per_frame for p in own]))
+            db = float(np.mean([p.psnr_left_out_db or 0.0 for p in own]))
+            lines.append(f"  - {{name: {name}, ms_per_frame: {ms:.1f}, psnr_left_out_db: {db:.2f}}}")
+    return "\n".join(lines) + "\n"
