@@ -68,6 +68,14 @@ def test_old_evidence_is_silence_however_often_it_is_sent() -> None:
             assert told.speed_fraction == 1.0
 
 
+def test_a_clock_that_is_put_back_does_not_make_a_forecast_last() -> None:
+    limiter = at_full_speed()
+    limiter.tick(NOW - 1_000 * MS)
+    assert limiter.tick(NOW - 901 * MS).speed_fraction == 1.0
+    assert limiter.tick(NOW - 900 * MS).speed_fraction == LimiterParameters().slow_fraction
+    assert limiter.tick(NOW - 800 * MS).speed_fraction == 0.0
+
+
 def test_a_stop_stays_a_stop_when_the_forecast_is_late() -> None:
     limiter = at_full_speed()
     limiter.decide(replace(decision(0.0, 10), reason="stopped for MOVING"), NOW + 10 * MS)

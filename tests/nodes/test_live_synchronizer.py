@@ -32,14 +32,31 @@ class Clock:
         return self.stamp
 
 
+class Alarm:
+    """Rings when the test has let its time come."""
+
+    def __init__(self, clock: Clock, callback: Callable[[], None]) -> None:
+        self._clock, self._callback = clock, callback
+        self.due: int | None = None
+
+    def set(self, delay_s: float) -> None:
+        self.due = self._clock.stamp + round(delay_s * 1e9)
+
+    def ring(self) -> None:
+        self.due = None
+        self._callback()
+
+
 class Timers:
-    """Timers that the test lets pass."""
+    """Alarms in a time of the test's own."""
 
-    def __init__(self) -> None:
-        self.callbacks: list[Callable[[], None]] = []
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.alarms: list[Alarm] = []
 
-    def every(self, period_s: float, callback: Callable[[], None]) -> None:
-        self.callbacks.append(callback)
+    def alarm(self, callback: Callable[[], None]) -> Alarm:
+        self.alarms.append(Alarm(self._clock, callback))
+        return self.alarms[-1]
 
 
 @dataclass(frozen=True)
@@ -58,7 +75,8 @@ class Cell:
         K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
         rig = Rig(tuple(RigCamera(name, 16, 12, K, np.eye(4)) for name in NAMES))
         self.topics = {name: topics_of(name, RigParameters(image="image_raw")) for name in NAMES}
-        self.bus, self.clock, self.timers = LocalBus(), Clock(), Timers()
+        self.bus, self.clock = LocalBus(), Clock()
+        self.timers = Timers(self.clock)
         cameras = tuple(self.topics.values())
         self.node = SynchronizerNode(self.bus, self.clock, cameras, rig, SynchronizerParameters(), self.timers)
         self.node.configure()
@@ -68,16 +86,17 @@ class Cell:
     def run(self, first: int, count: int, **faults: Fault) -> None:
         """Images `first` to `first + count` of every camera, in the order of their arrival; timers in between."""
         for arrival, stamp, name in sorted(self._arrivals(first, count, faults)):
-            while self.clock.stamp + 25 * MS < arrival:
-                self._pass_time(self.clock.stamp + 25 * MS)
             self._pass_time(arrival)
             image = np.full((12, 16, 3), 90, np.uint8)
             self.bus.publish(self.topics[name].image, convert.raw_image(name, stamp, image))
 
-    def _pass_time(self, stamp: int) -> None:
-        self.clock.stamp = stamp
-        for callback in self.timers.callbacks:
-            callback()
+    def _pass_time(self, until: int) -> None:
+        """Lets the clock run to a time, ns, and alarms ring on the way."""
+        while due := [alarm for alarm in self.timers.alarms if alarm.due is not None and alarm.due <= until]:
+            first = min(due, key=lambda alarm: alarm.due or 0)
+            self.clock.stamp = max(self.clock.stamp, first.due or 0)
+            first.ring()
+        self.clock.stamp = until
 
     def _arrivals(self, first: int, count: int, faults: dict[str, Fault]) -> Iterator[tuple[int, int, str]]:
         for i in range(first, first + count):
@@ -121,9 +140,13 @@ def test_a_dead_camera_costs_one_deadline_and_is_named(cell: Cell) -> None:
 def test_the_last_images_before_silence_leave_by_the_timer(cell: Cell) -> None:
     """When all cameras but one fall silent at once no image comes to look at the deadline: only the timer does."""
     cell.run(SECOND, 1, front=Fault(keeps=lambda i: False))
-    before = len(cell.sets)
-    for _ in range(8):
-        cell._pass_time(cell.clock.stamp + 25 * MS)
+    last, before = cell.clock.stamp, len(cell.sets)
+    due = cell.timers.alarms[0].due
+    assert due is not None
+    assert last < due <= last + 100 * MS
+    cell._pass_time(due - 1)
+    assert len(cell.sets) == before
+    cell._pass_time(due)
     assert len(cell.sets) > before
 
 

@@ -55,6 +55,22 @@ def test_timers_come_again_and_do_not_catch_up() -> None:
         assert len(ticks) == expected
 
 
+def test_an_alarm_rings_once_and_when_it_was_set_last() -> None:
+    executor, seen = Executor(), []
+    early, late = executor.alarm(lambda: seen.append("early")), executor.alarm(lambda: seen.append("late"))
+    late.set(1e-4)
+    late.set(3600.0)
+    early.set(3600.0)
+    early.set(1e-4)
+    while executor.step(0.05):
+        pass
+    assert seen == ["early"]
+    late.set(1e-4)
+    while executor.step(0.05):
+        pass
+    assert seen == ["early", "late"]
+
+
 def test_stop_ends_spinning_and_a_failure_passes_through() -> None:
     executor = Executor()
     executor.every(1e-4, executor.stop)

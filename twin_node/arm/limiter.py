@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from twin_node.scene import Separation
@@ -45,8 +46,9 @@ class SpeedLimiter:
         if self._decision is None:
             self._stamp = now
             return _standing(now)
+        self._arrival = min(self._arrival, now)  # a clock that was put back must not make a forecast last
         limit, reason = self._decision.speed_fraction, self._decision.reason
-        age_s = max(now - self._arrival, now - self._decision.evidence_stamp - self._latency_ns()) * 1e-9
+        age_s = self.silence_s(now)
         if age_s >= 2 * self.parameters.deadline_s:
             limit, reason = 0.0, f"stopped: no forecast for {age_s * 1e3:.0f} ms"
         elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
@@ -55,6 +57,12 @@ class SpeedLimiter:
         self._fraction = min(limit, self._fraction + self.parameters.rise_per_s * elapsed_s)
         self._stamp = now
         return replace(self._decision, stamp=now, speed_fraction=self._fraction, reason=reason)
+
+    def silence_s(self, now: int) -> float:
+        """How long there has been no fresh forecast at a time (ns), s; infinite before the first."""
+        if self._decision is None:
+            return math.inf
+        return max(now - self._arrival, now - self._decision.evidence_stamp - self._latency_ns()) * 1e-9
 
     def _latency_ns(self) -> int:
         return round(self.parameters.evidence_latency_s * 1e9)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from twin_node.arm import (
@@ -25,12 +26,14 @@ from twin_node.runtime.executor import NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import JointPath, JointSample, Separation
 
-LOOKS_PER_DEADLINE = 10
-"""How often a live arm's node looks for forecasts that do not come: it is slow a tenth of a deadline late at most."""
 GAPS_KEPT = 10
 """Gaps between decisions that tell how long the next may be, a third of a second at 30 Hz."""
 REPEATS_PER_DEADLINE = 2
 """How often it says again that the arm stands: who drives it must hear of somebody."""
+SHORTEST_WAIT_S = 1e-3
+"""Between two looks at a clock that does not run with the wall's (a log that is played slowly, or paused), s."""
+ROUNDING = 1e-6
+"""Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +72,9 @@ class ArmNode(Node):
     ) -> None:
         """`timers`: tell of forecasts that do not come; None in lockstep, where nothing is late."""
         super().__init__("arm", bus, clock)
-        self._timers = timers or NoTimers()
-        self._latest = 0
+        self._silence = (timers or NoTimers()).alarm(self._on_silence)
+        self._arrived = 0
         self._gaps: deque[float] = deque(maxlen=GAPS_KEPT)
-        self._told, self._told_at = -1.0, 0
         self._checker = checker
         self._cycle = cycle
         self._parameters = parameters
@@ -84,19 +86,25 @@ class ArmNode(Node):
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
-        self._timers.every(self._parameters.limiter.deadline_s / LOOKS_PER_DEADLINE, self._on_timer)
+        self._silence.set(SHORTEST_WAIT_S)
 
-    def _on_timer(self) -> None:
-        """Slows and stops an arm whose forecasts do not come; says so at once, then a few times per deadline."""
-        now, deadline = self.clock.now(), self._parameters.limiter.deadline_s * 1e9
-        if now - self._latest < deadline:
-            return
+    def _on_silence(self) -> None:
+        """Slows an arm one deadline after its last forecast, stops it after two, and says so while it lasts."""
+        now = self.clock.now()
         told = self._limiter.tick(now)
-        if told.speed_fraction != self._told or now - self._told_at >= deadline / REPEATS_PER_DEADLINE:
-            self._tell(told, now)
+        if self._limiter.silence_s(now) >= self._parameters.limiter.deadline_s:
+            self._tell(told)
+        self._watch(now)
 
-    def _tell(self, separation: Separation, now: int) -> None:
-        self._told, self._told_at = separation.speed_fraction, now
+    def _watch(self, now: int) -> None:
+        """Sets the alarm for when something is to be said if no forecast comes by then."""
+        deadline, silence = self._parameters.limiter.deadline_s, self._limiter.silence_s(now)
+        step = deadline if silence < deadline else deadline / REPEATS_PER_DEADLINE
+        passed = silence if math.isfinite(silence) else 0.0
+        left = (math.floor(passed / step + ROUNDING) + 1) * step - passed
+        self._silence.set(max(left, SHORTEST_WAIT_S))
+
+    def _tell(self, separation: Separation) -> None:
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
     def _on_trajectory(self, message: Any) -> None:
@@ -106,23 +114,24 @@ class ArmNode(Node):
         self._joints = convert.joint_sample_from_message(message)
 
     def _on_obstacles(self, message: Any) -> None:
+        now = self.clock.now()
         obstacles = convert.obstacles_from_message(message)
         self._checker.update(obstacles)
-        stamp = max(self.clock.now(), int(obstacles.valid_from.min(initial=obstacles.stamp)))
+        stamp = max(now, int(obstacles.valid_from.min(initial=obstacles.stamp)))
         decision = decide(
-            self._checker, self._path_from(stamp), stamp, self._reaction_s(stamp), self._parameters.separation
+            self._checker, self._path_from(stamp), stamp, self._reaction_s(now), self._parameters.separation
         )
-        told = self._limiter.decide(decision, stamp)
-        self._latest = stamp
-        self._tell(told, stamp)
+        self._tell(replace(self._limiter.decide(decision, now), stamp=stamp))
+        self._watch(now)
 
-    def _reaction_s(self, stamp: int) -> float:
+    def _reaction_s(self, now: int) -> float:
         """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.
 
         No gap counts longer than the deadline, after which the arm is slow without a decision.
         """
         deadline_ns = self._parameters.limiter.deadline_s * 1e9
-        self._gaps.append(min(max(stamp - self._latest, 0), deadline_ns))
+        self._gaps.append(min(max(now - self._arrived, 0), deadline_ns))
+        self._arrived = now
         return max(self._gaps) * 1e-9 + self._parameters.command_latency_ms * 1e-3
 
     def _path_from(self, stamp: int) -> JointPath:

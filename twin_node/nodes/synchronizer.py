@@ -14,15 +14,15 @@ from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphErro
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
-from twin_node.runtime.executor import Timers
+from twin_node.runtime.executor import NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import Camera, Rig
 
 DEPTHS_KEPT = 8
 """Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
 
-POLLS_PER_DEADLINE = 4
-"""How often live waits are looked at: a silent camera costs its deadline and at most a quarter more."""
+SHORTEST_WAIT_S = 1e-3
+"""Between two looks at a clock that does not run with the wall's (a log that is played slowly, or paused), s."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class SynchronizerNode(Node):
     ) -> None:
         """`timers` of a live graph end the wait for silent cameras, and wrong stamps are counted; None in lockstep."""
         super().__init__("synchronizer", bus, clock)
-        self._timers = timers
+        self._is_live = timers is not None
+        self._deadline = (timers or NoTimers()).alarm(self._on_deadline)
         self._watch = CameraWatch(tuple(camera.name for camera in rig.cameras))
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
         self._topics = {camera.name: camera for camera in cameras}
@@ -89,23 +90,21 @@ class SynchronizerNode(Node):
             if topics.depth:
                 self.bus.subscribe(topics.depth, partial(self._on_depth, name))
         self.bus.subscribe(JOINT_STATES, self._on_joints)
-        deadline_ns = self._parameters.grouping.deadline_ns
-        if self._timers is not None and deadline_ns is not None:
-            self._timers.every(deadline_ns / POLLS_PER_DEADLINE / 1e9, self._poll)
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """What each camera does that it should not, since the last call."""
         return self._watch.diagnoses(self.name, self._synchronizer.report)
 
-    def _poll(self) -> None:
-        self._take(self._synchronizer.poll(self.clock.now()))
+    def _on_deadline(self) -> None:
+        now = self.clock.now()
+        self._take(self._synchronizer.poll(now), now)
 
     def _on_joints(self, message: Any) -> None:
         self._assembler.add_joints(convert.joint_sample_from_message(message))
 
     def _on_colour(self, name: str, message: Any) -> None:
         stamp = from_time(message.header.stamp)
-        if self._timers is None:
+        if not self._is_live:
             self._check_order(name, stamp)
         if self._topics[name].depth is None:
             self._add(name, EncodedView(message, None))
@@ -144,14 +143,18 @@ class SynchronizerNode(Node):
         stamp = self._rig_cameras[name].rig_time(from_time(view.colour.header.stamp))
         now = self.clock.now()
         self._watch.add(name, stamp, now)
-        if self._timers is None:
+        if not self._is_live:
             now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps
-        self._take(self._synchronizer.add(name, stamp, view, now))
+        self._take(self._synchronizer.add(name, stamp, view, now), now)
 
-    def _take(self, ready: Sequence[SyncSet[EncodedView]]) -> None:
+    def _take(self, ready: Sequence[SyncSet[EncodedView]], now: int) -> None:
+        """Hands on the sets that are ready at a time, ns, and sees to it that what waits does not wait too long."""
         for grouped in ready:
             if self._is_wanted(grouped.stamp):
                 self._publish(grouped)
+        due = self._synchronizer.due
+        if due is not None:
+            self._deadline.set(max((due - now) / 1e9, SHORTEST_WAIT_S))
 
     def _is_wanted(self, stamp: int) -> bool:
         """Whether a set is due under `max_rate_hz`: sets are taken at that rate on average, never in bursts."""

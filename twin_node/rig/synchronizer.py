@@ -166,14 +166,16 @@ class ApproximateTimeSynchronizer(Generic[T]):
             return expired
         return expired + self._emit(self._policy.add(i, Stamped(stamp, payload, now)))
 
+    @property
+    def due(self) -> int | None:
+        """When `poll` will have something to do unless images come before, ns; None where nothing waits."""
+        deadline, waiting_since = self.parameters.deadline_ns, self._policy.waiting_since
+        return None if deadline is None or waiting_since is None else waiting_since + deadline
+
     def poll(self, now: int) -> list[SyncSet[T]]:
         """Sets whose deadline has passed at `now`, ns; cameras that hold them up are left out from then on."""
-        deadline = self.parameters.deadline_ns
         ready: list[SyncSet[T]] = []
-        while deadline is not None:
-            waiting_since = self._policy.waiting_since
-            if waiting_since is None or now - waiting_since < deadline:
-                break
+        while self.due is not None and now >= self.due:
             ready += self._emit(self._policy.force())
         return ready
 

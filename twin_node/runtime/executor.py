@@ -12,11 +12,21 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 
+class Alarm(Protocol):
+    """A call that is due once, and can be put off."""
+
+    def set(self, delay_s: float) -> None:
+        """Ring `delay_s` seconds of wall time from now, and not before."""
+
+
 class Timers(Protocol):
-    """Where a node asks to be called again and again."""
+    """Where a node asks to be called again and again, or at a certain time."""
 
     def every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback()` every `period_s` seconds of wall time."""
+
+    def alarm(self, callback: Callable[[], None]) -> Alarm:
+        """An alarm that calls `callback()` when it rings; it is not set yet."""
 
 
 class NoTimers:
@@ -25,13 +35,52 @@ class NoTimers:
     def every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Does nothing."""
 
+    def alarm(self, callback: Callable[[], None]) -> Alarm:
+        """An alarm that never rings."""
+        return _SilentAlarm()
+
+
+class _SilentAlarm:
+    def set(self, delay_s: float) -> None:
+        """Does nothing."""
+
 
 @dataclass(order=True)
 class _Timer:
     due: float
     order: int
-    period_s: float = field(compare=False)
+    period_s: float | None = field(compare=False)
+    """None: it is due once."""
     callback: Callable[[], None] = field(compare=False)
+
+
+class _ExecutorAlarm:
+    """Has one timer at most that will ring; one that is put off is set again when its timer comes: no timer is
+    searched for, and messages that come often cost nothing."""
+
+    def __init__(self, executor: Executor, callback: Callable[[], None]) -> None:
+        self._executor = executor
+        self._callback = callback
+        self._due: float | None = None
+        self._timer_due: float | None = None
+
+    def set(self, delay_s: float) -> None:
+        self._due = time.monotonic() + delay_s
+        if self._timer_due is None or self._due < self._timer_due:
+            self._set_timer(self._due)
+
+    def _set_timer(self, due: float) -> None:
+        self._timer_due = due
+        self._executor.once(due, lambda: self._on_timer(due))
+
+    def _on_timer(self, due: float) -> None:
+        if due != self._timer_due or self._due is None:
+            return
+        if self._due > due:
+            self._set_timer(self._due)
+            return
+        self._due = self._timer_due = None
+        self._callback()
 
 
 class Inbox:
@@ -86,10 +135,15 @@ class Executor:
 
     def every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback()` every `period_s` seconds; a call that is missed is not made up for."""
-        with self._condition:
-            due = time.monotonic() + period_s
-            heapq.heappush(self._timers, _Timer(due, next(self._order), period_s, callback))
-            self._condition.notify()
+        self._add_timer(time.monotonic() + period_s, period_s, callback)
+
+    def once(self, due: float, callback: Callable[[], None]) -> None:
+        """Call `callback()` at a time of the monotonic clock, s."""
+        self._add_timer(due, None, callback)
+
+    def alarm(self, callback: Callable[[], None]) -> Alarm:
+        """An alarm that calls `callback()`; to be set in this executor's thread."""
+        return _ExecutorAlarm(self, callback)
 
     def clear_timers(self) -> None:
         """Forget all timers."""
@@ -134,8 +188,15 @@ class Executor:
         callback()
         return True
 
+    def _add_timer(self, due: float, period_s: float | None, callback: Callable[[], None]) -> None:
+        with self._condition:
+            heapq.heappush(self._timers, _Timer(due, next(self._order), period_s, callback))
+            self._condition.notify()
+
     def _next_timer(self, now: float) -> Callable[[], None]:
         timer = self._timers[0]
+        if timer.period_s is None:
+            return heapq.heappop(self._timers).callback
         due = max(timer.due + timer.period_s, now)
         heapq.heapreplace(self._timers, _Timer(due, next(self._order), timer.period_s, timer.callback))
         return timer.callback
