@@ -24,6 +24,9 @@ def add_replay(commands: Any) -> None:
     pace = replay.add_mutually_exclusive_group()
     pace.add_argument("--rate", type=positive, default=1.0, metavar="R", help="speed of the clock (default 1)")
     pace.add_argument("--lockstep", action="store_true", help="every set in turn, repeatable to the byte")
+    size = replay.add_mutually_exclusive_group()
+    size.add_argument("--budget-ms", type=positive, metavar="MS", help="the best size whose sets take so long here")
+    size.add_argument("--target", type=positive, metavar="DB", help="the fastest size as good as this on moving pixels")
     add_source_options(replay)
     replay.set_defaults(run=_replay)
 
@@ -43,7 +46,10 @@ def _replay(options: argparse.Namespace) -> None:
 
     parameters = with_source_options(load_parameters(options.params), options)
     _check_output(options.output, options.log)
+    _check_size(options)
     session = _open_session(options, parse_remaps(options.remap))
+    if options.budget_ms is not None or options.target is not None:
+        parameters = _sized(session, parameters, options)
     _run(session, parameters, None if options.lockstep else options.rate, options.output, options.report)
 
 
@@ -102,6 +108,25 @@ def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> Any:
     from twin_node.nodes.log_source import LogSession
 
     return LogSession(options.log, options.rig, remaps, options.start_offset, options.duration)
+
+
+def _check_size(options: argparse.Namespace) -> None:
+    """A size says how wide the images are; one that was measured is not the same in every run."""
+    if options.budget_ms is not None and options.lockstep:
+        raise TwinError("--budget-ms with --lockstep: what is measured differs between runs; use --target, or --params")
+    if options.width is not None and (options.budget_ms is not None or options.target is not None):
+        raise TwinError("--width with --budget-ms or --target: a size has a width of its own; leave one of them out")
+
+
+def _sized(session: Any, parameters: Any, options: argparse.Namespace) -> Any:
+    """The parameters at the size that is asked for, which is said."""
+    from twin_node.bench.pareto.choosing import by_budget, by_target
+
+    choice = (
+        by_target(options.target) if options.target is not None else by_budget(session, parameters, options.budget_ms)
+    )
+    print(f"twin_node: {choice.reason}", file=sys.stderr)
+    return choice.applied(parameters)
 
 
 def _check_output(output: Path | None, log: Path) -> None:

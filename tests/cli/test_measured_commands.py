@@ -1,0 +1,41 @@
+"""`bench stability`, `bench pareto` and a replay of a size by need, as a user gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twin_node.cli import main
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that a command that cannot run gives."""
+    assert main(list(arguments)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_a_failure_or_method_that_is_none_is_refused_with_those_that_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--only fire: expected one of undisturbed" in refused(capsys, "bench", "stability", "--only", "fire")
+    assert "found 'magic'" in refused(capsys, "bench", "pareto", "--methods", "frozen,magic")
+
+
+def test_a_log_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for command in ("pareto", "ablations"):
+        assert "nowhere.mcap" in refused(capsys, "bench", command, str(tmp_path / "nowhere.mcap"))
+
+
+def test_a_size_that_is_measured_cannot_repeat_itself_to_the_byte(
+    capsys: pytest.CaptureFixture[str], cell_log: Callable[..., Path]
+) -> None:
+    log = str(cell_log(0.4))
+    assert "use --target" in refused(capsys, "replay", log, "--lockstep", "--budget-ms", "30")
+    assert "leave one of them out" in refused(capsys, "replay", log, "--width", "80", "--target", "10")
+    assert "the best of launch/sizes.yaml" in refused(capsys, "replay", log, "--lockstep", "--target", "90")
+
+
+def test_a_replay_of_a_quality_says_its_size(capsys: pytest.CaptureFixture[str], cell_log: Callable[..., Path]) -> None:
+    assert main(["replay", str(cell_log(0.4)), "--lockstep", "--target", "1"]) == 0
+    assert "twin_node: size tiny: the fastest that reached 1 dB" in capsys.readouterr().err
