@@ -63,6 +63,7 @@ class ParetoParameters:
     """Images that are scored, of the training cameras and of those left out each."""
     budget: Budget = field(default_factory=_full_budget)
     chain: ChainParameters = field(default_factory=ChainParameters)
+    """Its model, of every size, takes the place of the budget's."""
     processes: int = 1
     """Measured at once; each uses one core."""
 
@@ -154,7 +155,8 @@ def run(parameters: ParetoParameters | None = None, progress: Progress = lambda 
     _check(parameters)
     names = (*parameters.rivals, *(f"{OURS}_{size}" for size in parameters.sizes))
     data = list(_data(parameters))
-    jobs = [Job(name, one.recording, one.truth, parameters.budget, parameters.images) for one in data for name in names]
+    budget = replace(parameters.budget, online=parameters.chain.model)
+    jobs = [Job(name, one.recording, one.truth, budget, parameters.images) for one in data for name in names]
     forecasts = [
         ForesightJob(
             one.recording.name,

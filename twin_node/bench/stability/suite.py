@@ -80,26 +80,19 @@ class Stability:
     parameters: StabilityParameters
 
     def gives_way(self, method: str, failure: str) -> float | None:
-        """The first level at which a method fails; None where it never does.
+        """The first level at which a method's forecasts, over all runs, recall less than `LEAST_RECALL`.
 
-        A forecast fails where its recall over the runs is less than `LEAST_RECALL`, a picture where it is below
-        `LEAST_PICTURE_DB` on the pixels that changed.
+        Of a method that makes pictures alone, the first level at which these give way; None where nothing does.
         """
-        for one in self.failures[failure]:
-            pooled = one.methods[method]
-            value, least = (pooled.recall, LEAST_RECALL) if pooled.recall is not None else _picture(method, pooled)
-            if value is not None and value < least:
-                return one.level
-        return None
+        if method in PICTURES:
+            return self.pictures_give_way(method, failure)
+        recalls = ((one.level, one.methods[method].recall) for one in self.failures[failure])
+        return next((level for level, recall in recalls if recall is not None and recall < LEAST_RECALL), None)
 
-    def picture_gives_way(self, failure: str) -> float | None:
-        """The same of our pictures."""
-        below = (
-            one.level
-            for one in self.failures[failure]
-            if (one.methods[OURS].psnr_moving_db or np.inf) < LEAST_PICTURE_DB
-        )
-        return next(below, None)
+    def pictures_give_way(self, method: str, failure: str) -> float | None:
+        """The first level at which a method's pictures are below `LEAST_PICTURE_DB` on the pixels that changed."""
+        reached = ((one.level, one.methods[method].psnr_moving_db) for one in self.failures[failure])
+        return next((level for level, db in reached if db is not None and db < LEAST_PICTURE_DB), None)
 
     def silent_failures(self, method: str) -> int:
         """Over all runs."""
@@ -144,13 +137,8 @@ class Stability:
             "levels": levels,
         }
         if method == OURS:
-            figures["pictures_give_way"] = {name: self.picture_gives_way(name) for name in self.failures}
+            figures["pictures_give_way"] = {name: self.pictures_give_way(method, name) for name in self.failures}
         return figures
-
-
-def _picture(method: str, pooled: Pooled) -> tuple[float | None, float]:
-    """Figure and least value of a method without a forecast."""
-    return (pooled.psnr_moving_db if method in PICTURES else None), LEAST_PICTURE_DB
 
 
 def run(
