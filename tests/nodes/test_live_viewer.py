@@ -157,6 +157,16 @@ def test_a_message_that_cannot_be_shown_is_told_and_the_next_one_shown(graph: Gr
     graph.until(lambda: graph.node.diagnoses()[0].message == graph.page.url)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_page_that_stands_still_says_so(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_snapshot: Snapshot) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(graph, "_show", fail)
+    graph.send(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START))
+    graph.until(lambda: "drawing has failed" in graph.node.diagnoses()[0].message)
+
+
 def test_two_seconds_are_remembered_and_forgotten_when_time_goes_back(graph: Graph) -> None:
     for k in range(30):
         stamp = START + k * PERIOD

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -137,6 +138,24 @@ def test_a_latched_message_crosses_zenoh_to_the_late(wires: tuple[ZenohWire, Zen
     assert listener.wait().data == "new"
 
 
+@pytest.mark.parametrize("repeats", [False, True])
+def test_only_a_latched_message_that_never_comes_again_may_hold_up_its_publisher(
+    wires: tuple[ZenohWire, ZenohWire], monkeypatch: pytest.MonkeyPatch, repeats: bool
+) -> None:
+    """What zenoh is asked to do when a reader has no room: to wait for it, or to drop the message."""
+    zenoh = pytest.importorskip("zenoh")
+    asked: list[Any] = []
+    declare = zenoh.ext.declare_advanced_publisher
+
+    def ask(*arguments: Any, **options: Any) -> Any:
+        asked.append(options["congestion_control"])
+        return declare(*arguments, **options)
+
+    monkeypatch.setattr(zenoh.ext, "declare_advanced_publisher", ask)
+    wires[0].publisher("a", "/map", TopicKind(STRING, replace(LATCHED, repeats=repeats)))(text("anew"))
+    assert asked == [zenoh.CongestionControl.DROP if repeats else zenoh.CongestionControl.BLOCK]
+
+
 def test_records_stay_at_home(wires: tuple[ZenohWire, ZenohWire]) -> None:
     talker, here, there = Side(wires[0], "talker"), Side(wires[0], "here"), Side(wires[1], "there")
     here.listen("/record")
@@ -169,7 +188,7 @@ def test_wrong_settings_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any
     with pytest.raises(WireError, match="from 0 to 232, found '233'"):
         _ = ZenohParameters().domain_id
     (tmp_path / "bad.json5").write_text("{mode: 'starship'}")
-    with pytest.raises(WireError, match="expected addresses such as tcp/127.0.0.1:7447, found .*nonsense"):
+    with pytest.raises(WireError, match=r"expected addresses such as tcp/127\.0\.0\.1:7447, found .*nonsense"):
         open_session(ZenohParameters(endpoint="nonsense"))
     with pytest.raises(WireError, match=r"bad\.json5: not a zenoh configuration"):
         open_session(ZenohParameters(config=str(tmp_path / "bad.json5")))

@@ -48,7 +48,7 @@ RAW = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 _MESSAGE_TYPES = {
-    GAUSSIANS: TopicKind("sensor_msgs/msg/PointCloud2", LATCHED),
+    GAUSSIANS: TopicKind("sensor_msgs/msg/PointCloud2", Qos(depth=1, latched=True, repeats=True)),
     GAUSSIANS_MOVING: TopicKind("sensor_msgs/msg/PointCloud2"),
     OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     OBSTACLES: TopicKind("twin_msgs/msg/ObstacleArray", NEWEST),

@@ -15,6 +15,8 @@ class Qos:
     reliable: bool = True
     latched: bool = False
     """Transient-local: a late subscriber is given the last message."""
+    repeats: bool = False
+    """A latched message soon comes anew: a reader without room waits for the next one, and holds nobody up."""
 
 
 RELIABLE = Qos()

@@ -148,11 +148,12 @@ class ZenohWire:
         remote, drop = zenoh.Locality.REMOTE, zenoh.CongestionControl.DROP
         if not kind.qos.latched:
             return self._session.declare_publisher(key, congestion_control=drop, allowed_destination=remote)
-        # Late subscribers ask for what is cached; no message of a latched topic may be lost to congestion.
+        # Late subscribers ask for what is cached. A message that does not come anew may not be lost to congestion; one
+        # that does may: a reader that hangs would hold up the publisher by five seconds.
         return ext.declare_advanced_publisher(
             self._session,
             key,
-            congestion_control=zenoh.CongestionControl.BLOCK,
+            congestion_control=drop if kind.qos.repeats else zenoh.CongestionControl.BLOCK,
             allowed_destination=remote,
             cache=ext.CacheConfig(kind.qos.depth),
             publisher_detection=True,

@@ -113,6 +113,9 @@ class ViewerNode(Node):
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """Who watches, or what cannot be shown."""
+        if self._thread is not None and not self._thread.is_alive() and not self._stopped.is_set():
+            failed = "drawing has failed, see the log of this process; the page stands still"
+            return (convert.Diagnosis(f"{self.name}: page", convert.Level.ERROR, failed),)
         if self._problem is not None:
             return (convert.Diagnosis(f"{self.name}: page", convert.Level.WARN, self._problem),)
         readings = (convert.Reading("visitors", str(self._page.visitors)),)
