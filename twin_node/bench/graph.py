@@ -7,18 +7,24 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import psutil
 
+from twin_node.arm import LimiterParameters
 from twin_node.bench.graph_run import GraphRun, running
 from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import LaunchPlan, in_one_process, read_launch_file
-from twin_node.nodes.topics import SEPARATION
+from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLES, SEPARATION
 
 QUICK = ("synchronizer.width:=64", "synchronizer.max_rate_hz:=10.0")
 """A light model, so that the graph is measured and not the twin: what it computes is the same in both runs."""
 SOURCES = ("cell",)
+EVIDENCE = ("cell", "twin")
+"""Processes without which no forecast comes: the arm must not be fast while they are down."""
+SPEAKS_ON = {"cell": JOINT_STATES, "twin": OBSTACLES, "arm": SEPARATION, "viewer": FRUSTA}
+"""A topic of each process by which it is known to work."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +67,22 @@ class KillFigures:
     restart_s_median: float
     by_process: tuple[tuple[str, float], ...]
     """Median per process, s."""
+    works_s_max: float
+    """Longest time from the kill until the process published again, s: the twin has learned its scene anew by then."""
+    works_s_median: float
+    fast_decisions: int
+    """Decisions above the arm's slow speed between two deadlines after a kill and the new process's first message."""
     orphans: int
     """Processes of the launch that were left when it had ended."""
+
+
+@dataclass(frozen=True)
+class _Kill:
+    """What followed one kill."""
+
+    restart_s: float
+    works_s: float
+    fast_decisions: int
 
 
 def cell_plan(*arguments: str, output: str = "") -> LaunchPlan:
@@ -101,28 +121,63 @@ def idle(seconds: float) -> IdleFigures:
 def kills(each: int) -> KillFigures:
     """Every process of the simulated cell's graph, `each` times."""
     plan = cell_plan()
-    times: dict[str, list[float]] = {process.name: [] for process in plan.processes}
+    found: dict[str, list[_Kill]] = {process.name: [] for process in plan.processes}
     seen: set[int] = set()
     with running(plan) as run:
+        ear = _Ear(run)
         for _ in range(each):
-            for name, found in times.items():
+            for name in found:
                 seen |= set(run.launcher.children().values())
-                found.append(_killed(run, name))
+                found[name].append(_killed(run, ear, name))
         seen |= set(run.launcher.children().values())
-    every = [t for found in times.values() for t in found]
-    medians = tuple((name, float(np.median(found))) for name, found in times.items())
-    left = sum(psutil.pid_exists(pid) for pid in seen)
-    return KillFigures(len(every), max(every), float(np.median(every)), medians, left)
+    every = [kill for kills in found.values() for kill in kills]
+    restarts, works = [kill.restart_s for kill in every], [kill.works_s for kill in every]
+    return KillFigures(
+        kills=len(every),
+        restart_s_max=max(restarts),
+        restart_s_median=float(np.median(restarts)),
+        by_process=tuple((name, float(np.median([k.restart_s for k in kills]))) for name, kills in found.items()),
+        works_s_max=max(works),
+        works_s_median=float(np.median(works)),
+        fast_decisions=sum(kill.fast_decisions for kill in every),
+        orphans=sum(psutil.pid_exists(pid) for pid in seen),
+    )
 
 
-def _killed(run: GraphRun, name: str) -> float:
-    """Kills a process; seconds until another one in its place is active."""
-    run.wait_until(lambda: run.launcher.is_whole, "the graph was not whole")
+class _Ear:
+    """When each process was last heard, and what the arm was told."""
+
+    def __init__(self, run: GraphRun) -> None:
+        self.heard_at: dict[str, float] = {}
+        """Monotonic, s."""
+        self.told: list[tuple[float, float]] = []
+        """When (monotonic, s), and the speed fraction."""
+        for name, topic in SPEAKS_ON.items():
+            run.listen(topic, partial(self._hear, name))
+
+    def _hear(self, name: str, message: object) -> None:
+        self.heard_at[name] = time.monotonic()
+        if name == "arm":
+            self.told.append((self.heard_at[name], convert.separation_from_message(message).speed_fraction))
+
+
+def _killed(run: GraphRun, ear: _Ear, name: str) -> _Kill:
+    """Kills a process, and waits until another one in its place is active, and is heard."""
+    run.wait_until(lambda: run.spin(0.05) or run.launcher.is_whole, "the graph was not whole")
+    run.wait_until(lambda: run.spin(0.05) or len(ear.heard_at) == len(SPEAKS_ON), "not every process was heard")
     before = run.launcher.children()[name]
     begun = time.monotonic()
     os.kill(before, signal.SIGKILL)
-    run.wait_until(lambda: run.launcher.active().get(name, before) != before, f"{name} was not started again")
-    return time.monotonic() - begun
+    run.wait_until(
+        lambda: run.spin(0.01) or run.launcher.active().get(name, before) != before, f"{name} was not started again"
+    )
+    active = time.monotonic()
+    run.wait_until(lambda: run.spin(0.01) or ear.heard_at[name] > active, f"{name} was not heard again")
+    heard = ear.heard_at[name]
+    limiter = LimiterParameters()
+    fast = [at for at, fraction in ear.told if fraction > limiter.slow_fraction]
+    unsafe = sum(begun + 2 * limiter.deadline_s < at < heard for at in fast) if name in EVIDENCE else 0
+    return _Kill(active - begun, heard - begun, unsafe)
 
 
 def _latencies_ms(plan: LaunchPlan, seconds: float) -> list[float]:

@@ -1,8 +1,8 @@
 """A process of a launch: runs its nodes, each in a thread of its own, until it is told to stop.
 
-Its first line of input is the order (JSON of `Order`); a line `configure` makes the nodes, a line `activate` starts
-them, and the end of its input ends them: when the launcher dies, so do its processes. What it has to say goes to the
-file descriptor that it was given, one line of JSON each.
+Its first line of input is the order (JSON of `Order`): it makes the nodes. A line `configure` lets them join the graph,
+a line `activate` starts them, and the end of its input ends them: when the launcher dies, so do its processes. What it
+has to say goes to the file descriptor that it was given, one line of JSON each.
 """
 
 from __future__ import annotations
@@ -65,15 +65,13 @@ def main() -> int:
 
 
 def _run_live(order: Order, events: Any) -> None:
-    from twin_node.nodes.launch.kinds import find_factory
     from twin_node.nodes.launch.node_thread import Graph
 
-    for name in order.nodes:
-        find_factory(name)  # loads all that the node needs: a spare waits with that done
+    graph = Graph(order, lambda line: _say(events, event="said", text=line))
+    graph.make()
     _say(events, event="loaded")
     if sys.stdin.readline().strip() != "configure":
         return
-    graph = Graph(order, lambda line: _say(events, event="said", text=line))
     try:
         graph.configure()
         _say(events, event="configured")

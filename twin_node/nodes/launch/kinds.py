@@ -12,7 +12,8 @@ from twin_node.nodes.topics import GraphError
 
 ENTRY_POINTS = "twin_node.nodes"
 """Entry-point group under which other packages offer nodes: functions from a `live.setup.Setup` to a `Node`.
-One may have the name of a node below, and takes its place."""
+One may have the name of a node below, and takes its place. What is made takes nothing that only one process can have
+(ports, devices, files to write) before it is configured: spare processes make their nodes ahead."""
 
 KINDS = {
     "arm": "twin_node.nodes.live.twin:make_arm",

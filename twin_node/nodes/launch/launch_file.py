@@ -32,7 +32,7 @@ class ProcessPlan:
     ends_launch: bool = False
     """When it has finished, everything else is brought down."""
     has_spare: bool = False
-    """A second process waits with everything loaded, and takes over when the first fails."""
+    """A second process waits with its nodes made, and takes over when the first fails."""
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ class Launcher:
         self._is_active = False
         self._children: dict[str, Child] = {}
         self._spares: dict[str, Child] = {}
+        self._spareless: set[str] = set()
         self._failures: dict[str, list[float]] = {}
         self._restarts = 0
 
@@ -68,7 +69,7 @@ class Launcher:
     @property
     def is_whole(self) -> bool:
         """Whether every process is active, and every spare ready to take over."""
-        wanted = {process.name for process in self._processes() if process.has_spare}
+        wanted = {process.name for process in self._processes() if process.has_spare} - self._spareless
         ready = {name for name, spare in self._spares.items() if spare.is_loaded and spare.status is None}
         return set(self.active()) == {process.name for process in self._processes()} and wanted <= ready
 
@@ -139,7 +140,13 @@ class Launcher:
             return
         for process in self._processes():
             spare = self._spares.get(process.name)
-            if process.has_spare and (spare is None or spare.status is not None):
+            if not process.has_spare or process.name in self._spareless:
+                continue
+            if spare is not None and spare.error is not None:
+                # What it wants only one can have, or what it needs has gone: trying again would not help it.
+                self._spareless.add(process.name)
+                self._say(f"{process.name}: no spare can be kept: {spare.error}")
+            elif spare is None or spare.status is not None:
                 self._spares[process.name] = self._spawned(process)
                 return
 

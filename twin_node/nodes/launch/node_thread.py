@@ -7,18 +7,18 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from twin_node.messages import convert
+from twin_node.messages import builtin_types, convert
 from twin_node.nodes.launch.kinds import SOURCES, find_factory
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import CLOCK, DIAGNOSTICS, kind_of
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.late_wire import LateWire
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameters import fill
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import Traffic, WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters
-from twin_node.runtime.zenoh_wire import ZenohWire
 
 if TYPE_CHECKING:
     from twin_node.nodes.launch.host import Order
@@ -51,12 +51,30 @@ class NodeThread:
         self._executor = Executor()
         self._orders = self._executor.inbox(lambda do: do(), 16)
         self._bus: WireBus
-        self._node: Node
+        self._node: Node | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
+    def make(self) -> None:
+        """Makes the node, in the calling thread; nobody hears of it yet. Raises what its factory raises."""
+        self._bus = WireBus(self._wire, self._executor, self.name, kind_of)
+        setup = Setup(
+            self.name,
+            self._bus,
+            self._clock,
+            self._executor,
+            self._order.sections,
+            self._order.where,
+            self._finish,
+            self._wire.endpoints,
+            self._say,
+        )
+        self._node = find_factory(self.name)(setup)
+
     def configure(self) -> None:
-        """Makes the node and configures it, in the calling thread. Raises what the node raises."""
-        self._make()
+        """Configures the node, and makes it first where that was not done. Raises what the node raises."""
+        if self._node is None:
+            self.make()
+        self._made.configure()
         self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
 
     def start(self) -> None:
@@ -77,40 +95,29 @@ class NodeThread:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def _make(self) -> None:
-        self._bus = WireBus(self._wire, self._executor, self.name, kind_of)
-        setup = Setup(
-            self.name,
-            self._bus,
-            self._clock,
-            self._executor,
-            self._order.sections,
-            self._order.where,
-            self._finish,
-            self._wire.endpoints,
-            self._say,
-        )
-        self._node = find_factory(self.name)(setup)
-        self._node.configure()
+    @property
+    def _made(self) -> Node:
+        assert self._node is not None, f"node '{self.name}' has not been made"
+        return self._node
 
     def _activate(self) -> None:
-        if self._node.state is LifecycleState.INACTIVE:
-            self._node.activate()
+        if self._made.state is LifecycleState.INACTIVE:
+            self._made.activate()
 
     def _remake(self) -> None:
-        is_active = self._node.state is LifecycleState.ACTIVE
+        is_active = self._made.state is LifecycleState.ACTIVE
         self._end_node()
         self._executor.clear_timers()
-        self._make()
-        self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
+        self.make()
+        self.configure()
         if is_active:
-            self._node.activate()
+            self._made.activate()
 
     def _end_node(self) -> None:
-        if self._node.state is LifecycleState.ACTIVE:
-            self._node.deactivate()
-        if self._node.state is LifecycleState.INACTIVE:
-            self._node.cleanup()
+        if self._made.state is LifecycleState.ACTIVE:
+            self._made.deactivate()
+        if self._made.state is LifecycleState.INACTIVE:
+            self._made.cleanup()
         self._bus.close()
 
     def _finish(self) -> None:
@@ -128,7 +135,7 @@ class NodeThread:
         self._on_end()
 
     def _diagnose(self) -> None:
-        own = (_traffic_diagnosis(self.name, self._bus.traffic), *self._node.diagnoses())
+        own = (_traffic_diagnosis(self.name, self._bus.traffic), *self._made.diagnoses())
         self._bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(self._clock.now(), own))
 
 
@@ -144,19 +151,26 @@ class Graph:
     """All nodes of a process."""
 
     def __init__(self, order: Order, say: Callable[[str], None]) -> None:
-        """Opens the wire; `say(line)` tells the user. Raises `WireError` where zenoh cannot be used."""
-        self._wire = ZenohWire(fill(ZenohParameters, dict(order.zenoh), order.where))
-        self._clock: Clock = SystemClock()
+        """`say(line)` tells the user."""
+        self._wire = LateWire(fill(ZenohParameters, dict(order.zenoh), order.where))
+        self._clock: Clock = FollowedClock(self._begin_anew) if order.follows_clock else SystemClock()
         self._ended = threading.Event()
-        self._threads: list[NodeThread] = []
-        if order.follows_clock:
-            followed = FollowedClock(self._begin_anew)
-            self._wire.subscribe("clock", CLOCK, kind_of(CLOCK), partial(_set_clock, followed))
-            self._clock = followed
         self._threads = [NodeThread(name, order, self._wire, self._clock, self._ended.set, say) for name in order.nodes]
 
+    def make(self) -> None:
+        """Makes every node, and loads all that they need; nothing is opened yet. Raises what a factory raises."""
+        builtin_types()
+        for thread in reversed(self._threads):
+            thread.make()
+
     def configure(self) -> None:
-        """Makes and configures every node, the last first, so that nothing is missed of what the first ones say."""
+        """Opens the wire and configures every node, the last first, so that nothing is missed of what the first say.
+
+        Raises `WireError` where zenoh cannot be used.
+        """
+        self._wire.open()
+        if isinstance(self._clock, FollowedClock):
+            self._wire.subscribe("clock", CLOCK, kind_of(CLOCK), partial(_set_clock, self._clock))
         for thread in reversed(self._threads):
             thread.configure()
         for thread in self._threads:

@@ -46,7 +46,6 @@ class LiveRecorderNode(Node):
     """Writes every message when it comes; a disk that refuses ends the recording, and the diagnostics say so."""
 
     def __init__(self, setup: Setup, parameters: RecordParameters) -> None:
-        """Raises `BagError` where the output cannot be begun."""
         super().__init__(setup.name, setup.bus, setup.clock)
         self._bus = setup.bus
         self._timers = setup.timers
@@ -54,7 +53,8 @@ class LiveRecorderNode(Node):
         self._is_all = parameters.all
         self._endpoints = setup.endpoints
         self._added: set[str] = set()
-        self._writer: RecordingWriter | None = RecordingWriter(_unused(Path(parameters.output)), parameters.split)
+        self._parameters = parameters
+        self._writer: RecordingWriter | None = None
         self._error: BagError | None = None
 
     @property
@@ -63,6 +63,8 @@ class LiveRecorderNode(Node):
         return self._error
 
     def on_configure(self) -> None:
+        """Raises `BagError` where the output cannot be begun."""
+        self._writer = RecordingWriter(_unused(Path(self._parameters.output)), self._parameters.split)
         for topic in self._topics:
             if kind_of(topic).msgtype is not None:
                 self.add(topic, kind_of(topic))
