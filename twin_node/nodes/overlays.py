@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.forecast.score import projected
 from twin_node.nodes.playback import Snapshot
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, UInt8
@@ -26,6 +25,8 @@ def arm_mask(snapshot: Snapshot, camera: Camera, arm: ArmModel) -> Bool | None:
 
 def moving_mask(snapshot: Snapshot, camera: Camera, layer: int) -> Bool | None:
     """[H, W] True where space shows that moves at one layer of the forecast (-1: the last); None without a forecast."""
+    from twin_node.forecast.score import projected  # loads torch: a page without masks is there a second sooner
+
     occupancy = snapshot.occupancy
     if occupancy is None or not occupancy.layers:
         return None

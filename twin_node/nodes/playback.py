@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -250,3 +250,33 @@ class Playback:
             if own:
                 newest.update((entry.topic, entry) for entry in log.messages(own, start, stop))
         return newest
+
+
+def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
+    """The obstacles whose validity holds `stamp` (ns), or the first of it where all begin later; none of none.
+
+    A forecast begins when it can be acted on: in lockstep that is the assumed latency after its log time.
+    """
+    if obstacles is None or not len(obstacles.ids):
+        return _NO_OBSTACLES
+    at = max(stamp, int(obstacles.valid_from.min()))
+    chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
+    columns: dict[str, Any] = {
+        name: None if values is None else values[chosen] for name, values in vars(obstacles).items() if name != "stamp"
+    }
+    return Obstacles(stamp=obstacles.stamp, **columns)
+
+
+_NO_OBSTACLES = Obstacles(
+    0,
+    np.empty(0, np.uint32),
+    np.empty(0, np.uint8),
+    np.empty(0, np.uint8),
+    np.empty((0, 3)),
+    np.empty((0, 4)),
+    np.empty((0, 3)),
+    np.empty((0, 3)),
+    np.empty(0),
+    np.empty(0, np.int64),
+    np.empty(0, np.int64),
+)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Protocol
 
 from twin_node.errors import TwinError
-from twin_node.nodes.playback import Playback
+from twin_node.nodes.playback import Playback, in_force
 from twin_node.robot import ArmModel
 from twin_node.scene import Float32, Float64, GaussianCloud, Obstacles
 
@@ -95,33 +93,3 @@ class LogSource:
             q = None if said.joints is None else arm.ordered_positions(said.joints)
             cloud = said.cloud if with_clouds else None
             yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)
-
-
-def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
-    """The obstacles whose validity holds `stamp` (ns), or the first of it where all begin later; none of none.
-
-    A forecast begins when it can be acted on: in lockstep that is the assumed latency after its log time.
-    """
-    if obstacles is None or not len(obstacles.ids):
-        return _NO_OBSTACLES
-    at = max(stamp, int(obstacles.valid_from.min()))
-    chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
-    columns: dict[str, Any] = {
-        name: None if values is None else values[chosen] for name, values in vars(obstacles).items() if name != "stamp"
-    }
-    return Obstacles(stamp=obstacles.stamp, **columns)
-
-
-_NO_OBSTACLES = Obstacles(
-    0,
-    np.empty(0, np.uint32),
-    np.empty(0, np.uint8),
-    np.empty(0, np.uint8),
-    np.empty((0, 3)),
-    np.empty((0, 4)),
-    np.empty((0, 3)),
-    np.empty((0, 3)),
-    np.empty(0),
-    np.empty(0, np.int64),
-    np.empty(0, np.int64),
-)

@@ -8,11 +8,10 @@ from functools import partial
 import cv2
 import numpy as np
 
-from twin_node.nodes.export.moments import in_force
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.film.writer import FilmError
 from twin_node.nodes.overlays import arm_mask, moving_mask
-from twin_node.nodes.playback import Playback, Snapshot
+from twin_node.nodes.playback import Playback, Snapshot, in_force
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
 from twin_node.robot import ArmModel

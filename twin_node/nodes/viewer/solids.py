@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin_node.arm.path import sample_path
-from twin_node.forecast.grid import decode_runs
 from twin_node.geometry import quat_from_rotation
-from twin_node.nodes.export.moments import in_force
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.playback import Snapshot, in_force
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, ObstacleKind, Obstacles, ObstacleShape
 
@@ -186,6 +184,8 @@ class Voxels:
         if self.is_static_shown:
             self._draw("static", occupancy.grid, occupancy.static.indices, STATIC_VOXELS)
         if self.is_unknown_shown:
+            from twin_node.forecast.grid import decode_runs  # loads torch: a page without it is there a second sooner
+
             self._draw(
                 "unknown",
                 occupancy.grid,
