@@ -48,40 +48,42 @@ def markdown(found: Stability) -> str:
     """The table of levels at which each method gives way, as Markdown."""
     names = [name for name in TITLES if name in METHODS]
     lines = [
-        "| failure, levels tried | " + " | ".join(TITLES[name] for name in names) + " |",
-        "|" + " --- |" * (len(names) + 1),
+        "| failure, levels tried | " + " | ".join(TITLES[name] for name in names) + " | litres, ours / worst case |",
+        "|" + " --- |" * (len(names) + 2),
     ]
     for failure, levels in found.failures.items():
         one = FAILURES[failure]
         tried = ", ".join(f"{level.level:g}" for level in levels)
         cells = [_cell(found.gives_way(name, failure)) for name in names]
+        cells.append(_blocked(found, failure))
         lines.append(f"| {one.title}: {tried} {one.unit} | " + " | ".join(cells) + " |")
-    lines.append("| silent failures | " + " | ".join(str(found.silent_failures(name)) for name in names) + " |")
+    lines.append("| silent failures | " + " | ".join(str(found.silent_failures(name)) for name in names) + " | |")
     return "\n".join(lines) + "\n"
 
 
 def draw(found: Stability, folder: Path) -> Path:
-    """`stability.png` and `stability.svg` in `folder`: a row per failure, a mark where each method gives way.
+    """`stability.png` and `stability.svg` in `folder`: a row per failure, a bar per method as long as it holds.
 
     Raises `BenchError` where they cannot be written.
     """
     from matplotlib.figure import Figure
 
     rows = [name for name in found.failures if name not in UNDISTURBED]
-    figure = Figure(figsize=(11, 0.34 * len(rows) + 1.8), layout="constrained")
+    figure = Figure(figsize=(11, 0.5 * len(rows) + 1.8), layout="constrained")
     axes = figure.add_subplot()
     for row, failure in enumerate(rows):
         _draw_row(axes, row, failure, found)
-    axes.set_yticks(range(len(rows)), [f"{FAILURES[name].title} [{FAILURES[name].unit}]" for name in rows])
-    axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.set_xlim(0, 1.16)
-    axes.set_xticks([0.0, 1.0, 1.1], ["easy", "hardest level tried", "never"])
-    axes.axvspan(1.05, 1.16, color="#eef6ee")
-    axes.set_title("Where each method gives way: recall at 200 ms under 95 %, or a picture under 15 dB", loc="left")
+    axes.set_yticks(range(len(rows)), [_row_title(name, found) for name in rows], fontsize=8)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_xlim(0, NEVER_ENDS)
+    axes.set_xticks([0.0, 1.0, NEVER_ENDS], ["gives way at once", "at the hardest level", "never"])
+    axes.axvspan(1.0, NEVER_ENDS, color="#eef6ee", zorder=0)
+    axes.set_title("How far each method holds: recall at 200 ms of 95 %, or a picture of 15 dB", loc="left")
+    axes.set_title("litres blocked:\nours / worst case", loc="right", fontsize=8)
     axes.spines[["top", "right", "left"]].set_visible(False)
-    handles, labels = axes.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    figure.legend(by_label.values(), by_label, loc="outside lower center", ncols=3, frameon=False)
+    axes.tick_params(left=False)
+    handles = [axes.barh(0, 0, color=colour, label=TITLES[name]) for name, colour in zip(TITLES, COLOURS, strict=True)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     path = folder / "stability.png"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -94,31 +96,33 @@ def draw(found: Stability, folder: Path) -> Path:
     return path
 
 
+NEVER_ENDS = 1.15
+"""Length of the bar of a method that holds at every level, where 1 is the hardest one."""
+
+
+def _row_title(failure: str, found: Stability) -> str:
+    levels = ", ".join(f"{one.level:g}" for one in found.failures[failure])
+    return f"{FAILURES[failure].title}\n{levels} {FAILURES[failure].unit}"
+
+
 def _draw_row(axes: Axes, row: int, failure: str, found: Stability) -> None:
-    """The levels as ticks, evenly spaced, and each method's mark where it gives way; at the right if it never does."""
+    """A bar per method that ends between the last level at which it holds and the first at which it gives way."""
     levels = [one.level for one in found.failures[failure]]
-    places = {level: (index + 1) / len(levels) for index, level in enumerate(levels)}
-    axes.plot([0, 1], [row, row], color="#dddddd", linewidth=1, zorder=0)
-    for level, place in places.items():
-        axes.annotate(
-            f"{level:g}", (place, row), (0, -9), "data", "offset points", ha="center", fontsize=6, color="#999999"
-        )
-    count = len(TITLES)
-    for index, ((name, title), colour) in enumerate(zip(TITLES.items(), COLOURS, strict=True)):
-        if name not in METHODS:
-            continue
+    height = 0.8 / len(TITLES)
+    for index, (name, colour) in enumerate(zip(TITLES, COLOURS, strict=True)):
         gives_way = found.gives_way(name, failure)
-        aside = 0.007 * (index - (count - 1) / 2)
-        place = 1.1 if gives_way is None else places[gives_way]
-        axes.plot(
-            place + aside,
-            row,
-            "o" if name == OURS else "|",
-            color=colour,
-            label=title,
-            markersize=9 if name != OURS else 8,
-            markeredgewidth=2,
-        )
+        length = NEVER_ENDS if gives_way is None else max(levels.index(gives_way) / len(levels), 0.006)
+        axes.barh(row + (index - (len(TITLES) - 1) / 2) * height, length, height, color=colour)
+    blocked = _blocked(found, failure)
+    axes.annotate(blocked, (NEVER_ENDS, row), (6, -3), textcoords="offset points", fontsize=8, annotation_clip=False)
+    for index in range(1, len(levels) + 1):
+        axes.plot([index / len(levels)] * 2, [row - 0.42, row + 0.42], color="white", linewidth=1)
+
+
+def _blocked(found: Stability, failure: str) -> str:
+    """Litres that ours and the worst case block, mean over the levels."""
+    litres = (found.blocked_l(name, failure) for name in (OURS, "worst_case"))
+    return " / ".join("-" if value is None else f"{value:.0f}" for value in litres)
 
 
 def _cell(level: float | None) -> str:

@@ -94,6 +94,10 @@ class Stability:
         reached = ((one.level, one.methods[method].psnr_moving_db) for one in self.failures[failure])
         return next((level for level, db in reached if db is not None and db < LEAST_PICTURE_DB), None)
 
+    def blocked_l(self, method: str, failure: str) -> float | None:
+        """Moving and unknown space that a method reports 200 ms ahead, litres, mean over the levels."""
+        return _mean([one.methods[method].blocked_l for one in self.failures[failure]])
+
     def silent_failures(self, method: str) -> int:
         """Over all runs."""
         return sum(one.methods[method].silent_failures for levels in self.failures.values() for one in levels)
