@@ -20,7 +20,8 @@ from twin_node.bag import RecordingWriter, open_log
 from twin_node.cli import main
 from twin_node.model.ply import StoredGaussians, read_ply, stored_from_cloud, write_ply
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
-from twin_node.nodes.export import ExportSpan, Moment, export, in_force
+from twin_node.nodes.export import ExportSpan, Moment, export
+from twin_node.nodes.playback import in_force
 from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.topics import JOINT_STATES
 from twin_node.robot import ArmModel, ur_model
