@@ -167,6 +167,15 @@ def test_a_page_that_stands_still_says_so(graph: Graph, monkeypatch: pytest.Monk
     graph.until(lambda: "drawing has failed" in graph.node.diagnoses()[0].message)
 
 
+def test_silence_is_told(graph: Graph) -> None:
+    """Nothing more comes, and the page says so; the moving obstacles are out of force then."""
+    graph.send(OBSTACLES, convert.obstacles_to_message(obstacles_at(0, START)))
+    graph.until(lambda: graph.handle("/obstacles/MOVING/BOX") is not None)
+    graph.clock.stamp = START + 5_000_000_000
+    graph.until(lambda: "said nothing for 5 s" in graph.page._twin_words.content)
+    assert not graph.handle("/obstacles/MOVING/BOX").visible
+
+
 def test_two_seconds_are_remembered_and_forgotten_when_time_goes_back(graph: Graph) -> None:
     for k in range(30):
         stamp = START + k * PERIOD

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections import deque
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -11,8 +12,9 @@ from functools import cached_property, partial
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
 from twin_node.nodes.playback import Said, Snapshot
-from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, RECORDED, TRAJECTORY, CameraTopics
+from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY, CameraTopics
 from twin_node.nodes.viewer.page import CellPage
+from twin_node.nodes.viewer.panel import OF_THE_TWIN
 from twin_node.nodes.viewer.picked import HISTORY_NS
 from twin_node.nodes.viewer.priority import go_last
 from twin_node.rig import FrameAssembler
@@ -24,6 +26,8 @@ from twin_node.runtime.wire_bus import WireBus
 
 FRAME_S = 0.05
 """Shortest time between two pictures, s: what people see as motion, at a cost that the twin does not feel."""
+STILL_S = 1.0
+"""Longest time between two pictures while somebody watches, s: what is out of force, or silent, is seen to be so."""
 LOOK_S = 0.5
 """How often cameras are looked for that are not there yet, s."""
 REMEMBERED = (OBSTACLES, GAUSSIANS_MOVING)
@@ -86,14 +90,14 @@ class ViewerNode(Node):
         self._cameras: LiveCameras | None = None
         self._images: set[str] = set()
         self._newest: dict[str, Said] = {}
-        self._past: dict[str, deque[Said]] = {topic: deque() for topic in REMEMBERED}
+        self._past: dict[str, tuple[Said, ...]] = {}
         self._now = 0
         self._problem: str | None = None
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
     def on_configure(self) -> None:
-        for topic in (*RECORDED, JOINT_STATES, TRAJECTORY):
+        for topic in (*OF_THE_TWIN, SEPARATION, JOINT_STATES, TRAJECTORY):
             self._wire_bus.subscribe_raw(topic, partial(self._keep, topic))
         self._look_for_cameras()
         self._timers.every(LOOK_S, self._look_for_cameras)
@@ -134,31 +138,32 @@ class ViewerNode(Node):
     def _keep(self, topic: str, message: Encoded) -> None:
         now = self.clock.now()
         if now < self._now:  # a log has begun again: what was heard is of another time
-            self._newest = {}
-            self._past = {name: deque() for name in REMEMBERED}
+            self._newest, self._past = {}, {}
         self._now = now
         heard = Heard(now, message)
         self._newest[topic] = heard
-        if topic in self._past:
-            past = self._past[topic]
-            past.append(heard)
-            while past[0].stamp < now - HISTORY_NS:
-                past.popleft()
+        if topic in REMEMBERED:
+            past = (said for said in self._past.get(topic, ()) if said.stamp >= now - HISTORY_NS)
+            self._past[topic] = (*past, heard)
 
     def _earlier(self, stamp: int, topic: str, ns: int) -> Sequence[Said]:
-        return [said for said in tuple(self._past.get(topic, ())) if stamp - ns <= said.stamp <= stamp]
+        return [said for said in self._past.get(topic, ()) if stamp - ns <= said.stamp <= stamp]
 
     def _draw(self) -> None:
         go_last()
         drawn: dict[str, Said] = {}
+        drawn_at = -math.inf
         cameras: LiveCameras | None = None
         while not self._stopped.wait(FRAME_S):
             if self._cameras is not cameras:
                 cameras = self._cameras
                 self._page.set_cameras(() if cameras is None else cameras.assembler.cameras)
             newest = dict(self._newest)
-            if newest and self._page.visitors and (newest != drawn or self._page.take_change()):
-                drawn = newest
+            if not newest or not self._page.visitors:
+                continue
+            is_still = newest == drawn and time.monotonic() < drawn_at + STILL_S
+            if self._page.take_change() or not is_still:
+                drawn, drawn_at = newest, time.monotonic()
                 self._show(newest, cameras)
 
     def _show(self, newest: dict[str, Said], cameras: LiveCameras | None) -> None:

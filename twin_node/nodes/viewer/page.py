@@ -44,7 +44,7 @@ class CellPage:
     ) -> None:
         """`cameras`: those that are known already. Raises `ViewerError` where viser is missing or the port is taken."""
         self.server = _open_server(host, port)
-        self.url = f"http://{host}:{port}"
+        self.url = f"http://{host}:{self.server.get_port()}"
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_frame("/base_link", axes_length=0.2, axes_radius=0.004)
         self._splats = SplatLayers(self.server)
@@ -88,8 +88,8 @@ class CellPage:
             self._obstacles.show(snapshot)
             self.voxels.show(snapshot)
             self.frusta.show(snapshot)
-            self._arm_words.content = arm_text(snapshot)
-            self._twin_words.content = twin_text(snapshot)
+            _write(self._arm_words, arm_text(snapshot))
+            _write(self._twin_words, twin_text(snapshot))
             self._answer_click(snapshot)
         self.server.flush()
 
@@ -104,7 +104,7 @@ class CellPage:
 
     def tell(self, problem: str | None) -> None:
         """Shows what cannot be shown, in words; None: nothing is wrong any more."""
-        self._problem.content = f"**{problem}**" if problem else ""
+        _write(self._problem, f"**{problem}**" if problem else "")
         self._problem.visible = problem is not None
 
     def close(self) -> None:
@@ -149,10 +149,16 @@ class CellPage:
             self._clicks.clear()
             self._picked = None if hit is None else PickedThing(hit)
             if hit is None:
-                self._picked_words.content = "Nothing there."
+                _write(self._picked_words, "Nothing there.")
         if self._picked is not None:
-            self._picked_words.content = self._picked.describe(snapshot)
+            _write(self._picked_words, self._picked.describe(snapshot))
         self._mark.show(np.empty((0, 3)) if self._picked is None else self._picked.trail)
+
+
+def _write(place: Any, words: str) -> None:
+    """Markdown into its place; what stands there already is neither parsed nor sent again."""
+    if place.content != words:
+        place.content = words
 
 
 def _open_server(host: str, port: int) -> Any:

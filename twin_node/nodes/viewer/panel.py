@@ -6,7 +6,13 @@ import math
 
 from twin_node.messages.convert import Status
 from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, STATUS
 from twin_node.scene import Separation, Tier
+
+OF_THE_TWIN = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, STATUS)
+"""What the twin itself says; the arm's node and all others speak on without it."""
+SILENT_S = 2.5
+"""Longer than this a twin is not silent, s: its status comes once a second."""
 
 
 def arm_text(snapshot: Snapshot) -> str:
@@ -15,8 +21,11 @@ def arm_text(snapshot: Snapshot) -> str:
 
 
 def twin_text(snapshot: Snapshot) -> str:
-    """Markdown: how the twin does."""
-    return "The twin has not said how it does." if snapshot.status is None else _twin(snapshot.status)
+    """Markdown: how the twin does, or for how long it has been silent."""
+    said = [snapshot.said[topic].stamp for topic in OF_THE_TWIN if topic in snapshot.said]
+    silent_s = (snapshot.stamp - max(said)) / 1e9 if said else 0.0
+    silence = f"**The twin has said nothing for {silent_s:.0f} s.**\n\n" if silent_s > SILENT_S else ""
+    return silence + ("The twin has not said how it does." if snapshot.status is None else _twin(snapshot.status))
 
 
 def _arm(separation: Separation) -> str:
