@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from twin_node.errors import TwinError
 from twin_node.nodes.chain import ChainParameters, load_parameters
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
-from twin_node.nodes.launch.launch_file import in_one_process, read_arguments, read_launch_file
+from twin_node.nodes.launch.launch_file import in_one_process, read_arguments, read_launch_file, remapped
 
 SMALL = """
 launch:
@@ -111,3 +112,38 @@ def test_all_nodes_in_one_process(small: Path) -> None:
 def test_a_launch_file_is_a_parameter_file_too() -> None:
     assert load_parameters(None).synchronizer.width == 160
     assert load_parameters(Path("launch/sim_cell.yaml")).arm.model == "ur5e"
+
+
+def test_topics_of_all_nodes_are_renamed(small: Path) -> None:
+    plan = remapped(read_launch_file(small, ["log:=a"]), ["joint_states:=/ur/joint_states", "/left/image_raw:=/l/rgb"])
+    assert plan.remaps == {"/joint_states": "/ur/joint_states", "/left/image_raw": "/l/rgb"}
+
+
+@pytest.mark.parametrize(
+    ("remap", "words"),
+    [
+        ("/joint_state:=/a", "no node has the topic /joint_state; did you mean /joint_states?"),
+        ("/joint_states", "expected FROM:=TO"),
+    ],
+)
+def test_a_remap_that_changes_nothing_is_refused(small: Path, remap: str, words: str) -> None:
+    with pytest.raises(TwinError, match=re.escape(words)):
+        remapped(read_launch_file(small, ["log:=a"]), [remap])
+
+
+def test_lockstep_has_nothing_to_rename() -> None:
+    plan = read_launch_file("launch/replay.yaml", ["log:=a", "lockstep:=true"])
+    with pytest.raises(TwinError, match="in lockstep there is no graph"):
+        remapped(plan, ["/joint_states:=/a"])
+
+
+def test_parameter_files_win_over_the_launch_file_and_the_command_line_over_them(small: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    first.write_text("player: {ros__parameters: {rate: 3.0, start_offset: 1.0}}\narm: {ros__parameters: {model: ur3e}}")
+    second.write_text("player: {ros__parameters: {rate: 4.0}}")
+    plan = read_launch_file(small, ["log:=a"], ["player.start_offset:=2.0"], [first, second])
+    assert plan.sections["player"] == {"log": "a", "rate": 4.0, "start_offset": 2.0, "remap": ["/a:=/twin"]}
+    assert plan.sections["arm"] == {"model": "ur3e"}
+    second.write_text("plaer: {ros__parameters: {rate: 4.0}}")
+    with pytest.raises(TwinError, match=r"second.yaml: parameters: unknown node 'plaer'; did you mean 'player'"):
+        read_launch_file(small, ["log:=a"], [], [second])

@@ -171,7 +171,7 @@ def test_a_camera_whose_images_are_late_is_named(cell: Cell) -> None:
 def test_a_clock_that_steps_is_named_and_taken_back(cell: Cell, shift: int, word: str) -> None:
     before = len(cell.sets)
     cell.run(SECOND, SECOND, front=Fault(stamp_shift=shift))
-    level, message = cell.said()["front"]
+    level, message = others_are_well(cell, "front")
     assert level is Level.WARN
     assert f"{word}: " in message
     assert len(cell.sets) - before >= SECOND - 6

@@ -19,7 +19,7 @@ from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.wire import LocalWire, Send
 
 WAIT_S = 60.0
-ORDER = Order(("counter",), {}, False, False, {}, "test")
+ORDER = Order(("counter",), {}, False, False, {}, {}, "test")
 
 
 class Counter(Node):

@@ -11,6 +11,7 @@ import pytest
 from twin_node.errors import TwinError
 from twin_node.messages import message_type
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.late_wire import LateWire
 from twin_node.runtime.qos import LATCHED, NEWEST, RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH
 from twin_node.runtime.wire import Encoded, LocalWire, Wire, encoded
@@ -75,6 +76,33 @@ def test_threads_of_a_process_share_messages_by_reference() -> None:
     talker.bus.publish("/record", record)
     assert listener.wait() is record
     assert listener.bus.dropped("/record") == 3
+
+
+def test_renamed_topics_meet_under_the_name_on_the_wire_and_keep_their_kind() -> None:
+    wire = LocalWire()
+    remaps = {"/map": "/other/map"}
+    talker, listener = Side(wire, "talker"), Side(wire, "listener")
+    talker.bus = WireBus(wire, talker.executor, "talker", kind_of, remaps)
+    talker.bus.publish("/map", text("here"))
+    listener.bus.declare("/other/map", kind_of("/map"))
+    listener.listen("/other/map")
+    assert listener.wait().data == "here"
+    listener.listen("/map")
+    assert not listener.executor.step(0.0)
+    assert talker.bus.resolved("/map") == "/other/map"
+
+
+def test_nobody_speaks_before_the_network_is_joined(zenoh_router: ZenohParameters) -> None:
+    wire = LateWire(zenoh_router)
+    side = Side(wire, "early")
+    assert wire.endpoints() == ()
+    with pytest.raises(WireError, match="before it was configured"):
+        side.bus.publish("/chatter", text("too early"))
+    wire.open()
+    side.listen("/chatter")
+    side.bus.publish("/chatter", text("now"))
+    assert side.wait().data == "now"
+    wire.close()
 
 
 def test_a_latched_message_awaits_the_late() -> None:

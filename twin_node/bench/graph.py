@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 
 from twin_node.arm import LimiterParameters
-from twin_node.bench.graph_run import GraphRun, running
+from twin_node.bench.graph_run import GraphRun, Percentiles, cpu_s, percentiles, running
 from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import LaunchPlan, in_one_process, read_launch_file
 from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLES, SEPARATION
@@ -25,16 +25,6 @@ EVIDENCE = ("cell", "twin")
 """Processes without which no forecast comes: the arm must not be fast while they are down."""
 SPEAKS_ON = {"cell": JOINT_STATES, "twin": OBSTACLES, "arm": SEPARATION, "viewer": FRUSTA}
 """A topic of each process by which it is known to work."""
-
-
-@dataclass(frozen=True)
-class Percentiles:
-    """Of a sample of latencies, ms; NaN without samples."""
-
-    count: int
-    p50: float
-    p99: float
-    smallest: float
 
 
 @dataclass(frozen=True)
@@ -99,7 +89,7 @@ def latency(seconds: float, rounds: int, output: Callable[[int], str]) -> Latenc
         plan = cell_plan(output=output(i))
         apart += _latencies_ms(plan, seconds)
         together += _latencies_ms(in_one_process(cell_plan(output=output(rounds + i))), seconds)
-    a, b = _percentiles(apart), _percentiles(together)
+    a, b = percentiles(apart), percentiles(together)
     return LatencyFigures(a, b, a.p50 - b.p50, a.p99 - b.p99)
 
 
@@ -126,9 +116,9 @@ def kills(each: int) -> KillFigures:
     with running(plan) as run:
         ear = _Ear(run)
         for _ in range(each):
-            for name in found:
+            for name, kills_of_it in found.items():
                 seen |= set(run.launcher.children().values())
-                found[name].append(_killed(run, ear, name))
+                kills_of_it.append(_killed(run, ear, name))
         seen |= set(run.launcher.children().values())
     every = [kill for kills in found.values() for kill in kills]
     restarts, works = [kill.restart_s for kill in every], [kill.works_s for kill in every]
@@ -198,17 +188,3 @@ def _latencies_ms(plan: LaunchPlan, seconds: float) -> list[float]:
         found.clear()
         run.spin(seconds)
     return found
-
-
-def _percentiles(samples: Sequence[float]) -> Percentiles:
-    if not samples:
-        return Percentiles(0, float("nan"), float("nan"), float("nan"))
-    return Percentiles(
-        len(samples), float(np.percentile(samples, 50)), float(np.percentile(samples, 99)), float(min(samples))
-    )
-
-
-def cpu_s(pid: int) -> float:
-    """Processor time of a process, s."""
-    times = psutil.Process(pid).cpu_times()
-    return float(times.user + times.system)

@@ -1,203 +1,162 @@
-"""Two machines whose link is slow and is cut: how soon the arm's machine notices, and that it goes on by itself.
-
-The link is a relay between the zenoh routers of two machines on loopback: it delays every byte, and while it is cut it
-forwards none. Lost packets are not imitated: zenoh's links are TCP, which sends them again.
-"""
+"""Two machines whose link is slow, loses packets and is cut: how soon the arm notices, and that it goes on."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import tempfile
+import itertools
+import json
+import sys
 import threading
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import IO
 
 import numpy as np
 
-from twin_node.bench.graph_run import GraphRun, free_endpoint
-from twin_node.messages import convert
-from twin_node.nodes.launch.launch_file import LaunchPlan, read_launch_file
-from twin_node.nodes.topics import OBSTACLES, SEPARATION, kind_of
-from twin_node.runtime.zenoh_session import ZenohParameters, open_router
-from twin_node.runtime.zenoh_wire import ZenohWire
-from twin_node.scene import Obstacles
+from twin_node.arm import LimiterParameters
+from twin_node.bench.errors import BenchError
+from twin_node.bench.graph_link import Link, Machine
+from twin_node.bench.graph_machine import Told
+from twin_node.bench.graph_run import PATIENCE_S
 
-RATE_HZ = 30.0
-ARM_ALONE = """
-launch:
-  processes:
-    arm: {nodes: [arm]}
-/**:
-  ros__parameters: {rig: {scenario: demo}}
-arm:
-  ros__parameters: {model: ur5e}
-"""
+TWIN, ARM = "10.77.0.1", "10.77.0.2"
+PORT = 7447
+LOSS_SEEN_S = 10.0
+"""How long the arm runs over the link before it is cut, s: some hundred packets are lost."""
+RUNNING = 0.9
+"""Speed fraction of an arm that nothing holds up; it rises to one."""
 
 
 @dataclass(frozen=True)
 class NetworkFigures:
-    """A link that delays and is cut, obstacles at 30 Hz; the deadline is the arm's `limiter.deadline_s` of 0.1 s."""
+    """Two network namespaces, obstacles at 30 Hz; the deadline is the arm's `limiter.deadline_s` of 0.1 s.
+
+    Silence counts from the last message that arrived: what had left before a cut may still come.
+    """
 
     delay_ms: float
+    loss: float
     cut_s: float
+    cuts: int
     slow_after_s: float
-    """From the cut until the arm was told to be slow, s."""
+    """From the last message until the arm was told to be slow, the longest of all cuts, s."""
     stopped_after_s: float
-    """From the cut until it was told to stand, s."""
+    """The same until it was told to stand."""
+    slow_after_s_median: float
+    stopped_after_s_median: float
     resumes_after_s: float
-    """From the link's return until it was told to move, s."""
+    """From the link's return until the arm was told to move, the longest, s."""
     out_of_order: int
     """Decisions whose evidence was older than that of one before."""
+    slow_share: float
+    """Share of the time before cuts in which loss alone kept the arm slow or standing."""
+    age_ms_p50: float
+    """Of evidence, when the decision made of it is heard, before cuts."""
+    age_ms_p99: float
+
+
+class _Heard:
+    """What the arm's machine prints, as it comes."""
+
+    def __init__(self, output: IO[str]) -> None:
+        self.told: list[Told] = []
+        self._changed = threading.Condition()
+        self._ended = False
+        self._thread = threading.Thread(target=self._read, args=(output,), name="heard", daemon=True)
+        self._thread.start()
+
+    def wait_until(self, condition: Callable[[], bool], complaint: str) -> None:
+        """Raises `BenchError` where the condition does not come true."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._ended or condition(), PATIENCE_S) or not condition():
+                raise BenchError(f"bench graph: {complaint} within {PATIENCE_S:.0f} s; is the machine overloaded?")
+
+    def _read(self, output: IO[str]) -> None:
+        for line in output:
+            with self._changed:
+                self.told.append(Told(*json.loads(line)))
+                self._changed.notify_all()
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
 
 
 @dataclass(frozen=True)
-class _Told:
-    """A decision, when it was heard (monotonic, s), and the stamp of its evidence (ns)."""
+class Cut:
+    """When the link was cut and mended, and when it had begun to be watched before, monotonic, s."""
 
-    at: float
-    fraction: float
-    evidence: int
-
-
-class Relay:
-    """Forwards TCP connections with a delay, or not at all."""
-
-    def __init__(self, target: str, delay_s: float) -> None:
-        """`target`: zenoh endpoint tcp/HOST:PORT that connections lead to."""
-        self._host, _, port = target.removeprefix("tcp/").rpartition(":")
-        self._port = int(port)
-        self._delay_s = delay_s
-        self.is_cut = False
-        self.endpoint = free_endpoint()
-        self._loop = asyncio.new_event_loop()
-        listening = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(listening,), name="relay", daemon=True)
-        self._thread.start()
-        listening.wait()
-
-    def close(self) -> None:
-        """Ends all connections."""
-        self._loop.call_soon_threadsafe(self._end)
-        self._thread.join()
-
-    def _end(self) -> None:
-        tasks = asyncio.all_tasks(self._loop)
-        for task in tasks:
-            task.cancel()
-        ended = asyncio.gather(*tasks, return_exceptions=True)
-        ended.add_done_callback(lambda _: self._loop.stop())
-
-    def _run(self, listening: threading.Event) -> None:
-        asyncio.set_event_loop(self._loop)
-        host, _, port = self.endpoint.removeprefix("tcp/").rpartition(":")
-        self._loop.run_until_complete(asyncio.start_server(self._connect, host, int(port)))
-        listening.set()
-        self._loop.run_forever()
-
-    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        far_reader, far_writer = await asyncio.open_connection(self._host, self._port)
-        with contextlib.suppress(asyncio.CancelledError):  # the relay is being closed
-            await asyncio.gather(self._forward(reader, far_writer), self._forward(far_reader, writer))
-
-    async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        while data := await reader.read(65536):
-            due = self._loop.time() + self._delay_s
-            while self.is_cut:
-                await asyncio.sleep(0.005)
-            await asyncio.sleep(max(0.0, due - self._loop.time()))
-            writer.write(data)
-        writer.close()
+    watched: float
+    cut: float
+    mended: float
 
 
-class _Twin:
-    """Stands for the twin's machine: obstacles at a rate, from a router of its own."""
-
-    def __init__(self) -> None:
-        self.endpoint = free_endpoint()
-        parameters = ZenohParameters(router="builtin", endpoint=self.endpoint, domain=0)
-        self._router = open_router(parameters)
-        self._wire = ZenohWire(replace(parameters, router="external"))
-        self._send = self._wire.publisher("twin", OBSTACLES, kind_of(OBSTACLES))
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="twin", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Ends it."""
-        self._stop.set()
-        self._thread.join()
-        self._wire.close()
-        if self._router is not None:
-            self._router.close()
-
-    def _run(self) -> None:
-        while not self._stop.wait(1 / RATE_HZ):
-            self._send(convert.obstacles_to_message(_nothing(time.time_ns())))
+def network(delay_s: float = 0.02, loss: float = 0.01, cut_s: float = 3.0, cuts: int = 3) -> NetworkFigures:
+    """Lets the arm run, cuts the link, and mends it, `cuts` times. Raises `BenchError` without namespaces."""
+    twin, arm = Machine(f"{TWIN}/24"), Machine(f"{ARM}/24")
+    link = Link(twin, arm, delay_s, loss)
+    here = [sys.executable, "-m", "twin_node.bench.graph_machine"]
+    try:
+        twin.start([*here, "twin", f"tcp/{TWIN}:{PORT}"])
+        output = arm.start([*here, "arm", f"tcp/{ARM}:{PORT}", f"tcp/{TWIN}:{PORT}"]).stdout
+        assert output is not None
+        heard = _Heard(output)
+        made = [_cut(link, heard, cut_s) for _ in range(cuts)]
+    finally:
+        link.is_cut = False
+        for machine in (arm, twin):
+            machine.end()
+        link.close()
+        for machine in (arm, twin):
+            machine.close()
+    return figures_of(heard.told, made, delay_s, loss)
 
 
-def network(delay_s: float = 0.02, cut_s: float = 3.0) -> NetworkFigures:
-    """Lets the arm run, cuts the link, and mends it."""
-    twin = _Twin()
-    relay = Relay(twin.endpoint, delay_s)
-    decisions: list[_Told] = []
+def _cut(link: Link, heard: _Heard, cut_s: float) -> Cut:
+    told, pause = heard.told, threading.Event()
+    heard.wait_until(lambda: bool(told) and told[-1].fraction > RUNNING, "the arm did not move")
+    watched = time.monotonic()
+    pause.wait(LOSS_SEEN_S)
+    heard.wait_until(lambda: told[-1].fraction > RUNNING, "the arm did not move")
+    link.is_cut, cut = True, time.monotonic()
+    pause.wait(cut_s)
+    link.is_cut, mended = False, time.monotonic()
+    heard.wait_until(lambda: told[-1].at > mended and told[-1].fraction > 0, "the arm did not go on")
+    return Cut(watched, cut, mended)
 
-    def hear(message: object) -> None:
-        told = convert.separation_from_message(message)
-        decisions.append(_Told(time.monotonic(), told.speed_fraction, told.evidence_stamp))
 
-    with tempfile.TemporaryDirectory(prefix="twin_node_") as folder:
-        run = GraphRun(_plan(Path(folder)), free_endpoint(), Path(folder), (relay.endpoint,))
-        try:
-            run.listen(SEPARATION, hear)
-            run.wait_until(
-                lambda: run.spin(0.1) or bool(decisions and decisions[-1].fraction > 0.9), "the arm did not move"
-            )
-            relay.is_cut = True
-            cut = time.monotonic()
-            run.spin(cut_s)
-            relay.is_cut = False
-            mended = time.monotonic()
-            run.wait_until(lambda: run.spin(0.02) or decisions[-1].fraction > 0, "the arm did not go on")
-        finally:
-            run.close()
-            relay.close()
-            twin.close()
-    evidence = [told.evidence for told in decisions if told.evidence]
+def figures_of(told: list[Told], cuts: list[Cut], delay_s: float, loss: float) -> NetworkFigures:
+    """What decisions, in the order in which they were heard, say of the cuts that were made meanwhile."""
+    slow_fraction = LimiterParameters().slow_fraction
+    slow = [_silence_s(told, cut, slow_fraction) for cut in cuts]
+    stopped = [_silence_s(told, cut, 0.0) for cut in cuts]
+    resumed = [next(t.at for t in told if t.at > c.mended and t.fraction > 0) - c.mended for c in cuts]
+    evidence = [t.evidence for t in told if t.evidence]
+    offset_s = time.time() - time.monotonic()
+    before = [t for c in cuts for t in told if c.watched < t.at < c.cut]
+    ages = [1e3 * (t.at + offset_s - t.evidence * 1e-9) for t in _news(before)]
     return NetworkFigures(
         delay_ms=1e3 * delay_s,
-        cut_s=cut_s,
-        slow_after_s=_first(decisions, cut, 0.2) - cut,
-        stopped_after_s=_first(decisions, cut, 0.0) - cut,
-        resumes_after_s=next(told.at for told in decisions if told.at > mended and told.fraction > 0) - mended,
+        loss=loss,
+        cut_s=cuts[0].mended - cuts[0].cut,
+        cuts=len(cuts),
+        slow_after_s=max(slow),
+        stopped_after_s=max(stopped),
+        slow_after_s_median=float(np.median(slow)),
+        stopped_after_s_median=float(np.median(stopped)),
+        resumes_after_s=max(resumed),
         out_of_order=int((np.diff(evidence) < 0).sum()),
+        slow_share=float(np.mean([t.fraction <= slow_fraction for t in before])),
+        age_ms_p50=float(np.percentile(ages, 50)),
+        age_ms_p99=float(np.percentile(ages, 99)),
     )
 
 
-def _first(decisions: list[_Told], since: float, fraction: float) -> float:
-    return next((told.at for told in decisions if told.at > since and told.fraction <= fraction), float("nan"))
+def _news(told: list[Told]) -> list[Told]:
+    """Decisions that a message had come for."""
+    return [now for before, now in itertools.pairwise(told) if now.evidence != before.evidence]
 
 
-def _plan(folder: Path) -> LaunchPlan:
-    path = folder / "arm.yaml"
-    path.write_text(ARM_ALONE)
-    return read_launch_file(path)
-
-
-def _nothing(stamp: int) -> Obstacles:
-    """No obstacle at all: the arm may run."""
-    none = np.zeros(0)
-    return Obstacles(
-        stamp,
-        none.astype(np.uint32),
-        none.astype(np.uint8),
-        none.astype(np.uint8),
-        np.zeros((0, 3)),
-        np.zeros((0, 4)),
-        np.zeros((0, 3)),
-        np.zeros((0, 3)),
-        none,
-        none.astype(np.int64),
-        none.astype(np.int64),
-    )
+def _silence_s(told: list[Told], cut: Cut, fraction: float) -> float:
+    """From the last message before or during a cut until the arm was told no more than a fraction; NaN: never."""
+    last = max(t.at for t in _news([t for t in told if t.at < cut.mended]))
+    return next((t.at - last for t in told if last <= t.at < cut.mended and t.fraction <= fraction), float("nan"))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bag import RecordingWriter, open_log
-from twin_node.bench.graph_run import running
+from twin_node.bench.graph_run import cpu_s, running
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.runtime.wire import Encoded, encoded
@@ -30,6 +30,8 @@ class RecorderFigures:
     written: int
     dropped: int
     megabytes_per_s: float
+    core_share: float
+    """Processor time of the recorder's process, share of one core."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,8 @@ def recorded(seconds: float, folder: Path) -> RecorderFigures:
     sent = 0
     with running(read_launch_file(launch)) as run:
         run.spin(1.0)
+        recorder = run.launcher.children()["recorder"]
+        spent = cpu_s(recorder)
         begun = due = time.monotonic()
         while due < begun + seconds:
             for topic, message in made:
@@ -118,8 +122,9 @@ def recorded(seconds: float, folder: Path) -> RecorderFigures:
                 sent += 1
             due += 1 / RATE_HZ
             run.spin(due - time.monotonic())
+        spent = (cpu_s(recorder) - spent) / (time.monotonic() - begun)
         run.spin(1.0)
     with open_log(output) as log:
         written = sum(topic.count for topic in log.topics)
     size = sum(path.stat().st_size for path in output.iterdir())
-    return RecorderFigures(seconds, sent, written, sent - written, size / 1e6 / seconds)
+    return RecorderFigures(seconds, sent, written, sent - written, size / 1e6 / seconds, spent)

@@ -7,10 +7,13 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import psutil
 
 from twin_node.bench.errors import BenchError
 from twin_node.nodes.launch.launch_file import LaunchPlan
@@ -30,6 +33,16 @@ def free_endpoint() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@dataclass(frozen=True)
+class Percentiles:
+    """Of a sample of latencies, ms; NaN without samples."""
+
+    count: int
+    p50: float
+    p99: float
+    smallest: float
 
 
 class GraphRun:
@@ -93,3 +106,18 @@ def running(plan: LaunchPlan) -> Iterator[GraphRun]:
             yield run
         finally:
             run.close()
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time of a process, s."""
+    times = psutil.Process(pid).cpu_times()
+    return float(times.user + times.system)
+
+
+def percentiles(samples: Sequence[float]) -> Percentiles:
+    """Of latencies in ms."""
+    if not samples:
+        return Percentiles(0, float("nan"), float("nan"), float("nan"))
+    return Percentiles(
+        len(samples), float(np.percentile(samples, 50)), float(np.percentile(samples, 99)), float(min(samples))
+    )

@@ -8,7 +8,10 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin_node.nodes.launch.launch_file import LaunchPlan
 
 
 def add_launch(commands: Any) -> None:
@@ -22,6 +25,17 @@ def add_launch(commands: Any) -> None:
     parser.add_argument("file", type=Path, metavar="FILE.yaml", help="for example launch/replay.yaml")
     parser.add_argument("arguments", nargs="*", metavar="NAME:=VALUE", help="what the file lets you set")
     parser.add_argument("-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="repeatable")
+    parser.add_argument(
+        "--params-file",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.yaml",
+        help="ROS parameter file that wins over the launch file's values; repeatable",
+    )
+    parser.add_argument(
+        "-r", "--remap", action="append", default=[], metavar="FROM:=TO", help="topic of all nodes; repeatable"
+    )
     parser.add_argument("-s", "--show-args", action="store_true", help="list the file's arguments and end")
     parser.add_argument("--one-process", action="store_true", help="all nodes in one process, a thread each")
     parser.add_argument("--log-dir", type=Path, metavar="DIR", help="default: out/log/TIME-NAME")
@@ -36,24 +50,24 @@ def _launch(options: argparse.Namespace) -> int | None:
             default = "required" if argument.is_required else f"default: {argument.default!r}"
             print(f"{argument.name}:=  {argument.help} ({default})")
         return None
-    return launch(options.file, options.arguments, options.param, options.log_dir, options.one_process)
+    from twin_node.nodes.launch.launch_file import in_one_process, read_launch_file, remapped
+
+    plan = read_launch_file(options.file, options.arguments, options.param, options.params_file)
+    plan = remapped(plan, options.remap)
+    return _run(in_one_process(plan) if options.one_process else plan, options.log_dir)
 
 
-def launch(
-    file: Path,
-    arguments: Sequence[str],
-    parameters: Sequence[str] = (),
-    log_dir: Path | None = None,
-    one_process: bool = False,
-) -> int | None:
+def launch(file: Path, arguments: Sequence[str], parameters: Sequence[str] = ()) -> int | None:
     """Runs a launch file's graph until it ends or is interrupted; returns the exit status."""
-    from twin_node.nodes.launch.launch_file import in_one_process, read_launch_file
+    from twin_node.nodes.launch.launch_file import read_launch_file
+
+    return _run(read_launch_file(file, arguments, parameters), None)
+
+
+def _run(plan: LaunchPlan, log_dir: Path | None) -> int | None:
     from twin_node.nodes.launch.launcher import Launcher
 
-    plan = read_launch_file(file, list(arguments), list(parameters))
-    if one_process:
-        plan = in_one_process(plan)
-    folder = log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{file.stem}"
+    folder = log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{plan.path.stem}"
     print(f"logs: {folder}", flush=True)
     launcher = Launcher(plan, folder, lambda line: print(line, flush=True))
     for interrupting in (signal.SIGINT, signal.SIGTERM):

@@ -30,6 +30,9 @@ GAPS_KEPT = 10
 """Gaps between decisions that tell how long the next may be, a third of a second at 30 Hz."""
 REPEATS_PER_DEADLINE = 2
 """How often it says again that the arm stands: who drives it must hear of somebody."""
+HEARD_NS = 5_000_000
+"""From a decision until another process of the host has heard it, ns, ten times the usual: silence is answered so much
+before its deadline, so that who drives the arm knows by then."""
 SHORTEST_WAIT_S = 1e-3
 """Between two looks at a clock that does not run with the wall's (a log that is played slowly, or paused), s."""
 ROUNDING = 1e-6
@@ -91,14 +94,15 @@ class ArmNode(Node):
     def _on_silence(self) -> None:
         """Slows an arm one deadline after its last forecast, stops it after two, and says so while it lasts."""
         now = self.clock.now()
-        told = self._limiter.tick(now)
-        if self._limiter.silence_s(now) >= self._parameters.limiter.deadline_s:
-            self._tell(told)
+        heard = now + HEARD_NS
+        told = self._limiter.tick(heard)
+        if self._limiter.silence_s(heard) >= self._parameters.limiter.deadline_s:
+            self._tell(replace(told, stamp=now))
         self._watch(now)
 
     def _watch(self, now: int) -> None:
         """Sets the alarm for when something is to be said if no forecast comes by then."""
-        deadline, silence = self._parameters.limiter.deadline_s, self._limiter.silence_s(now)
+        deadline, silence = self._parameters.limiter.deadline_s, self._limiter.silence_s(now + HEARD_NS)
         step = deadline if silence < deadline else deadline / REPEATS_PER_DEADLINE
         passed = silence if math.isfinite(silence) else 0.0
         left = (math.floor(passed / step + ROUNDING) + 1) * step - passed

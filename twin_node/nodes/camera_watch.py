@@ -47,7 +47,8 @@ class CameraWatch:
         """One per camera, of what was seen since the last call; `report` holds the synchroniser's totals."""
         counts = {name: len(seen.stamps) for name, seen in self._seen.items()}
         lags = {name: float(np.median(seen.lags)) for name, seen in self._seen.items() if seen.lags}
-        most, least_lag = max(counts.values()), min(lags.values(), default=0.0)
+        most = max(counts.values())
+        least_lag = min((max(lag, 0.0) for lag in lags.values()), default=0.0)  # one ahead of time is not the quickest
         found = []
         for totals in report.inputs:
             name = totals.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -104,6 +105,15 @@ def parse_remaps(remaps: list[str]) -> dict[str, str]:
             raise GraphError(f"--remap {remap}: expected FROM:=TO, for example /front/rgb:=/front/image_raw")
         pairs[_absolute(source)] = _absolute(target)
     return pairs
+
+
+def check_remaps(remaps: Mapping[str, str]) -> None:
+    """Raises `GraphError` for a topic that no node of ours has, with the nearest one; cameras have any names."""
+    for topic in remaps:
+        if kind_of(topic).msgtype is None and topic not in _MESSAGE_TYPES:
+            near = difflib.get_close_matches(topic, _MESSAGE_TYPES, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(_MESSAGE_TYPES))}"
+            raise GraphError(f"--remap {topic}:={remaps[topic]}: no node has the topic {topic}; {hint}")
 
 
 def kind_of(topic: str) -> TopicKind:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,12 +59,18 @@ class WireBus:
     the next message is taken. Anything else that it raises ends the executor.
     """
 
-    def __init__(self, wire: Wire, executor: Executor, node: str, kind_of: KindOf) -> None:
-        """`node`: the name that others see; `kind_of`: what topics carry, where `declare` has not said otherwise."""
+    def __init__(
+        self, wire: Wire, executor: Executor, node: str, kind_of: KindOf, remaps: Mapping[str, str] | None = None
+    ) -> None:
+        """`node`: the name that others see; `kind_of`: what topics carry, where `declare` has not said otherwise.
+
+        `remaps`: the nodes' own names of topics -> those that they have on the wire.
+        """
         self._wire = wire
         self._executor = executor
         self._node = node
         self._kind_of = kind_of
+        self._remaps = remaps or {}
         self._declared: dict[str, TopicKind] = {}
         self._senders: dict[str, Send] = {}
         self._subscriptions: list[tuple[_Subscription, Inbox]] = []
@@ -74,6 +80,10 @@ class WireBus:
         """Says what a topic carries, before it is first used."""
         self._declared[topic] = kind
 
+    def resolved(self, topic: str) -> str:
+        """The name that a node's topic has on the wire."""
+        return self._remaps.get(topic, topic)
+
     def publish(self, topic: str, message: Any) -> None:
         """Send `message`, which may be `Encoded`, to everyone who subscribes to `topic`."""
         send = self._senders.get(topic)
@@ -81,7 +91,7 @@ class WireBus:
             kind = self._kind(topic)
             msgtype = message.msgtype if isinstance(message, Encoded) else getattr(message, "__msgtype__", None)
             kind = TopicKind(msgtype, kind.qos)
-            send = self._senders[topic] = self._wire.publisher(self._node, topic, kind)
+            send = self._senders[topic] = self._wire.publisher(self._node, self.resolved(topic), kind)
         send(message)
 
     def subscribe(self, topic: str, callback: Callable[[Any], None]) -> None:
@@ -116,7 +126,7 @@ class WireBus:
         subscription = _Subscription(topic, callback, raw)
         inbox = self._executor.inbox(subscription, kind.qos.depth)
         self._subscriptions.append((subscription, inbox))
-        self._cancels.append(self._wire.subscribe(self._node, topic, kind, inbox.offer))
+        self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, inbox.offer))
 
     def _kind(self, topic: str) -> TopicKind:
         return self._declared.get(topic) or self._kind_of(topic)

@@ -34,6 +34,8 @@ class Order:
     follows_clock: bool
     is_lockstep: bool
     zenoh: Mapping[str, Any]
+    remaps: Mapping[str, str]
+    """The nodes' own names of topics -> those on the wire."""
     where: str
     """What errors about parameters name."""
 

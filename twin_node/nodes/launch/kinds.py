@@ -44,6 +44,11 @@ def check_kind(name: str, where: str) -> None:
         raise GraphError(f"{where}: unknown node '{name}'; {nearest(name, known)}")
 
 
+def is_foreign(name: str) -> bool:
+    """Whether another package makes the node."""
+    return name in _foreign()
+
+
 def find_factory(name: str) -> Callable[[Any], Any]:
     """The function that makes a node; the name has been checked."""
     foreign = _foreign()

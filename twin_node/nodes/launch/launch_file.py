@@ -11,9 +11,9 @@ from typing import Any
 import yaml
 
 from twin_node import resources
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_kind, nearest
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_kind, is_foreign, nearest
 from twin_node.nodes.live.sections import Sections
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
 
@@ -47,6 +47,8 @@ class LaunchPlan:
     is_lockstep: bool = False
     """All nodes in one thread, driven by the player's log: repeatable to the byte."""
     zenoh: ZenohParameters = field(default_factory=ZenohParameters)
+    remaps: Mapping[str, str] = field(default_factory=dict)
+    """Of all nodes: their own names of topics -> those on the graph."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,16 @@ def read_arguments(path: Path | str) -> tuple[Argument, ...]:
     return _arguments(_launch_section(resources.find(path)), resources.find(path))
 
 
-def read_launch_file(path: Path | str, given: Sequence[str] = (), parameters: Sequence[str] = ()) -> LaunchPlan:
+def read_launch_file(
+    path: Path | str,
+    given: Sequence[str] = (),
+    parameters: Sequence[str] = (),
+    parameter_files: Sequence[Path] = (),
+) -> LaunchPlan:
     """The plan of a launch file with the user's `name:=value` arguments and `node.key:=value` parameters.
+
+    `parameter_files`: ROS parameter files whose values take the place of the launch file's; later ones win, and
+    `parameters` win over all.
 
     Raises `GraphError` or `ParameterError` for unknown names, with the nearest known one, and for missing values.
     """
@@ -79,8 +89,12 @@ def read_launch_file(path: Path | str, given: Sequence[str] = (), parameters: Se
     if not processes:
         raise GraphError(f"{path}: expected at least one process under launch: processes, found none")
     sections = _substituted(read_parameters(path), values)
+    for file in parameter_files:
+        given_here = read_parameters(file)
+        _check_sections(given_here, file)
+        sections = _merged(sections, given_here)
     _set_parameters(sections, parameters)
-    _check_sections(sections, processes, path)
+    _check_sections(sections, path)
     return LaunchPlan(
         path,
         processes,
@@ -89,6 +103,21 @@ def read_launch_file(path: Path | str, given: Sequence[str] = (), parameters: Se
         is_lockstep=bool(section.get("lockstep", False)),
         zenoh=fill(ZenohParameters, section.get("zenoh") or {}, f"{path}: {LAUNCH}: zenoh"),
     )
+
+
+def remapped(plan: LaunchPlan, remaps: Sequence[str]) -> LaunchPlan:
+    """The plan with `from:=to` names of topics for all its nodes.
+
+    Raises `GraphError` for a topic that no node has, unless a node of another package takes part, and in lockstep.
+    """
+    pairs = parse_remaps(list(remaps))
+    if plan.is_lockstep and pairs:
+        raise GraphError(
+            "--remap: in lockstep there is no graph; rename what the log holds with -p player.remap:=[A:=B]"
+        )
+    if not any(is_foreign(node) for process in plan.processes for node in process.nodes):
+        check_remaps(pairs)
+    return replace(plan, remaps=pairs)
 
 
 def in_one_process(plan: LaunchPlan) -> LaunchPlan:
@@ -212,7 +241,16 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
         inner[last] = yaml.safe_load(value)
 
 
-def _check_sections(sections: Sections, processes: Sequence[ProcessPlan], path: Path) -> None:
+def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `given`, key by key where both hold keys."""
+    merged = dict(base)
+    for key, value in given.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+
+def _check_sections(sections: Sections, path: Path) -> None:
     for name in sections:
         if name not in (EVERY_NODE, *CHAIN_SECTIONS):
             check_kind(name, f"{path}: parameters")

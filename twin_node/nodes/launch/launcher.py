@@ -158,6 +158,7 @@ class Launcher:
             plan.follows_clock,
             plan.is_lockstep,
             dataclasses.asdict(plan.zenoh),
+            plan.remaps,
             str(plan.path),
         )
         log = self._log_folder / f"{process.name}.log"

@@ -56,7 +56,7 @@ class NodeThread:
 
     def make(self) -> None:
         """Makes the node, in the calling thread; nobody hears of it yet. Raises what its factory raises."""
-        self._bus = WireBus(self._wire, self._executor, self.name, kind_of)
+        self._bus = WireBus(self._wire, self._executor, self.name, kind_of, self._order.remaps)
         setup = Setup(
             self.name,
             self._bus,
@@ -153,6 +153,7 @@ class Graph:
     def __init__(self, order: Order, say: Callable[[str], None]) -> None:
         """`say(line)` tells the user."""
         self._wire = LateWire(fill(ZenohParameters, dict(order.zenoh), order.where))
+        self._clock_topic = order.remaps.get(CLOCK, CLOCK)
         self._clock: Clock = FollowedClock(self._begin_anew) if order.follows_clock else SystemClock()
         self._ended = threading.Event()
         self._threads = [NodeThread(name, order, self._wire, self._clock, self._ended.set, say) for name in order.nodes]
@@ -170,7 +171,7 @@ class Graph:
         """
         self._wire.open()
         if isinstance(self._clock, FollowedClock):
-            self._wire.subscribe("clock", CLOCK, kind_of(CLOCK), partial(_set_clock, self._clock))
+            self._wire.subscribe("clock", self._clock_topic, kind_of(CLOCK), partial(_set_clock, self._clock))
         for thread in reversed(self._threads):
             thread.configure()
         for thread in self._threads:

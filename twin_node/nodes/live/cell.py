@@ -101,7 +101,7 @@ class CellNode(Node):
         camera = self._simulated.rig.cameras[exposure.camera]
         self.bus.publish(topics.info, convert.camera_info(camera, stamp))
         if topics.depth is not None:
-            depth = _metres(image)
+            depth = depth_m(image)
             to_message = convert.compressed_depth_image if topics.depth_type == COMPRESSED else convert.depth_image
             self.bus.publish(topics.depth, to_message(image.camera, stamp, depth))
         colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
@@ -129,7 +129,8 @@ class CellNode(Node):
         return scenario.start_ns + min(passed, int(scenario.duration_s * 1e9))
 
 
-def _metres(image: RawImage) -> Float32:
+def depth_m(image: RawImage) -> Float32:
+    """[H, W] depth as cameras publish it, m; 0 where it is unknown."""
     if image.depth_is_nan:
         return np.zeros(image.depth_mm.shape, np.float32)
     return image.depth_mm.astype(np.float32) / np.float32(1000)

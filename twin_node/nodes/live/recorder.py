@@ -80,7 +80,7 @@ class LiveRecorderNode(Node):
         self._added.add(topic)
         qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos == LATCHED or kind.qos.latched else EVERY
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
-        self._bus.subscribe_raw(topic, partial(self._write, topic))
+        self._bus.subscribe_raw(topic, partial(self._write, self._bus.resolved(topic)))
 
     def _find_more(self) -> None:
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
