@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from twin_node.scene import Float64
+from twin_node.scene import Bool, Float64
 
 PERSON_SPEED = 1.6
 """Speed of approach of a person, m/s (ISO 13855)."""
@@ -46,7 +46,7 @@ class CueLengths:
     """What the errors of M nodes are foreseen from: lengths over one horizon, m, [M] each."""
 
     spread: Float64
-    """Root mean square distance of the experts from the mixture."""
+    """Median distance of the experts from the mixture: a single wild one does not count."""
     way: Float64
     """Travelled at constant velocity."""
     acceleration: Float64
@@ -88,28 +88,36 @@ class Bound:
         self._seen_s = 0.0
         self._quantile = _FIRST_QUANTILE
 
-    def observe(self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> None:
+    def observe(
+        self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float, knew: Bool | None = None
+    ) -> None:
         """Takes in the errors [n] (m) at `time` (s) of nodes with cues `then` [n, CUES] and radii [n] when forecast.
 
-        `elapsed_s`: time since the last observation. The radii are those that ought to have held the errors.
+        `elapsed_s`: time since the last observation. The radii are those that ought to have held the errors. `knew` [n]
+        is False for forecasts of before something new began, True for all if not given: they count as missed, and tell
+        nothing of errors to come.
         """
         if len(errors) == 0:
             return
         p = self.parameters
-        logs = np.log(errors + LEAST)
-        self._fit(then, logs, elapsed_s)
         missed = float(np.mean(errors > radii))
         level = self._miss_level + p.correction * elapsed_s * ((1 - p.coverage) - missed)
         self._miss_level = float(np.clip(level, 0, _MOST_LEVEL * (1 - p.coverage)))
-        chosen = slice(None, None, -(-len(errors) // _SAMPLE))
-        self._judged.append(
-            _Judged(time, then[chosen], np.log(np.clip(errors[chosen], 1e-6, _SURPRISE * radii[chosen])), elapsed_s)
-        )
-        while self._judged[0].time < time - _KEPT * p.memory_s:
-            self._judged.popleft()
         self._seen_s += elapsed_s
+        if knew is not None:
+            then, errors, radii = then[knew], errors[knew], radii[knew]
+        if len(errors):
+            self._learn(_Judged.of(time, then, errors, radii, elapsed_s), then, errors)
+
+    def _learn(self, judged: _Judged, then: Float64, errors: Float64) -> None:
+        """Enters errors [n] of nodes with cues `then` [n, CUES] in the regression and in the pool."""
+        p = self.parameters
+        self._fit(then, np.log(errors + LEAST), judged.elapsed_s)
+        self._judged.append(judged)
+        while self._judged[0].time < judged.time - _KEPT * p.memory_s:
+            self._judged.popleft()
         share = np.exp(-self._seen_s / _TRUSTED_S)
-        self._quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * self._log_quantile(time))
+        self._quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * self._log_quantile(judged.time))
 
     def scales(self, now: Float64) -> Float64:
         """Expected errors [M] in metres at the last horizon, of nodes with cues [M, CUES]: upper ones, not means."""
@@ -192,6 +200,12 @@ class _Judged:
     cues: Float64
     log_errors: Float64
     elapsed_s: float
+
+    @classmethod
+    def of(cls, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> _Judged:
+        """An even sample of nodes with cues `then` [n, CUES], errors and radii [n]."""
+        chosen = slice(None, None, -(-len(errors) // _SAMPLE))
+        return cls(time, then[chosen], np.log(np.clip(errors[chosen], 1e-6, _SURPRISE * radii[chosen])), elapsed_s)
 
 
 _SLOPES = (0.2, 0.3, 0.1, 0.15, 0.1, 0.15)

@@ -49,10 +49,13 @@ class History:
     def _polynomial(self, degree: int, span: float) -> Float64:
         """Coefficients [degree, M, 3] of the least-squares polynomial in time about the last position.
 
-        Of the samples of the last `span` seconds; missing coefficients of too few samples are 0.
+        Of the samples of the last `span` seconds, and of one more where they fill less of it than `FILLED`; missing
+        coefficients of too few samples are 0.
         """
         ages = self.times - self.times[-1]
         used = min(max(int(np.count_nonzero(ages >= -span - 1e-6)), degree + 1), len(ages))
+        if used < len(ages) and -ages[-used] < FILLED * span:
+            used += 1
         fitted = min(degree, used - 1)
         design = np.vander(ages[-used:], fitted + 1, increasing=True)[:, 1:]
         moved = self.positions[-used:] - self.positions[-1]
@@ -62,7 +65,9 @@ class History:
 
 
 LINE_S, PARABOLA_S = 0.07, 0.15
-"""Spans that velocities, and accelerations, are fitted to, s: two and five samples of a camera and the last one."""
+"""Spans that velocities, and accelerations, are fitted to, s: two and four steps of a camera at 30 Hz."""
+FILLED = 0.85
+"""Share of its span that the samples of a fit must fill: close stamps magnify their errors without bound."""
 
 Expert = Callable[[History, Float64], Float64]
 

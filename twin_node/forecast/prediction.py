@@ -82,7 +82,7 @@ _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
 _STARTLED = 1.5
 """A node whose forecast is so many times further off than its bound at that time began something new: its record begins
-anew, and until there is one, the reachable set bounds it."""
+anew, and until there is one, the reachable set bounds it. What was forecast before says nothing of the motion since."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
 """An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
 _LEARNT_FROM = 256
@@ -227,10 +227,12 @@ class Predictor:
         single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
         self._weigh(known, single / KNOTS[knot], elapsed)
         expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
-        self._records.began[known[wrong > _STARTLED * expected]] = now
+        knew = issued.time >= self._records.began[known]
+        startled = known[wrong > _STARTLED * expected]
+        self._records.began[startled], self._records.judged[startled] = now, 0
         if knot == len(KNOTS) - 1:
-            self._record(known, wrong, elapsed)
-            self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed)
+            self._record(known[knew], wrong[knew], elapsed)
+            self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed, knew)
 
     def _weigh(self, known: Rows, single: Float64, elapsed_s: float) -> None:
         """Enters errors of the experts [E, n], as if at the horizon, in the records of the nodes `known` [n].
@@ -251,7 +253,7 @@ class Predictor:
 
 def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:
     """Cues [M, C] from the experts' displacements [E, M, 3], the mixture's [M, 3] and recent errors [M]."""
-    spread = np.sqrt(((single - mixed) ** 2).sum(axis=-1).mean(axis=0))
+    spread = np.median(np.linalg.norm(single - mixed, axis=-1), axis=0)
     by_name = dict(zip(EXPERT_NAMES, single, strict=True))
     way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
     acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)
