@@ -12,7 +12,8 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
-from twin_node.bag import BagError, RecordingWriter, SplitParameters, open_log
+from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log
+from twin_node.bag.repair import repair
 from twin_node.messages import builtin_types, message_type, serialize
 
 STRING = "std_msgs/msg/String"
@@ -83,6 +84,52 @@ def test_what_a_killed_recorder_has_written_is_read(tmp_path: Path, name: str) -
     with open_log(tmp_path / name) as log:
         assert log.damage is not None
         assert "ends in the middle" in log.damage
+
+
+def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_numbered_files(tmp_path: Path) -> None:
+    """As rosbag2 leaves it after `kill -9`."""
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        fill(writer, 30)
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match=r"no metadata.yaml in this folder, its recording was not finished; write it"):
+        open_log(tmp_path / "run")
+    repair(tmp_path / "run", tmp_path / "whole")
+    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30)]
+    (tmp_path / "run" / "run_1.mcap").rename(tmp_path / "run" / "other.mcap")
+    with pytest.raises(BagError, match=r"no metadata.yaml in this folder; give one of its files \(other.mcap\)"):
+        open_log(tmp_path / "run")
+
+
+@pytest.mark.parametrize("output", ["whole.mcap", "whole"])
+def test_an_unfinished_recording_is_written_whole(tmp_path: Path, output: str) -> None:
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        fill(writer, 25)
+        writer.add_metadata("rig", {"camera": "front"})
+    content = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[:-30])
+    found = repair(tmp_path / "cut.mcap", tmp_path / output)
+    assert (found.messages, found.left_out) == (25, ())
+    assert stamps_of(tmp_path / output) == [i * STEP for i in range(1, 25)]
+    with open_log(tmp_path / output) as log:
+        assert log.damage is None
+        assert log.metadata["rig"] == {"camera": "front"}
+        assert [(topic.name, topic.latched) for topic in log.topics] == [("/a", False), ("/tf_static", True)]
+    with pytest.raises(BagError, match="exists already"):
+        repair(tmp_path / "cut.mcap", tmp_path / output)
+
+
+def test_repair_goes_on_behind_a_damaged_chunk(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for i in range(300):
+            log.write("/a", message_type(STRING)(data="x" * 500 + str(i)), i)
+            if i % 100 == 99:
+                log.flush()
+    broken = bytearray((tmp_path / "log.mcap").read_bytes())
+    broken[broken.index(b"x" * 500 + b"150") + 10] ^= 0xFF
+    (tmp_path / "log.mcap").write_bytes(broken)
+    found = repair(tmp_path / "log.mcap", tmp_path / "whole.mcap")
+    assert found.damage is not None
+    assert stamps_of(tmp_path / "whole.mcap") == [*range(100), *range(200, 300)]
 
 
 class FullDisk:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
@@ -78,12 +78,17 @@ class LogReader:
         return " | ".join(line for line in known if line) or None
 
     def messages(
-        self, topics: Collection[str] | None = None, start_ns: int | None = None, stop_ns: int | None = None
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        *,
+        past_damage: bool = False,
     ) -> Iterator[LogMessage]:
         """Messages in log-time order (ties as stored); of the log, only the parts about that time are in memory.
 
         `topics`: names, None for all. From `start_ns` on and before `stop_ns`. Parts that hold none of these are not
-        read; where one that is read is damaged, the messages end, and `damage` tells.
+        read; where one that is read is damaged, the messages end (`past_damage`: go on after it), and `damage` tells.
         """
         start = NO_START if start_ns is None else start_ns
         stop = NO_STOP if stop_ns is None else stop_ns
@@ -92,6 +97,8 @@ class LogReader:
             for index, part in enumerate(self._parts)
             if part.holds(topics, start, stop)
         ]
+        if past_damage:
+            streams = [self._until_damage(stream) for stream in streams]
         try:
             for entry in heapq.merge(*streams, key=_Entry.order):
                 if entry.record is not None:
@@ -99,6 +106,12 @@ class LogReader:
                     yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, self._types)
         except DamageError as damage:
             self._damage = str(damage)
+
+    def _until_damage(self, entries: Iterator[_Entry]) -> Iterator[_Entry]:
+        try:
+            yield from entries
+        except DamageError as damage:
+            self._damage = self._damage or str(damage)
 
     def close(self) -> None:
         """Releases the files."""
@@ -133,22 +146,31 @@ def _stream(index: int, part: Part, topics: Collection[str] | None, start: int, 
         yield _Entry(record.stamp, index, record)
 
 
-def open_log(path: Path | str) -> LogReader:
+def open_log(path: Path | str, *, unfinished: bool = False) -> LogReader:
     """Opens an MCAP file, a `.db3` file, or a rosbag2 folder (the kind is told by content, not by name).
+
+    `unfinished`: a folder whose recorder was killed before it wrote `metadata.yaml` opens by the numbers of its files.
 
     Raises `BagError` with one line for a path that is missing, empty, no log, holds no messages, or none in CDR. A
     damaged or unfinished MCAP file opens up to its damage, and `LogReader.damage` tells.
     """
     path = Path(path)
     try:
-        return _open_folder(path) if path.is_dir() else _open_files(path, [path], {})
+        return _open_folder(path, unfinished) if path.is_dir() else _open_files(path, [path], {})
     except OSError as error:
         raise BagError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
 
 
-def _open_folder(folder: Path) -> LogReader:
+def _open_folder(folder: Path, unfinished: bool) -> LogReader:
     file = folder / METADATA_FILE
     logs = sorted(entry.name for entry in folder.iterdir() if entry.suffix in (".mcap", ".db3"))
+    if not file.is_file() and _is_bag(logs):
+        if unfinished:
+            return _open_files(folder, [folder / name for name in sorted(logs, key=_number)], {})
+        raise BagError(
+            f"{folder}: no {METADATA_FILE} in this folder, its recording was not finished; write it whole with "
+            f"'twin_node check {folder} --repair OUT', or give one of its files ({logs[0]})"
+        )
     if not file.is_file():
         hint = f"give one of its files ({logs[0]})" if logs else "expected a rosbag2 folder or an MCAP file"
         raise BagError(f"{folder}: no {METADATA_FILE} in this folder; {hint}")
@@ -164,6 +186,19 @@ def _open_folder(folder: Path) -> LogReader:
             f"{file}: names files that are not there: {', '.join(missing) or 'none at all'}; copy the whole bag"
         )
     return _open_files(folder, paths, _custom_data(information), compression)
+
+
+def _is_bag(names: Sequence[str]) -> bool:
+    """Whether these are the files of one recording, numbered from 0: rosbag2 writes its metadata at the very end."""
+    parts = [name.rpartition(".")[0].rpartition("_") for name in names]
+    numbers = sorted(number for _, _, number in parts)
+    return (
+        bool(parts) and len({stem for stem, _, _ in parts}) == 1 and "0" in numbers and all(map(str.isdecimal, numbers))
+    )
+
+
+def _number(name: str) -> int:
+    return int(name.rpartition(".")[0].rpartition("_")[2])
 
 
 def _bag_information(file: Path) -> Any:

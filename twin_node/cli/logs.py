@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import json
 import math
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,15 @@ def add_check(commands: Any) -> None:
     check = commands.add_parser(
         "check",
         help="look a log over: gaps, jitter, skew, calibration, units",
-        description="Read a whole log and name what would trouble the twin. Exit status: 0 sound, 1 something found.",
+        description="Read a whole log and name what would trouble the twin. Exit status: 0 sound, 1 something found. "
+        "An unfinished or damaged log is read as far as it goes; --repair writes that as a log that is whole, "
+        "and looks that over.",
     )
     check.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
     check.add_argument("--json", action="store_true", help="print one JSON object")
+    check.add_argument(
+        "--repair", type=Path, metavar="OUT", help="write what can be read to a new .mcap file or folder"
+    )
     check.set_defaults(run=_check)
 
 
@@ -68,7 +74,9 @@ def _check(options: argparse.Namespace) -> int:
     from twin_node.bag import open_log
     from twin_node.nodes.log_check import check_log
 
-    with open_log(options.log) as log:
+    if options.repair is not None:
+        _repair(options.log, options.repair)
+    with open_log(options.repair or options.log) as log:
         found = check_log(log)
     if options.json:
         print(json.dumps(_without_nan({"sound": found.is_sound, **dataclasses.asdict(found)})))
@@ -81,6 +89,16 @@ def _check(options: argparse.Namespace) -> int:
             print(f"found: {fault}")
         print("sound" if found.is_sound else "not sound: see above")
     return 0 if found.is_sound else 1
+
+
+def _repair(source: Path, output: Path) -> None:
+    """Tells on the error stream, so that `--json` stays one object."""
+    from twin_node.bag.repair import repair
+
+    found = repair(source, output)
+    print(f"{output}: {found.messages} messages; {found.damage or 'the log was whole'}", file=sys.stderr)
+    for topic in found.left_out:
+        print(f"left out: {topic}, whose type is defined nowhere", file=sys.stderr)
 
 
 def _without_nan(value: Any) -> Any:

@@ -1,0 +1,45 @@
+"""Writes what can be read of a damaged or unfinished log as one that is whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin_node.bag.log import BagError
+from twin_node.bag.reader import open_log
+from twin_node.bag.writer import LogWriter
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What became of a log."""
+
+    messages: int
+    """Written."""
+    damage: str | None
+    """What was wrong with the log; None: nothing was."""
+    left_out: tuple[str, ...]
+    """Topics whose type is defined nowhere: nobody could read them."""
+
+
+def repair(source: Path, output: Path) -> Repaired:
+    """Copies a log's topics, metadata and readable messages to `output`: an `.mcap` file, or a new rosbag2 folder.
+
+    Chunks that are damaged are passed over; a folder whose recorder never wrote `metadata.yaml` is taken too.
+    Raises `BagError` where `source` is no log, `output` exists, or cannot be written; then nothing is left of it.
+    """
+    if output.exists():
+        raise BagError(f"{output}: exists already; remove it or choose another name for the repaired log")
+    with open_log(source, unfinished=True) as log, LogWriter(output) as writer:
+        known = [topic for topic in log.topics if topic.msgtype in log.types]
+        for topic in known:
+            definition = log.types.definition(topic.msgtype)
+            writer.add_topic(topic.name, topic.msgtype, definition=definition, latched=topic.latched)
+        for name, record in log.metadata.items():
+            writer.add_metadata(name, record)
+        messages = 0
+        for message in log.messages([topic.name for topic in known], past_damage=True):
+            writer.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+            messages += 1
+        left_out = tuple(topic.name for topic in log.topics if topic not in known)
+        return Repaired(messages, log.damage, left_out)
