@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,6 +22,10 @@ from twin_node.runtime.wire_bus import WireBus
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 REGULAR_TYPES = (COMPRESSED, RAW, "sensor_msgs/msg/JointState")
+CLOCK_TOLERANCE_NS = 20_000_000
+"""Stamps that lie so far ahead of their arrival were made by another clock."""
+LATE_NS = 1_000_000_000
+"""Messages this old when they come are of no use to anybody: another clock, or a link that is overloaded."""
 DISCOVERY_S = 0.5
 """Time given to the graph to make itself known, s."""
 
@@ -60,7 +66,7 @@ def examine(wire: ZenohWire, seconds: float) -> Findings:
             bus.declare(topic, TopicKind(endpoint.msgtype, endpoint.qos))
             bus.subscribe_raw(topic, partial(hear, topic))
     _spin(executor, wire, seconds)
-    lines, faults = [], [*_graph_faults(endpoints)]
+    lines, faults = [], graph_faults(endpoints)
     if not endpoints:
         faults.append("nobody is there: start a graph ('twin_node launch'), or check the router and ROS_DOMAIN_ID")
     width = max((len(topic) for topic in published), default=0)
@@ -73,6 +79,7 @@ def examine(wire: ZenohWire, seconds: float) -> Findings:
         )
         if endpoint.msgtype in REGULAR_TYPES:
             faults += [f"{topic}: {fault}" for fault in faults_of(statistics)]
+            faults += _clock_faults(topic, delays[topic])
     bad = [d for d in newest.values() if d.level is not convert.Level.OK]
     faults += [f"{d.name}: {d.level.name}: {d.message}" for d in bad]
     bus.close()
@@ -86,14 +93,48 @@ def _spin(executor: Executor, wire: ZenohWire, seconds: float) -> None:
         executor.step(max(0.0, until - time.monotonic()))
 
 
-def _graph_faults(endpoints: list[Endpoint]) -> list[str]:
-    """Topics whose ends cannot hear each other."""
+def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
+    """Topics whose ends cannot hear each other, and those that somebody waits for in vain."""
     faults = []
     for topic in sorted({endpoint.topic for endpoint in endpoints}):
         ends = [endpoint for endpoint in endpoints if endpoint.topic == topic]
         kinds = {(end.msgtype, end.type_hash) for end in ends}
         if len(kinds) > 1:
             names = "; ".join(sorted(f"{e.node.name}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
-            why = "ros_distro differs" if any(e.type_hash == HUMBLE_HASH for e in ends) else "their types differ"
-            faults.append(f"{topic}: {why}, so they do not hear each other ({names})")
+            is_humble = any(e.type_hash == HUMBLE_HASH for e in ends)
+            why = "ros_distro differs" if is_humble else "their types differ"
+            advice = "set launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
+            faults.append(f"{topic}: {why}, so they do not hear each other ({names}); {advice}")
+        elif _is_needed(ends[0].msgtype) and not any(end.kind is EntityKind.PUBLISHER for end in ends):
+            faults.append(_waited_for(ends, endpoints))
     return faults
+
+
+def _is_needed(msgtype: str) -> bool:
+    """Whether who listens cannot do without: images, and what the twin's own nodes say; joints and paths are extras."""
+    return msgtype in (COMPRESSED, RAW) or msgtype.startswith("twin_msgs/")
+
+
+def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> str:
+    topic, msgtype = waiting[0].topic, waiting[0].msgtype
+    listened = {e.topic for e in endpoints if e.kind is EntityKind.SUBSCRIBER}
+    spare = [
+        e.topic
+        for e in endpoints
+        if e.kind is EntityKind.PUBLISHER and e.msgtype == msgtype and e.topic not in listened
+    ]
+    near = difflib.get_close_matches(topic, spare, n=1, cutoff=0.0)
+    advice = f"launch with --remap {topic}:={near[0]}?" if near else f"start who publishes {msgtype}"
+    return (
+        f"{topic}: {' and '.join(sorted({e.node.name for e in waiting}))} waits for it, nobody publishes it; {advice}"
+    )
+
+
+def _clock_faults(topic: str, delays: Sequence[int]) -> list[str]:
+    """What speaks for another clock; `delays`: from the stamp to the arrival here, ns."""
+    if not delays or -CLOCK_TOLERANCE_NS < np.median(delays) < LATE_NS:
+        return []
+    seconds = float(np.median(delays)) / 1e9
+    return [
+        f"{topic}: stamped {-seconds:+.2f} s from its arrival; let chrony or PTP keep the machines' clocks together"
+    ]
