@@ -65,7 +65,7 @@ def descend_plain(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         moving = activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
         seen = differentiate(join(path.static, moving), goal)
         losses.append(seen.loss)
-        if step == 0 and path.focus > 0:
+        if step == 0 and path.focus > 0 and len(goal.targets) == 1:  # of one size, as `descend_fused` has it
             goal = focused(path.goal, seen.sheets, path.focus)
         gradient = _tail(seen.gradient, len(path.rows))
         local = replace(
