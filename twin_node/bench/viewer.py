@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bench.errors import BenchError
+from twin_node.bench.viewer_send import SendCost, cost
 from twin_node.bench.visitors import BYTES_PER_SPLAT, PATIENCE_S, connect_to, free_port, visiting
 from twin_node.messages import convert
 from twin_node.nodes.playback import Snapshot
@@ -47,6 +48,8 @@ class ViewerFigures:
     """Updates of the moving Gaussians per second, with each visitor."""
     show_ms: float
     """Time that one picture takes of the thread that draws, median."""
+    send: SendCost | None = None
+    """What the page costs the thread of the twin that sends; None: no log was given."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
@@ -69,7 +72,13 @@ def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None
     finally:
         page.close()
     spent = parameters.seconds
-    return ViewerFigures(first, len(times) / spent, tuple(n / spent for n in counts), 1e3 * float(np.median(times)))
+    return ViewerFigures(
+        first,
+        len(times) / spent,
+        tuple(n / spent for n in counts),
+        1e3 * float(np.median(times)),
+        None if log is None else cost(log, parameters.visitors),
+    )
 
 
 def _first_picture_s(log: Path) -> float:

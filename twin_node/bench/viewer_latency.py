@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bench.errors import BenchError
-from twin_node.bench.graph import cpu_s
-from twin_node.bench.graph_run import running
+from twin_node.bench.graph_run import cpu_s, running
 from twin_node.bench.visitors import free_port, visiting
 from twin_node.messages import Message, convert
 from twin_node.nodes.launch.launch_file import read_launch_file

@@ -15,7 +15,9 @@ from twin_node.cli.arguments import whole
 def add_bench_viewer(benches: Any) -> None:
     """Adds `viewer` to the benches."""
     viewer = benches.add_parser("viewer", help="how soon and how often the viewer shows what moves, and at what cost")
-    viewer.add_argument("log", type=Path, nargs="?", metavar="LOG", help="a twin's log: also time its first picture")
+    viewer.add_argument(
+        "log", type=Path, nargs="?", metavar="LOG", help="a twin's log: also its first picture, and sending it"
+    )
     viewer.add_argument(
         "--latency", type=Path, metavar="RECORDING", help="instead: replay it in real time with and without visitors"
     )
