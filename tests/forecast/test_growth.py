@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin_node.forecast import growth
-from twin_node.forecast.growth import PER_VOXEL, Points, Spread, grown, reach_of, shifts_of, spread, spread_plainly
+from twin_node.forecast.growth import (
+    PER_VOXEL,
+    Points,
+    Spread,
+    exact_reach_of,
+    grown,
+    reach_of,
+    shifts_of,
+    spread,
+    spread_plainly,
+)
 from twin_node.forecast.kernels import kernels
 from twin_node.native_build import Kernels
 from twin_node.scene import Grid, UInt8
@@ -72,6 +82,9 @@ def test_reach_is_never_less_than_the_radius_and_half_a_diagonal_and_little_more
     assert np.all(reach >= radii / 0.02 + np.sqrt(0.75) - 1e-6)
     assert np.all(reach <= 1.17 * (radii / 0.02 + np.sqrt(0.75)) + 0.25)
     assert reach_of(grid, np.zeros(1))[0] == 0
+    exact = exact_reach_of(grid, radii) / PER_VOXEL
+    assert np.all(exact >= radii / 0.02 + np.sqrt(0.75) - 1e-6)
+    assert np.all(exact <= np.minimum(reach, radii / 0.02 + np.sqrt(0.75) + 0.25))
 
 
 @settings(max_examples=30)

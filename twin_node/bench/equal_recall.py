@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.comparison import Truth
-from twin_node.forecast.growth import Points, reach_of, spread
+from twin_node.forecast.growth import Points, exact_reach_of, spread
 from twin_node.forecast.score import MOST_POINTS, litres_per_voxel
 from twin_node.scene import Float64, Grid
 
@@ -76,7 +76,7 @@ class PersistenceGrowth:
     def _volume_l(self, places: NDArray[np.int32], radius: float) -> float:
         count = places.shape[1]
         points = Points(places, np.zeros(count, np.int64), np.ones(count, np.bool_))
-        reach = reach_of(self._grid, np.array([[radius]]))
+        reach = exact_reach_of(self._grid, np.array([[radius]]))
         (reached,) = spread(self._grid, points, np.zeros((1, 1, 3), np.int32), reach)
         return len(reached.indices) * litres_per_voxel(self._grid)
 

@@ -44,8 +44,17 @@ def reach_of(grid: Grid, radii: Float64) -> UInt8:
 
     Half a voxel's diagonal is added for the rounding of places to voxels, to all but radii of 0.
     """
-    reach = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, _ROUNDING, 0))
-    return np.asarray(_REACHES[np.minimum(np.searchsorted(_REACHES, reach - 1e-6), len(_REACHES) - 1)])
+    return np.asarray(_REACHES[np.minimum(np.searchsorted(_REACHES, _reach(grid, radii)), len(_REACHES) - 1)])
+
+
+def exact_reach_of(grid: Grid, radii: Float64) -> UInt8:
+    """As `reach_of`, rounded up to the next quarter voxel: for comparisons, where a seventh would tell."""
+    return np.ceil(_reach(grid, radii)).clip(0, np.iinfo(np.uint8).max).astype(np.uint8)
+
+
+def _reach(grid: Grid, radii: Float64) -> Float64:
+    reach: Float64 = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, _ROUNDING, 0)) - 1e-6
+    return reach
 
 
 _ROUNDING = np.sqrt(3) / 2
