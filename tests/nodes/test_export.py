@@ -222,6 +222,17 @@ def test_wrong_wishes_are_one_line(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("form", "name"), [("csv", "mine"), ("csv", "."), ("ply", "mine.ply")])
+def test_a_folder_that_exists_is_left_alone(
+    twin_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).mkdir(exist_ok=True)
+    (Path(name) / "thesis.txt").write_text("mine")
+    assert run(twin_log, "--to", form, "--stop", 0.5, "-o", name) == 2
+    assert [path.name for path in Path(name).iterdir()] == ["thesis.txt"]
+
+
 def test_a_log_without_obstacles_is_refused(
     cell_log: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,17 +91,19 @@ def _format(form: str, output: Path) -> Format:
 
 @contextlib.contextmanager
 def _whole(output: Path) -> Iterator[Path]:
-    """A path to write to under `output`'s name, and beside it; all of it moves to `output`'s folder at the end."""
+    """A path to write to under `output`'s name, and beside it; all of it moves to `output`'s folder at the end.
+
+    A file of the name is replaced, a folder is not: there may be more in it than an earlier export.
+    """
+    if not output.name or output.is_dir():
+        raise ExportError(f"-o {output}: expected a new name, found a folder that exists; choose another, or delete it")
     folder = output.with_name(f".{output.name}.partial")
     try:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         yield folder / output.name
         for made in folder.iterdir():
-            target = output.with_name(made.name)
-            if made.is_dir():
-                shutil.rmtree(target, ignore_errors=True)
-            made.replace(target)
+            made.replace(output.with_name(made.name))
     except OSError as error:
         raise ExportError(f"-o {output}: cannot be written ({error.strerror}); choose a folder that exists") from None
     finally:

@@ -56,10 +56,14 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
 
 def write_picture(picture: UInt8, path: Path) -> None:
     """Writes a picture [H, W, 3] as its name says, PNG or JPEG. Raises `FilmError` where it cannot."""
+    partial = path.with_name(f".{path.name}.partial")
     try:
-        path.write_bytes(cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+        partial.write_bytes(cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+        partial.replace(path)
     except OSError as error:
         raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _even(picture: UInt8) -> UInt8:
