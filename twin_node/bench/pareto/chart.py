@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.front import dominated_sizes, dominates, is_ours, on_front, pictures
-from twin_node.bench.pareto.measure import Point
+from twin_node.bench.pareto.measure import OURS, Point
+from twin_node.bench.pareto.sizes import SIZES
 from twin_node.bench.pareto.suite import Pareto
 
 if TYPE_CHECKING:
@@ -95,7 +98,8 @@ def draw(found: Pareto, folder: Path) -> Path:
     figure = Figure(figsize=(6.2 * len(data), 5.2), layout="constrained")
     panels = figure.subplots(1, len(data), squeeze=False)[0]
     for axes, (name, points) in zip(panels, data.items(), strict=True):
-        _draw_panel(axes, name, [_Place.of(point, found) for point in points if point.psnr_left_out_db is not None])
+        places = [_Place.of(point, found) for point in points if point.psnr_left_out_db is not None]
+        _draw_panel(axes, name, sorted(places, key=lambda one: one.ms))
     panels[0].set_ylabel("moving pixels of a camera left out, dB")
     path = folder / "pareto.png"
     try:
@@ -118,6 +122,8 @@ class _Place:
     db: float
     colour: str
     marker: str
+    letter: str
+    """Of our sizes, the first one."""
     on_front: bool
 
     @staticmethod
@@ -126,15 +132,27 @@ class _Place:
         colour = OURS_COLOUR if is_ours(point) else ONLINE_COLOUR if point.online else OFFLINE_COLOUR
         marker = "o" if is_ours(point) else "s" if point.online else "^"
         is_first = point.online and not any(one.online and dominates(one, point, pictures) for one in found.points)
-        return _Place(point.title, point.ms_per_frame, point.psnr_left_out_db or 0.0, colour, marker, is_first)
+        letter = point.name.removeprefix(f"{OURS}_")[0] if is_ours(point) else ""
+        return _Place(point.title, point.ms_per_frame, point.psnr_left_out_db or 0.0, colour, marker, letter, is_first)
 
 
 def _draw_panel(axes: Axes, name: str, places: Sequence[_Place]) -> None:
-    for one in places:
-        axes.plot(one.ms, one.db, one.marker, color=one.colour, markersize=7)
-        axes.annotate(one.title, (one.ms, one.db), (6, 3), "data", "offset points", fontsize=7, color=one.colour)
-    front = sorted((one for one in places if one.on_front), key=lambda one: one.ms)
+    """Places in rising order of time; neighbours' names stand above and below in turn, ours are letters."""
+    middle = float(np.sqrt(places[0].ms * places[-1].ms)) if places else 1.0
+    for index, one in enumerate(places):
+        axes.plot(one.ms, one.db, one.marker, color=one.colour, markersize=11 if one.letter else 7, alpha=0.85)
+        if one.letter:
+            axes.text(one.ms, one.db, one.letter, color="white", fontsize=7, weight="bold", ha="center", va="center")
+            continue
+        side = "left" if one.ms < middle else "right"
+        aside = (7 if side == "left" else -7, 5 if index % 2 else -10)
+        axes.annotate(
+            one.title, (one.ms, one.db), aside, "data", "offset points", ha=side, fontsize=7, color=one.colour
+        )
+    front = [one for one in places if one.on_front]
     label, times, values = "front of the online methods", [one.ms for one in front], [one.db for one in front]
+    sizes = f"ours: {', '.join(SIZES)}"
+    axes.plot([], [], "o", color=OURS_COLOUR, markersize=9, label=sizes)
     axes.step(times, values, where="post", label=label, color=OURS_COLOUR, linewidth=1, alpha=0.5)
     axes.set_xscale("log")
     axes.margins(x=0.25, y=0.1)
