@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from twin_node.cli import main
 from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import LaunchPlan, read_launch_file
-from twin_node.nodes.launch.launcher import FIRST_STATUS
+from twin_node.nodes.launch.launcher import FIRST_STATUS, Launcher
 from twin_node.nodes.topics import DIAGNOSTICS, SEPARATION
 from twin_node.rig import RigFile, save_rig
 from twin_node.scene import Rig, RigCamera
@@ -143,6 +144,28 @@ def test_a_killed_process_is_started_again_and_the_arm_stands_meanwhile(tmp_path
     with open_log(tmp_path / "out") as log:
         assert log.damage is None
         assert [topic.name for topic in log.topics] == [SEPARATION]
+
+
+def test_a_second_launch_of_the_same_nodes_is_refused(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    plan = on_loopback(arm_alone(tmp_path, "true"), endpoint)
+    shared = replace(plan, zenoh=replace(plan.zenoh, router="auto"))
+    with launched(plan, tmp_path / "first"):
+        ear = Ear(endpoint)
+        ear.hear(SEPARATION, lambda message: True)
+        ear.close()
+        with pytest.raises(TwinError, match=r"node '(recorder|arm)' is alive already in ROS domain 0"):
+            Launcher(shared, tmp_path / "second", print).run()
+        other = replace(shared, zenoh=replace(shared.zenoh, domain=1))
+        with launched(other, tmp_path / "third") as running:
+            assert running.stop().status == 0
+
+
+def test_an_address_that_something_else_has_is_refused(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        plan = on_loopback(arm_alone(tmp_path, "true"), f"tcp/127.0.0.1:{taken.getsockname()[1]}")
+        with pytest.raises(TwinError, match="something listens there that is no zenoh router"):
+            Launcher(replace(plan, zenoh=replace(plan.zenoh, router="auto")), tmp_path, print).run()
 
 
 def test_the_exit_status_tells_which_process_failed(tmp_path: Path) -> None:

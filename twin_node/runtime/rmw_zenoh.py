@@ -136,6 +136,13 @@ def parse_token(token: str) -> Endpoint | None:
         return None
 
 
+def node_of_token(token: str) -> str | None:
+    """The name of the node that a liveliness token announces; None for a token of anything else."""
+    parts = token.split("/")
+    is_node = len(parts) == 9 and parts[0] == ADMIN_SPACE and parts[5] == EntityKind.NODE.value
+    return parts[8] if is_node else None
+
+
 def gid_of(token: str) -> bytes:
     """[16] a publisher's identifier: XXH3-128 of its token, low half first."""
     import xxhash

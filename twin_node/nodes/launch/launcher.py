@@ -13,6 +13,7 @@ from twin_node.nodes.launch.child import Child
 from twin_node.nodes.launch.host import REFUSED, Order
 from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
 from twin_node.nodes.topics import GraphError
+from twin_node.runtime.neighbours import node_names
 from twin_node.runtime.zenoh_session import open_router
 
 FIRST_STATUS = 10
@@ -81,11 +82,14 @@ class Launcher:
     def run(self) -> LaunchResult:
         """Runs until interrupted, until a process that ends the launch has finished, or until one is given up.
 
-        Raises `GraphError` where a process refuses what it was given; nothing has been activated then.
+        Raises `GraphError` where a process refuses what it was given, or a node of the same name is alive already;
+        nothing has been activated then. Raises `WireError` where the network cannot be joined.
         """
         self._log_folder.mkdir(parents=True, exist_ok=True)
         router = None if self._plan.is_lockstep else open_router(self._plan.zenoh)
         try:
+            if router is None and not self._plan.is_lockstep:
+                self._check_neighbours()
             for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
                 self._children[process.name] = self._spawned(process)
                 self._children[process.name].configure()
@@ -94,6 +98,19 @@ class Launcher:
             self._stop_all()
             if router is not None:
                 router.close()
+
+    def _check_neighbours(self) -> None:
+        """Two nodes of one name would contradict each other: two arms, two speeds."""
+        zenoh = self._plan.zenoh
+        if zenoh.router == "external":
+            return  # it may come later, from another machine
+        alive = node_names(zenoh)
+        twice = [node for process in self._plan.processes for node in process.nodes if node in alive]
+        if twice:
+            raise GraphError(
+                f"{self._plan.path}: node '{twice[0]}' is alive already in ROS domain {zenoh.domain_id}, in another "
+                "launch; end that, or set ROS_DOMAIN_ID to another number for this one"
+            )
 
     def _watch(self) -> LaunchResult:
         while not self._interrupted:
