@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from twin_node import splat
 from twin_node.model.field import HexPlane
 from twin_node.model.gaussians import LOG_SCALE, MEAN, RGB, Gaussians, Newborns
 from twin_node.model.motion import Motion
@@ -129,6 +130,28 @@ def test_a_gradient_reaches_canonical_means_and_the_field() -> None:
     before = motion.field.time.detach().clone()
     motion.descend()
     assert not torch.equal(motion.field.time.detach(), before)
+
+
+def test_the_compiled_library_places_as_torch_does() -> None:
+    if not splat.can_place(torch.device("cpu")):
+        pytest.skip("the compiled library is not at hand")
+    store, motion = moving_world()
+    store.board(torch.tensor([0, 1]), torch.zeros(2, dtype=torch.int64), motion.nodes)
+    motion.nodes.quats[0] = quat_from_vector(torch.tensor([0.3, -1.2, 0.7], dtype=torch.float64))
+    some = store.population(torch.tensor([0, 2, 1, 3]), motion.nodes)
+    poses, stamps = motion.poses([0.0, -0.02]), motion.stamps([0.0, -0.02])
+    with torch.no_grad():
+        compiled, plain = motion.place_population(some, poses, stamps), motion.place_plain(some, poses, stamps)
+    for name, values in vars(compiled).items():
+        assert torch.allclose(values, getattr(plain, name), atol=1e-5), name
+
+
+def test_what_is_hidden_has_less_influence_than_what_shows() -> None:
+    store = Gaussians(3, torch.device("cpu"))
+    store.steps[:2] = 5
+    store.moment2[0, RGB] = 1.0
+    influence = store.influence(torch.arange(3))
+    assert influence[0] > influence[1] == 0 and torch.isinf(influence[2])
 
 
 def test_a_row_named_twice_is_refused() -> None:

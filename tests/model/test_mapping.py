@@ -5,10 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from model_scenes import frames, rig, sliding
+import torch
+from model_scenes import frames, rig, sliding, table
 
-from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
+from twin_node.model import (
+    MapParameters,
+    ModelParameters,
+    SeedParameters,
+    WindowModel,
+)
+from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.gaussians import Gaussians, Newborns
+from twin_node.model.mapping import Mapper
+from twin_node.model.observation import Observer
+from twin_node.model.plane import Plane
 from twin_node.model.quality import psnr, squared_error
+from twin_node.model.rendering import Splats
+from twin_node.model.sweep import shell_around
 from twin_node.scene import FrameSet, Tier, TwinState
 
 QUICK = ModelParameters(seed=SeedParameters(steps=60), gaussians_per_pixel=0.5)
@@ -65,7 +78,7 @@ def test_refining_at_once_or_with_the_next_set_is_the_same() -> None:
     assert clouds[0].rgb.tobytes() == clouds[1].rgb.tobytes()
 
 
-def test_what_moves_is_not_learnt_as_ground() -> None:
+def test_ground_far_from_what_moves_keeps_its_place() -> None:
     model = WindowModel(QUICK)
     before = still(model.update(sliding(1, CAMERAS)[0]))
     for one in sliding(12, CAMERAS):
@@ -73,3 +86,39 @@ def test_what_moves_is_not_learnt_as_ground() -> None:
     far = before[before[:, 1] < -0.4]
     after = still(state)
     assert all((np.abs(after[:, :3] - row[:3]).sum(1) < 1e-6).any() for row in far)
+
+
+def test_a_set_that_is_left_teaches_nothing() -> None:
+    model = WindowModel(QUICK)
+    rest = [model.update(frames(index, None, CAMERAS)) for index in range(3)]
+    for index in range(3, 14):
+        state = model.update(brighter(frames(index, None, CAMERAS), 1.04))
+        model.leave()
+    assert np.array_equal(still(state)[:, :3], still(rest[0])[:, :3])
+
+
+def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
+    whole = table()
+    kept = whole.means[0, :, 0] < 0.3
+    part = Splats(
+        whole.means[:, kept], whole.quats[:, kept], whole.scales[kept], whole.opacities[kept], whole.rgb[kept]
+    )
+    count = part.means.shape[1]
+    store = Gaussians(2 * count, torch.device("cpu"))
+    nobody = torch.full((count,), -1, dtype=torch.int64)
+    born = Newborns(part.means[0], part.quats[0], part.scales, part.opacities, part.rgb, Tier.STATIC, nobody)
+    store.spawn(born, 0)
+    backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
+    mapper, observer = Mapper(MapParameters(), store, backgrounds), Observer(0.1, 60.0)
+    nothing = [np.zeros((60, 80), bool)] * len(CAMERAS)
+    errors = []
+    for index in range(60):
+        now = frames(index, None, CAMERAS)
+        dark = [np.clip(known.rgb * 255, 0, 255).astype(np.uint8) for known in backgrounds.of(store, CAMERAS)]
+        if index == 0:
+            now = replace(now, views=tuple(replace(v, rgb=rgb) for v, rgb in zip(now.views, dark, strict=True)))
+        observed = observer.observe(now, nothing, [None] * len(CAMERAS), backgrounds.of(store, CAMERAS), 0.033)
+        errors.append(np.mean([np.abs(one.rgb - one.background.rgb).mean() for one in observed]))
+        mapper.refine(observed, now.stamp)
+    assert len(store) > count
+    assert errors[-1] < 0.5 * errors[1]

@@ -80,4 +80,5 @@ def as_newborns(births: Births, carriers: NDArray[np.int64], poses: Poses, devic
             homeless,
         )
         for tier, chosen, homeless in kinds
+        if bool(chosen.any())
     ]

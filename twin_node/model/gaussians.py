@@ -176,6 +176,15 @@ class Gaussians:
         self.alive[rows] = False
         self.nodes[rows] = -1
 
+    def influence(self, rows: Tensor) -> Tensor:
+        """[n] how much the images say about the colours of `rows` [n]: the gradient's root mean square over time.
+
+        What is hidden or fainter than its neighbours has little. Infinite for those that have not learned yet.
+        """
+        steps = self.steps[rows]
+        square = self.moment2[rows, RGB].sum(-1) / (1 - 0.99 ** steps.clamp_min(1).float())
+        return torch.where(steps > 0, square.sqrt(), torch.inf)
+
     def forget_moments(self, rows: Tensor) -> None:
         """Zeroes the optimiser state of `rows` [n]: stale momenta move what is no longer selected (DecoGS, 4.3)."""
         self.moment1[rows] = 0

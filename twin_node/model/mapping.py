@@ -13,23 +13,28 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.backgrounds import Background, Backgrounds, grow
+from twin_node.model.births import BLOCK, SPREAD
 from twin_node.model.carriage import carry
 from twin_node.model.descending import Path, descend, rates_of
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.parameters import MapParameters
 from twin_node.model.photometric import Goal, Targets
 from twin_node.model.rendering import by_size
-from twin_node.scene import Bool, Camera, Float32
+from twin_node.scene import Bool, Camera, Float32, Tier
 
 UPTAKE = 0.3
 """Share of each image that enters what a pixel shows at rest: noise is averaged over about six images."""
 STIRRED = 25 / 255
 """Change from what a pixel shows at rest that is no noise: it starts anew (the threshold for moving pixels)."""
+IN_FRONT = 0.995
+"""Share of the depth of what stands there already at which a newborn lies, so that it is what shows."""
 FOOTPRINT_PX = 3
 """Pixels around a Gaussian that learns that its views are held to: it is about two pixels wide."""
 
@@ -37,29 +42,32 @@ FOOTPRINT_PX = 3
 class _AtRest:
     """What one camera sees where nothing moves."""
 
-    def __init__(self, camera: Camera, rgb: Float32) -> None:
-        """Begins with an image [H, W, 3], 0 to 1."""
+    def __init__(self, camera: Camera, rgb: Float32, stamp: int) -> None:
+        """Begins with an image [H, W, 3], 0 to 1, of `stamp` (ns)."""
         self.camera = camera
         self.rgb = rgb
         """[H, W, 3] running mean of what pixels show at rest."""
-        self.since_s = 0.0
-        """For how long it has not looked."""
         self.counted = np.zeros(rgb.shape[:2], bool)
         """[H, W] pixels that had been at rest for long enough when it looked last."""
         self.wrong = np.zeros(rgb.shape[:2], bool)
         """[H, W] those of them where the background looks otherwise, and the pixels around."""
+        self.lacking = np.zeros(rgb.shape[:2], np.float32)
+        """[H, W] what steps have not made good although there was time for them, 0 to 1."""
         self._calm_s = np.zeros(rgb.shape[:2], np.float32)
+        self._stamp = stamp
 
     def see(self, one: Observed, parameters: MapParameters) -> None:
         """Takes in an image."""
         change = largest_channel(one.rgb, self.rgb)
         calm = one.usable & ~one.near_moving & (change < STIRRED)
-        self._calm_s = np.where(calm, self._calm_s + np.float32(self.since_s), np.float32(0))
-        self.since_s = 0.0
+        since_s = np.float32((one.view.stamp - self._stamp) * 1e-9)
+        self._stamp = one.view.stamp
+        self._calm_s = np.where(calm, self._calm_s + since_s, np.float32(0))
         self.rgb += np.where(calm, np.float32(UPTAKE), np.float32(1))[..., None] * (one.rgb - self.rgb)
         self.counted = self._calm_s > parameters.calm_s
         missed = cv2.blur(largest_channel(self.rgb, one.background.rgb) - one.misfit, (3, 3))
         self.wrong = grow(self.counted & (missed > parameters.threshold), 1)
+        self.lacking = np.where(self._calm_s > parameters.patience_s, missed, np.float32(0))
 
 
 @dataclass(frozen=True)
@@ -86,24 +94,57 @@ class Mapper:
         self._turn = 0
         self._learning = torch.zeros(gaussians.capacity, dtype=torch.bool, device=gaussians.values.device)
 
-    def refine(self, observed: Sequence[Observed], dt_s: float) -> int:
-        """Takes the steps of one set, `dt_s` after the set before; returns how many Gaussians learned."""
+    def refine(self, observed: Sequence[Observed], stamp: int) -> int:
+        """Takes the share of the set at `stamp` (ns); returns how many Gaussians learned."""
         self._turn += 1
         views = []
         for index, one in enumerate(observed):
-            at_rest = self._at_rest_of(one, dt_s)
+            at_rest = self._at_rest_of(one)
             if index == self._turn % len(observed):
                 at_rest.see(one, self._parameters)
+                self._fill(one, at_rest, stamp)
             views.append(_Wanting(one.background, at_rest))
         return sum(self._learn([views[index] for index in chosen]) for chosen in by_size([v.camera for v in views]))
 
-    def _at_rest_of(self, one: Observed, dt_s: float) -> _AtRest:
-        """What a view's camera sees at rest, `dt_s` older than before."""
+    def _at_rest_of(self, one: Observed) -> _AtRest:
+        """What a view's camera sees at rest."""
         camera, at_rest = one.view.camera, self._at_rest.get(one.view.camera.name)
         if at_rest is None or at_rest.camera is not camera:
-            at_rest = self._at_rest[camera.name] = _AtRest(camera, one.rgb.copy())
-        at_rest.since_s += dt_s
+            at_rest = self._at_rest[camera.name] = _AtRest(camera, one.rgb.copy(), one.view.stamp)
         return at_rest
+
+    def _fill(self, one: Observed, at_rest: _AtRest, stamp: int) -> None:
+        """New STATIC Gaussians where those that are there cannot show what is seen at rest."""
+        size = (one.view.camera.width // BLOCK, one.view.camera.height // BLOCK)
+        lacking: Float32 = cv2.resize(at_rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        order = np.argsort(-lacking, axis=None, kind="stable")[: self._parameters.most_born]
+        order = order[lacking.ravel()[order] > self._parameters.lacking]
+        if not len(order):
+            return
+        colours: Float32 = cv2.resize(at_rest.rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        rows, columns = np.unravel_index(order, lacking.shape)
+        self._gaussians.spawn(self._patches(one, rows * BLOCK, columns * BLOCK, colours[rows, columns]), stamp)
+        self._backgrounds.mark()
+
+    def _patches(self, one: Observed, rows: NDArray[np.intp], columns: NDArray[np.intp], rgb: Float32) -> Newborns:
+        """Blocks of pixels that begin at `rows` and `columns` [n], as Gaussians just before what stands there."""
+        background, camera = one.background, one.view.camera
+        depth = IN_FRONT * background.depth[rows, columns]
+        rays = (background.rays[rows, columns] + background.rays[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
+        means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
+        radii = SPREAD * BLOCK * depth / camera.K[0, 0]
+        count, device = len(rows), self._gaussians.values.device
+        quats = torch.zeros(count, 4, device=device)
+        quats[:, 0] = 1
+        return Newborns(
+            torch.from_numpy(means).float().to(device),
+            quats,
+            torch.from_numpy(radii).float().to(device)[:, None].repeat(1, 3),
+            torch.full((count,), NEWBORN_OPACITY, device=device),
+            torch.from_numpy(rgb).to(device),
+            Tier.STATIC,
+            torch.full((count,), -1, device=device),
+        )
 
     def _learn(self, views: Sequence[_Wanting]) -> int:
         """A few steps for the Gaussians that show at wrong pixels of `views`, cameras of one size."""

@@ -199,15 +199,17 @@ class _CameraMask:
             return found
         ground_coloured = settled & (share > self.parameters.ground_certainty)
         likely_ground = settled & (share > self.parameters.ground_likelihood)
+        box = _around(settled, 2)  # what is found is settled, and looks no farther than its 5 x 5 pixels
+        image, background, inside = image[:, *box], self._background[:, *box], found[box]
         for _ in range(self.parameters.growth_pixels):
-            known = (free | found).astype(np.float32)
+            known = (free[box] | inside).astype(np.float32)
             weight = cv2.boxFilter(known, -1, (5, 5))
             sums = np.stack([cv2.boxFilter(plane * known, -1, (5, 5)) for plane in image])
             ground = (sums / np.maximum(weight, 1e-3)).astype(np.float32)
-            rough, was_rough = _difference(image, ground), _difference(self._background, ground)
-            fits_better = likely_ground & (was_rough > 2 * threshold) & (rough < 0.7 * was_rough)
-            continues = (settled & (rough < 0.6 * threshold)) | fits_better
-            found |= (weight > 0.2) & (continues | ground_coloured)
+            rough, was_rough = _difference(image, ground), _difference(background, ground)
+            fits_better = likely_ground[box] & (was_rough > 2 * threshold) & (rough < 0.7 * was_rough)
+            continues = (settled[box] & (rough < 0.6 * threshold)) | fits_better
+            inside |= (weight > 0.2) & (continues | ground_coloured[box])
         return found
 
     def _learn(self, image: Float32, view: View, free: Bool) -> None:
@@ -256,6 +258,15 @@ def _smooth(density: NDArray[np.float64]) -> NDArray[np.float64]:
 def _eroded(mask: Bool) -> Bool:
     """Pixels whose eight neighbours are in the mask as well."""
     return cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+
+
+def _around(mask: Bool, margin: int) -> tuple[slice, slice]:
+    """Rows and columns that hold all True pixels, of which there are some, and `margin` more."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return (
+        slice(max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1),
+        slice(max(int(columns[0]) - margin, 0), int(columns[-1]) + margin + 1),
+    )
 
 
 def _disk(radius: int) -> UInt8:

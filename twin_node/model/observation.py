@@ -15,6 +15,10 @@ MISFIT_GROWTH = 0.02
 """Noise (0 to 1) that the smallest misfit seen at a pixel is granted: five grey levels."""
 
 
+MEDIAN_STRIDE = 4
+"""Every how many pixels, each way, the depth is looked at for its median."""
+
+
 @dataclass(frozen=True)
 class Observed:
     """One view and what is known about its pixels."""
@@ -72,7 +76,7 @@ class Observer:
         for view, mask, robot, background in zip(frames.views, moving, robots, backgrounds, strict=True):
             usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
             usable = usable if robot is None else usable & ~robot
-            rgb = (view.rgb / 255).astype(np.float32)
+            rgb = np.divide(view.rgb, np.float32(255), dtype=np.float32)
             surprise = self._surprise(view.camera.name, rgb, background) * usable
             grown = grow(mask, margin_px(view.camera, background.depth))
             wrong = surprise > self._threshold
@@ -119,7 +123,7 @@ class Observer:
 
 def margin_px(camera: Camera, depth: Float64) -> int:
     """Pixels that a silhouette may be off by: two of noise, and the calibration's error at the median depth."""
-    return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth)))
+    return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth[::MEDIAN_STRIDE, ::MEDIAN_STRIDE])))
 
 
 def _nearest(depth: Float32 | None) -> Float32 | None:

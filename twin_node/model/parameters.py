@@ -31,7 +31,7 @@ class TrackParameters:
 
     alignments: int = 1
     """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
-    steps: int = 6
+    steps: int = 4
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
     learning_rate: float = 6.0
     """Multiplies all rates of `fitting.RATES`."""
@@ -79,6 +79,12 @@ class MapParameters:
     step: five grey levels, above the noise of 8-bit video."""
     calm_s: float = 0.15
     """For how long a pixel must have been free and still before what it shows is learnt."""
+    patience_s: float = 0.5
+    """For how long a pixel must have been at rest before what steps have not made good is given new Gaussians."""
+    lacking: float = 0.06
+    """Difference (0 to 1) that is then too much: fifteen grey levels, half of what counts as change."""
+    most_born: int = 40
+    """Gaussians born per set at most."""
     most_learners: int = 1000
     """Gaussians that learn at once: what a fraction of a frame's time is enough for."""
 

@@ -16,7 +16,7 @@ from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving, held_pixels
 from twin_node.model.flow import FlowSolver
-from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.gaussians import Gaussians
 from twin_node.model.mapping import Mapper
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -41,14 +41,6 @@ class Tracked:
     """Gaussians."""
     braked: float | None
     """Share of the learning rate that is left after steps that diverged and were undone; None: they did not."""
-
-
-@dataclass(frozen=True)
-class _Due:
-    """A set that has been tracked and that the mapper has not seen yet."""
-
-    observed: Sequence[Observed]
-    dt_s: float
 
 
 @dataclass(frozen=True)
@@ -81,7 +73,8 @@ class Tracker:
         self._mapper = Mapper(parameters.map, gaussians, backgrounds)
         self._turn = 0
         self._pace = 1.0
-        self._due: _Due | None = None
+        self._due: Sequence[Observed] | None = None
+        """A set that has been tracked and that the mapper has not seen yet."""
 
     def track(
         self,
@@ -110,13 +103,17 @@ class Tracker:
         born = self._bear(observed, fitted.renderings or aligned.renderings)
         on_stage("bear")
         self._nodes.remember()
-        self._due = _Due(observed, dt_s)
+        self._due = observed
         return Tracked(born, self._pace if fitted.diverged else None)
 
     def refine(self) -> None:
         """The mapper's share of the last set, where it has not been taken yet."""
         if self._due is not None and self._parameters.map.steps:
-            self._mapper.refine(self._due.observed, self._due.dt_s)
+            self._mapper.refine(self._due, self._nodes.stamp)
+        self._due = None
+
+    def leave(self) -> None:
+        """Lets the mapper's share of the last set be."""
         self._due = None
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
@@ -250,14 +247,14 @@ class Tracker:
         return len(rows)
 
     def _make_room(self, wanted: int) -> None:
-        """Retires the faintest moving Gaussians where `wanted` more would pass the cap."""
+        """Retires the moving Gaussians that matter least to the images where `wanted` more would pass the cap."""
         rows = self._gaussians.moving_rows
         room = self._gaussians.capacity - len(self._gaussians.static_rows)
         limit = min(int(self._parameters.birth.moving_share * self._gaussians.capacity), room)
         excess = len(rows) + wanted - limit
         if excess > 0:
-            faintest = self._gaussians.values[rows, LOGIT.start].argsort(stable=True)[:excess]
-            self._gaussians.retire(rows[faintest])
+            least = self._gaussians.influence(rows).argsort(stable=True)[:excess]
+            self._gaussians.retire(rows[least])
 
     def _doubted(self, rows: Tensor, refuted: Tensor) -> Tensor:
         """[n] which of `rows` [n] have been refuted for enough sets in a row, this one included."""

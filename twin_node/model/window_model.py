@@ -122,11 +122,16 @@ class WindowModel:
     def refine(self) -> None:
         """Refines what stands still on the last set; once per set, by the next `update` where nobody has called it.
 
-        A live node calls it when the state is published, so that it costs no latency.
+        A live node calls it when the state is published, so that it costs no latency, or `leave` where time is short.
         """
         if self._tracker is not None:
             self._tracker.refine()
             self.on_stage("refine")
+
+    def leave(self) -> None:
+        """Leaves what stands still as it is on the last set."""
+        if self._tracker is not None:
+            self._tracker.leave()
 
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
         """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""

@@ -101,10 +101,11 @@ class Chain:
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
+        self._model_node = ModelNode(bus, clock, self.model)
         self.nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),
-            ModelNode(bus, clock, self.model),
+            self._model_node,
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
             *([make_arm_node(bus, clock, workspace, parameters)] if with_arm else []),
         )
@@ -114,6 +115,10 @@ class Chain:
         for node in reversed(self.nodes):
             node.configure()
             node.activate()
+
+    def rest(self) -> None:
+        """Uses the time between two sets, see `ModelNode.rest`."""
+        self._model_node.rest()
 
     def stop(self) -> None:
         """Deactivate and clean up every node, the first of the chain first."""

@@ -15,6 +15,10 @@ from twin_node.scene import FrameSet, Tier
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
 
+BUDGET_NS, MOST_LEFT = 25_000_000, 4
+"""What stands still is refined after sets that took less time than this, three quarters of a set's time at 30 Hz, and
+after every so many that took more: it changes slowly, but it must not be forgotten."""
+
 
 class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set."""
@@ -24,11 +28,14 @@ class ModelNode(Node):
         self.model = model
         self._next_whole = 0
         self._is_first = True
+        self._left = 0
+        self._begun = 0
 
     def on_configure(self) -> None:
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
 
     def _on_frames(self, frames: FrameSet) -> None:
+        self._begun = self.clock.now()
         state = self.model.update(frames)
         moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
@@ -40,4 +47,16 @@ class ModelNode(Node):
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
+
+    def rest(self) -> None:
+        """Uses the time between two sets to refine what stands still, where the last one has left some.
+
+        Called by whoever runs the node once everything that came of a set is delivered; where nobody calls it the next
+        update refines first. In lockstep the clock stands still meanwhile, so every set gets its share.
+        """
+        self._left += 1
+        if self.clock.now() - self._begun > BUDGET_NS and self._left < MOST_LEFT:
+            self.model.leave()
+            return
+        self._left = 0
         self.model.refine()

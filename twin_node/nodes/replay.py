@@ -154,6 +154,7 @@ class _Engine:
                 for topic, message in messages:
                     working.publish(topic, message)
                 working.publish(FRAMES, frames)
+                chain.rest()
         finally:
             bridge.close()
             reader.join()
