@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -174,5 +175,6 @@ def _open_server(host: str, port: int) -> Any:
         raise ViewerError(
             f"http://{host}:{port}: cannot be opened ({reason}); give another --port, or --host"
         ) from None
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # an error to it: browsers that connect ahead
     with ThreadPoolExecutor(1, initializer=go_last) as starter, contextlib.redirect_stdout(None):  # it prints a banner
         return starter.submit(viser.ViserServer, host=host, port=port, label="twin_node", verbose=False).result()
