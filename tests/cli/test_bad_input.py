@@ -114,3 +114,11 @@ def test_numbers_that_make_no_sense(option: str, value: str, capfd: pytest.Captu
         main(["replay", "log.mcap", option, value])
     assert exit_.value.code == 2
     assert f"{value}: expected" in capfd.readouterr().err
+
+
+def test_a_recording_is_never_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    there = tmp_path / "run.mcap"
+    there.write_bytes(b"a recording")
+    assert main(["record", "-o", str(there)]) == 2
+    assert "run.mcap: exists already" in capfd.readouterr().err
+    assert there.read_bytes() == b"a recording"

@@ -161,6 +161,12 @@ def test_a_second_launch_of_the_same_nodes_is_refused(tmp_path: Path) -> None:
             assert running.stop().status == 0
 
 
+def test_logs_that_have_no_place_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(TwinError, match=r"no folder for logs can be made .*; choose one with --log-dir"):
+        Launcher(arm_alone(tmp_path, "true"), tmp_path / "file" / "logs", print).run()
+
+
 def test_an_address_that_something_else_has_is_refused(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         plan = on_loopback(arm_alone(tmp_path, "true"), f"tcp/127.0.0.1:{taken.getsockname()[1]}")

@@ -51,9 +51,12 @@ def add_play(commands: Any) -> None:
 
 
 def _record(options: argparse.Namespace) -> None:
+    from twin_node.bag import BagError
     from twin_node.nodes.live.single import run_single
 
     output = options.output or Path(f"rosbag2_{time.strftime('%Y_%m_%d-%H_%M_%S')}")
+    if output.exists():
+        raise BagError(f"{output}: exists already; remove it or choose another name")
     parameters: dict[str, Any] = {
         "output": str(output),
         "all": options.all,

@@ -79,6 +79,11 @@ class Child:
             self._process.kill()
             self._process.wait()
 
+    def discard(self) -> None:
+        """Ends a process whose nodes were never configured: it holds nothing that must be led down."""
+        self._process.kill()
+        self._process.wait()
+
     def _say(self, line: str) -> None:
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):  # it has ended; its listener tells

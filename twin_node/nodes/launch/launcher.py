@@ -85,7 +85,12 @@ class Launcher:
         Raises `GraphError` where a process refuses what it was given, or a node of the same name is alive already;
         nothing has been activated then. Raises `WireError` where the network cannot be joined.
         """
-        self._log_folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self._log_folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise GraphError(
+                f"{self._log_folder}: no folder for logs can be made ({error.strerror}); choose one with --log-dir"
+            ) from None
         router = None if self._plan.is_lockstep else open_router(self._plan.zenoh)
         try:
             if router is None and not self._plan.is_lockstep:
@@ -199,7 +204,9 @@ class Launcher:
 
     def _stop_all(self) -> None:
         """Sources first, as they stand in the file, so that what they sent is still dealt with."""
-        for child in (*self._children.values(), *self._spares.values()):
+        for spare in self._spares.values():
+            spare.discard()
+        for child in self._children.values():
             child.stop()
 
 

@@ -29,10 +29,13 @@ class GraphCameras:
         self._infos: dict[str, Message] = {}
         self._asked: set[str] = set()
         self._known: tuple[str, ...] = ()
-        self._bus.subscribe(TF_STATIC, self._tree.add)
+        self._is_listening = False
 
     def __call__(self) -> LiveCameras | None:
-        """None where nothing has changed."""
+        """None where nothing has changed; to be called from the node's configuration on."""
+        if not self._is_listening:
+            self._is_listening = True
+            self._bus.subscribe(TF_STATIC, self._tree.add)
         cameras = self._published()
         for camera in cameras:
             if camera.info not in self._asked and self._rig is None:

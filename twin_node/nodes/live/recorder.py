@@ -52,6 +52,7 @@ class LiveRecorderNode(Node):
         self._topics: Sequence[str] = () if parameters.all else parameters.topics
         self._is_all = parameters.all
         self._endpoints = setup.endpoints
+        self._say = setup.say
         self._added: set[str] = set()
         self._parameters = parameters
         self._writer: RecordingWriter | None = None
@@ -64,7 +65,11 @@ class LiveRecorderNode(Node):
 
     def on_configure(self) -> None:
         """Raises `BagError` where the output cannot be begun."""
-        self._writer = RecordingWriter(_unused(Path(self._parameters.output)), self._parameters.split)
+        wanted = Path(self._parameters.output)
+        path = _unused(wanted)
+        if path != wanted:
+            self._say(f"{wanted} exists already: recording into {path}")
+        self._writer = RecordingWriter(path, self._parameters.split)
         for topic in self._topics:
             if kind_of(topic).msgtype is not None:
                 self.add(topic, kind_of(topic))
