@@ -12,7 +12,7 @@ import numpy as np
 from twin_node.bench.equal_recall import EqualRecall, PersistenceGrowth
 from twin_node.bench.errors import BenchError
 from twin_node.bench.space import SpaceScore, SpaceTally
-from twin_node.bench.truth import ColourOf, Markers, PixelTruth
+from twin_node.bench.truth import ColourOf, Markers, PixelTruth, SeenThings
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import litres_per_voxel
@@ -109,7 +109,7 @@ def run(
     return bench
 
 
-AnyTruth = Markers | VoxelTruth | PixelTruth | LaterTruth
+AnyTruth = Markers | VoxelTruth | SeenThings | PixelTruth | LaterTruth
 
 
 def score_states(
@@ -143,8 +143,8 @@ def score_states(
         comparison.add(state, forecasts if warm else {})
         if warm:
             growth.add(baselines.places, publish + HORIZONS_NS[-1])
-        if isinstance(truth, VoxelTruth):
-            space.add(state, ours, truth.points(state.stamp))
+        if isinstance(truth, VoxelTruth | SeenThings):
+            space.add(state, ours, truth.occupied(state.stamp))
     quality = forecaster.quality
     coverage = quality.coverage if np.isfinite(quality.coverage) else None
     scores = comparison.scores()
@@ -156,7 +156,7 @@ def score_states(
         target=quality.target,
         scores=scores,
         persistence_equal_recall=None if recall is None else growth.grown_to(recall),
-        space=space.score() if isinstance(truth, VoxelTruth) else None,
+        space=space.score() if isinstance(truth, VoxelTruth | SeenThings) else None,
         update_ms=1e3 * float(np.median(spent)) if spent else None,
     )
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, whole, with_source_options
+
+if TYPE_CHECKING:
+    from twin_node.bench.occupancy import OccupancyBenchParameters
 
 
 def add_bench_occupancy(benches: Any) -> None:
@@ -19,7 +22,12 @@ def add_bench_occupancy(benches: Any) -> None:
     occupancy.add_argument("log", type=Path, metavar="LOG", help="a log; with --seeds the name of a scenario")
     occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
     occupancy.add_argument("--hue", type=int, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
-    occupancy.add_argument("--seeds", type=whole, metavar="N", help="simulate the scenario LOG with the seeds 1 to N")
+    occupancy.add_argument(
+        "--seeds",
+        type=whole,
+        metavar="N",
+        help="simulate the scenario LOG, or four of them (LOG is all), with the seeds 1 to N",
+    )
     occupancy.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(occupancy)
     occupancy.set_defaults(run=_bench_occupancy)
@@ -28,7 +36,6 @@ def add_bench_occupancy(benches: Any) -> None:
 def _bench_occupancy(options: argparse.Namespace) -> None:
     from twin_node.bench.errors import BenchError
     from twin_node.bench.occupancy import OccupancyBenchParameters, run
-    from twin_node.bench.seeds import run_seeds
     from twin_node.bench.truth import ColourOf
     from twin_node.nodes.chain import load_parameters
     from twin_node.nodes.topics import parse_remaps
@@ -46,14 +53,24 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
     if options.seeds is not None:
         if options.markers is not None or options.hue is not None:
             raise BenchError("--seeds: a scenario brings its own truth; leave out --markers and --hue")
-        seeds = run_seeds(
-            str(options.log), options.seeds, parameters, lambda each: tqdm(each, unit="seed", disable=None)
-        )
-        _show(seeds.as_json(), options.json)
+        _bench_seeds(str(options.log), options.seeds, parameters, options.json)
         return
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
     _show(bench.as_json(), options.json)
+
+
+def _bench_seeds(scenario: str, seeds: int, parameters: OccupancyBenchParameters, as_json: bool) -> None:
+    from twin_node.bench.seeds import ALL, SCENARIOS, run_seeds, table
+
+    names = SCENARIOS if scenario == ALL else (scenario,)
+    benches = [run_seeds(name, seeds, parameters, lambda each: tqdm(each, unit="seed", disable=None)) for name in names]
+    if not as_json:
+        print(table(benches))
+    elif scenario == ALL:
+        print(json.dumps({"scenarios": [bench.as_json() for bench in benches]}))
+    else:
+        print(json.dumps(benches[0].as_json()))
 
 
 def _show(figures: dict[str, object], as_json: bool) -> None:

@@ -37,6 +37,10 @@ class VoxelTruth:
         row = self._row(stamp)
         return None if row is None else self._points[row]
 
+    def occupied(self, stamp: int) -> Float64 | None:
+        """The same: all that moves."""
+        return self.points(stamp)
+
     def volume_l(self, stamp: int) -> float | None:
         """Litres of the moving voxels nearest in time."""
         row = self._row(stamp)

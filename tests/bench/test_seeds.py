@@ -1,0 +1,63 @@
+"""`bench occupancy --seeds`: only what had been seen is asked for, and every scenario gets one line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin_node.bench.occupancy import OccupancyBenchParameters
+from twin_node.bench.seeds import run_seeds, table
+from twin_node.bench.truth import SeenThings
+from twin_node.cell import CellSource, Scenario, load_scenario
+from twin_node.cli import main
+from twin_node.forecast import default_grid
+
+AHEAD_NS = 200_000_000
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    """A parcel on the conveyor, rendered small."""
+    read = load_scenario("conveyor")
+    return replace(read, people=(), duration_s=0.3, sensing=replace(read.sensing, width=64, height=48))
+
+
+def test_things_are_asked_for_once_seen_and_the_horizon_later(scenario: Scenario) -> None:
+    source = CellSource(scenario)
+    grid = default_grid(np.array(scenario.workspace))
+    truth = SeenThings(source.simulated, grid, AHEAD_NS)
+    first = next(iter(source))
+    later = first.stamp + AHEAD_NS
+    unseen = truth.points(later)
+    truth.look(first)
+    seen, occupied, too_early = truth.points(later), truth.occupied(later), truth.points(later - 1)
+    assert seen is not None and unseen is not None and too_early is not None
+    assert len(unseen) == len(too_early) == 0
+    assert np.array_equal(seen, occupied)
+    litres = truth.volume_l(later)
+    assert litres == pytest.approx(len(occupied) * 0.008, rel=1e-6)
+    parcel_l = 15 * 18 * 10e-3
+    assert (
+        0.3 * parcel_l < litres < 4 * parcel_l
+    )  # it comes in from the grid's side, and voxels are touched, not filled
+
+
+def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
+    bench = run_seeds("conveyor", 1, OccupancyBenchParameters(width=64, duration_s=0.75))
+    heading, rule, line = table([bench]).splitlines()
+    assert heading.count("|") == rule.count("|") == line.count("|")
+    assert line.startswith("| conveyor | ")
+    figures = json.loads(json.dumps(bench.as_json()))
+    assert figures["seeds"] == 1
+    assert 0 < figures["ours"]["recall"] <= 1
+    assert figures["ours"]["moving_volume_l"] > 0
+    assert figures["unseen_not_free"] is None or figures["unseen_not_free"] <= 1
+    assert set(figures["persistence_equal_recall"]) == {"volume_l"}
+
+
+def test_a_scenario_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "occupancy", "no_such_scenario", "--seeds", "1"]) == 2
+    assert "no_such_scenario" in capsys.readouterr().err
