@@ -109,7 +109,7 @@ def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
     born = Newborns(part.means[0], part.quats[0], part.scales, part.opacities, part.rgb, Tier.STATIC, nobody)
     store.spawn(born, 0)
     backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
-    mapper, observer = Mapper(MapParameters(), store, backgrounds), Observer(0.1, 60.0)
+    mapper, observer = Mapper(MapParameters(), store, backgrounds, 2 * count), Observer(0.1, 60.0)
     nothing = [np.zeros((60, 80), bool)] * len(CAMERAS)
     errors = []
     for index in range(60):

@@ -14,6 +14,9 @@ from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLES
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate, focused
 from twin_node.model.rendering import Sheet, Splats, join
 
+WORSE, WORSE_FLOOR = 1.5, 1e-3
+"""Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
+well halve it."""
 RATES = torch.zeros(WIDTH)
 RATES[MEAN] = 0.08
 RATES[QUAT] = 5e-3
@@ -48,6 +51,17 @@ class Descended:
     of_quats: Tensor
     losses: list[float]
     """Before each step."""
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the steps have made the images worse; noise and births may do so a little."""
+        return not self.losses[-1] <= WORSE * self.losses[0] + WORSE_FLOOR
+
+
+def undo(gaussians: Gaussians, rows: Tensor, values: Tensor) -> None:
+    """Gives `rows` [n] their `values` [n, 14] back, and no memory of the steps that led away from them."""
+    nothing = torch.zeros_like(values)
+    gaussians.take(rows, values, nothing, nothing, torch.zeros_like(gaussians.steps[rows]))
 
 
 def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from twin_node.model.backgrounds import grow
 from twin_node.model.carriage import Bend, Carriage, carry
-from twin_node.model.descending import Path, descend, rates_of, to_columns
+from twin_node.model.descending import Path, descend, rates_of, to_columns, undo
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -27,9 +27,6 @@ REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 1.5
 """What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
-WORSE, WORSE_FLOOR = 1.5, 1e-3
-"""Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
-well halve it."""
 FOCUS = 0.02
 """Mean error of a cell of pixels, 0 to 1, from which on it needs more than one step: five grey levels, the noise of
 8-bit video and what Gaussians of two pixels leave over."""
@@ -82,8 +79,8 @@ def fit_moving(
     rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(gaussians.population(rows, motion.nodes), stamps)
     path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal, FOCUS)
     last = descend(gaussians, path, steps if bend is None else max(steps - 1, 1))
-    if _diverged(last.losses):
-        gaussians.take(rows, values, *(torch.zeros_like(values),) * 2, torch.zeros_like(gaussians.steps[rows]))
+    if last.diverged:
+        undo(gaussians, rows, values)
         return Fitted([], True)
     if bend is not None:
         values = gaussians.values[rows]
@@ -91,11 +88,6 @@ def fit_moving(
         of_means = path.carriage.means_gradient(last.of_means)
         _learn_field(motion, bend, values, of_means, rigid.quats_gradient(last.of_quats))
     return Fitted(split(last.sheets), False)
-
-
-def _diverged(losses: Sequence[float]) -> bool:
-    """Whether the steps have made the images worse; noise and births may do so a little."""
-    return not losses[-1] <= WORSE * losses[0] + WORSE_FLOOR
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.backgrounds import Background, Backgrounds, grow
 from twin_node.model.births import BLOCK, SPREAD
 from twin_node.model.carriage import carry
-from twin_node.model.descending import Path, descend, rates_of
+from twin_node.model.descending import Path, descend, rates_of, undo
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, largest_channel
@@ -42,11 +42,14 @@ FOOTPRINT_PX = 3
 class _AtRest:
     """What one camera sees where nothing moves."""
 
-    def __init__(self, camera: Camera, rgb: Float32, stamp: int) -> None:
-        """Begins with an image [H, W, 3], 0 to 1, of `stamp` (ns)."""
-        self.camera = camera
+    def __init__(self, one: Observed) -> None:
+        """Begins with an image."""
+        rgb = one.rgb.copy()
+        self.camera = one.view.camera
         self.rgb = rgb
-        """[H, W, 3] running mean of what pixels show at rest."""
+        """[H, W, 3] running mean of what pixels show at rest, 0 to 1."""
+        self.depth = np.zeros(rgb.shape[:2], np.float32)
+        """[H, W] m, what was measured there last; 0 where unknown."""
         self.counted = np.zeros(rgb.shape[:2], bool)
         """[H, W] pixels that had been at rest for long enough when it looked last."""
         self.wrong = np.zeros(rgb.shape[:2], bool)
@@ -54,7 +57,7 @@ class _AtRest:
         self.lacking = np.zeros(rgb.shape[:2], np.float32)
         """[H, W] what steps have not made good although there was time for them, 0 to 1."""
         self._calm_s = np.zeros(rgb.shape[:2], np.float32)
-        self._stamp = stamp
+        self._stamp = one.view.stamp
 
     def see(self, one: Observed, parameters: MapParameters) -> None:
         """Takes in an image."""
@@ -64,6 +67,8 @@ class _AtRest:
         self._stamp = one.view.stamp
         self._calm_s = np.where(calm, self._calm_s + since_s, np.float32(0))
         self.rgb += np.where(calm, np.float32(UPTAKE), np.float32(1))[..., None] * (one.rgb - self.rgb)
+        if one.view.depth is not None:
+            self.depth = np.where(calm & (one.view.depth > 0), one.view.depth, self.depth)
         self.counted = self._calm_s > parameters.calm_s
         missed = cv2.blur(largest_channel(self.rgb, one.background.rgb) - one.misfit, (3, 3))
         self.wrong = grow(self.counted & (missed > parameters.threshold), 1)
@@ -86,8 +91,12 @@ class _Wanting:
 class Mapper:
     """Refines STATIC Gaussians of one model; a set's share of the work is `refine`."""
 
-    def __init__(self, parameters: MapParameters, gaussians: Gaussians, backgrounds: Backgrounds) -> None:
+    def __init__(
+        self, parameters: MapParameters, gaussians: Gaussians, backgrounds: Backgrounds, most_static: int
+    ) -> None:
+        """`most_static`: STATIC Gaussians beyond which it makes no new ones, so that what moves finds room."""
         self._parameters = parameters
+        self._most_static = most_static
         self._gaussians = gaussians
         self._backgrounds = backgrounds
         self._at_rest: dict[str, _AtRest] = {}
@@ -110,26 +119,34 @@ class Mapper:
         """What a view's camera sees at rest."""
         camera, at_rest = one.view.camera, self._at_rest.get(one.view.camera.name)
         if at_rest is None or at_rest.camera is not camera:
-            at_rest = self._at_rest[camera.name] = _AtRest(camera, one.rgb.copy(), one.view.stamp)
+            at_rest = self._at_rest[camera.name] = _AtRest(one)
         return at_rest
 
     def _fill(self, one: Observed, at_rest: _AtRest, stamp: int) -> None:
         """New STATIC Gaussians where those that are there cannot show what is seen at rest."""
         size = (one.view.camera.width // BLOCK, one.view.camera.height // BLOCK)
         lacking: Float32 = cv2.resize(at_rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        order = np.argsort(-lacking, axis=None, kind="stable")[: self._parameters.most_born]
+        room = max(self._most_static - self._gaussians.count(Tier.STATIC), 0)
+        order = np.argsort(-lacking, axis=None, kind="stable")[: min(self._parameters.most_born, room)]
         order = order[lacking.ravel()[order] > self._parameters.lacking]
         if not len(order):
             return
         colours: Float32 = cv2.resize(at_rest.rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         rows, columns = np.unravel_index(order, lacking.shape)
-        self._gaussians.spawn(self._patches(one, rows * BLOCK, columns * BLOCK, colours[rows, columns]), stamp)
+        born = self._patches(one, at_rest, rows * BLOCK, columns * BLOCK, colours[rows, columns])
+        self._gaussians.spawn(born, stamp)
         self._backgrounds.mark()
 
-    def _patches(self, one: Observed, rows: NDArray[np.intp], columns: NDArray[np.intp], rgb: Float32) -> Newborns:
-        """Blocks of pixels that begin at `rows` and `columns` [n], as Gaussians just before what stands there."""
+    def _patches(
+        self, one: Observed, at_rest: _AtRest, rows: NDArray[np.intp], columns: NDArray[np.intp], rgb: Float32
+    ) -> Newborns:
+        """Blocks of pixels that begin at `rows` and `columns` [n], as Gaussians of colours `rgb` [n, 3].
+
+        They lie at the depth that was measured, else just before what stands there.
+        """
         background, camera = one.background, one.view.camera
-        depth = IN_FRONT * background.depth[rows, columns]
+        measured = at_rest.depth[rows, columns].astype(np.float64)
+        depth = np.where(measured > 0, measured, IN_FRONT * background.depth[rows, columns])
         rays = (background.rays[rows, columns] + background.rays[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
         means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
         radii = SPREAD * BLOCK * depth / camera.K[0, 0]
@@ -150,7 +167,7 @@ class Mapper:
         """A few steps for the Gaussians that show at wrong pixels of `views`, cameras of one size."""
         chosen = self._chosen(views)
         g, rows = self._gaussians, self._backgrounds.rows
-        standing = (g.alive[rows] & (g.tiers[rows] == 0)).cpu().numpy()
+        standing = (g.alive[rows] & (g.tiers[rows] == int(Tier.STATIC))).cpu().numpy()
         chosen &= standing
         if not chosen.any():
             return 0
@@ -161,23 +178,13 @@ class Mapper:
         g.forget_moments(fresh)
         self._learning[:] = False
         self._learning[learners] = True
-        device = g.values.device
-        goal = Goal(
-            [view.camera for view in views],
-            masks,
-            [
-                Targets(
-                    torch.from_numpy(np.stack([view.at_rest.rgb for view in views])).to(device),
-                    torch.from_numpy(np.stack(masks)).to(device).float(),
-                    None,
-                )
-            ],
-            [_behind(view.background, device) for view in views],
-        )
         still = Poses(torch.zeros(len(views), 0, 3), torch.zeros(len(views), 0, 4))
-        carriage = carry(still, torch.full((len(learners),), -1, device=device))
-        rates = rates_of(g.values[learners], self._parameters.learning_rate)
-        descend(g, Path(learners, carriage, rates, g.standing(g.values[others]), goal), self._parameters.steps)
+        carriage = carry(still, torch.full((len(learners),), -1, device=g.values.device))
+        before = g.values[learners]
+        rates = rates_of(before, self._parameters.learning_rate)
+        path = Path(learners, carriage, rates, g.standing(g.values[others]), _goal(views, masks, g.values.device))
+        if descend(g, path, self._parameters.steps).diverged:
+            undo(g, learners, before)
         self._backgrounds.repaint()
         return len(learners)
 
@@ -192,6 +199,17 @@ class Mapper:
             order = np.argsort(-need, kind="stable")
             chosen[order[self._parameters.most_learners :]] = False
         return chosen
+
+
+def _goal(views: Sequence[_Wanting], masks: Sequence[Bool], device: torch.device) -> Goal:
+    """What cameras of one size see at rest, inside `masks` [H, W]."""
+    depths = np.stack([view.at_rest.depth for view in views])
+    targets = Targets(
+        torch.from_numpy(np.stack([view.at_rest.rgb for view in views])).to(device),
+        torch.from_numpy(np.stack(masks)).to(device).float(),
+        torch.from_numpy(depths).to(device) if depths.any() else None,
+    )
+    return Goal([view.camera for view in views], masks, [targets], [_behind(view.background, device) for view in views])
 
 
 def _footprint(view: _Wanting, chosen: Bool) -> Bool:

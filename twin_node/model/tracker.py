@@ -70,7 +70,8 @@ class Tracker:
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
         self._links = links
-        self._mapper = Mapper(parameters.map, gaussians, backgrounds)
+        most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
+        self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
         self._turn = 0
         self._pace = 1.0
         self._due: Sequence[Observed] | None = None
