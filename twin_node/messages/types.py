@@ -15,6 +15,7 @@ from rosbags.typesys.store import Typestore
 
 from twin_node import resources
 from twin_node.errors import TwinError
+from twin_node.messages.rows import RowCodec
 
 Message: TypeAlias = Any
 """An instance of a class that `message_type` returned: fields as attributes, arrays as numpy arrays."""
@@ -36,6 +37,7 @@ class MessageTypes:
     def __init__(self, store: Typestore, fallback: MessageTypes | None = None) -> None:
         self._store = store
         self._fallback = fallback
+        self._codecs: dict[str, RowCodec | None] = {}
 
     def __contains__(self, name: str) -> bool:
         return name in self._store.types
@@ -48,18 +50,22 @@ class MessageTypes:
     def serialize(self, message: Message) -> memoryview:
         """CDR bytes of a message, little-endian, with the 4-byte encapsulation header (OMG DDSI-RTPS 10.2)."""
         name = message.__msgtype__
-        self._require(name)
-        return self._store.serialize_cdr(message, name, little_endian=True)
+        codec = self.row_codec(name)
+        packed = None if codec is None else codec.pack(message)
+        return packed if packed is not None else self._store.serialize_cdr(message, name, little_endian=True)
 
     def deserialize(self, data: bytes | memoryview, name: str) -> Message:
         """Message from CDR bytes; array fields are read-only numpy views of `data`, nothing is copied.
 
+        A sequence of flat structs behind a header is such a view too: `rows.Rows`.
+
         Where a definition given to `extended` does not fit, that of the set that it extends is tried: some recorders
         store placeholders. Raises `MessageError` if `data` is not a message of that type.
         """
-        self._require(name)
+        codec = self.row_codec(name)
         try:
-            return self._store.deserialize_cdr(memoryview(data), name)
+            message = None if codec is None else codec.unpack(memoryview(data))
+            return message if message is not None else self._store.deserialize_cdr(memoryview(data), name)
         except (SerdeError, IndexError, TypeError, OverflowError) as error:
             if self._fallback is not None and name in self._fallback:
                 return self._fallback.deserialize(data, name)
@@ -67,6 +73,13 @@ class MessageTypes:
                 f"{name}: {len(data)} bytes are not a CDR message of this type ({error}); "
                 "the sender's definition differs or the data are damaged"
             ) from None
+
+    def row_codec(self, name: str) -> RowCodec | None:
+        """How the structs of a message type are an array; None for types of another make."""
+        self._require(name)
+        if name not in self._codecs:
+            self._codecs[name] = RowCodec.of(self._store, name)
+        return self._codecs[name]
 
     def definition(self, name: str) -> str:
         """Definition in the `ros2msg` form: the type's own text, then those of the types that it uses."""

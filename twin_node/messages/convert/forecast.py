@@ -8,9 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.messages.convert.camera import BASE_FRAME
+from twin_node.messages.rows import Rows
 from twin_node.messages.stamps import from_duration, from_time, header, header_stamp, to_duration, to_time
-from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.messages.types import Message, MessageError, builtin_types, message_type
 from twin_node.scene import Grid, MotionExpert, Obstacles, Occupancy, OccupancyLayer
+
+OBSTACLE_ARRAY = "twin_msgs/msg/ObstacleArray"
+POSITION = ("pose.position.x", "pose.position.y", "pose.position.z")
+ORIENTATION = ("pose.orientation.w", "pose.orientation.x", "pose.orientation.y", "pose.orientation.z")
+SIZE = ("size.x", "size.y", "size.z")
+VELOCITY = ("twist.linear.x", "twist.linear.y", "twist.linear.z")
+"""Columns of an obstacle's numbers, in the order of `scene.Obstacles`."""
+SECOND_NS = 1_000_000_000
 
 
 def occupancy_to_message(occupancy: Occupancy) -> Message:
@@ -54,46 +63,52 @@ def occupancy_from_message(message: Message) -> Occupancy:
 
 def obstacles_to_message(obstacles: Obstacles) -> Message:
     """`twin_msgs/msg/ObstacleArray` of obstacles; angular velocities are zero, because the cover does not turn."""
-    obstacle, pose = message_type("twin_msgs/msg/Obstacle"), message_type("geometry_msgs/msg/Pose")
-    point, vector = message_type("geometry_msgs/msg/Point"), message_type("geometry_msgs/msg/Vector3")
-    quaternion, twist = message_type("geometry_msgs/msg/Quaternion"), message_type("geometry_msgs/msg/Twist")
-    times = {int(stamp): to_time(int(stamp)) for stamp in {*obstacles.valid_from, *obstacles.valid_to}}
-    still = vector(x=0.0, y=0.0, z=0.0)
-    columns = (
-        obstacles.ids,
-        obstacles.kinds,
-        obstacles.shapes,
-        obstacles.positions,
-        obstacles.quats,
-        obstacles.sizes,
-        obstacles.velocities,
-        obstacles.bounds,
-        obstacles.valid_from,
-        obstacles.valid_to,
-        np.full(len(obstacles.ids), MotionExpert.NO_EXPERT) if obstacles.experts is None else obstacles.experts,
-    )
-    messages = [
-        obstacle(
-            id=number,
-            kind=kind,
-            shape=shape,
-            pose=pose(position=point(*position), orientation=quaternion(x=qx, y=qy, z=qz, w=qw)),
-            size=vector(*size),
-            twist=twist(linear=vector(*velocity), angular=still),
-            bound=bound,
-            valid_from=times[valid_from],
-            valid_to=times[valid_to],
-            expert=expert,
-        )
-        for number, kind, shape, position, (qw, qx, qy, qz), size, velocity, bound, valid_from, valid_to, expert in zip(
-            *(column.tolist() for column in columns), strict=True
-        )
-    ]
-    return message_type("twin_msgs/msg/ObstacleArray")(header=header(obstacles.stamp, BASE_FRAME), obstacles=messages)
+    codec = builtin_types().row_codec(OBSTACLE_ARRAY)
+    assert codec is not None, f"{OBSTACLE_ARRAY} is no longer a header and flat structs"
+    rows = np.zeros(len(obstacles.ids), codec.dtype)
+    columns = {"id": obstacles.ids, "kind": obstacles.kinds, "shape": obstacles.shapes, "bound": obstacles.bounds}
+    columns |= zip(POSITION, obstacles.positions.T, strict=True)
+    columns |= zip(ORIENTATION, obstacles.quats.T, strict=True)
+    columns |= zip(SIZE, obstacles.sizes.T, strict=True)
+    columns |= zip(VELOCITY, obstacles.velocities.T, strict=True)
+    for name, stamps in (("valid_from", obstacles.valid_from), ("valid_to", obstacles.valid_to)):
+        columns[f"{name}.sec"], columns[f"{name}.nanosec"] = np.divmod(stamps, SECOND_NS)
+    for name, values in columns.items():
+        rows[name] = values
+    rows["expert"] = MotionExpert.NO_EXPERT if obstacles.experts is None else obstacles.experts
+    return message_type(OBSTACLE_ARRAY)(header=header(obstacles.stamp, BASE_FRAME), obstacles=codec.rows(rows))
 
 
 def obstacles_from_message(message: Message) -> Obstacles:
     """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts."""
+    if not isinstance(message.obstacles, Rows):
+        return _obstacles_one_by_one(message)
+    rows = message.obstacles.array
+
+    def table(names: Sequence[str]) -> NDArray[np.float64]:
+        return np.stack([rows[name] for name in names], axis=1)
+
+    def stamps(name: str) -> NDArray[np.int64]:
+        return np.asarray(rows[f"{name}.sec"].astype(np.int64) * SECOND_NS + rows[f"{name}.nanosec"], dtype=np.int64)
+
+    return Obstacles(
+        stamp=header_stamp(message),
+        ids=rows["id"].copy(),
+        kinds=rows["kind"].copy(),
+        shapes=rows["shape"].copy(),
+        positions=table(POSITION),
+        quats=table(ORIENTATION),
+        sizes=table(SIZE),
+        velocities=table(VELOCITY),
+        bounds=rows["bound"].copy(),
+        valid_from=stamps("valid_from"),
+        valid_to=stamps("valid_to"),
+        experts=rows["expert"].copy(),
+    )
+
+
+def _obstacles_one_by_one(message: Message) -> Obstacles:
+    """Of messages whose definition or bytes are of another form than today's: older logs, other senders."""
     items: Sequence[Message] = message.obstacles
 
     def table(rows: list[list[float]], columns: int) -> NDArray[np.float64]:
