@@ -184,6 +184,18 @@ def test_only_a_latched_message_that_never_comes_again_may_hold_up_its_publisher
     assert asked == [zenoh.CongestionControl.DROP if repeats else zenoh.CongestionControl.BLOCK]
 
 
+def test_a_publisher_knows_whether_anybody_listens(wires: tuple[ZenohWire, ZenohWire]) -> None:
+    talker, listener = Side(wires[0], "talker"), Side(wires[1], "listener")
+    assert not talker.bus.is_heard("/chatter")
+    listener.listen("/chatter")
+    assert send_until_heard(talker, listener, "/chatter", text("you")).data == "you"
+    assert talker.bus.is_heard("/chatter")
+    near = Side(wires[0], "near")
+    assert not talker.bus.is_heard("/record")
+    near.listen("/record")
+    assert talker.bus.is_heard("/record")
+
+
 def test_records_stay_at_home(wires: tuple[ZenohWire, ZenohWire]) -> None:
     talker, here, there = Side(wires[0], "talker"), Side(wires[0], "here"), Side(wires[1], "there")
     here.listen("/record")

@@ -28,6 +28,10 @@ class LateWire:
         """As `ZenohWire.subscribe`. Raises `WireError` while the wire is not open."""
         return self._wire.subscribe(node, topic, kind, sink)
 
+    def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
+        """As `ZenohWire.is_heard`. Raises `WireError` while the wire is not open."""
+        return self._wire.is_heard(node, topic, kind)
+
     def endpoints(self) -> tuple[Endpoint, ...]:
         """As `ZenohWire.endpoints`; none while the wire is not open."""
         return () if self._opened is None else self._opened.endpoints()

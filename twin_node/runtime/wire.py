@@ -52,6 +52,9 @@ class Wire(Protocol):
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink` until cancelled; a latched topic's last message comes at once."""
 
+    def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
+        """Whether anybody would get what node `node` sends on `topic`."""
+
     def endpoints(self) -> tuple[Endpoint, ...]:
         """Publishers and subscribers of the whole graph, as far as this end has been told by now."""
 
@@ -94,6 +97,11 @@ class LocalWire:
                 self._sinks[topic].remove(sink)
 
         return cancel
+
+    def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
+        """Whether a thread of this process listens."""
+        with self._lock:
+            return bool(self._sinks.get(topic))
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """None: threads of one process need no discovery."""

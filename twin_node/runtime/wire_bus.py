@@ -94,6 +94,10 @@ class WireBus:
             send = self._senders[topic] = self._wire.publisher(self._node, self.resolved(topic), kind)
         send(message)
 
+    def is_heard(self, topic: str) -> bool:
+        """Whether anybody would get what is published on `topic`: what is costly is not made for nobody."""
+        return self._wire.is_heard(self._node, self.resolved(topic), self._kind(topic))
+
     def subscribe(self, topic: str, callback: Callable[[Any], None]) -> None:
         """Call `callback(message)` in the executor's thread for every message on `topic`."""
         self._subscribe(topic, callback, raw=False)

@@ -10,6 +10,7 @@ import atexit
 import itertools
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from twin_node.messages import builtin_types
@@ -46,7 +47,7 @@ class ZenohWire:
         self._local = LocalWire()
         self._numbers = itertools.count()
         self._nodes: dict[str, NodeIdentity] = {}
-        self._senders: dict[tuple[str, str], Send] = {}
+        self._senders: dict[tuple[str, str], _Sender] = {}
         self._kept: list[Any] = []
         self._graph: dict[str, Endpoint] = {}
         self._is_watching = False
@@ -64,17 +65,15 @@ class ZenohWire:
         known = self._senders.get((node, topic))
         if known is not None:
             return known
-        send_there: _RemotePublisher | None = None
+        sender = _Sender(send_here, lambda message: self._remote_publisher(node, topic, kind, message))
+        self._senders[node, topic] = sender
+        return sender
 
-        def send(message: Any) -> None:
-            nonlocal send_there
-            if send_there is None:
-                send_there = self._remote_publisher(node, topic, kind, message)
-            send_here(message)
-            send_there(message)
-
-        self._senders[node, topic] = send
-        return send
+    def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
+        """Whether anybody would get what node `node` sends on `topic`, as far as this session has been told."""
+        self.publisher(node, topic, kind)
+        sender = self._senders.get((node, topic))
+        return self._local.is_heard(node, topic, kind) or (sender is not None and sender.there().is_heard)
 
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink`: this process's by reference, those of others as `Encoded`."""
@@ -207,6 +206,27 @@ class ZenohWire:
         return entity
 
 
+class _Sender:
+    """Sends to this process by reference, and to others, for whom a publisher is declared when it is first needed."""
+
+    def __init__(self, send_here: Send, declare: Callable[[Any], _RemotePublisher]) -> None:
+        """`declare(message)`: declares the publisher; what is encoded brings its own types."""
+        self._send_here = send_here
+        self._declare = declare
+        self._there: _RemotePublisher | None = None
+
+    def there(self, message: Any = None) -> _RemotePublisher:
+        """The publisher for other processes."""
+        if self._there is None:
+            self._there = self._declare(message)
+        return self._there
+
+    def __call__(self, message: Any) -> None:
+        there = self.there(message)
+        self._send_here(message)
+        there(message)
+
+
 class _RemotePublisher:
     """Serialises and puts, where anybody listens."""
 
@@ -216,9 +236,14 @@ class _RemotePublisher:
         self._latched = latched
         self._sequence = 0
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether another process listens."""
+        return bool(self._publisher.matching_status.matching)
+
     def __call__(self, message: Any) -> None:
         self._sequence += 1
-        if not self._latched and not self._publisher.matching_status.matching:
+        if not self._latched and not self.is_heard:
             return
         attachment = Attachment(self._sequence, time.time_ns(), self._gid).pack()
         self._publisher.put(bytes(encoded(message).data), attachment=attachment)

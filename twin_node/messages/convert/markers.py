@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,13 +35,16 @@ def obstacles_to_markers(obstacles: Obstacles) -> Message:
     wipe = _marker(obstacles.stamp, BASE_FRAME, "obstacles", 0, 0, (0.0, 0.0, 0.0, 0.0))
     wipe.action = _DELETE_ALL
     markers = [wipe]
+    templates = {}
+    for kind, colour in COLOURS.items():
+        templates[kind] = _marker(obstacles.stamp, BASE_FRAME, kind.name.lower(), 0, _CUBE, colour)
+        templates[kind].lifetime = to_duration(LIFETIME_NS)
     for row in range(len(obstacles.ids)):
-        kind = ObstacleKind(int(obstacles.kinds[row]))
-        shape = _SPHERE if obstacles.shapes[row] == ObstacleShape.SPHERE else _CUBE
-        marker = _marker(obstacles.stamp, BASE_FRAME, kind.name.lower(), row, shape, COLOURS[kind])
+        marker = copy.copy(templates[ObstacleKind(int(obstacles.kinds[row]))])  # shares what all have: time is short
+        marker.id = row
+        marker.type = _SPHERE if obstacles.shapes[row] == ObstacleShape.SPHERE else _CUBE
         marker.pose = _pose(obstacles.positions[row], obstacles.quats[row])
         marker.scale = _vector(obstacles.sizes[row])
-        marker.lifetime = to_duration(LIFETIME_NS)
         markers.append(marker)
     return message_type("visualization_msgs/msg/MarkerArray")(markers=markers)
 
@@ -92,10 +96,7 @@ def _edges(camera: RigCamera) -> Float64:
 def _marker(
     stamp: int, frame: str, namespace: str, number: int, shape: int, colour: tuple[float, float, float, float]
 ) -> Message:
-    rgba = message_type("std_msgs/msg/ColorRGBA")
-    kind = message_type("visualization_msgs/msg/Marker")
-    red, green, blue, opacity = colour
-    return kind(
+    return message_type("visualization_msgs/msg/Marker")(
         header=header(stamp, frame),
         ns=namespace,
         id=number,
@@ -103,7 +104,7 @@ def _marker(
         action=0,
         pose=_pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])),
         scale=_vector(np.zeros(3)),
-        color=rgba(r=red, g=green, b=blue, a=opacity),
+        color=_rgba(colour),
         lifetime=to_duration(0),
         frame_locked=False,
         points=[],
@@ -118,6 +119,11 @@ def _marker(
         mesh_file=message_type("visualization_msgs/msg/MeshFile")(filename="", data=np.zeros(0, dtype=np.uint8)),
         mesh_use_embedded_materials=False,
     )
+
+
+def _rgba(colour: tuple[float, float, float, float]) -> Message:
+    red, green, blue, opacity = colour
+    return message_type("std_msgs/msg/ColorRGBA")(r=red, g=green, b=blue, a=opacity)
 
 
 def _pose(position: Float64, quat: Float64) -> Message:

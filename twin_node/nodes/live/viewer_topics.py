@@ -21,10 +21,15 @@ def make_viewer_topics(setup: Setup) -> Node:
 
 
 class ViewerTopicsNode(Node):
-    """Turns our own messages into `visualization_msgs` and `tf2_msgs`."""
+    """Turns our own messages into `visualization_msgs` and `tf2_msgs`.
+
+    Markers of hundreds of obstacles at camera rate, and frames at that of the controller, would keep a third of a core
+    busy: they are made when somebody looks.
+    """
 
     def __init__(self, setup: Setup, source: RigSource, arm: ArmModel) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
+        self._bus = setup.bus
         self._timers = setup.timers
         self._source = source
         self._arm = arm
@@ -42,13 +47,16 @@ class ViewerTopicsNode(Node):
         self.bus.publish(FRUSTA, convert.frusta_to_markers(self._source.rig, self.clock.now()))
 
     def _on_obstacles(self, message: Any) -> None:
-        self.bus.publish(OBSTACLE_MARKERS, convert.obstacles_to_markers(convert.obstacles_from_message(message)))
+        if self._bus.is_heard(OBSTACLE_MARKERS):
+            self.bus.publish(OBSTACLE_MARKERS, convert.obstacles_to_markers(convert.obstacles_from_message(message)))
 
     def _on_separation(self, message: Any) -> None:
         separation = convert.separation_from_message(message)
         self.bus.publish(SEPARATION_MARKER, convert.separation_to_marker(separation))
 
     def _on_joints(self, message: Any) -> None:
+        if not self._bus.is_heard(TF):
+            return
         sample = convert.joint_sample_from_message(message)
         poses = forward_kinematics(self._arm, self._arm.ordered_positions(sample))
         self.bus.publish(TF, convert.links_to_tf(self._arm.link_names, poses, sample.stamp))
