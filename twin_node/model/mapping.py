@@ -33,6 +33,8 @@ UPTAKE = 0.3
 """Share of each image that enters what a pixel shows at rest: noise is averaged over about six images."""
 STIRRED = 25 / 255
 """Change from what a pixel shows at rest that is no noise: it starts anew (the threshold for moving pixels)."""
+MOST_FILLS = 2
+"""Times that one place is given new Gaussians before it changes again: what they do not mend, more will not."""
 IN_FRONT = 0.995
 """Share of the depth of what stands there already at which a newborn lies, so that it is what shows."""
 FOOTPRINT_PX = 3
@@ -57,6 +59,7 @@ class _AtRest:
         self.lacking = np.zeros(rgb.shape[:2], np.float32)
         """[H, W] what steps have not made good although there was time for them, 0 to 1."""
         self._calm_s = np.zeros(rgb.shape[:2], np.float32)
+        self._filled = np.zeros(rgb.shape[:2], np.uint8)
         self._stamp = one.view.stamp
 
     def see(self, one: Observed, parameters: MapParameters) -> None:
@@ -72,7 +75,16 @@ class _AtRest:
         self.counted = self._calm_s > parameters.calm_s
         missed = cv2.blur(largest_channel(self.rgb, one.background.rgb) - one.misfit, (3, 3))
         self.wrong = grow(self.counted & (missed > parameters.threshold), 1)
-        self.lacking = np.where(self._calm_s > parameters.patience_s, missed, np.float32(0))
+        self._filled[one.usable & ~one.near_moving & ~calm] = 0
+        patient = (self._calm_s > parameters.patience_s) & (self._filled < MOST_FILLS)
+        self.lacking = np.where(patient, missed, np.float32(0))
+
+    def fill(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> None:
+        """The blocks of pixels that begin at `rows` and `columns` [n] have new Gaussians, which must learn first."""
+        for down in range(BLOCK):
+            for right in range(BLOCK):
+                self._calm_s[rows + down, columns + right] = 0
+                self._filled[rows + down, columns + right] += 1
 
 
 @dataclass(frozen=True)
@@ -135,6 +147,7 @@ class Mapper:
         rows, columns = np.unravel_index(order, lacking.shape)
         born = self._patches(one, at_rest, rows * BLOCK, columns * BLOCK, colours[rows, columns])
         self._gaussians.spawn(born, stamp)
+        at_rest.fill(rows * BLOCK, columns * BLOCK)
         self._backgrounds.mark()
 
     def _patches(

@@ -81,8 +81,8 @@ class MapParameters:
     """For how long a pixel must have been free and still before what it shows is learnt."""
     patience_s: float = 0.5
     """For how long a pixel must have been at rest before what steps have not made good is given new Gaussians."""
-    lacking: float = 0.06
-    """Difference (0 to 1) that is then too much: fifteen grey levels, half of what counts as change."""
+    lacking: float = 0.1
+    """Difference (0 to 1) that is then too much: what counts as change."""
     most_born: int = 40
     """Gaussians born per set at most."""
     most_learners: int = 1000
