@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -222,6 +222,16 @@ def test_wrong_wishes_are_one_line(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_log_that_breaks_off_is_told_and_read_as_far_as_it_goes(
+    twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = cell_log(1.2).read_bytes()
+    (tmp_path / "broken.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    assert run(twin_log, tmp_path / "broken.mcap", "--to", "csv", "--rate", 10, "-o", tmp_path / "tables") == 0
+    said = capsys.readouterr().err
+    assert "twin_node: warning: " in said and "broken.mcap: damaged at byte" in said
+
+
 @pytest.mark.parametrize(("form", "name"), [("csv", "mine"), ("csv", "."), ("ply", "mine.ply")])
 def test_a_folder_that_exists_is_left_alone(
     twin_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, name: str
@@ -234,9 +244,9 @@ def test_a_folder_that_exists_is_left_alone(
 
 
 def test_a_log_without_obstacles_is_refused(
-    cell_log: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(cell_log(0.5), "--to", "mjcf", "-o", tmp_path / "a.xml") == 2  # type: ignore[operator]
+    assert run(cell_log(0.5), "--to", "mjcf", "-o", tmp_path / "a.xml") == 2
     assert "/twin/obstacles" in capsys.readouterr().err
 
 

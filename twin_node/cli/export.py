@@ -11,6 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative, positive
+from twin_node.cli.playback import open_playback
 
 
 def add_export(commands: Any) -> None:
@@ -52,10 +53,9 @@ def _open(paths: list[Path]) -> Iterator[Any]:
     """The source that the paths name: a checkpoint alone, or the logs of a run."""
     from twin_node.nodes.export import LogSource
     from twin_node.nodes.export.checkpoint import SUFFIX, CheckpointSource
-    from twin_node.nodes.playback import Playback
 
     if len(paths) == 1 and paths[0].suffix == SUFFIX:
         yield CheckpointSource(paths[0])
         return
-    with Playback(paths) as playback:
+    with open_playback(paths) as playback:
         yield LogSource(playback)

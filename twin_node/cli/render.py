@@ -10,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative, positive, width
+from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
 
 FILM = ".mp4"
@@ -43,13 +44,12 @@ def add_render(commands: Any) -> None:
 def _render(options: argparse.Namespace) -> None:
     from twin_node.nodes.export import ExportSpan
     from twin_node.nodes.film import PICTURES, Film, write_film, write_picture
-    from twin_node.nodes.playback import Playback
     from twin_node.robot import arm_model
 
     if options.output.suffix not in (FILM, *PICTURES):
         raise TwinError(f"-o {options.output}: expected a name that ends in {', '.join((FILM, *PICTURES))}")
     is_film = options.output.suffix == FILM
-    with Playback(options.log, options.width, options.rig) as playback:
+    with open_playback(options.log, options.width, options.rig) as playback:
         view = options.view or ("beside" if playback.cameras else "orbit")
         film = Film(playback, view, options.width, arm_model(options.arm), options.camera)
         span = ExportSpan(options.start, options.stop, options.rate) if is_film else ExportSpan.one(options.at)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.cli.arguments import not_negative, port, width
+from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
 
 
@@ -51,12 +52,11 @@ def view_log(
     port: int = 8080,
 ) -> None:
     """Shows the logs of a run until interrupted; says where."""
-    from twin_node.nodes.playback import Playback
     from twin_node.nodes.viewer import CellPage, LogViewer
     from twin_node.robot import arm_model
 
     model = arm_model(arm)
-    with Playback(logs, images_px, rig) as playback:
+    with open_playback(logs, images_px, rig) as playback:
         page = CellPage(model, playback.cameras, host, port)
         viewer = LogViewer(playback, page)
         viewer.seek(at_s)

@@ -167,6 +167,11 @@ class Playback:
         return " and ".join(str(log.path) for log in self._logs)
 
     @property
+    def damage(self) -> tuple[str, ...]:
+        """What of the logs cannot be read, a line each."""
+        return tuple(log.damage for log in self._logs if log.damage)
+
+    @property
     def cameras(self) -> tuple[Camera, ...]:
         """The pinhole cameras of the images; none where no log has images."""
         return () if self._assembler is None else self._assembler.cameras

@@ -1,0 +1,23 @@
+"""Logs as `view`, `render` and `export` open them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from twin_node.nodes.playback import Playback
+
+
+@contextmanager
+def open_playback(logs: Sequence[Path], width: int | None = None, rig: Path | None = None) -> Iterator[Playback]:
+    """The logs of a run, open; says what of them cannot be read. `width`: of the images, px; `rig`: a rig file."""
+    from twin_node.nodes.playback import Playback
+
+    with Playback(logs, width, rig) as playback:
+        for damage in playback.damage:
+            print(f"twin_node: warning: {damage}", file=sys.stderr)
+        yield playback
