@@ -54,8 +54,8 @@ _UNFORESEEN = (
     "from; keep clear until this ends"
 )
 _AT_ODDS = (
-    "forecast: cameras measure what moves where others see past it: look for mirrors and glass, clocks that are off "
-    "and cameras out of place"
+    "forecast: cameras measure what moves where others see past it: look for mirrors and glass, clocks that are off, "
+    "cameras out of place, and shadows that are taken for things"
 )
 FEWEST = 30
 """Pixels or points below which nothing is told by their shares."""
