@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -61,8 +62,8 @@ def _graph(options: argparse.Namespace) -> int:
                 figures[part] = dataclasses.asdict(measure[part]())
             except BenchError as error:  # the other parts can be measured nevertheless
                 figures[part] = {"error": str(error)}
-            if not options.json:
-                print(f"{part}: " + ", ".join(f"{key} {value}" for key, value in figures[part].items()), flush=True)
+            line = f"{part}: " + ", ".join(f"{key} {value}" for key, value in figures[part].items())
+            print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
     if options.json:
         print(json.dumps(figures))
     return 1 if any("error" in found for found in figures.values()) else 0
