@@ -15,6 +15,9 @@ ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 SESSION_CONFIG_VARIABLE = "ZENOH_SESSION_CONFIG_URI"
 ROUTER_CONFIG_VARIABLE = "ZENOH_ROUTER_CONFIG_URI"
 """Names of zenoh's own configuration files, as rmw_zenoh reads them."""
+QUEUED_BATCHES = 16
+"""Batches of 64 KiB that may wait on a session's link, zenoh's largest number (its default is 2): the images of three
+cameras come at once, and a receiver that is busy for a moment on this host must not cost one of them."""
 DISTRIBUTIONS = ("humble", "jazzy", "kilted", "rolling")
 """Distributions of ROS 2 whose wire format is spoken."""
 
@@ -115,6 +118,7 @@ def _session_config(parameters: ZenohParameters) -> Any:
             "connect/endpoints": [parameters.endpoint],
             "listen/endpoints": ["tcp/127.0.0.1:0"],
             "transport/shared_memory/enabled": parameters.shared_memory,
+            "transport/link/tx/queue/size/data": QUEUED_BATCHES,
         }
     )
 
