@@ -22,15 +22,20 @@ class BoundParameters:
 
     coverage: float = 0.99
     """Share of the moving space, and of the nodes, that the forecast made for it must hold."""
-    acceleration: float = 10.0
+    acceleration: float = 6.0
     """Largest acceleration taken into account before there is a record, m/s^2: a hand starting a reach, or gravity."""
     memory_s: float = 2.0
     """Time constant in which old errors lose their say, s: a gesture or two."""
     correction: float = 0.02
     """How fast the miss rate aimed at follows what was missed, per second (Gibbs and Candes 2021)."""
-    follow: float = 6.0
-    """Relative growth of the common factor per unit of coverage missed in the images, per horizon; where nothing is
-    missed at all, that is a shrinkage by 6 % per horizon."""
+    follow: float = 2.0
+    """Relative growth of the common factor's level per unit of coverage missed in the images, per horizon; where
+    nothing is missed at all, that is a shrinkage by 2 % per horizon."""
+    surprise: float = 2.5
+    """A miss asks at once for a factor so much larger, relative and per unit of coverage missed, than the one that the
+    forecast was made with."""
+    relief: float = 2.0
+    """Time constant in which the factor returns to its level when nothing is missed, in horizons."""
     first_factor: float = 0.55
     """Common factor before there is a record: parts of a hull hold more than what moves."""
     least_factor: float = 0.05
@@ -124,13 +129,13 @@ class Bound:
         scales: Float64 = np.exp(now @ self._weights)
         return scales
 
-    def radii(self, now: Float64, ages: Float64, horizon_s: float) -> Float64:
-        """Radii [M] in metres at the horizon, of nodes with cues [M, CUES].
+    def radii(self, now: Float64, ages: Float64, horizon_s: float, factor: float = 1.0) -> Float64:
+        """Radii [M] in metres at the horizon, of nodes with cues [M, CUES]; `factor` multiplies what is calibrated.
 
         Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach, and no
         expert has shown to be right: their radius is at least a h^2 / 2 and the spread of the experts.
         """
-        calibrated = self._quantile * self.scales(now)
+        calibrated = factor * self._quantile * self.scales(now)
         spread = np.exp(now[:, 1]) - LEAST
         reachable = self.parameters.acceleration * horizon_s**2 / 2 + spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
@@ -164,16 +169,17 @@ class Bound:
 
 
 class CoverageControl:
-    """A factor on all radii that keeps the coverage seen in the images at its target.
+    """A factor on all calibrated radii that keeps the coverage seen in the images at its target.
 
     What the cameras see to move is the truth here: it holds what the nodes' own errors cannot show, such as space that
     nobody saw. Adaptive conformal inference on a multiplicative scale: quick to grow with each missed share, slow to
-    shrink while the target is kept.
+    shrink while the target is kept. A miss asks for growth over the factor that the forecast was made with: that was a
+    horizon ago, and what has grown since need not grow again for the same surprise.
     """
 
     def __init__(self, parameters: BoundParameters) -> None:
         self.parameters = parameters
-        self.factor = parameters.first_factor
+        self.factor = self._level = parameters.first_factor
         self._covered: deque[float] = deque(maxlen=120)
 
     @property
@@ -181,15 +187,21 @@ class CoverageControl:
         """Mean share that the forecasts held over the last 120 judged image sets; NaN before the first."""
         return float(np.mean(self._covered)) if self._covered else float("nan")
 
-    def observe(self, covered: float, elapsed: float) -> None:
+    def observe(self, covered: float, then: float, elapsed: float) -> None:
         """Takes in the share [0, 1] of now moving space that lay inside the forecast made for now.
 
-        `elapsed` is the time since the last observation in horizons.
+        `then` is the factor it was made with; `elapsed` is the time since the last observation in horizons.
         """
         p = self.parameters
         self._covered.append(covered)
-        rate = p.follow * (p.coverage - covered)
-        self.factor = float(np.clip(self.factor * np.exp(rate * min(elapsed, 1.0)), p.least_factor, p.most_factor))
+        missed, elapsed = p.coverage - covered, min(elapsed, 1.0)
+        self._level = self._clipped(self._level * np.exp(p.follow * missed * elapsed))
+        needed = then * np.exp(p.surprise * missed) if missed > 0 else 0.0
+        relieved = self._level + (self.factor - self._level) * np.exp(-elapsed / p.relief)
+        self.factor = self._clipped(max(self._level, relieved, needed))
+
+    def _clipped(self, factor: float) -> float:
+        return float(np.clip(factor, self.parameters.least_factor, self.parameters.most_factor))
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,20 @@ from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Watch, held
 from twin_node.forecast.obstacles import Motion
-from twin_node.forecast.prediction import Predictor
+from twin_node.forecast.parts import PART_SIZE
+from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState
+from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
 CORE_PROBABILITY = 230
 """Of voxels where the likely voxels of the parts are forecast."""
 BOUND_PROBABILITY = 90
 """Of voxels that only the errors of the carving and the error bound add."""
 
+_NEIGHBOURS = 8
+"""Forecast places that are looked at about a part: those nearest to it."""
 JUDGED_EVERY_NS = 50_000_000
 """Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
 
@@ -75,6 +78,7 @@ class Forecaster:
         self._predictor = Predictor(self.parameters.bound)
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
+        self._due: _Issued | None = None
         self._radii = np.zeros((len(HORIZONS_NS), 0))
         self._watch = Watch()
         self._sees_motion_from = 0
@@ -115,10 +119,16 @@ class Forecaster:
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
         self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)
+        self._predictor.vouch(self._foreseen(evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
-        layers = self._layers(evidence, horizons)
+        prediction = self._predict(horizons)
+        layers = self._layers(evidence, prediction)
         indices = layers[-1].indices.astype(np.int64)
-        self._issued.append(_Issued(state.stamp, publish_stamp + HORIZONS_NS[-1], indices, places))
+        valid_at = publish_stamp + HORIZONS_NS[-1]
+        ahead = evidence.parts.centers + prediction.displacements[-1]
+        self._issued.append(
+            _Issued(state.stamp, valid_at, indices, places, self._control.factor, ahead, prediction.radii[-1])
+        )
         return Occupancy(
             stamp=state.stamp,
             publish_stamp=publish_stamp,
@@ -136,7 +146,7 @@ class Forecaster:
         """Scores the forecast made for now; parts that nobody saw when it was made are left out."""
         due = None
         while self._issued and self._issued[0].valid_at <= state.stamp:
-            due = self._issued.popleft()
+            due = self._due = self._issued.popleft()
         if due is None or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
@@ -148,27 +158,42 @@ class Forecaster:
             self._watch = self._watch.after(everything)
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
-            self._control.observe(found.covered / found.seen, elapsed)
+            self._control.observe(found.covered / found.seen, due.factor, elapsed)
         if known.any() and due.places.shape[1]:
             missed = _missed(due.places, evidence.parts.centers[known])
             self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)
         self._judged_at = state.stamp
 
-    def _layers(self, evidence: Evidence, horizons: Float64) -> tuple[OccupancyLayer, ...]:
-        """Every part moved on by the experts and widened by the bound, per horizon."""
-        parts = evidence.parts
-        prediction = self._predictor.predict(horizons)
-        moved, self._radii = prediction.displacements, self._control.factor * prediction.radii
-        lost = ~(np.isfinite(moved).all(axis=(0, 2)) & np.isfinite(self._radii).all(axis=0))
+    def _foreseen(self, centers: Float64) -> Bool:
+        """[M] parts, by their centres, that lie where the newest forecast whose time has come had some part."""
+        due = self._due
+        if due is None or len(due.radii) == 0 or len(centers) == 0:
+            return np.zeros(len(centers), np.bool_)
+        count = min(_NEIGHBOURS, len(due.radii))
+        distances, rows = cKDTree(due.ahead).query(centers, np.arange(1, count + 1))
+        foreseen: Bool = (distances <= due.radii[rows] + PART_SIZE).any(axis=1)
+        return foreseen
+
+    def _predict(self, horizons: Float64) -> Prediction:
+        """Where the parts will be; worst case for those of which the experts make nothing finite."""
+        found = self._predictor.predict(horizons, self._control.factor)
+        moved, radii = found.displacements, found.radii
+        lost = ~(np.isfinite(moved).all(axis=(0, 2)) & np.isfinite(radii).all(axis=0))
         self._warnings = ()
         if lost.any():
             moved[:, lost] = 0
-            self._radii[:, lost] = PERSON_SPEED * horizons[:, None]
+            radii[:, lost] = PERSON_SPEED * horizons[:, None]
             self._warnings = (
                 f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
             )
             self._tracks, self._predictor = Tracks(), Predictor(self.parameters.bound)
-        spreads = spread(self.grid, parts.points, shifts_of(self.grid, moved), reach_of(self.grid, self._radii))
+        self._radii = radii
+        return found
+
+    def _layers(self, evidence: Evidence, prediction: Prediction) -> tuple[OccupancyLayer, ...]:
+        """Every part moved on by the experts and widened by the bound, per horizon."""
+        shifts, reaches = shifts_of(self.grid, prediction.displacements), reach_of(self.grid, prediction.radii)
+        spreads = spread(self.grid, evidence.parts.points, shifts, reaches)
         layers = []
         for horizon, reached in zip(HORIZONS_NS, spreads, strict=True):
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
@@ -185,6 +210,12 @@ class _Issued:
     indices: NDArray[np.int64]
     places: Float64
     """[E, M, 3] where each expert alone forecast the parts, m."""
+    factor: float
+    """On its calibrated radii."""
+    ahead: Float64
+    """[M, 3] where the parts were to be, m."""
+    radii: Float64
+    """[M] and how far from there at most, m."""
 
 
 _NOWHERE = 1e6

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from twin_node.forecast.growth import Points
 from twin_node.forecast.tables import CameraTable, RigTables
@@ -78,25 +79,27 @@ class PartVelocities:
         sample = _Sample(places, parts.labels[chosen], parts.count)
         precision: Float64 = np.tile(np.eye(3) * _PRIOR, (parts.count, 1, 1))
         evidence: Float64 = expected * _PRIOR
-        for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
+        measured = np.zeros(parts.count, np.bool_)
+        for view, mask, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             image_velocity = self._image_velocity(view, mask)
             if image_velocity is None or parts.count == 0:
                 continue
-            seen = _seen_by(view, image_velocity, mask, self._tables.of(view.camera), sample)
+            clear = mask if robot is None else mask & ~_near(robot, _OCCLUSION_PIXELS)
+            seen = _seen_by(view, image_velocity, clear, self._tables.of(view.camera), sample)
+            measured |= seen.weights > 0
             jacobian = _jacobian(view.camera, parts.centers)
             scaled = jacobian * seen.weights[:, None, None]
             precision = precision + np.einsum("mki,mkj->mij", scaled, jacobian)
             evidence = evidence + np.einsum("mki,mk->mi", scaled, seen.velocities)
         velocities: Float64 = np.linalg.solve(precision, evidence[..., None]).astype(np.float64)[..., 0]
-        return velocities
+        return _filled(parts.centers, velocities, measured)
 
     def _image_velocity(self, view: View, mask: Bool) -> Float32 | None:
         """[H, W, 2] pixels per second, on what moves alone; None without an earlier image.
 
         All else is painted grey first: still ground would hold back the flow of thin limbs.
         """
-        near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))
-        grey = np.where(near > 0, cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
+        grey = np.where(_near(mask, 1), cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
         last = self._last.get(view.camera.name)
         self._last[view.camera.name] = (view.stamp, grey)
         if last is None or last[0] >= view.stamp or last[1].shape != grey.shape:
@@ -127,6 +130,28 @@ def _window(mask: Bool) -> tuple[slice, slice] | None:
     return slices[0], slices[1]
 
 
+def _near(mask: Bool, pixels: int) -> Bool:
+    """The pixels of a mask and so many about them."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * pixels + 1,) * 2, np.uint8)) > 0
+
+
+def _filled(centers: Float64, velocities: Float64, measured: Bool) -> Float64:
+    """Velocities [M, 3] in which parts that no view shows move as the nearest one that some view shows."""
+    hidden = np.flatnonzero(~measured)
+    if len(hidden) == 0 or not measured.any():
+        return velocities
+    shown = np.flatnonzero(measured)
+    distances, rows = cKDTree(centers[shown]).query(centers[hidden], distance_upper_bound=_BODY_M)
+    attached = np.isfinite(distances)
+    filled = velocities.copy()
+    filled[hidden[attached]] = velocities[shown[rows[attached]]]
+    return filled
+
+
+_BODY_M = 0.3
+"""What no view shows belongs to what is seen within this distance, m: a torso from front to back."""
+_OCCLUSION_PIXELS = 4
+"""Beside the arm the flow is that of its outline over what it hides: half a patch of the coarsest level's."""
 _FLOW_NOISE = 3.0
 """Noise of optical flow, pixels per second: weights favour the pixels that move, for the hull holds still ones too."""
 _SAMPLING = 3

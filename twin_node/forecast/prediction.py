@@ -19,7 +19,7 @@ from twin_node.forecast.experts import (
     mix,
 )
 from twin_node.forecast.neighbours import Neighbours
-from twin_node.scene import Float64
+from twin_node.scene import Bool, Float64
 
 Rows = NDArray[np.int64]
 
@@ -170,11 +170,19 @@ class Predictor:
         best = float(self._missed.min())
         self._trust = np.exp(-(self._missed - best) / (_TRUST_SHARPNESS * best + _TRUST_SHARE))
 
-    def predict(self, horizons: Float64) -> Prediction:
-        """Displacements and bounds of the nodes of the last `advance` after horizons [H] in seconds."""
+    def vouch(self, foreseen: Bool) -> None:
+        """Tells which of the nodes [M] are where something was forecast: they begin nothing new, however they came."""
+        old = self._history.times[-1] - self._horizon_s
+        self._records.began = np.where(foreseen, np.minimum(self._records.began, old), self._records.began)
+
+    def predict(self, horizons: Float64, factor: float = 1.0) -> Prediction:
+        """Displacements and bounds of the nodes of the last `advance` after horizons [H] in seconds.
+
+        `factor`: on calibrated bounds.
+        """
         mixed = np.einsum("em,ehmc->hmc", self.weights, self.single(horizons), optimize=True)
         last = float(horizons[-1])
-        radii = self.bound.radii(self._cues, self._ages, last)
+        radii = self.bound.radii(self._cues, self._ages, last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
         return Prediction(mixed, shares[:, None] * radii)
 

@@ -1,0 +1,35 @@
+"""The predictor: what is new is bounded by what it can reach, what was foreseen by what is learnt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin_node.forecast.prediction import Predictor
+from twin_node.forecast.tracks import Tracks
+
+HORIZONS = np.array([0.0, 0.1, 0.2])
+
+
+def followed(samples: int) -> Predictor:
+    """Two standing nodes after some samples at 30 Hz."""
+    tracks, predictor = Tracks(), Predictor()
+    places = np.array([[0.0, 0.0, 0.5], [0.5, 0.0, 0.5]])
+    for sample in range(samples):
+        succession = tracks.follow(sample / 30, places, np.zeros((2, 3)))
+        predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+    return predictor
+
+
+def test_a_node_that_was_foreseen_is_not_new() -> None:
+    predictor = followed(3)
+    new = predictor.predict(HORIZONS, factor=0.1).radii[-1]
+    predictor.vouch(np.array([True, False]))
+    vouched = predictor.predict(HORIZONS, factor=0.1).radii[-1]
+    assert vouched[0] < 0.5 * new[0]
+    assert vouched[1] == new[1]
+
+
+def test_the_factor_is_on_what_is_learnt_and_not_on_what_can_be_reached() -> None:
+    new, old = followed(3), followed(30)
+    assert np.array_equal(new.predict(HORIZONS, 0.1).radii, new.predict(HORIZONS, 0.05).radii)
+    assert np.allclose(2 * old.predict(HORIZONS, 0.5).radii, old.predict(HORIZONS, 1.0).radii)
