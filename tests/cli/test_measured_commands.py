@@ -27,6 +27,15 @@ def test_a_log_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str], tm
         assert "nowhere.mcap" in refused(capsys, "bench", command, str(tmp_path / "nowhere.mcap"))
 
 
+def test_a_folder_that_cannot_be_made_is_told_before_anything_is_run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    for command in ("stability", "pareto"):
+        line = refused(capsys, "bench", command, "--out", str(tmp_path / "file" / "new"))
+        assert "cannot be made" in line and "choose another folder" in line
+
+
 def test_a_size_that_is_measured_cannot_repeat_itself_to_the_byte(
     capsys: pytest.CaptureFixture[str], cell_log: Callable[..., Path]
 ) -> None:

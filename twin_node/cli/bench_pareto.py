@@ -34,6 +34,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import chart
     from twin_node.bench.pareto.choosing import front_text
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
+    from twin_node.bench.results_folder import prepared
     from twin_node.nodes.chain import load_parameters
 
     rivals = None if options.methods is None else tuple(options.methods.split(","))
@@ -45,6 +46,8 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         chain=load_parameters(options.params),
         **{name: value for name, value in given.items() if value is not None},
     )
+    if options.out is not None:
+        prepared(options.out)
     found = run(parameters, lambda names, total: tqdm(names, total=total, unit="method", disable=None))
     figures = found.as_json()
     if options.out is not None:

@@ -16,7 +16,7 @@ from twin_node.cli.arguments import whole
 def add_bench_stability(benches: Any) -> None:
     """Adds `bench stability`."""
     stability = benches.add_parser("stability", help="failures of rising difficulty: where ours and baselines give way")
-    stability.add_argument("--quick", action="store_true", help="two levels of each in shorter runs: shows that all run")
+    stability.add_argument("--quick", action="store_true", help="two levels of each, shorter runs: shows that all run")
     stability.add_argument("--only", nargs="+", metavar="NAME", help="only these failures; a wrong name lists them all")
     stability.add_argument("--seeds", type=whole, default=1, metavar="N", help="runs per level (default 1)")
     stability.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
@@ -26,6 +26,7 @@ def add_bench_stability(benches: Any) -> None:
 
 
 def _bench_stability(options: argparse.Namespace) -> None:
+    from twin_node.bench.results_folder import prepared
     from twin_node.bench.stability import chart
     from twin_node.bench.stability.suite import QUICK, StabilityParameters, run
 
@@ -34,6 +35,8 @@ def _bench_stability(options: argparse.Namespace) -> None:
     )
     if options.only:
         parameters = replace(parameters, names=tuple(dict.fromkeys(options.only)))
+    if options.out is not None:
+        prepared(options.out)
     found = run(parameters, lambda results, total: tqdm(results, total=total, unit="run", disable=None))
     figures = found.as_json()
     if options.out is not None:
