@@ -98,8 +98,9 @@ def idle(seconds: float) -> IdleFigures:
     plan = cell_plan()
     plan = replace(plan, processes=tuple(p for p in plan.processes if p.name not in SOURCES))
     with running(plan) as run:
+        run.wait_until(lambda: run.spin(0.1) or run.launcher.is_whole, "the graph was not whole")
         run.spin(2.0)
-        names = run.launcher.children()
+        names = run.launcher.children() | {f"{name}, spare": pid for name, pid in run.launcher.spares().items()}
         before = {name: cpu_s(pid) for name, pid in names.items()}
         begun = time.monotonic()
         time.sleep(seconds)
@@ -117,9 +118,9 @@ def kills(each: int) -> KillFigures:
         ear = _Ear(run)
         for _ in range(each):
             for name, kills_of_it in found.items():
-                seen |= set(run.launcher.children().values())
+                seen |= _processes(run)
                 kills_of_it.append(_killed(run, ear, name))
-        seen |= set(run.launcher.children().values())
+        seen |= _processes(run)
     every = [kill for kills in found.values() for kill in kills]
     restarts, works = [kill.restart_s for kill in every], [kill.works_s for kill in every]
     return KillFigures(
@@ -132,6 +133,10 @@ def kills(each: int) -> KillFigures:
         fast_decisions=sum(kill.fast_decisions for kill in every),
         orphans=sum(psutil.pid_exists(pid) for pid in seen),
     )
+
+
+def _processes(run: GraphRun) -> set[int]:
+    return {*run.launcher.children().values(), *run.launcher.spares().values()}
 
 
 class _Ear:

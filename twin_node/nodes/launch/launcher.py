@@ -63,6 +63,10 @@ class Launcher:
         """Process identifier of every process that runs."""
         return {name: child.pid for name, child in self._children.items() if child.status is None}
 
+    def spares(self) -> dict[str, int]:
+        """Process identifier of every spare that waits."""
+        return {name: spare.pid for name, spare in self._spares.items() if spare.status is None}
+
     def active(self) -> dict[str, int]:
         """Process identifier of every process that runs and whose nodes have been told to begin."""
         return {name: child.pid for name, child in self._children.items() if child.is_active and child.status is None}
