@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -153,7 +154,7 @@ def cameras(seconds: float) -> CameraFigures:
         found = tuple(
             _fault(source, heard, source.names[i % len(source.names)], fault, seconds) for i, fault in enumerate(FAULTS)
         )
-    return CameraFigures(usual, sum(f.named_after_s == f.named_after_s for f in found), found)
+    return CameraFigures(usual, sum(not math.isnan(f.named_after_s) for f in found), found)
 
 
 def _fault(source: _Cameras, heard: _Heard, camera: str, fault: Fault, seconds: float) -> FaultFigures:
@@ -162,7 +163,7 @@ def _fault(source: _Cameras, heard: _Heard, camera: str, fault: Fault, seconds: 
 
     def watch() -> bool:
         at, level, message = heard.said.get(camera, (0.0, convert.Level.OK, ""))
-        if level is not convert.Level.OK and fault.word in message and named[0] != named[0]:
+        if level is not convert.Level.OK and fault.word in message and math.isnan(named[0]):
             named[0] = at - begun
         return False
 

@@ -22,7 +22,7 @@ from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTO
 from twin_node.robot import ArmModel, arm_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
-from twin_node.runtime.executor import NoTimers, Timers
+from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import JointPath, JointSample, Separation
 
@@ -33,8 +33,6 @@ REPEATS_PER_DEADLINE = 2
 HEARD_NS = 5_000_000
 """From a decision until another process of the host has heard it, ns, ten times the usual: silence is answered so much
 before its deadline, so that who drives the arm knows by then."""
-SHORTEST_WAIT_S = 1e-3
-"""Between two looks at a clock that does not run with the wall's (a log that is played slowly, or paused), s."""
 ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 

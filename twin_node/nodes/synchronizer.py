@@ -14,15 +14,12 @@ from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphErro
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
-from twin_node.runtime.executor import NoTimers, Timers
+from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import Camera, Rig
 
 DEPTHS_KEPT = 8
 """Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
-
-SHORTEST_WAIT_S = 1e-3
-"""Between two looks at a clock that does not run with the wall's (a log that is played slowly, or paused), s."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+SHORTEST_WAIT_S = 1e-3
+"""For alarms that are set by a clock which may not run with the wall's (a log that is played slowly, or paused): between
+two looks at it, s."""
+
 
 class Alarm(Protocol):
     """A call that is due once, and can be put off."""
