@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 SHORTEST_WAIT_S = 1e-3
-"""For alarms that are set by a clock which may not run with the wall's (a log that is played slowly, or paused): between
-two looks at it, s."""
+"""Between two looks at a clock which may not run with the wall's (a log that is played slowly, or paused), by which
+an alarm is set, s."""
 
 
 class Alarm(Protocol):
