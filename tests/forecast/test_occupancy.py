@@ -168,3 +168,14 @@ def test_what_is_no_longer_finite_is_forecast_as_the_worst_case_and_said() -> No
     assert recall(mended, -1) == 1.0
     assert forecaster.quality.warnings == ()
     assert np.isfinite(forecaster.quality.bound_radius)
+
+
+def test_no_radius_exceeds_the_largest_however_much_was_missed() -> None:
+    """A ball that appears time and again where nobody foresaw it drives the common factor up."""
+    forecaster = Forecaster(GRID)
+    bound = forecaster.parameters.bound
+    for number in range(40):
+        side = 0.35 if number // 8 % 2 else -0.35
+        forecaster.update(state_of(number * 33_000_000, np.array([side, 0.0, 0.45])), number * 33_000_000)
+    radii = forecaster.motion.radii
+    assert radii.size and radii.max() <= bound.largest_radius + 1e-9

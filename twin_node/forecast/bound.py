@@ -40,7 +40,7 @@ class BoundParameters:
     """Common factor before there is a record: parts of a hull hold more than what moves."""
     least_factor: float = 0.05
     """Smallest common factor: below it the radii are those of voxels, whatever they are multiplied by."""
-    most_factor: float = 6.0
+    most_factor: float = 3.0
     """Largest common factor."""
     largest_radius: float = 0.8
     """No radius exceeds this at the last horizon, m: 99 % of human motion stays within half of it in 200 ms."""

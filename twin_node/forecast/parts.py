@@ -108,7 +108,7 @@ class PartVelocities:
         window = _window((grey != _GREY) | (last[1] != _GREY))
         if window is not None:
             now, before = np.ascontiguousarray(grey[window]), np.ascontiguousarray(last[1][window])
-            flow = self._flow.calc(now, before, np.zeros((*now.shape, 2), np.float32))
+            flow = self._flow.calc(now, before, _blob_shifts(now, before))
             velocity[window] = flow / (-1e-9 * (view.stamp - last[0]))
         return velocity
 
@@ -116,6 +116,59 @@ class PartVelocities:
 _GREY = np.uint8(128)
 _SMALLEST_WINDOW = 32
 """Side in pixels of the smallest image that optical flow is computed on: two coarse patches."""
+
+
+def _blob_shifts(now: UInt8, before: UInt8) -> Float32:
+    """[H, W, 2] pixels from each flying blob to where it was before; 0 elsewhere.
+
+    Where flow begins its search: small things fly further between two images than it looks.
+    """
+    shifts = np.zeros((*now.shape, 2), np.float32)
+    labels, mine = _blobs(now)
+    _, others = _blobs(before)
+    if len(mine.areas) == 0 or len(others.areas) == 0:
+        return shifts
+    ways = others.middles[None] - mine.middles[:, None]
+    widths = np.sqrt(mine.areas)[:, None]
+    alike = np.maximum(mine.areas[:, None], others.areas) < _ALIKE * np.minimum(mine.areas[:, None], others.areas)
+    shares = np.where(alike, np.linalg.norm(ways, axis=2) / widths, np.inf)
+    for blob, other in enumerate(shares.argmin(axis=1).tolist()):
+        if _FOUND < shares[blob, other] < _FLIGHT and shares[:, other].argmin() == blob:
+            shifts[labels == mine.numbers[blob]] = ways[blob, other]
+    return shifts
+
+
+@dataclass(frozen=True)
+class _Blobs:
+    """Compact blobs of what moves in one image."""
+
+    numbers: NDArray[np.int64]
+    """[b] their labels."""
+    areas: Float64
+    """[b] pixels."""
+    middles: Float64
+    """[b, 2] pixels."""
+
+
+def _blobs(grey: UInt8) -> tuple[NDArray[np.int32], _Blobs]:
+    """Labels [H, W], and the blobs that fill most of a box about them: bodies and their rims are none."""
+    _, labels, stats, middles = cv2.connectedComponentsWithStats((grey != _GREY).astype(np.uint8))
+    areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)
+    width, height = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
+    compact = (areas >= _SMALLEST_BLOB) & (areas > _COMPACT * np.maximum(width, height) ** 2)
+    numbers = np.flatnonzero(compact[1:]) + 1
+    return labels.astype(np.int32, copy=False), _Blobs(numbers, areas[numbers], middles[numbers])
+
+
+_SMALLEST_BLOB = 12
+"""Pixels; smaller blobs come and go."""
+_COMPACT = 0.5
+"""Share of the square about it that a blob fills at least; a disk fills 0.79."""
+_ALIKE = 1.6
+"""A blob is taken for another of at most so many times its area."""
+_FOUND, _FLIGHT = 0.3, 3.0
+"""Blobs that came by more than the first and less than the second of these times their width since the last image
+are given a start: flow finds nearer ones itself, and limbs of a body better. 3: a ball of 0.1 m at 9 m/s and 30 Hz."""
 
 
 def _window(mask: Bool) -> tuple[slice, slice] | None:
