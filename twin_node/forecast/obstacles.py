@@ -30,7 +30,7 @@ class CoverParameters:
 
     most_moving: int = 64
     """Largest number of MOVING obstacles per interval between horizons."""
-    most_static: int = 128
+    most_static: int = 256
     """Largest number of STATIC obstacles."""
     most_unknown: int = 64
     """Largest number of UNKNOWN obstacles, and of STATIC ones for unknown space that may be full."""
