@@ -72,7 +72,7 @@ class MapParameters:
 
     steps: int = 2
     """Gradient steps per set; 0: STATIC Gaussians keep the shape that the first set gave them."""
-    learning_rate: float = 1.0
+    learning_rate: float = 0.5
     """Multiplies all rates of `descending.RATES`."""
     threshold: float = 0.02
     """Difference (0 to 1) between background and image at rest, beyond what the first fit left over, that is worth a
