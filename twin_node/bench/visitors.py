@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+import os
 import socket
 import time
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,8 @@ PATIENCE_S = 60.0
 """Longest wait for a page or an answer, s."""
 POLL_S = 0.1
 """How soon a visitor notices that it is asked, s."""
+_NICENESS = 19
+"""A visitor sits at another machine: here it takes only what the twin leaves."""
 BYTES_PER_SPLAT = 32
 """What viser sends of a Gaussian."""
 
@@ -97,6 +100,7 @@ def _visit(port: int, counted: range, pipe: Connection) -> None:
     """Counts until it is killed; answers each number of updates that it is asked for when they have come."""
     from websockets.exceptions import ConnectionClosed
 
+    os.nice(_NICENESS)
     with _page(port) as page:
         page.send(_first_look())
         pipe.send(None)

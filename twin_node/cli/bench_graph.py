@@ -48,7 +48,7 @@ def _graph(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="twin_node_") as name:
         folder = Path(name)
         measure: dict[str, Callable[[], Any]] = {
-            "latency": lambda: graph.latency(options.seconds, options.rounds, lambda i: str(folder / f"latency_{i}")),
+            "latency": lambda: graph.latency(options.seconds, options.rounds, folder),
             "hops": lambda: graph_hops.hops(options.seconds),
             "idle": lambda: graph.idle(options.seconds),
             "kills": lambda: graph.kills(options.kills),
