@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from twin_node.bench.cell import CaseResult, CellBenchParameters
 from twin_node.bench.cell_case import PERFECT, WORST_CASE, CellCase, Policy
 from twin_node.bench.cell_scores import distances_to_people
-from twin_node.bench.errors import BenchError
+from twin_node.bench.results_folder import save_chart
 from twin_node.cell.scenario import load_scenario
 
 if TYPE_CHECKING:
@@ -37,13 +37,7 @@ def draw(results: Sequence[CaseResult], parameters: CellBenchParameters, folder:
     for policy, colour in ((PERFECT, COLOURS["ours"]), (WORST_CASE, COLOURS["worst_case"])):
         _draw_run(rows[1], rows[2], case, policy, colour)
     rows[1].set_title(f"{first.scenario}, seed {first.seed}", loc="left")
-    path = folder / "cell.png"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=100)
-    except OSError as error:
-        raise BenchError(f"{path}: cannot be written, {error}; choose another folder for --out") from error
-    return path
+    return save_chart(figure, folder, "cell")
 
 
 def _draw_work(axes: Axes, results: Sequence[CaseResult]) -> None:

@@ -1,10 +1,14 @@
-"""The folder that a bench writes into."""
+"""The folder that a bench writes into, and its charts."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twin_node.bench.errors import BenchError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def prepared(folder: Path) -> Path:
@@ -17,3 +21,16 @@ def prepared(folder: Path) -> Path:
     except OSError as error:
         raise BenchError(f"--out {folder}: cannot be made ({error.strerror}); choose another folder") from error
     return folder
+
+
+def save_chart(figure: Figure, folder: Path, name: str) -> Path:
+    """Writes a chart as NAME.png and NAME.svg; gives the former's path. Raises `BenchError` where it cannot."""
+    path = prepared(folder) / f"{name}.png"
+    try:
+        figure.savefig(path, dpi=100)
+        figure.savefig(path.with_suffix(".svg"))
+    except OSError as error:
+        raise BenchError(
+            f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
+        ) from error
+    return path

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from twin_node.bench.errors import BenchError
 from twin_node.bench.methods.table import MethodRow, MethodsBench
+from twin_node.bench.results_folder import save_chart
 
 COLUMNS: dict[str, Callable[[MethodRow], float | int | None]] = {
     "PSNR": lambda row: row.scores.psnr_db,
@@ -57,15 +57,7 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
     axes.set_xlabel("PSNR on held-out cameras, dB")
     axes.legend(loc="lower right")
     axes.set_title(f"{bench.data}, {bench.frames} frames of {bench.size}")
-    path = folder / "methods.png"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise BenchError(
-            f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
-        ) from None
-    return path
+    return save_chart(figure, folder, "methods")
 
 
 def _cell(value: float | int | None) -> str:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.front import dominated_sizes, dominates, is_ours, on_front, pictures
 from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.bench.pareto.sizes import SIZES
 from twin_node.bench.pareto.suite import Pareto
+from twin_node.bench.results_folder import save_chart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,16 +101,7 @@ def draw(found: Pareto, folder: Path) -> Path:
         places = [_Place.of(point, found) for point in points if point.psnr_left_out_db is not None]
         _draw_panel(axes, name, sorted(places, key=lambda one: one.ms))
     panels[0].set_ylabel("moving pixels of a camera left out, dB")
-    path = folder / "pareto.png"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=100)
-        figure.savefig(path.with_suffix(".svg"))
-    except OSError as error:
-        raise BenchError(
-            f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
-        ) from error
-    return path
+    return save_chart(figure, folder, "pareto")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin_node.bench.errors import BenchError
+from twin_node.bench.results_folder import save_chart
 from twin_node.bench.stability.failures import FAILURES, UNDISTURBED
 from twin_node.bench.stability.pictures import OURS
 from twin_node.bench.stability.suite import METHODS, Stability
@@ -84,16 +84,7 @@ def draw(found: Stability, folder: Path) -> Path:
     axes.tick_params(left=False)
     handles = [axes.barh(0, 0, color=colour, label=TITLES[name]) for name, colour in zip(TITLES, COLOURS, strict=True)]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-    path = folder / "stability.png"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=100)
-        figure.savefig(path.with_suffix(".svg"))
-    except OSError as error:
-        raise BenchError(
-            f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
-        ) from error
-    return path
+    return save_chart(figure, folder, "stability")
 
 
 NEVER_ENDS = 1.15
