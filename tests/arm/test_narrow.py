@@ -114,6 +114,18 @@ def test_segments(
     assert found >= sampled - step
 
 
+@pytest.mark.parametrize("angle", [1e-5, 1e-7, 1e-9])
+def test_nearly_parallel_segments(angle: float) -> None:
+    rng = np.random.default_rng(0)
+    a, b, c = rng.uniform(-1, 1, (3, 500, 3))
+    d = c + (b - a) + rng.normal(0, angle, (500, 3))
+    found = segment_distances(np.stack([a, b], 1), np.stack([c, d], 1))
+    share = np.linspace(0, 1, 60)[:, None]
+    first, second = a[:, None] + share * (b - a)[:, None], c[:, None] + share * (d - c)[:, None]
+    sampled = np.linalg.norm(first[:, :, None] - second[:, None], axis=-1).min(axis=(1, 2))
+    assert (found <= sampled + 1e-9).all()
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.3])
 def test_parallel_and_pointlike_segments(gap: float) -> None:
     first = np.array([[0.0, 0, 0], [1.0, 0, 0]])

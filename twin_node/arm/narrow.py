@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twin_node.scene import Float64
 
-_TINY = 1e-18
+_TINY = 1e-30
 """m^2, m: keeps divisions finite for capsules of no length and points that coincide."""
 
 
@@ -33,20 +33,29 @@ def axis_distances(ends: Float64, centers: Float64) -> Float64:
 def segment_distances(first: Float64, second: Float64) -> Float64:
     """Distances [...] between segments [..., 2, 3] and segments [..., 2, 3], m.
 
-    Ericson, Real-Time Collision Detection (2005), section 5.1.9.
+    Ericson, Real-Time Collision Detection (2005), section 5.1.9; with cross products in place of differences of dot
+    products, which cancel where segments are nearly parallel.
     """
     u, v = first[..., 1, :] - first[..., 0, :], second[..., 1, :] - second[..., 0, :]
     offset = first[..., 0, :] - second[..., 0, :]
     uu, vv, uv = (u * u).sum(-1) + _TINY, (v * v).sum(-1) + _TINY, (u * v).sum(-1)
     u_offset, v_offset = (u * offset).sum(-1), (v * offset).sum(-1)
-    determinant = uu * vv - uv * uv
-    parallel = determinant < 1e-12 * uu * vv
-    s = np.where(parallel, 0.0, (uv * v_offset - u_offset * vv) / np.where(parallel, 1.0, determinant))
+    normal = _cross(u, v)
+    determinant = (normal * normal).sum(-1)
+    parallel = determinant <= 1e-24 * uu * vv
+    s = np.where(parallel, 0.0, (_cross(v, offset) * normal).sum(-1) / np.where(parallel, 1.0, determinant))
     t = (uv * np.clip(s, 0.0, 1.0) + v_offset) / vv
     s = np.where((t < 0) | (t > 1) | parallel, (uv * np.clip(t, 0.0, 1.0) - u_offset) / uu, s)
     t, s = np.clip(t, 0.0, 1.0), np.clip(s, 0.0, 1.0)
     distances: Float64 = np.linalg.norm(offset + s[..., None] * u - t[..., None] * v, axis=-1)
     return distances
+
+
+def _cross(a: Float64, b: Float64) -> Float64:
+    """Cross products [..., 3]: a third of the time that `np.cross` takes."""
+    after, before = np.array([1, 2, 0]), np.array([2, 0, 1])
+    product: Float64 = a[..., after] * b[..., before] - a[..., before] * b[..., after]
+    return product
 
 
 def sphere_distances(ends: Float64, radii: Float64, centers: Float64, sphere_radii: Float64) -> Float64:
