@@ -63,6 +63,13 @@ def test_far_small_things_keep_boxes_of_their_own() -> None:
     assert space(boxes) < 1.3 * dense.sum()
 
 
+def test_one_box_holds_even_a_grid_longer_than_the_largest_cell() -> None:
+    long = Grid(np.zeros(3), 0.02, (1100, 4, 4))
+    boxes = fitted(long, smallest_boxes(long, np.array([0, 9000, long.size - 1])), 1, NO_PLACES)
+    assert np.array_equal(boxes.lower, [[0, 0, 0]])
+    assert np.array_equal(boxes.upper, [[1099, 3, 3]])
+
+
 def test_an_earlier_cover_is_kept_where_it_is_nearly_as_good() -> None:
     first = fitted(GRID, smallest_boxes(GRID, blobs(3, 10)), 12, NO_PLACES)
     nearly = np.setdiff1d(blobs(3, 10), blobs(3, 10)[::40])

@@ -179,3 +179,17 @@ def test_no_radius_exceeds_the_largest_however_much_was_missed() -> None:
         forecaster.update(state_of(number * 33_000_000, np.array([side, 0.0, 0.45])), number * 33_000_000)
     radii = forecaster.motion.radii
     assert radii.size and radii.max() <= bound.largest_radius + 1e-9
+
+
+def test_what_comes_after_a_pause_is_new_though_something_was_forecast_there_before() -> None:
+    def reach_after(pause_ns: int) -> float:
+        """Largest radius of a ball that shows again, far from where it was seen last, at its forecast place."""
+        forecaster = Forecaster(GRID)
+        for number in range(20):
+            forecaster.update(state_of(number * 33_000_000, np.array([0.0, 0.0, 0.45])), number * 33_000_000)
+        later = 20 * 33_000_000 + pause_ns
+        forecaster.update(state_of(later - 33_000_000, None), later - 33_000_000)
+        forecaster.update(state_of(later, np.array([0.0, 0.0, 0.45])), later)
+        return float(forecaster.motion.radii[-1].max())
+
+    assert reach_after(2_000_000_000) > 1.2 * reach_after(33_000_000)

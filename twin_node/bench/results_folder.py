@@ -1,7 +1,9 @@
-"""The folder that a bench writes into, and its charts."""
+"""The folder that a bench writes into: charts, figures and tables."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,3 +36,12 @@ def save_chart(figure: Figure, folder: Path, name: str) -> Path:
             f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
         ) from error
     return path
+
+
+def save_figures(folder: Path, name: str, figures: Mapping[str, object], markdown: str) -> None:
+    """Writes figures as NAME.json and a table of them as NAME.md. Raises `BenchError` where it cannot."""
+    try:
+        (folder / f"{name}.json").write_text(json.dumps(figures, indent=2) + "\n")
+        (folder / f"{name}.md").write_text(markdown)
+    except OSError as error:
+        raise BenchError(f"--out {folder}: cannot write {name} ({error.strerror}); choose another folder") from error

@@ -34,7 +34,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import chart
     from twin_node.bench.pareto.choosing import front_text
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
-    from twin_node.bench.results_folder import prepared
+    from twin_node.bench.results_folder import prepared, save_figures
     from twin_node.nodes.chain import load_parameters
 
     rivals = None if options.methods is None else tuple(options.methods.split(","))
@@ -51,9 +51,8 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     found = run(parameters, lambda names, total: tqdm(names, total=total, unit="method", disable=None))
     figures = found.as_json()
     if options.out is not None:
-        picture = chart.draw(found, options.out)
-        picture.with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
-        picture.with_suffix(".md").write_text(chart.markdown(found))
+        chart.draw(found, options.out)
+        save_figures(options.out, "pareto", figures, chart.markdown(found))
         (options.out / "sizes.yaml").write_text(front_text(found.points))
     print(json.dumps(figures) if options.json else chart.text(found))
 

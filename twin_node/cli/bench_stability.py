@@ -26,7 +26,7 @@ def add_bench_stability(benches: Any) -> None:
 
 
 def _bench_stability(options: argparse.Namespace) -> None:
-    from twin_node.bench.results_folder import prepared
+    from twin_node.bench.results_folder import prepared, save_figures
     from twin_node.bench.stability import chart
     from twin_node.bench.stability.suite import QUICK, StabilityParameters, run
 
@@ -40,7 +40,6 @@ def _bench_stability(options: argparse.Namespace) -> None:
     found = run(parameters, lambda results, total: tqdm(results, total=total, unit="run", disable=None))
     figures = found.as_json()
     if options.out is not None:
-        picture = chart.draw(found, options.out)
-        picture.with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
-        picture.with_suffix(".md").write_text(chart.markdown(found))
+        chart.draw(found, options.out)
+        save_figures(options.out, "stability", figures, chart.markdown(found))
     print(json.dumps(figures) if options.json else chart.text(found))

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.scene import Bool, Float64, Grid
+from twin_node.scene import Bool, Grid
 
 SMALLEST = 4
 """Voxels along a cell of level 0; each level doubles it."""
 HIGHEST_LEVEL = 7
-"""One cell of this level is 512 voxels wide: longer grids have several roots, and a cover of at least as many boxes."""
+"""A cell of this level is 512 voxels wide: a longer grid has several, which one box holds where the cap asks for it."""
 _MANY = 4000
 """Voxels above which boxes are fitted to pairs of voxels: the time goes with their number."""
 _PRICES = np.append(np.geomspace(1.0, 1e6, 40), np.inf)
@@ -94,10 +94,12 @@ def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Bo
     if len(boxes) <= most:
         return boxes
     levels = _octree(boxes)
-    costs, counts, divided = _best_divisions(grid, levels, before)
-    affordable = np.flatnonzero(counts.sum(axis=1) <= most)
-    price = int(affordable[0]) if len(affordable) else len(costs) - 1
-    return _divided(levels, [split[price] for split in divided])
+    counts, divided = _best_divisions(grid, levels, before)
+    affordable = np.flatnonzero(counts <= most)
+    if len(affordable) == 0:
+        roots = levels[-1].boxes
+        return _by_cell(HIGHEST_LEVEL, np.zeros_like(roots.cells), roots.lower, roots.upper).boxes
+    return _divided(levels, [split[affordable[0]] for split in divided])
 
 
 @dataclass(frozen=True)
@@ -140,8 +142,8 @@ def _octree(leaves: Boxes) -> list[_Level]:
 
 def _best_divisions(
     grid: Grid, levels: list[_Level], before: NDArray[np.int64]
-) -> tuple[Float64, NDArray[np.int64], list[Bool]]:
-    """For every price: the roots' costs and numbers of boxes [prices, roots], and per level which cells are divided.
+) -> tuple[NDArray[np.int64], list[Bool]]:
+    """For every price the number of boxes [prices], and per level which cells are divided [prices, c].
 
     A cell is divided where its children together cost less than its own box, which costs its space and one price.
     """
@@ -160,7 +162,7 @@ def _best_divisions(
         divide = apart < whole
         costs, counts = np.where(divide, apart, whole), np.where(divide, numbers, 1)
         divided.append(divide)
-    return costs, counts, divided
+    return counts.sum(axis=1), divided
 
 
 def _divided(levels: list[_Level], divided: list[Bool]) -> Boxes:

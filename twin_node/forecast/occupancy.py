@@ -119,7 +119,7 @@ class Forecaster:
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
         self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)
-        self._predictor.vouch(self._foreseen(evidence.parts.centers))
+        self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
         prediction = self._predict(horizons)
         layers = self._layers(evidence, prediction)
@@ -164,10 +164,13 @@ class Forecaster:
             self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)
         self._judged_at = state.stamp
 
-    def _foreseen(self, centers: Float64) -> Bool:
-        """[M] parts, by their centres, that lie where the newest forecast whose time has come had some part."""
+    def _foreseen(self, stamp: int, centers: Float64) -> Bool:
+        """[M] parts, by their centres, that lie where the newest forecast whose time has come had some part.
+
+        One whose time was longer ago than it looked ahead says nothing of now.
+        """
         due = self._due
-        if due is None or len(due.radii) == 0 or len(centers) == 0:
+        if due is None or stamp - due.valid_at > HORIZONS_NS[-1] or len(due.radii) == 0 or len(centers) == 0:
             return np.zeros(len(centers), np.bool_)
         count = min(_NEIGHBOURS, len(due.radii))
         distances, rows = cKDTree(due.ahead).query(centers, np.arange(1, count + 1))
