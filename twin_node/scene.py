@@ -37,7 +37,9 @@ class ObstacleKind(IntEnum):
 
     MOVING = 0
     STATIC = 1
+    """Stands still, or is unseen space in which something may lie that does not come out."""
     UNKNOWN = 2
+    """Unseen space that something may come out of at any time."""
 
 
 class ObstacleShape(IntEnum):
