@@ -19,9 +19,9 @@ from twin_node.bench.pareto import ablations, costs
 from twin_node.bench.pareto.chart import draw, markdown, text
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.measure import Job, Point, measure
-from twin_node.bench.pareto.sizes import SIZES, narrowed
 from twin_node.bench.pareto.suite import HEXPLANE, Pareto, ParetoParameters, run
 from twin_node.model import ModelParameters, SeedParameters
+from twin_node.nodes.sizes import SIZES
 
 TINY = MadeUpParameters(width=48, frames=4, rate_hz=3.0, cameras=3, held_out=1)
 BUDGET = dataclasses.replace(
@@ -76,17 +76,6 @@ def test_planes_are_compared_where_they_do_as_well() -> None:
     assert found[0].times_faster_per_set == pytest.approx(200)
     assert found[0].times_faster_amortised == pytest.approx(2)
     assert found[0].times_fewer_parameters == pytest.approx(3)
-
-
-def test_narrowed_images_show_the_same_from_the_same_place() -> None:
-    recording = make_up(TINY).recording
-    half = narrowed(recording, 24)
-    for view, smaller in zip(recording.train, half.train, strict=True):
-        assert smaller.rgb.shape == (18, 24, 3)
-        np.testing.assert_allclose(smaller.camera.K[:2], view.camera.K[:2] / 2)
-        np.testing.assert_allclose(smaller.rgb.mean((0, 1)), view.rgb.mean((0, 1)), atol=1)
-    assert half.held_out is recording.held_out
-    assert narrowed(recording, 100).train == recording.train
 
 
 def test_sizes_rise_in_everything() -> None:

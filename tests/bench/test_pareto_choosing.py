@@ -12,9 +12,9 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto import choosing
 from twin_node.bench.pareto.choosing import by_budget, by_target, front_text, read_front, timed_ms
 from twin_node.bench.pareto.measure import Point
-from twin_node.bench.pareto.sizes import SHIPPED, SIZES
 from twin_node.nodes.chain import ChainParameters
 from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.sizes import SHIPPED, SIZES
 
 
 def point(name: str, ms: float, db: float | None) -> Point:

@@ -16,7 +16,7 @@ from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.bench_graph import add_bench_graph
 from twin_node.cli.bench_occupancy import add_bench_occupancy
-from twin_node.cli.bench_pareto import add_bench_ablations, add_bench_costs, add_bench_pareto
+from twin_node.cli.bench_pareto import add_bench_ablations, add_bench_costs, add_bench_length, add_bench_pareto
 from twin_node.cli.bench_refined import add_bench_refined
 from twin_node.cli.bench_stability import add_bench_stability
 from twin_node.cli.bench_ur import add_bench_ur
@@ -54,6 +54,7 @@ def add_bench(commands: Any) -> None:
     add_bench_pareto(benches)
     add_bench_ablations(benches)
     add_bench_costs(benches)
+    add_bench_length(benches)
 
 
 def _bench_track(options: argparse.Namespace) -> None:

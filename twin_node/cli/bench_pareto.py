@@ -1,4 +1,4 @@
-"""`twin_node bench pareto | ablations | costs`: speed against accuracy, what each part is worth, and what it costs."""
+"""`twin_node bench pareto | ablations | costs | length`: speed against accuracy, and what costs what."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import not_negative, whole, width
+from twin_node.cli.arguments import not_negative, positive, whole, width
 
 
 def add_bench_pareto(benches: Any) -> None:
@@ -71,11 +71,35 @@ def add_bench_ablations(benches: Any) -> None:
 
 def add_bench_costs(benches: Any) -> None:
     """Adds `bench costs`."""
-    costs = benches.add_parser("costs", help="what a set costs by what moves, the scene's size and the run's length")
-    costs.add_argument("--passes", type=whole, default=20, metavar="N", help="to and fro over 1 s; 3600 are an hour")
+    costs = benches.add_parser("costs", help="what a set costs by what moves and by the scene's size")
     costs.add_argument("--processes", type=whole, default=1, metavar="N", help="run at once (default 1)")
     costs.add_argument("--json", action="store_true", help="print one JSON object")
     costs.set_defaults(run=_bench_costs)
+
+
+def add_bench_length(benches: Any) -> None:
+    """Adds `bench length`."""
+    length = benches.add_parser("length", help="what a set costs, and what memory holds, while a run lasts an hour")
+    length.add_argument("--seconds", type=positive, default=3600.0, metavar="S", help="of stamps (default 3600)")
+    length.add_argument("--rate", type=positive, default=10.0, metavar="HZ", help="sets per second (default 10)")
+    length.add_argument("--size", default="tiny", metavar="SIZE", help="of the model (default tiny)")
+    length.add_argument("--out", type=Path, metavar="DIR", help="write length.json, .md, .png and .svg here")
+    length.add_argument("--json", action="store_true", help="print one JSON object")
+    length.set_defaults(run=_bench_length)
+
+
+def _bench_length(options: argparse.Namespace) -> None:
+    from twin_node.bench.pareto import length
+    from twin_node.bench.results_folder import prepared, save_figures
+
+    if options.out is not None:
+        prepared(options.out)
+    parameters = length.LengthParameters(options.seconds, options.rate, options.size)
+    found = length.run(parameters, lambda spans, total: tqdm(spans, total=total, unit="min", disable=None))
+    if options.out is not None:
+        length.draw(found, options.out)
+        save_figures(options.out, "length", found.as_json(), length.markdown(found))
+    print(json.dumps(found.as_json()) if options.json else length.text(found))
 
 
 def _bench_ablations(options: argparse.Namespace) -> None:
@@ -95,6 +119,6 @@ def _bench_ablations(options: argparse.Namespace) -> None:
 def _bench_costs(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import costs
 
-    parameters = costs.CostParameters(passes=options.passes, processes=options.processes)
+    parameters = costs.CostParameters(processes=options.processes)
     found = costs.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
     print(json.dumps(costs.as_json(found)) if options.json else costs.text(found))

@@ -11,9 +11,9 @@ import numpy as np
 
 from twin_node.bench.pareto.front import dominated_sizes, dominates, is_ours, on_front, pictures
 from twin_node.bench.pareto.measure import OURS, Point
-from twin_node.bench.pareto.sizes import SIZES
 from twin_node.bench.pareto.suite import Pareto
 from twin_node.bench.results_folder import save_chart
+from twin_node.nodes.sizes import SIZES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,12 +14,12 @@ import yaml
 from twin_node import resources
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.measure import OURS, Point
-from twin_node.bench.pareto.sizes import SIZES
 from twin_node.forecast import Forecaster, default_grid
 from twin_node.model import WindowModel
 from twin_node.nodes.chain import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.replay import ASSUMED_LATENCY_NS
+from twin_node.nodes.sizes import SIZES
 from twin_node.runtime.parameters import ParameterError, fill
 
 FRONT_FILE = "launch/sizes.yaml"

@@ -13,10 +13,11 @@ from twin_node.bench.methods.protocol import Budget, Fitted
 from twin_node.bench.methods.scores import ImageScores, score_images
 from twin_node.bench.methods.table import METHODS
 from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
-from twin_node.bench.pareto.sizes import SIZES, narrowed
 from twin_node.model.sequence import Recording
 from twin_node.model.sequence.scoring import evenly
 from twin_node.nodes.report.quality import unit
+from twin_node.nodes.sizes import SIZES
+from twin_node.rig import Narrower
 from twin_node.scene import Float32, View
 
 OURS = "ours"
@@ -87,7 +88,7 @@ def measure(job: Job) -> Point:
     method = METHODS[OURS if size is not None else base]
     budget = job.budget if size is None else replace(job.budget, online=size.model(job.budget.online))
     budget = replace(budget, offline_steps=int(steps)) if steps else budget
-    recording = job.recording if size is None else narrowed(job.recording, size.width)
+    recording = job.recording if size is None else _narrowed(job.recording, size.width)
     stopwatch = _Stopwatch()
     before_mb = _peak_mb()
     fitted = method.fit(recording, budget, stopwatch.lap)
@@ -156,6 +157,12 @@ class _Stopwatch:
         return _Cost(
             float(np.median(later)), float(np.median(later_wall)), float(np.percentile(later, 95)), float(cpu[0])
         )
+
+
+def _narrowed(recording: Recording, width: int) -> Recording:
+    """The training images made smaller to a width in pixels; what is scored stays as it is."""
+    narrower = Narrower(width)
+    return replace(recording, train=tuple(narrower.view(view) for view in recording.train))
 
 
 def _scores(fitted: Fitted, views: tuple[View, ...], images: int) -> ImageScores:

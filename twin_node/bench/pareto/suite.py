@@ -18,10 +18,10 @@ from twin_node.bench.methods.truth import MotionTruth
 from twin_node.bench.pareto.foresight import ForesightJob, ForesightPoint, foresee, has_truth
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.measure import OURS, Job, Point, measure
-from twin_node.bench.pareto.sizes import SHIPPED, SIZES
 from twin_node.model.sequence import Recording, recording_of
 from twin_node.nodes.chain import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.sizes import SHIPPED, SIZES
 from twin_node.nodes.synchronizer import SynchronizerParameters
 
 HEXPLANE = "4dgs_hexplane"

@@ -1,17 +1,12 @@
-"""Ours from tiny to full: the same algorithm with less or more of what costs time."""
+"""The live model from tiny to full: the same algorithm with less or more of what costs time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import cv2
-import numpy as np
-
 from twin_node.model import ModelParameters
-from twin_node.model.sequence import Recording
 from twin_node.nodes.log_source import DEFAULT_WIDTH
-from twin_node.scene import Bool, Camera, Float32, UInt8, View
 
 
 @dataclass(frozen=True)
@@ -55,25 +50,3 @@ SIZES: Mapping[str, Size] = {
 }
 """`large` is what ships; `launch/sizes.yaml` tells what each takes and reaches."""
 SHIPPED = "large"
-
-
-def narrowed(recording: Recording, width: int) -> Recording:
-    """The training images made smaller to a width in pixels; what is scored stays as it is."""
-    return replace(recording, train=tuple(_narrowed(view, width) for view in recording.train))
-
-
-def _narrowed(view: View, width: int) -> View:
-    camera = view.camera
-    if camera.width <= width:
-        return view
-    size = (width, round(camera.height * width / camera.width))
-    scale = np.diag([size[0] / camera.width, size[1] / camera.height, 1.0])
-    smaller = Camera(camera.name, *size, scale @ camera.K, camera.T_base_cam, camera.sigma_m)
-    rgb: UInt8 = cv2.resize(view.rgb, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-    depth: Float32 | None = None
-    if view.depth is not None:
-        depth = cv2.resize(view.depth, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
-    valid: Bool | None = None
-    if view.valid is not None:
-        valid = cv2.resize(view.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    return replace(view, camera=smaller, rgb=rgb, depth=depth, valid=valid)

@@ -1,0 +1,53 @@
+"""Narrowed sets: the same scene from the same place, in fewer pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from twin_node.geometry import project
+from twin_node.rig import Narrower
+from twin_node.scene import Camera, Float64, FrameSet, View
+
+K = np.array([[40.0, 0.0, 24.0], [0.0, 40.0, 18.0], [0.0, 0.0, 1.0]])
+POINT = np.array([[0.1, -0.05, 1.0]])
+"""In front of the camera, m."""
+
+
+def seen(camera: Camera) -> Float64:
+    """Where a camera sees `POINT`, px."""
+    return np.asarray(project(camera.K, camera.viewmat, POINT))
+
+
+def view() -> View:
+    """48 x 36 pixels that get brighter to the right, of which the left half was found and the right has depth."""
+    rgb = np.broadcast_to(np.arange(48, dtype=np.uint8)[None, :, None] * 5, (36, 48, 3))
+    depth = np.zeros((36, 48), np.float32)
+    depth[:, 24:] = 1.5
+    return View(Camera("front", 48, 36, K, np.eye(4)), 7, rgb, depth, depth == 0)
+
+
+def test_a_narrowed_view_shows_the_same_from_the_same_place() -> None:
+    wide = view()
+    half = Narrower(24).view(wide)
+    assert half.rgb.shape == (18, 24, 3) and half.depth is not None and half.valid is not None
+    np.testing.assert_allclose(half.camera.K[:2], K[:2] / 2)
+    np.testing.assert_allclose(half.rgb.mean((0, 1)), wide.rgb.mean((0, 1)), atol=1)
+    np.testing.assert_array_equal(np.unique(half.depth), [0.0, 1.5])
+    assert half.depth[0, 12] == 1.5 and half.valid[0, 11] and not half.valid[0, 12]
+    np.testing.assert_allclose(seen(half.camera)[:, :2], seen(wide.camera)[:, :2] / 2)
+
+
+def test_views_that_are_no_wider_stay_as_they_are() -> None:
+    wide = view()
+    assert Narrower(48).view(wide) is wide
+
+
+def test_a_cameras_views_keep_one_camera_until_it_is_another() -> None:
+    wide, narrower = view(), Narrower(24)
+    frames = FrameSet(7, (wide,), None, 0)
+    first, again = narrower.narrowed(frames), narrower.narrowed(frames)
+    assert first.views[0].camera is again.views[0].camera
+    moved = dataclasses.replace(wide, camera=dataclasses.replace(wide.camera, T_base_cam=2 * np.eye(4)))
+    assert narrower.view(moved).camera.T_base_cam[0, 0] == 2

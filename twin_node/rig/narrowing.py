@@ -1,0 +1,54 @@
+"""Sets of images made smaller, where less is to be spent on them than they were prepared for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from twin_node.scene import Bool, Camera, Float32, FrameSet, UInt8, View
+
+
+@dataclass(frozen=True)
+class _Narrowed:
+    """A camera as it came, and the same at the width."""
+
+    wide: Camera
+    narrow: Camera
+
+
+class Narrower:
+    """Makes views at most `width` pixels wide; a camera's views keep one `Camera`, as those of a rig do."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._cameras: dict[str, _Narrowed] = {}
+
+    def narrowed(self, frames: FrameSet) -> FrameSet:
+        """The set with every view narrowed."""
+        return replace(frames, views=tuple(self.view(view) for view in frames.views))
+
+    def view(self, view: View) -> View:
+        """The view at the width, colours averaged, depth of the nearest pixel; one that is no wider as it is."""
+        if view.camera.width <= self._width:
+            return view
+        camera = self._camera(view.camera)
+        size = (camera.width, camera.height)
+        rgb: UInt8 = cv2.resize(view.rgb, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+        depth: Float32 | None = None
+        if view.depth is not None:
+            depth = cv2.resize(view.depth, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+        valid: Bool | None = None
+        if view.valid is not None:
+            valid = cv2.resize(view.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        return replace(view, camera=camera, rgb=rgb, depth=depth, valid=valid)
+
+    def _camera(self, camera: Camera) -> Camera:
+        known = self._cameras.get(camera.name)
+        if known is None or known.wide is not camera:
+            height = round(camera.height * self._width / camera.width)
+            scale = np.diag([self._width / camera.width, height / camera.height, 1.0])
+            narrow = Camera(camera.name, self._width, height, scale @ camera.K, camera.T_base_cam, camera.sigma_m)
+            known = self._cameras[camera.name] = _Narrowed(camera, narrow)
+        return known.narrow
