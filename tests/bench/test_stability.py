@@ -254,6 +254,21 @@ def test_the_suite_tells_of_every_method(suite: Stability) -> None:
     assert dead["answered"] < 1
 
 
+def test_a_silent_failure_and_idle_warnings_do_not_pass(suite: Stability) -> None:
+    suite.check()
+    with pytest.raises(BenchError, match=r"silent failure of ours, found some in undisturbed at 0\.8"):
+        with_ours(suite, silent_failures=2).check()
+    with pytest.raises(BenchError, match=r"at most 1% of the time while nothing is wrong, found 2\.0%"):
+        with_ours(suite, warning_share=0.02).check()
+
+
+def with_ours(suite: Stability, **figures: float) -> Stability:
+    """The suite with other figures of ours in the undisturbed runs."""
+    (level,) = suite.failures["undisturbed"]
+    methods = {**level.methods, OURS: replace(level.methods[OURS], **figures)}
+    return replace(suite, failures={**suite.failures, "undisturbed": [replace(level, methods=methods)]})
+
+
 def test_the_suite_is_drawn_and_tabled(suite: Stability, tmp_path: Path) -> None:
     assert "silent failures" in text(suite)
     assert markdown(suite).count("\n") == len(suite.failures) + 3

@@ -21,6 +21,7 @@ def add_bench_stability(benches: Any) -> None:
     stability.add_argument("--seeds", type=whole, default=1, metavar="N", help="runs per level (default 1)")
     stability.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
     stability.add_argument("--out", type=Path, metavar="DIR", help="write stability.json, .md, .png and .svg here")
+    stability.add_argument("--check", action="store_true", help="end with status 2 where ours fails without a warning")
     stability.add_argument("--json", action="store_true", help="print one JSON object")
     stability.set_defaults(run=_bench_stability)
 
@@ -43,3 +44,5 @@ def _bench_stability(options: argparse.Namespace) -> None:
         chart.draw(found, options.out)
         save_figures(options.out, "stability", figures, chart.markdown(found))
     print(json.dumps(figures) if options.json else chart.text(found))
+    if options.check:
+        found.check()

@@ -114,3 +114,5 @@ FAILURES: Mapping[str, Failure] = {
 """By the names that `--json` prints."""
 UNDISTURBED = ("undisturbed",)
 """Those in which nothing goes wrong: on them the status must say so."""
+LONG = ("hours",)
+"""Those whose runs are longer than all others."""

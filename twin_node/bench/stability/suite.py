@@ -12,8 +12,9 @@ import torch
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.stability.case import BASELINES, Case, CaseResult, run_case
-from twin_node.bench.stability.failures import FAILURES, UNDISTURBED
+from twin_node.bench.stability.failures import FAILURES, LONG, UNDISTURBED
 from twin_node.bench.stability.pictures import OURS, PICTURES
+from twin_node.bench.stability.scenes import WIDTH
 from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
 from twin_node.nodes.chain import ChainParameters, GridParameters
 
@@ -44,14 +45,26 @@ class StabilityParameters:
     """Usual length of a run, s."""
     stride: int = 2
     """Every so many sets of the 30 Hz rig are taken: 15 Hz is what a chain on two busy cores keeps up with."""
+    width: int = WIDTH
+    """Of the cameras' images, px."""
     most_levels: int | None = None
     """Levels per failure, the hardest and evenly below it; None: all."""
     processes: int = 2
     chain: ChainParameters = field(default_factory=_small_chain)
 
 
-QUICK = StabilityParameters(seconds=1.8, most_levels=2)
-"""Two levels of each failure in shorter runs: shows that all run, and the roughest of what they show."""
+def _quick() -> StabilityParameters:
+    chain = _small_chain()
+    model = replace(chain.model, seed=replace(chain.model.seed, steps=40))
+    names = tuple(name for name in FAILURES if name not in LONG)
+    return StabilityParameters(names, seconds=1.8, width=96, most_levels=2, chain=replace(chain, model=model))
+
+
+QUICK = _quick()
+"""Two levels of each failure in short runs of small images, none of them long: shows that all run, that nothing fails
+silently, and the roughest of the rest."""
+MOST_WARNINGS = 0.01
+"""Share of the time that the status may warn while nothing is wrong: more, and nobody listens."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +125,23 @@ class Stability:
         ]
         return float(np.mean(np.array(shares, np.float64))) if shares else None
 
+    def check(self) -> None:
+        """Raises `BenchError` where ours failed silently, or warned of nothing for more than `MOST_WARNINGS`."""
+        silent = [
+            f"{name} at {one.level:g}"
+            for name, levels in self.failures.items()
+            for one in levels
+            if one.methods[OURS].silent_failures
+        ]
+        if silent:
+            raise BenchError(f"stability: expected no silent failure of ours, found some in {', '.join(silent)}")
+        share = self.warning_share(OURS)
+        if share is not None and share > MOST_WARNINGS:
+            raise BenchError(
+                f"stability: expected warnings for at most {MOST_WARNINGS:.0%} of the time while nothing is wrong, "
+                f"found {share:.1%}"
+            )
+
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
         return {
@@ -122,6 +152,7 @@ class Stability:
                 "seeds": self.parameters.seeds,
                 "seconds": self.parameters.seconds,
                 "stride": self.parameters.stride,
+                "width": self.parameters.width,
                 "voxel_m": self.parameters.chain.grid.voxel_size,
             },
         }
@@ -161,7 +192,7 @@ def _cases(parameters: StabilityParameters) -> Iterator[Case]:
     for name in parameters.names:
         for level in chosen_levels(FAILURES[name].levels, parameters.most_levels):
             for seed in range(1, parameters.seeds + 1):
-                yield Case(name, level, seed, parameters.seconds, parameters.stride, parameters.chain)
+                yield Case(name, level, seed, parameters.seconds, parameters.stride, parameters.width, parameters.chain)
 
 
 def chosen_levels(levels: Sequence[float], most: int | None) -> tuple[float, ...]:
