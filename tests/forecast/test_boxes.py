@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes, united
+from twin_node.forecast.boxes import (
+    Boxes,
+    fitted,
+    fitted_plainly,
+    mostly_full,
+    smallest_boxes,
+    smallest_boxes_plainly,
+    voxels_per_cell,
+    voxels_per_cell_plainly,
+)
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Grid
 
 GRID = Grid(np.zeros(3), 0.02, (50, 37, 29))
@@ -78,11 +91,32 @@ def test_an_earlier_cover_is_kept_where_it_is_nearly_as_good() -> None:
     assert shared >= 0.8
 
 
-def test_united_boxes_hold_both() -> None:
-    one, other = blobs(1, 3), blobs(2, 3)
-    both = united(smallest_boxes(GRID, one), smallest_boxes(GRID, other))
-    assert filled(both).reshape(-1)[np.concatenate([one, other])].all()
-    assert len(np.unique(both.places(GRID))) == len(both)
+def same(one: Boxes, other: Boxes) -> bool:
+    return all(
+        np.array_equal(getattr(one, column.name), getattr(other, column.name)) for column in dataclasses.fields(Boxes)
+    )
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 12), most=st.integers(1, 60))
+def test_compiled_boxes_are_the_plain_ones(seed: int, count: int, most: int) -> None:
+    rng = np.random.default_rng(seed)
+    voxels = rng.permutation(np.concatenate([blobs(seed, count), rng.integers(0, GRID.size, count), np.zeros(1, int)]))
+    smallest = smallest_boxes(GRID, voxels)
+    assert same(smallest, smallest_boxes_plainly(GRID, voxels))
+    before = fitted(GRID, smallest, most, NO_PLACES)
+    assert same(before, fitted_plainly(GRID, smallest, most, NO_PLACES))
+    fewer = smallest_boxes(GRID, voxels[::3])
+    places = rng.permutation(before.places(GRID))
+    assert same(fitted(GRID, fewer, most, places), fitted_plainly(GRID, fewer, most, places))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_compiled_and_plain_counts_agree(seed: int) -> None:
+    mask = np.random.default_rng(seed).uniform(size=GRID.size) < 0.3
+    assert np.array_equal(voxels_per_cell(GRID, mask), voxels_per_cell_plainly(GRID, mask))
 
 
 def test_cells_count_from_their_share_on() -> None:

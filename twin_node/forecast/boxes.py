@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast import kernels
 from twin_node.scene import Bool, Grid
 
 SMALLEST = 4
 """Voxels along a cell of level 0; each level doubles it."""
 HIGHEST_LEVEL = 7
 """A cell of this level is 512 voxels wide: a longer grid has several, which one box holds where the cap asks for it."""
-_MANY = 4000
-"""Voxels above which boxes are fitted to pairs of voxels: the time goes with their number."""
 _PRICES = np.append(np.geomspace(1.0, 1e6, 40), np.inf)
 """What one more box may cost, in voxels of space that it spares: rising, up to one box at any price."""
 _LOYALTY = 0.7
@@ -53,44 +52,80 @@ class Boxes:
 
     def places(self, grid: Grid) -> NDArray[np.int64]:
         """[c] number of each cell: level << 21, plus its flat index on the lattice of level 0."""
-        lattice = [-(-n // SMALLEST) for n in grid.dims]
+        lattice = _lattice(grid)
         flat = (self.cells[:, 0] * lattice[1] + self.cells[:, 1]) * lattice[2] + self.cells[:, 2]
         return (self.levels << 21) | (flat & 0x1FFFFF)
 
 
 def smallest_boxes(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
-    """One box per cell of level 0 that holds any of the voxels [n]; many are taken two by two by two."""
-    if len(indices) > _MANY:
-        stride = 2
-        indices, dims = _halved(grid, indices)
-    else:
-        stride, dims = 1, grid.dims
-    voxels = np.stack(np.unravel_index(indices, dims), axis=1) * stride
-    return _by_cell(0, voxels // SMALLEST, voxels, np.minimum(voxels + stride, np.array(grid.dims)) - 1).boxes
+    """One box per cell of level 0 that holds any of the voxels [n], which come in any order, also twice.
+
+    Compiled; `smallest_boxes_plainly` where that cannot be.
+    """
+    compiled = kernels.kernels()
+    if compiled is None:
+        return smallest_boxes_plainly(grid, indices)
+    indices = np.ascontiguousarray(indices, np.int64)
+    room = _Room(min(len(indices), _cells(grid)))
+    compiled.hold(kernels.HoldRequest(len(indices), *grid.dims, indices.ctypes.data, room.list))
+    return room.boxes
+
+
+def smallest_boxes_plainly(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
+    """What `smallest_boxes` does."""
+    voxels = np.stack(np.unravel_index(indices, grid.dims), axis=1)
+    return _by_cell(0, voxels // SMALLEST, voxels, voxels).boxes
 
 
 def mostly_full(grid: Grid, mask: Bool, share: float) -> Boxes:
     """The whole cells of level 0 that a flat mask fills at least to a share."""
-    voxels = np.stack(np.unravel_index(np.flatnonzero(mask), grid.dims), axis=1)
-    lattice = tuple(-(-n // SMALLEST) for n in grid.dims)
-    counts = np.bincount(np.ravel_multi_index(tuple((voxels // SMALLEST).T), lattice), minlength=1)
-    cells = np.stack(np.unravel_index(np.flatnonzero(counts >= share * SMALLEST**3), lattice), axis=1)
+    lattice = _lattice(grid)
+    cells = np.stack(
+        np.unravel_index(np.flatnonzero(voxels_per_cell(grid, mask) >= share * SMALLEST**3), lattice), axis=1
+    )
     upper = np.minimum((cells + 1) * SMALLEST, np.array(grid.dims)) - 1
     return Boxes(np.zeros(len(cells), np.int64), cells, cells * SMALLEST, upper)
 
 
-def united(one: Boxes, other: Boxes) -> Boxes:
-    """Boxes of level 0 about what two sets of such boxes hold."""
-    both = one.joined(other)
-    return _by_cell(0, both.cells, both.lower, both.upper).boxes
+def voxels_per_cell(grid: Grid, mask: Bool) -> NDArray[np.int32]:
+    """[cells] how many voxels of a flat mask each cell of level 0 holds."""
+    compiled = kernels.kernels()
+    if compiled is None:
+        return voxels_per_cell_plainly(grid, mask)
+    mask = np.ascontiguousarray(mask)
+    counts: NDArray[np.int32] = np.zeros(_cells(grid), np.int32)
+    compiled.count(kernels.CountRequest(*grid.dims, mask.ctypes.data, counts.ctypes.data))
+    return counts
+
+
+def voxels_per_cell_plainly(grid: Grid, mask: Bool) -> NDArray[np.int32]:
+    """[cells] how many voxels of a flat mask each cell of level 0 holds: the plain way."""
+    sums = mask.reshape(grid.dims).astype(np.int32)
+    for axis, size in enumerate(grid.dims):
+        sums = np.add.reduceat(sums, np.arange(0, size, SMALLEST), axis=axis)
+    return sums.reshape(-1)
 
 
 def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Boxes:
     """At most `most` boxes that hold what `boxes`, of level 0, hold, about as little other space as possible.
 
     Every price of a box has a best set of cells; the lowest price whose set is small enough is taken. `before` [k] are
-    the `places` of an earlier cover, which are kept where they are nearly as good.
+    the `places` of an earlier cover, which are kept where they are nearly as good. Compiled; `fitted_plainly` where
+    that cannot be.
     """
+    compiled = kernels.kernels()
+    if compiled is None or len(boxes) <= most:
+        return fitted_plainly(grid, boxes, most, before)
+    given = (boxes.cells, boxes.lower, boxes.upper, np.sort(before))
+    arrays = (*(np.ascontiguousarray(array, np.int64) for array in given), _PRICES)
+    room = _Room(most)
+    sizes = (len(boxes), len(before), *grid.dims, most, len(_PRICES), HIGHEST_LEVEL, _LOYALTY)
+    compiled.fit(kernels.FitRequest(*sizes, *(array.ctypes.data for array in arrays), room.list))
+    return room.boxes
+
+
+def fitted_plainly(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Boxes:
+    """What `fitted` does."""
     if len(boxes) <= most:
         return boxes
     levels = _octree(boxes)
@@ -100,6 +135,37 @@ def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Bo
         roots = levels[-1].boxes
         return _by_cell(HIGHEST_LEVEL, np.zeros_like(roots.cells), roots.lower, roots.upper).boxes
     return _divided(levels, [split[affordable[0]] for split in divided])
+
+
+class _Room:
+    """Arrays that a kernel writes boxes into."""
+
+    def __init__(self, most: int) -> None:
+        self._levels = np.empty(most, np.int64)
+        self._corners = np.empty((3, most, 3), np.int64)
+        self._count = np.zeros(1, np.int64)
+
+    @property
+    def list(self) -> kernels.BoxList:
+        """Their addresses: good for as long as this lives."""
+        arrays = (self._levels, *self._corners, self._count)
+        return kernels.BoxList(*(array.ctypes.data for array in arrays))
+
+    @property
+    def boxes(self) -> Boxes:
+        """What was written."""
+        count = int(self._count[0])
+        cells, lower, upper = self._corners[:, :count]
+        return Boxes(self._levels[:count], cells, lower, upper)
+
+
+def _lattice(grid: Grid) -> tuple[int, ...]:
+    """Cells of level 0 along each axis."""
+    return tuple(-(-n // SMALLEST) for n in grid.dims)
+
+
+def _cells(grid: Grid) -> int:
+    return int(np.prod(_lattice(grid)))
 
 
 @dataclass(frozen=True)
@@ -176,15 +242,3 @@ def _divided(levels: list[_Level], divided: list[Bool]) -> Boxes:
         below[level.children] = np.repeat(reached & divide, sizes)
         reached = below
     return found[0].joined(*found[1:])
-
-
-def _halved(grid: Grid, indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
-    """Flat indices, and size, on a lattice of half the resolution: the cells that hold any of the voxels [n]."""
-    x, y, z = (-(-n // 2) for n in grid.dims)
-    dense = np.zeros((2 * x, 2 * y, 2 * z), np.bool_)
-    flat = np.zeros(grid.size, np.bool_)
-    flat[indices] = True
-    dense[: grid.dims[0], : grid.dims[1], : grid.dims[2]] = flat.reshape(grid.dims)
-    dense = dense[::2] | dense[1::2]
-    dense = dense[:, ::2] | dense[:, 1::2]
-    return np.flatnonzero(dense[..., ::2] | dense[..., 1::2]), (x, y, z)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import ctypes
 import os
 import warnings
-from ctypes import c_int32, c_int64, c_void_p
+from ctypes import c_double, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 
-INTERFACE_VERSION = 2
+INTERFACE_VERSION = 3
 
 
 class GrowRequest(ctypes.Structure):
@@ -50,6 +50,41 @@ class CarveRequest(ctypes.Structure):
     )
 
 
+class BoxList(ctypes.Structure):
+    """`forecast::BoxList`."""
+
+    _fields_ = tuple((name, c_void_p) for name in ("levels", "cells", "lower", "upper", "count"))
+
+
+class HoldRequest(ctypes.Structure):
+    """`forecast::HoldRequest`."""
+
+    _fields_ = (
+        ("voxels", c_int64),
+        *((name, c_int32) for name in ("nx", "ny", "nz")),
+        ("indices", c_void_p),
+        ("found", BoxList),
+    )
+
+
+class CountRequest(ctypes.Structure):
+    """`forecast::CountRequest`."""
+
+    _fields_ = (*((name, c_int32) for name in ("nx", "ny", "nz")), ("mask", c_void_p), ("counts", c_void_p))
+
+
+class FitRequest(ctypes.Structure):
+    """`forecast::FitRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("boxes", "befores")),
+        *((name, c_int32) for name in ("nx", "ny", "nz", "most", "prices", "highest_level")),
+        ("loyalty", c_double),
+        *((name, c_void_p) for name in ("cells", "lower", "upper", "before", "price")),
+        ("found", BoxList),
+    )
+
+
 class Kernels:
     """One compiled variant. Safe from several threads; a forked child gets `ForecastError`."""
 
@@ -63,6 +98,10 @@ class Kernels:
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
         self._dll.forecast_list.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
+        self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
+        self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
+        self._dll.forecast_count.restype = None
+        self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -79,6 +118,18 @@ class Kernels:
         """Says of every voxel of some blocks what the views show. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.forecast_carve(request))
+
+    def hold(self, request: HoldRequest) -> None:
+        """Tight boxes about the voxels in every cell; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_hold(request))
+
+    def count(self, request: CountRequest) -> None:
+        """Counts the set voxels of every cell; takes one thread."""
+        self._dll.forecast_count(request)
+
+    def fit(self, request: FitRequest) -> None:
+        """Takes the boxes that are worth their price; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_fit(request))
 
     def _mark_forked(self) -> None:
         self._forked = True

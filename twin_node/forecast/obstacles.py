@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
-from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes, united
+from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
@@ -83,9 +84,9 @@ def cover(
         few = fitted(grid, boxes, most, _before(previous, kind, interval))
         batches.append(_batch(grid, few, kind, interval, *valid))
 
-    layers = [smallest_boxes(grid, layer.indices.astype(np.int64)) for layer in occupancy.layers]
+    layers = [layer.indices.astype(np.int64) for layer in occupancy.layers]
     for interval, valid in enumerate(itertools.pairwise(stamps)):
-        both = united(layers[interval], layers[interval + 1])
+        both = smallest_boxes(grid, np.concatenate(layers[interval : interval + 2]))
         hold(both, parameters.most_moving, ObstacleKind.MOVING, interval, valid)
     throughout = stamps[0], stamps[-1]
     standing = smallest_boxes(grid, occupancy.static.indices.astype(np.int64))
@@ -167,5 +168,4 @@ def _obstacles(stamp: int, batches: list[_Batch], motion: Motion | None) -> Obst
 
 def _nearest(points: Float64, others: Float64) -> NDArray[np.int64]:
     """Row of `others` [m, 3] nearest to each of `points` [n, 3]."""
-    squared = ((points[:, None] - others[None]) ** 2).sum(axis=2)
-    return np.asarray(squared.argmin(axis=1), dtype=np.int64)
+    return np.asarray(cdist(points, others, "sqeuclidean").argmin(axis=1), dtype=np.int64)

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 2;
+constexpr int32_t kInterfaceVersion = 3;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -51,6 +51,39 @@ struct CarveRequest {
   const int64_t *chosen;  // [blocks]
   const Sight *sights;    // [views]
   uint8_t *verdicts;      // [nx, ny, nz] comes zeroed
+};
+
+// Boxes in voxels; has room for as many as its maker can find.
+struct BoxList {
+  int64_t *levels;                  // [n] of their octree cells
+  int64_t *cells, *lower, *upper;   // [n, 3] cell, first and last voxel
+  int64_t *count;                   // [1]
+};
+
+// The tight box about the voxels in every cell of 4 x 4 x 4 that has any, in the order of cells.
+struct HoldRequest {
+  int64_t voxels;
+  int32_t nx, ny, nz;
+  const int64_t *indices;  // [voxels] flat, in any order, also twice
+  BoxList found;
+};
+
+// The set voxels of every cell of 4 x 4 x 4.
+struct CountRequest {
+  int32_t nx, ny, nz;
+  const uint8_t *mask;  // [nx, ny, nz] 0 or 1
+  int32_t *counts;      // [cells] comes zeroed
+};
+
+// At most `most` boxes of octree cells that hold what more boxes of level 0 hold.
+struct FitRequest {
+  int64_t boxes, befores;
+  int32_t nx, ny, nz, most, prices, highest_level;
+  double loyalty;                        // share that the space of a box that was there before counts
+  const int64_t *cells, *lower, *upper;  // [boxes, 3] in the order of cells
+  const int64_t *before;                 // [befores] rising: level << 21 | flat index on level 0's lattice
+  const double *price;                   // [prices] rising
+  BoxList found;
 };
 
 }  // namespace forecast

@@ -4,6 +4,7 @@
 #include <new>
 
 #include "carve.h"
+#include "cover.h"
 #include "grow.h"
 
 namespace {
@@ -35,6 +36,16 @@ void forecast_list(const forecast::ListRequest *request) { forecast::list(*reque
 
 int32_t forecast_carve(const forecast::CarveRequest *request) {
   return guarded([&] { forecast::carve(*request); });
+}
+
+int32_t forecast_hold(const forecast::HoldRequest *request) {
+  return guarded([&] { forecast::hold_voxels(*request); });
+}
+
+void forecast_count(const forecast::CountRequest *request) { forecast::count_voxels(*request); }
+
+int32_t forecast_fit(const forecast::FitRequest *request) {
+  return guarded([&] { forecast::fit(*request); });
 }
 }
 #pragma GCC visibility pop

@@ -1,0 +1,237 @@
+// Boxes about voxels on an octree: those of the smallest cells, and the few that are worth their price.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "interface.h"
+
+namespace forecast {
+
+constexpr int kCell = 4;  // voxels along a cell of level 0
+
+struct Lattice {
+  int64_t x, y, z;  // cells along each axis
+
+  int64_t size() const { return x * y * z; }
+  int64_t flat(const int64_t *cell) const { return (cell[0] * y + cell[1]) * z + cell[2]; }
+  Lattice halved() const { return {(x + 1) / 2, (y + 1) / 2, (z + 1) / 2}; }
+};
+
+inline Lattice lattice_of(int64_t nx, int64_t ny, int64_t nz) {
+  return {(nx + kCell - 1) / kCell, (ny + kCell - 1) / kCell, (nz + kCell - 1) / kCell};
+}
+
+struct Box {
+  int32_t lower[3], upper[3];  // first and last voxel; empty where they are the wrong way round
+
+  void hold(const int32_t *low, const int32_t *high) {
+    for (int a = 0; a < 3; a++) lower[a] = std::min(lower[a], low[a]), upper[a] = std::max(upper[a], high[a]);
+  }
+  double space() const {
+    double product = 1;
+    for (int a = 0; a < 3; a++) product *= upper[a] - lower[a] + 1;
+    return product;
+  }
+};
+
+constexpr Box kNothing = {{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
+
+inline void write(const BoxList &list, int64_t level, const int64_t *cell, const Box &box) {
+  const int64_t row = (*list.count)++;
+  list.levels[row] = level;
+  for (int a = 0; a < 3; a++) {
+    list.cells[3 * row + a] = cell[a];
+    list.lower[3 * row + a] = box.lower[a];
+    list.upper[3 * row + a] = box.upper[a];
+  }
+}
+
+inline void hold_voxels(const HoldRequest &r) {
+  const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
+  std::vector<Box> boxes(lattice.size(), kNothing);
+  const int64_t layer = static_cast<int64_t>(r.ny) * r.nz;
+  for (int64_t i = 0; i < r.voxels; i++) {
+    const int32_t x = r.indices[i] / layer, rest = r.indices[i] % layer, y = rest / r.nz, z = rest % r.nz;
+    const int32_t voxel[3] = {x, y, z};
+    boxes[((x / kCell) * lattice.y + y / kCell) * lattice.z + z / kCell].hold(voxel, voxel);
+  }
+  *r.found.count = 0;
+  int64_t row = 0;
+  for (int64_t x = 0; x < lattice.x; x++) {
+    for (int64_t y = 0; y < lattice.y; y++) {
+      for (int64_t z = 0; z < lattice.z; z++, row++) {
+        const int64_t cell[3] = {x, y, z};
+        if (boxes[row].lower[0] <= boxes[row].upper[0]) write(r.found, 0, cell, boxes[row]);
+      }
+    }
+  }
+}
+
+inline void count_voxels(const CountRequest &r) {
+  const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
+  const uint8_t *column = r.mask;
+  for (int64_t x = 0; x < r.nx; x++) {
+    for (int64_t y = 0; y < r.ny; y++, column += r.nz) {
+      int32_t *counts = r.counts + ((x / kCell) * lattice.y + y / kCell) * lattice.z;
+      for (int64_t z = 0; z < r.nz; z++) counts[z / kCell] += column[z];
+    }
+  }
+}
+
+// All cells of one level, in the order of their flat indices.
+struct Level {
+  Lattice lattice;
+  std::vector<int64_t> cells;  // [c, 3]
+  std::vector<Box> boxes;
+  std::vector<double> spaces;      // [c] voxels, those of boxes that were there before count less
+  std::vector<int64_t> children;   // rows of the level below, cell by cell
+  std::vector<int64_t> starts;     // [c + 1] where each cell's children begin
+  std::vector<double> costs;       // [c, prices] of the best set of boxes, from level 1 on
+  std::vector<int32_t> numbers;    // [c, prices] boxes in that set
+  std::vector<uint8_t> is_divided;  // [c, prices]
+
+  int64_t count() const { return static_cast<int64_t>(boxes.size()); }
+};
+
+inline Level parents_of(const Level &below) {
+  Level level;
+  level.lattice = below.lattice.halved();
+  const int64_t count = below.count();
+  std::vector<int64_t> parents(count), sizes(level.lattice.size(), 0);
+  for (int64_t row = 0; row < count; row++) {
+    const int64_t *cell = &below.cells[3 * row];
+    const int64_t parent[3] = {cell[0] / 2, cell[1] / 2, cell[2] / 2};
+    sizes[parents[row] = level.lattice.flat(parent)]++;
+  }
+  std::vector<int64_t> rows(level.lattice.size(), 0), next;
+  for (int64_t flat = 0, begin = 0; flat < level.lattice.size(); flat++) {
+    if (sizes[flat] == 0) continue;
+    rows[flat] = static_cast<int64_t>(next.size());
+    next.push_back(begin);
+    level.starts.push_back(begin);
+    begin += sizes[flat];
+  }
+  level.starts.push_back(count);
+  level.cells.resize(3 * next.size());
+  level.boxes.assign(next.size(), kNothing);
+  level.children.resize(count);
+  for (int64_t row = 0; row < count; row++) {
+    const int64_t parent = rows[parents[row]];
+    level.children[next[parent]++] = row;
+    for (int a = 0; a < 3; a++) level.cells[3 * parent + a] = below.cells[3 * row + a] / 2;
+    level.boxes[parent].hold(below.boxes[row].lower, below.boxes[row].upper);
+  }
+  return level;
+}
+
+// The octree of a request's boxes, and for every price the cheapest division of each cell.
+class Octree {
+ public:
+  explicit Octree(const FitRequest &request) : r_(request), prices_(request.prices) {
+    Level leaves;
+    leaves.lattice = lattice_of(r_.nx, r_.ny, r_.nz);
+    leaves.cells.assign(r_.cells, r_.cells + 3 * r_.boxes);
+    for (int64_t row = 0; row < r_.boxes; row++) {
+      Box box = kNothing;
+      for (int a = 0; a < 3; a++) box.lower[a] = r_.lower[3 * row + a], box.upper[a] = r_.upper[3 * row + a];
+      leaves.boxes.push_back(box);
+    }
+    levels_.push_back(std::move(leaves));
+    while (levels_.back().count() > 1 && static_cast<int>(levels_.size()) <= r_.highest_level) {
+      levels_.push_back(parents_of(levels_.back()));
+    }
+    for (size_t level = 0; level < levels_.size(); level++) measure(levels_[level], level);
+    for (size_t level = 1; level < levels_.size(); level++) divide(level);
+  }
+
+  // The boxes at the lowest price that leaves few enough of them; one box about all where none does.
+  void write_fitted() const {
+    *r_.found.count = 0;
+    const int price = affordable();
+    if (price < 0) {
+      Box all = kNothing;
+      for (const Box &box : levels_.back().boxes) all.hold(box.lower, box.upper);
+      const int64_t cell[3] = {0, 0, 0};
+      write(r_.found, r_.highest_level, cell, all);
+      return;
+    }
+    std::vector<uint8_t> reached(levels_.back().count(), 1);
+    for (int64_t number = static_cast<int64_t>(levels_.size()) - 1; number >= 0; number--) {
+      const Level &level = levels_[number];
+      std::vector<uint8_t> below(level.children.size(), 0);
+      for (int64_t row = 0; row < level.count(); row++) {
+        if (!reached[row]) continue;
+        if (number == 0 || !level.is_divided[row * prices_ + price]) {
+          write(r_.found, number, &level.cells[3 * row], level.boxes[row]);
+          continue;
+        }
+        for (int64_t i = level.starts[row]; i < level.starts[row + 1]; i++) below[level.children[i]] = 1;
+      }
+      reached = std::move(below);
+    }
+  }
+
+ private:
+  void measure(Level &level, int64_t number) const {
+    const Lattice lattice = levels_[0].lattice;
+    for (int64_t row = 0; row < level.count(); row++) {
+      const int64_t place = number << 21 | (lattice.flat(&level.cells[3 * row]) & 0x1FFFFF);
+      const bool was_there = std::binary_search(r_.before, r_.before + r_.befores, place);
+      level.spaces.push_back(level.boxes[row].space() * (was_there ? r_.loyalty : 1.0));
+    }
+  }
+
+  // A cell is divided where its children together cost less than its own box, which costs its space and one price.
+  void divide(size_t number) {
+    Level &level = levels_[number];
+    const Level &below = levels_[number - 1];
+    const size_t size = static_cast<size_t>(level.count()) * prices_;
+    level.costs.resize(size), level.numbers.resize(size), level.is_divided.resize(size);
+    std::vector<double> first(prices_), others(prices_);
+    std::vector<int32_t> numbers(prices_);
+    for (int64_t row = 0; row < level.count(); row++) {
+      std::fill(others.begin(), others.end(), 0.0), std::fill(numbers.begin(), numbers.end(), 0);
+      for (int64_t i = level.starts[row]; i < level.starts[row + 1]; i++) {
+        std::vector<double> &sum = i == level.starts[row] ? first : others;
+        if (i == level.starts[row]) std::fill(first.begin(), first.end(), 0.0);
+        add_cost(below, number - 1, level.children[i], sum.data(), numbers.data());
+      }
+      for (int p = 0; p < prices_; p++) {
+        const double whole = level.spaces[row] + r_.price[p], apart = first[p] + others[p];
+        const bool cheaper = apart < whole;
+        level.costs[row * prices_ + p] = cheaper ? apart : whole;
+        level.numbers[row * prices_ + p] = cheaper ? numbers[p] : 1;
+        level.is_divided[row * prices_ + p] = cheaper;
+      }
+    }
+  }
+
+  void add_cost(const Level &level, int64_t number, int64_t row, double *costs, int32_t *numbers) const {
+    if (number == 0) {
+      for (int p = 0; p < prices_; p++) costs[p] += level.spaces[row] + r_.price[p], numbers[p]++;
+      return;
+    }
+    const double *own = &level.costs[row * prices_];
+    const int32_t *count = &level.numbers[row * prices_];
+    for (int p = 0; p < prices_; p++) costs[p] += own[p], numbers[p] += count[p];
+  }
+
+  int affordable() const {
+    const Level &roots = levels_.back();
+    for (int p = 0; p < prices_; p++) {
+      int64_t total = 0;
+      for (int64_t row = 0; row < roots.count(); row++) total += roots.numbers[row * prices_ + p];
+      if (total <= r_.most) return p;
+    }
+    return -1;
+  }
+
+  const FitRequest &r_;
+  const int prices_;
+  std::vector<Level> levels_;
+};
+
+inline void fit(const FitRequest &r) { Octree(r).write_fitted(); }
+
+}  // namespace forecast
