@@ -124,3 +124,11 @@ def test_cells_count_from_their_share_on() -> None:
     dense[:4, :4, :2] = dense[8:12, :4, :1] = True
     assert np.array_equal(mostly_full(GRID, dense.reshape(-1), 0.5).cells, [[0, 0, 0]])
     assert len(mostly_full(GRID, dense.reshape(-1), 0.25)) == 2
+
+
+def test_cells_cut_by_the_grids_end_count_by_what_is_left_of_them() -> None:
+    """The last cells of a grid of 50 x 37 x 29 are 2 x 1 x 1 voxels in size."""
+    corner = np.zeros(GRID.dims, np.bool_)
+    corner[48:, 36:, 28:] = True
+    assert np.array_equal(mostly_full(GRID, corner.reshape(-1), 0.5).lower, [[48, 36, 28]])
+    assert len(mostly_full(GRID, np.zeros(GRID.size, np.bool_), 0.0)) == 0

@@ -78,13 +78,12 @@ def smallest_boxes_plainly(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
 
 
 def mostly_full(grid: Grid, mask: Bool, share: float) -> Boxes:
-    """The whole cells of level 0 that a flat mask fills at least to a share."""
-    lattice = _lattice(grid)
-    cells = np.stack(
-        np.unravel_index(np.flatnonzero(voxels_per_cell(grid, mask) >= share * SMALLEST**3), lattice), axis=1
-    )
-    upper = np.minimum((cells + 1) * SMALLEST, np.array(grid.dims)) - 1
-    return Boxes(np.zeros(len(cells), np.int64), cells, cells * SMALLEST, upper)
+    """The whole cells of level 0 of which a flat mask fills some, and at least a share of what lies in the grid."""
+    counts = voxels_per_cell(grid, mask)
+    cells = np.stack(np.unravel_index(np.flatnonzero(counts), _lattice(grid)), axis=1)
+    lower, upper = cells * SMALLEST, np.minimum((cells + 1) * SMALLEST, np.array(grid.dims)) - 1
+    chosen = counts[counts > 0] >= share * np.prod(upper - lower + 1, axis=1)
+    return Boxes(np.zeros(len(cells), np.int64), cells, lower, upper).rows(chosen)
 
 
 def voxels_per_cell(grid: Grid, mask: Bool) -> NDArray[np.int32]:
