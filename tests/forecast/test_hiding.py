@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from twin_node.forecast.hiding import Hidden, HidingPlaces
+from twin_node.forecast.hiding import Hidden, HidingPlaces, Memory, Seen, follow, follow_plainly
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Grid
 
 GRID = Grid(np.zeros(3), 0.02, (40, 40, 30))
@@ -113,3 +117,31 @@ def test_nothing_comes_through_the_table() -> None:
     watch = Watch()
     watch.see(NOTHING)
     assert not watch.see(mask((slice(14, 24), slice(14, 24), slice(0, 12)))).reachable.any()
+
+
+def random_mask(grid: Grid, rng: np.random.Generator, boxes: int, noise: float) -> Bool:
+    dense = rng.uniform(size=grid.dims) < noise
+    for _ in range(boxes):
+        start = rng.integers(0, grid.dims)
+        stop = start + rng.integers(1, 20, 3)
+        dense[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))] = True
+    return dense.reshape(-1)
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    dims=st.tuples(st.integers(1, 30), st.integers(1, 30), st.integers(1, 140)),
+    voxel_size=st.sampled_from([0.012, 0.02, 0.05]),
+)
+def test_compiled_hiding_places_are_the_plain_ones(seed: int, dims: tuple[int, int, int], voxel_size: float) -> None:
+    rng = np.random.default_rng(seed)
+    grid = Grid(np.zeros(3), voxel_size, dims)
+    compiled, plain = Memory.of_nothing(grid), Memory.of_nothing(grid)
+    for elapsed_s in (0.0, 0.033, 0.4, 0.1, 0.2, 2.0):
+        masks = [random_mask(grid, rng, *bounds) for bounds in ((4, 0.3), (1, 0.002), (2, 0.01))]
+        seen = Seen(elapsed_s, masks[0] & ~masks[1] & ~masks[2], masks[1], masks[2])
+        assert np.array_equal(follow(grid, compiled, seen), follow_plainly(grid, plain, seen))
+        assert np.array_equal(compiled.ages_s, plain.ages_s)
+        assert np.array_equal(compiled.maybe_full, plain.maybe_full)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.kernels import HideRequest, kernels
 from twin_node.scene import Bool, Float32, Grid
 
 Words = NDArray[np.uint64]
@@ -23,6 +24,8 @@ COMES_TO_REST_S = 1.0
 LONGEST_GAP_S = 0.5
 """After a longer time without evidence nothing is known of space that is not seen, s."""
 _NEVER = np.float32(1e9)
+_WORD = 64
+"""Bits of a word, and voxels of a hand at most: those of grids that fit into memory are fewer."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,7 @@ class HidingPlaces:
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._width = max(1, int(HAND_M / grid.voxel_size))
-        self._maybe_full = np.ones(grid.size, np.bool_)
-        cells = tuple(-(-n // 2) for n in grid.dims)
-        self._cells = np.ravel_multi_index(
-            tuple(np.meshgrid(*(np.arange(n) // 2 for n in grid.dims), indexing="ij")), cells
-        ).reshape(-1)
-        self._age_s = np.full(cells, _NEVER, np.float32)  # since a cell was last reached by what is attached
+        self._memory = Memory.of_nothing(grid)
         self._stamp: int | None = None
 
     def update(self, stamp: int, unknown: Bool, moving: Bool, standing: Bool) -> Hidden:
@@ -65,60 +62,119 @@ class HidingPlaces:
         elapsed_s = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         self._stamp = stamp
         if elapsed_s > LONGEST_GAP_S:
-            self._maybe_full[:] = True
-        moves = self._packed(moving)
-        ways = self._ways(self._packed(unknown), moves, self._packed(standing))
-        self._age_s = self._spread(elapsed_s, ways, self._halved(moves))
-        reached = _least_around(self._age_s, 1) <= COMES_TO_REST_S
-        reachable = np.zeros(self._grid.size, np.bool_)
-        unseen = np.flatnonzero(unknown)
-        reachable[unseen] = reached.reshape(-1)[self._cells[unseen]]
-        self._maybe_full &= unknown
-        self._maybe_full |= reachable
-        return Hidden(reachable, self._maybe_full & ~reachable)
+            self._memory.maybe_full[:] = True
+        reachable = follow(self._grid, self._memory, Seen(elapsed_s, unknown, moving, standing))
+        return Hidden(reachable, self._memory.maybe_full & ~reachable)
 
-    def _ways(self, unknown: Words, moving: Words, standing: Words) -> Bool:
-        """Cells where a hand's width is unknown or moving; beside what stands lie the rims of its measurement."""
-        beside = _joined(np.bitwise_or, standing, (-1, 0, 1))
-        beside[..., 0] |= np.uint64(1)
-        passable = (unknown & ~beside) | moving
-        steps = range(self._width)
-        corners = _joined(np.bitwise_and, passable, tuple(-step for step in steps))
-        return self._halved(_joined(np.bitwise_or, corners, tuple(steps)))
 
-    def _spread(self, elapsed_s: float, ways: Bool, moving: Bool) -> Float32:
-        """How long ago each cell was reached by what is attached, s; `_NEVER` where that is over, or never was."""
-        ages = self._age_s + np.float32(elapsed_s)
-        ages[moving] = 0
-        for face in (ages[0], ages[-1], ages[:, 0], ages[:, -1], ages[:, :, -1]):
-            face[...] = 0
-        cells = int(np.ceil(PERSON_SPEED * min(elapsed_s, LONGEST_GAP_S) / (2 * self._grid.voxel_size)))
-        ages = _least_around(ages, cells)
-        labels, count = ndimage.label(ways, np.ones((3, 3, 3), np.bool_))
-        newest = np.full(count + 1, _NEVER)
-        np.minimum.at(newest, labels[ways], ages[ways])
-        newest[newest > COMES_TO_REST_S] = _NEVER
-        return np.where(ways, newest[labels], _NEVER)
+@dataclass(frozen=True)
+class Memory:
+    """What is known of one grid's hiding places; `follow` changes it."""
 
-    def _packed(self, mask: Bool) -> Words:
-        """Bits [nx, ny, w] of a flat mask, 64 voxels along z per word, lowest bit first."""
-        nx, ny, nz = self._grid.dims
-        columns = np.packbits(mask.reshape(nx, ny, nz), axis=2, bitorder="little")
-        padded = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
-        padded[..., : columns.shape[2]] = columns
-        words: Words = padded.view(np.uint64)
-        return words
+    ages_s: Float32
+    """[nx / 2, ny / 2, nz / 2] since each cell of two by two by two voxels was last reached by what is attached, s."""
+    maybe_full: Bool
+    """[grid.size] voxels that are not known to be empty."""
 
-    def _halved(self, words: Words) -> Bool:
-        """Cells of two by two by two voxels that hold any of the packed ones; bits beside the grid do not count."""
-        nx, ny, nz = self._grid.dims
-        padded = np.pad(words, ((0, nx % 2), (0, ny % 2), (0, 0)))
-        padded = padded[::2] | padded[1::2]
-        bits = np.unpackbits((padded[:, ::2] | padded[:, 1::2]).view(np.uint8), axis=2, count=nz, bitorder="little")
-        even, odd = bits[..., ::2].view(np.bool_), bits[..., 1::2].view(np.bool_)
-        cells: Bool = even.copy()
-        cells[..., : odd.shape[2]] |= odd
-        return cells
+    @staticmethod
+    def of_nothing(grid: Grid) -> Memory:
+        """Before anything was seen."""
+        cells = tuple(-(-n // 2) for n in grid.dims)
+        return Memory(np.full(cells, _NEVER, np.float32), np.ones(grid.size, np.bool_))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One state's flat masks [grid.size]."""
+
+    elapsed_s: float
+    """Since the state before, s."""
+    unknown: Bool
+    moving: Bool
+    standing: Bool
+
+
+def follow(grid: Grid, memory: Memory, seen: Seen) -> Bool:
+    """[grid.size] unknown voxels that something may come out of; the memory is brought up to date.
+
+    Compiled; `follow_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return follow_plainly(grid, memory, seen)
+    reachable = np.empty(grid.size, np.bool_)
+    masks = [np.ascontiguousarray(mask) for mask in (seen.unknown, seen.moving, seen.standing)]
+    addresses = [array.ctypes.data for array in (*masks, memory.ages_s, memory.maybe_full, reachable)]
+    steps = (_hand(grid), _reach(grid, seen.elapsed_s))
+    compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, COMES_TO_REST_S, _NEVER, *addresses))
+    return reachable
+
+
+def follow_plainly(grid: Grid, memory: Memory, seen: Seen) -> Bool:
+    """What `follow` does."""
+    moving = _packed(grid, seen.moving)
+    ways = _ways(grid, _packed(grid, seen.unknown), moving, _packed(grid, seen.standing))
+    memory.ages_s[:] = _spread(grid, memory.ages_s + np.float32(seen.elapsed_s), seen.elapsed_s, ways, moving)
+    reached = _least_around(memory.ages_s, 1) <= COMES_TO_REST_S
+    nx, ny, nz = grid.dims
+    reachable: Bool = seen.unknown & reached.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:nx, :ny, :nz].reshape(-1)
+    memory.maybe_full[:] = memory.maybe_full & seen.unknown | reachable
+    return reachable
+
+
+def _hand(grid: Grid) -> int:
+    """Voxels across a hand."""
+    return min(max(1, int(HAND_M / grid.voxel_size)), _WORD)
+
+
+def _reach(grid: Grid, elapsed_s: float) -> int:
+    """Cells that a person gets on since the state before."""
+    return int(np.ceil(PERSON_SPEED * min(elapsed_s, LONGEST_GAP_S) / (2 * grid.voxel_size)))
+
+
+def _ways(grid: Grid, unknown: Words, moving: Words, standing: Words) -> Bool:
+    """Cells where a hand's width is unknown or moving; beside what stands lie the rims of its measurement."""
+    beside = _joined(np.bitwise_or, standing, (-1, 0, 1))
+    beside[..., 0] |= np.uint64(1)
+    passable = (unknown & ~beside) | moving
+    steps = range(_hand(grid))
+    corners = _joined(np.bitwise_and, passable, tuple(-step for step in steps))
+    return _halved(grid, _joined(np.bitwise_or, corners, tuple(steps)))
+
+
+def _spread(grid: Grid, ages: Float32, elapsed_s: float, ways: Bool, moving: Words) -> Float32:
+    """How long ago each cell was reached by what is attached, s; `_NEVER` where that is over, or never was."""
+    ages[_halved(grid, moving)] = 0
+    for face in (ages[0], ages[-1], ages[:, 0], ages[:, -1], ages[:, :, -1]):
+        face[...] = 0
+    ages = _least_around(ages, _reach(grid, elapsed_s))
+    labels, count = ndimage.label(ways, np.ones((3, 3, 3), np.bool_))
+    newest = np.full(count + 1, _NEVER)
+    np.minimum.at(newest, labels[ways], ages[ways])
+    newest[newest > COMES_TO_REST_S] = _NEVER
+    return np.where(ways, newest[labels], _NEVER)
+
+
+def _packed(grid: Grid, mask: Bool) -> Words:
+    """Bits [nx, ny, w] of a flat mask, 64 voxels along z per word, lowest bit first."""
+    nx, ny, nz = grid.dims
+    columns = np.packbits(mask.reshape(nx, ny, nz), axis=2, bitorder="little")
+    padded = np.zeros((nx, ny, -(-nz // _WORD) * 8), np.uint8)
+    padded[..., : columns.shape[2]] = columns
+    words: Words = padded.view(np.uint64)
+    return words
+
+
+def _halved(grid: Grid, words: Words) -> Bool:
+    """Cells of two by two by two voxels that hold any of the packed ones; bits beside the grid do not count."""
+    nx, ny, nz = grid.dims
+    padded = np.pad(words, ((0, nx % 2), (0, ny % 2), (0, 0)))
+    padded = padded[::2] | padded[1::2]
+    bits = np.unpackbits((padded[:, ::2] | padded[:, 1::2]).view(np.uint8), axis=2, count=nz, bitorder="little")
+    even, odd = bits[..., ::2].view(np.bool_), bits[..., 1::2].view(np.bool_)
+    cells: Bool = even.copy()
+    cells[..., : odd.shape[2]] |= odd
+    return cells
 
 
 def _least_around(values: Float32, cells: int) -> Float32:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import ctypes
 import os
 import warnings
-from ctypes import c_double, c_int32, c_int64, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 
-INTERFACE_VERSION = 3
+INTERFACE_VERSION = 4
 
 
 class GrowRequest(ctypes.Structure):
@@ -85,6 +85,16 @@ class FitRequest(ctypes.Structure):
     )
 
 
+class HideRequest(ctypes.Structure):
+    """`forecast::HideRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("nx", "ny", "nz", "width", "reach")),
+        *((name, c_float) for name in ("elapsed_s", "rest_s", "never")),
+        *((name, c_void_p) for name in ("unknown", "moving", "standing", "ages", "maybe_full", "reachable")),
+    )
+
+
 class Kernels:
     """One compiled variant. Safe from several threads; a forked child gets `ForecastError`."""
 
@@ -102,6 +112,7 @@ class Kernels:
         self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
         self._dll.forecast_count.restype = None
         self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
+        self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -130,6 +141,10 @@ class Kernels:
     def fit(self, request: FitRequest) -> None:
         """Takes the boxes that are worth their price; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_fit(request))
+
+    def hide(self, request: HideRequest) -> None:
+        """Follows what may be hidden by one state; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_hide(request))
 
     def _mark_forked(self) -> None:
         self._forked = True

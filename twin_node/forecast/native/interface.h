@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 3;
+constexpr int32_t kInterfaceVersion = 4;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -84,6 +84,16 @@ struct FitRequest {
   const int64_t *before;                 // [befores] rising: level << 21 | flat index on level 0's lattice
   const double *price;                   // [prices] rising
   BoxList found;
+};
+
+// What may be hidden in unknown space, one state after the other.
+struct HideRequest {
+  int32_t nx, ny, nz, width, reach;              // voxels of a hand, below 64; cells that things move since before
+  float elapsed_s, rest_s, never;                // since before, s; what was reached longer ago lies still, s
+  const uint8_t *unknown, *moving, *standing;    // [nx, ny, nz] 0 or 1
+  float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
+  uint8_t *maybe_full;                           // [nx, ny, nz] not known to be empty, before and after
+  uint8_t *reachable;                            // [nx, ny, nz] something may come out
 };
 
 }  // namespace forecast

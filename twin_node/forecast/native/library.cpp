@@ -6,6 +6,7 @@
 #include "carve.h"
 #include "cover.h"
 #include "grow.h"
+#include "hide.h"
 
 namespace {
 
@@ -46,6 +47,10 @@ void forecast_count(const forecast::CountRequest *request) { forecast::count_vox
 
 int32_t forecast_fit(const forecast::FitRequest *request) {
   return guarded([&] { forecast::fit(*request); });
+}
+
+int32_t forecast_hide(const forecast::HideRequest *request) {
+  return guarded([&] { forecast::hide(*request); });
 }
 }
 #pragma GCC visibility pop

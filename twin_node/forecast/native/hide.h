@@ -1,0 +1,249 @@
+// Where something may be hidden: ways through unknown space, and how long ago they were reached.
+#pragma once
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+#include <vector>
+
+#include "interface.h"
+
+namespace forecast {
+
+// Bits in columns along z, lowest first.
+struct Bits {
+  int64_t nx, ny, words;
+  std::vector<uint64_t> bits;
+
+  Bits(int64_t nx, int64_t ny, int64_t nz) : nx(nx), ny(ny), words((nz + 63) / 64), bits(nx * ny * words) {}
+  uint64_t *at(int64_t x, int64_t y) { return bits.data() + (x * ny + y) * words; }
+  const uint64_t *at(int64_t x, int64_t y) const { return bits.data() + (x * ny + y) * words; }
+};
+
+// Eight bytes of 0 or 1 as eight bits.
+inline uint64_t eight_bits(const uint8_t *bytes) {
+  uint64_t together;
+  std::memcpy(&together, bytes, 8);
+  return together * 0x0102040810204080 >> 56;
+}
+
+inline Bits packed(const uint8_t *mask, int64_t nx, int64_t ny, int64_t nz) {
+  Bits out(nx, ny, nz);
+  for (int64_t column = 0; column < nx * ny; column++, mask += nz) {
+    uint64_t *words = out.bits.data() + column * out.words;
+    int64_t z = 0;
+    for (; z + 8 <= nz; z += 8) words[z / 64] |= eight_bits(mask + z) << z % 64;
+    for (; z < nz; z++) words[z / 64] |= static_cast<uint64_t>(mask[z]) << z % 64;
+  }
+  return out;
+}
+
+enum class Join { kAll, kAny };
+
+// Every bit joined with those from `first` to `last` places further up each axis; outside there are none.
+inline void join_around(Bits &b, Join join, int64_t first, int64_t last) {
+  const int64_t row = b.ny * b.words;
+  std::vector<uint64_t> moved(b.bits.size());
+  for (int axis = 0; axis < 3; axis++) {
+    const std::vector<uint64_t> before = b.bits;
+    for (int64_t step = first; step <= last; step++) {
+      if (step == 0) continue;
+      std::fill(moved.begin(), moved.end(), 0);
+      if (axis < 2) {
+        const int64_t extent = axis == 0 ? b.nx : b.ny, stride = axis == 0 ? row : b.words;
+        const int64_t outer = axis == 0 ? 1 : b.nx;
+        const int64_t kept = std::max<int64_t>(extent - std::abs(step), 0) * stride;
+        for (int64_t o = 0; o < outer; o++) {
+          const int64_t from = o * row + std::max<int64_t>(step, 0) * stride;
+          const int64_t to = o * row + std::max<int64_t>(-step, 0) * stride;
+          if (kept > 0) std::memcpy(&moved[to], &before[from], kept * sizeof(uint64_t));
+        }
+      } else {
+        const int64_t shift = std::abs(step);  // below 64
+        for (int64_t i = 0; i < static_cast<int64_t>(moved.size()); i++) {
+          const int64_t word = i % b.words;
+          if (step > 0) {
+            moved[i] = before[i] >> shift | (word + 1 < b.words ? before[i + 1] << (64 - shift) : 0);
+          } else {
+            moved[i] = before[i] << shift | (word > 0 ? before[i - 1] >> (64 - shift) : 0);
+          }
+        }
+      }
+      for (size_t i = 0; i < moved.size(); i++) {
+        b.bits[i] = join == Join::kAll ? b.bits[i] & moved[i] : b.bits[i] | moved[i];
+      }
+    }
+  }
+}
+
+// The even bits of a word next to each other.
+inline uint64_t even_bits(uint64_t word) {
+  word &= 0x5555555555555555;
+  word = (word | word >> 1) & 0x3333333333333333;
+  word = (word | word >> 2) & 0x0F0F0F0F0F0F0F0F;
+  word = (word | word >> 4) & 0x00FF00FF00FF00FF;
+  word = (word | word >> 8) & 0x0000FFFF0000FFFF;
+  return (word | word >> 16) & 0x00000000FFFFFFFF;
+}
+
+// Cells of two by two by two bits that hold any; bits beside the grid do not count.
+inline Bits halved(const Bits &b, int64_t nz) {
+  Bits out((b.nx + 1) / 2, (b.ny + 1) / 2, (nz + 1) / 2);
+  for (int64_t x = 0; x < b.nx; x++) {
+    for (int64_t y = 0; y < b.ny; y++) {
+      const uint64_t *from = b.at(x, y);
+      uint64_t *to = out.at(x / 2, y / 2);
+      for (int64_t w = 0; w < b.words; w++) {
+        const int64_t left = nz - 64 * w;
+        const uint64_t word = left < 64 ? from[w] & ((uint64_t{1} << left) - 1) : from[w];
+        to[w / 2] |= even_bits(word | word >> 1) << 32 * (w % 2);
+      }
+    }
+  }
+  return out;
+}
+
+// Least value of the cube of so many cells around each of [nx, ny, nz].
+inline void least_around(std::vector<float> &values, int64_t nx, int64_t ny, int64_t nz, int64_t cells) {
+  const int64_t extents[3] = {nx, ny, nz}, strides[3] = {ny * nz, nz, 1};
+  for (int axis = 0; axis < 3; axis++) {
+    const std::vector<float> before = values;
+    const int64_t line = extents[axis] * strides[axis];
+    for (int64_t begin = 0; begin < static_cast<int64_t>(values.size()); begin += line) {
+      for (int64_t step = 1; step <= std::min(cells, extents[axis] - 1); step++) {
+        const int64_t offset = step * strides[axis];
+        float *own = &values[begin];
+        const float *from = &before[begin];
+        for (int64_t i = 0; i < line - offset; i++) own[i] = std::min(own[i], from[i + offset]);
+        for (int64_t i = offset; i < line; i++) own[i] = std::min(own[i], from[i - offset]);
+      }
+    }
+  }
+}
+
+// Cells one above the other.
+struct Stretch {
+  int64_t begin, end;  // first cell and one past the last
+  float least;
+};
+
+// Pieces of cells that touch at faces, edges or corners, and the least value in each.
+class Pieces {
+ public:
+  Pieces(const Bits &cells, int64_t nz, const std::vector<float> &values) : starts_(cells.nx * cells.ny + 1) {
+    for (int64_t column = 0; column < cells.nx * cells.ny; column++) {
+      starts_[column] = static_cast<int64_t>(stretches_.size());
+      find(cells.bits.data() + column * cells.words, nz, values.data() + column * nz);
+    }
+    starts_.back() = static_cast<int64_t>(stretches_.size());
+    parents_.resize(stretches_.size());
+    std::iota(parents_.begin(), parents_.end(), 0);
+    for (int64_t x = 0; x < cells.nx; x++) {
+      for (int64_t y = 0; y < cells.ny; y++) {
+        const int64_t own = x * cells.ny + y, below = own - cells.ny;
+        if (y > 0) unite(own, own - 1);
+        if (x > 0) unite(own, below);
+        if (x > 0 && y > 0) unite(own, below - 1);
+        if (x > 0 && y + 1 < cells.ny) unite(own, below + 1);
+      }
+    }
+  }
+
+  // Gives every cell its piece's least value, or `otherwise` where that is above `most` and outside of all pieces.
+  void write(std::vector<float> &values, int64_t nz, float most, float otherwise) {
+    std::fill(values.begin(), values.end(), otherwise);
+    for (int64_t column = 0; column + 1 < static_cast<int64_t>(starts_.size()); column++) {
+      for (int64_t i = starts_[column]; i < starts_[column + 1]; i++) {
+        const float least = stretches_[root(i)].least;
+        if (least > most) continue;
+        std::fill(&values[column * nz + stretches_[i].begin], &values[column * nz] + stretches_[i].end, least);
+      }
+    }
+  }
+
+ private:
+  void find(const uint64_t *words, int64_t nz, const float *values) {
+    for (int64_t z = 0; z < nz;) {
+      const uint64_t left = words[z / 64] >> z % 64;
+      if (left == 0) {
+        z = (z / 64 + 1) * 64;
+        continue;
+      }
+      z += __builtin_ctzll(left);
+      const int64_t begin = z;
+      while (z < nz && words[z / 64] >> z % 64 & 1) z++;
+      stretches_.push_back({begin, z, *std::min_element(values + begin, values + z)});
+    }
+  }
+
+  int64_t root(int64_t i) {
+    while (parents_[i] != i) i = parents_[i] = parents_[parents_[i]];
+    return i;
+  }
+
+  void unite(int64_t column, int64_t other) {
+    int64_t i = starts_[column], j = starts_[other];
+    while (i < starts_[column + 1] && j < starts_[other + 1]) {
+      const Stretch &one = stretches_[i], &two = stretches_[j];
+      if (one.begin <= two.end && two.begin <= one.end) {
+        const int64_t a = root(i), b = root(j);
+        const float least = std::min(stretches_[a].least, stretches_[b].least);
+        parents_[std::max(a, b)] = std::min(a, b);
+        stretches_[std::min(a, b)].least = least;
+      }
+      (one.end < two.end ? i : j)++;
+    }
+  }
+
+  std::vector<int64_t> starts_;  // [columns + 1] of each column's stretches
+  std::vector<Stretch> stretches_;
+  std::vector<int64_t> parents_;
+};
+
+inline void hide(const HideRequest &r) {
+  const int64_t nx = r.nx, ny = r.ny, nz = r.nz, cx = (nx + 1) / 2, cy = (ny + 1) / 2, cz = (nz + 1) / 2;
+  const Bits moving = packed(r.moving, nx, ny, nz);
+  Bits beside = packed(r.standing, nx, ny, nz);
+  join_around(beside, Join::kAny, -1, 1);  // beside what stands lie the rims of its measurement
+  Bits passable = packed(r.unknown, nx, ny, nz);
+  for (size_t i = 0; i < passable.bits.size(); i++) {
+    const uint64_t bottom = i % passable.words == 0;
+    passable.bits[i] = (passable.bits[i] & ~(beside.bits[i] | bottom)) | moving.bits[i];
+  }
+  join_around(passable, Join::kAll, 0, r.width - 1);
+  join_around(passable, Join::kAny, 1 - r.width, 0);
+
+  std::vector<float> ages(r.ages, r.ages + cx * cy * cz);
+  for (float &age : ages) age += r.elapsed_s;
+  const Bits near = halved(moving, nz);
+  for (int64_t x = 0; x < cx; x++) {
+    for (int64_t y = 0; y < cy; y++) {
+      const bool side = x == 0 || y == 0 || x == cx - 1 || y == cy - 1;
+      float *column = &ages[(x * cy + y) * cz];
+      for (int64_t z = 0; z < cz; z++) {
+        if (side || z == cz - 1 || near.at(x, y)[z / 64] >> z % 64 & 1) column[z] = 0;
+      }
+    }
+  }
+  least_around(ages, cx, cy, cz, r.reach);
+  Pieces(halved(passable, nz), cz, ages).write(ages, cz, r.rest_s, r.never);
+  std::copy(ages.begin(), ages.end(), r.ages);
+
+  least_around(ages, cx, cy, cz, 1);
+  std::vector<uint8_t> open(2 * cz);
+  for (int64_t x = 0; x < nx; x++) {
+    for (int64_t y = 0; y < ny; y++) {
+      const float *column = &ages[((x / 2) * cy + y / 2) * cz];
+      for (int64_t z = 0; z < cz; z++) open[2 * z] = open[2 * z + 1] = column[z] <= r.rest_s;
+      const int64_t first = (x * ny + y) * nz;
+      const uint8_t *unknown = r.unknown + first;
+      uint8_t *reachable = r.reachable + first, *maybe_full = r.maybe_full + first;
+      for (int64_t z = 0; z < nz; z++) {
+        reachable[z] = unknown[z] & open[z];
+        maybe_full[z] = (maybe_full[z] & unknown[z]) | reachable[z];
+      }
+    }
+  }
+}
+
+}  // namespace forecast
