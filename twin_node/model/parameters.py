@@ -35,6 +35,10 @@ class TrackParameters:
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
     learning_rate: float = 6.0
     """Multiplies all rates of `fitting.RATES`."""
+    selects: bool = True
+    """False: what stands still takes the gradient steps too, on whole images, as methods do that select nothing."""
+    bends: bool = True
+    """False: nodes stay RIGID, whatever the evidence; the deformation field is never used."""
     velocity_damping: float = 0.9
     """Share of a node's velocity that the prediction of the next set keeps (damped constant velocity)."""
     flow_sigma_px: float = 0.5

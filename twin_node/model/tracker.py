@@ -27,6 +27,7 @@ from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.model.stages import OnStage, unwatched
+from twin_node.model.unselected import fit_unselected
 from twin_node.scene import Bool, FrameSet, Tier
 
 BRAKE, PICK_UP = 0.1, 1.5
@@ -153,7 +154,7 @@ class Tracker:
         """Nodes that evidence says bend become DEFORMABLE with all they carry, those that no longer do RIGID again."""
         nodes, g = self._nodes, self._gaussians
         nodes.evidence = accumulate(nodes.evidence, fits)
-        bending = (nodes.tiers == int(Tier.RIGID)) & (nodes.evidence > PROMOTE)
+        bending = (nodes.tiers == int(Tier.RIGID)) & (nodes.evidence > PROMOTE) & self._parameters.track.bends
         stiff = (nodes.tiers == int(Tier.DEFORMABLE)) & (nodes.evidence < DEMOTE)
         for chosen, tier in ((bending, Tier.DEFORMABLE), (stiff, Tier.RIGID)):
             rows = torch.nonzero(chosen & nodes.alive)[:, 0]
@@ -195,6 +196,9 @@ class Tracker:
         self._revise(observed)
         g, track = self._gaussians, self._parameters.track
         poses = self._poses(observed)
+        if not track.selects:
+            self._backgrounds.mark()
+            return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
         moving = self._place(g.moving_rows, observed, poses)
         around = torch.cat([self._standing(before), g.robot_rows])
         masks = held_pixels(observed, moving)
