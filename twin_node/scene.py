@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -120,7 +121,7 @@ class Camera:
     sigma_m: float = 0.0
     """Error of the extrinsics seen at the working distance, 1 sigma, metres."""
 
-    @property
+    @cached_property
     def viewmat(self) -> Float64:
         """[4, 4] maps `base_link` to the optical frame."""
         return inverse_pose(self.T_base_cam)

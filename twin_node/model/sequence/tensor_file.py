@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ def read_tensors(path: Path) -> TensorFile:
 
 def camera_record(camera: Camera) -> dict[str, Any]:
     """A camera as JSON."""
-    return {**vars(camera), "K": camera.K.tolist(), "T_base_cam": camera.T_base_cam.tolist()}
+    return {**asdict(camera), "K": camera.K.tolist(), "T_base_cam": camera.T_base_cam.tolist()}
 
 
 def camera_from_record(record: Mapping[str, Any]) -> Camera:
