@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -127,8 +127,25 @@ def test_ablations_leave_out_one_part_each(tmp_path: Path) -> None:
     chain = ablations.load_parameters(None)
     changed = {name: change(chain) for name, change in ablations.ABLATIONS.items()}
     same = [name for name, one in changed.items() if one == chain]
-    assert same == ["whole", ablations.SELF_FILTER]
+    assert same == ["whole", ablations.ONE_RATE, ablations.SELF_FILTER]
     assert changed["no_gradient_steps"].model.track.steps == 0
+
+
+def test_an_ablation_is_followed_and_told_of(cell_log: Callable[..., Path]) -> None:
+    log = cell_log(1.0)
+    parameters = ablations.AblationParameters((log,), 4, names=("no_mapper", ablations.ONE_RATE), width=64)
+    rows = ablations.run(parameters)
+    figures = json.loads(json.dumps(ablations.as_json(rows)))[log.stem]
+    assert list(figures) == ["no_mapper", "one_rate"]
+    assert figures["one_rate"]["mapper_ms"] == 0
+    assert figures["no_mapper"]["parameters"] > 0
+    assert ablations.text(rows).count("\n") == 2
+    assert f"| {log.stem} | one rate |" in ablations.markdown(rows)
+
+
+def test_an_ablation_that_is_none_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match=r"expected some of whole, no_nodes.*found 'no_magic'"):
+        ablations.run(ablations.AblationParameters((tmp_path / "none.mcap",), names=("no_magic",)))
 
 
 def test_more_of_the_image_moves_in_a_larger_crowd() -> None:

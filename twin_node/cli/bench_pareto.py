@@ -59,12 +59,15 @@ def _bench_pareto(options: argparse.Namespace) -> None:
 
 def add_bench_ablations(benches: Any) -> None:
     """Adds `bench ablations`."""
-    ablations = benches.add_parser("ablations", help="what each part of the twin is worth, on a log")
-    ablations.add_argument("log", type=Path, metavar="LOG")
-    ablations.add_argument("--frames", type=whole, default=150, metavar="N", help="sets taken (default 150)")
+    ablations = benches.add_parser("ablations", help="what each part of the twin is worth, on logs")
+    ablations.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    ablations.add_argument("--frames", type=whole, default=150, metavar="N", help="sets taken of each (default 150)")
+    ablations.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="skip so much of each")
+    ablations.add_argument("--only", metavar="A,B", help="only these; a wrong name lists them all")
     ablations.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     ablations.add_argument("--width", type=width, default=160, metavar="PX", help="working width (default 160)")
     ablations.add_argument("--processes", type=whole, default=1, metavar="N", help="run at once (default 1)")
+    ablations.add_argument("--out", type=Path, metavar="DIR", help="write ablations.json and .md here")
     ablations.add_argument("--json", action="store_true", help="print one JSON object")
     ablations.set_defaults(run=_bench_ablations)
 
@@ -104,15 +107,23 @@ def _bench_length(options: argparse.Namespace) -> None:
 
 def _bench_ablations(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import ablations
+    from twin_node.bench.results_folder import prepared, save_figures
 
     parameters = ablations.AblationParameters(
-        options.log,
+        tuple(options.logs),
         options.frames,
+        options.start_offset,
         params=options.params,
         width=options.width,
         processes=options.processes,
     )
+    if options.only is not None:
+        parameters = replace(parameters, names=tuple(options.only.split(",")))
+    if options.out is not None:
+        prepared(options.out)
     rows = ablations.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
+    if options.out is not None:
+        save_figures(options.out, "ablations", ablations.as_json(rows), ablations.markdown(rows))
     print(json.dumps(ablations.as_json(rows)) if options.json else ablations.text(rows))
 
 

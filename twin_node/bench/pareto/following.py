@@ -30,6 +30,8 @@ class Laps:
     """What every set has cost, of one core, ms, and how much of the model moved."""
 
     model: list[float] = field(default_factory=list)
+    mapper: list[float] = field(default_factory=list)
+    """Refinement of what stands still, which a live twin does when the set's cloud is out."""
     forecast: list[float] = field(default_factory=list)
     baselines: list[float] = field(default_factory=list)
     """All of them together."""
@@ -71,7 +73,10 @@ class Follower:
             begin = frames.stamp if begin is None else begin
             started = time.process_time()
             state = self.model.update(frames)
-            self.laps.model.append(1e3 * (time.process_time() - started))
+            updated = time.process_time()
+            self.laps.model.append(1e3 * (updated - started))
+            self.model.refine()
+            self.laps.mapper.append(1e3 * (time.process_time() - updated))
             self.laps.sent.append(self.model.bytes_per_frame)
             counts = self.model.tier_counts
             self.laps.moving.append(sum(counts[tier] for tier in (Tier.RIGID, Tier.DEFORMABLE, Tier.TRANSIENT)))
