@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from forecast_worlds import GRID, state_of
+from hypothesis import given
+from hypothesis import strategies as st
 
 from twin_node.forecast import BaselineForecaster, Forecaster
 from twin_node.forecast.grid import decode_runs
-from twin_node.forecast.own_space import own_space
+from twin_node.forecast.kernels import kernels
+from twin_node.forecast.own_space import own_space, within, within_plainly
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Grid, JointSample, TwinState
 
@@ -40,6 +43,17 @@ def test_every_voxel_in_the_arm_is_its_own_and_none_far_from_it() -> None:
 
 def test_an_arm_outside_the_grid_takes_nothing() -> None:
     assert not own_space(Grid(np.array([5.0, 5.0, 5.0]), 0.05, (8, 8, 8)), ARM, JOINTS).any()
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@given(st.integers(0, 2**32 - 1), st.integers(0, 6))
+def test_compiled_capsules_are_the_plain_ones(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = Grid(np.array([-0.4, 0.1, -0.2]), 0.03, (21, 17, 24))
+    ends = rng.uniform(-1, 1, (count, 2, 3))
+    ends[:, 1] = np.where(rng.uniform(size=(count, 1)) < 0.2, ends[:, 0], ends[:, 1])
+    radii = rng.uniform(0.01, 0.4, count)
+    assert np.array_equal(within(grid, ends, radii), within_plainly(grid, ends, radii))
 
 
 def test_joints_of_another_arm_are_refused() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 
-INTERFACE_VERSION = 4
+INTERFACE_VERSION = 5
 
 
 class GrowRequest(ctypes.Structure):
@@ -37,7 +37,10 @@ class ListRequest(ctypes.Structure):
 class Sight(ctypes.Structure):
     """`forecast::Sight`."""
 
-    _fields_ = tuple((name, c_void_p) for name in ("pixels", "depths", "free_until", "begin", "end", "flags"))
+    _fields_ = (
+        *((name, c_void_p) for name in ("pixels", "depths", "free_until", "begin", "end", "flags")),
+        ("size", c_int64),
+    )
 
 
 class CarveRequest(ctypes.Structure):
@@ -95,6 +98,17 @@ class HideRequest(ctypes.Structure):
     )
 
 
+class TakeRequest(ctypes.Structure):
+    """`forecast::TakeRequest`."""
+
+    _fields_ = (
+        ("capsules", c_int64),
+        *((name, c_int32) for name in ("nx", "ny", "nz")),
+        ("voxel_size", c_double),
+        *((name, c_void_p) for name in ("origin", "ends", "radii", "taken")),
+    )
+
+
 class Kernels:
     """One compiled variant. Safe from several threads; a forked child gets `ForecastError`."""
 
@@ -113,6 +127,8 @@ class Kernels:
         self._dll.forecast_count.restype = None
         self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
+        self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
+        self._dll.forecast_take.restype = None
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -145,6 +161,10 @@ class Kernels:
     def hide(self, request: HideRequest) -> None:
         """Follows what may be hidden by one state; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_hide(request))
+
+    def take(self, request: TakeRequest) -> None:
+        """Marks the voxels within capsules; takes one thread."""
+        self._dll.forecast_take(request)
 
     def _mark_forked(self) -> None:
         self._forked = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin_node.forecast.kernels import TakeRequest, kernels
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import Bool, Float64, Grid, JointSample
 
@@ -17,18 +18,37 @@ def own_space(grid: Grid, arm: ArmModel, joints: JointSample) -> Bool:
     Raises `RobotError` for joint values that are not the arm's.
     """
     placed = place_capsules(arm, forward_kinematics(arm, arm.ordered_positions(joints)))
+    return within(grid, placed.ends, placed.radii + MARGIN + grid.voxel_size * np.sqrt(3) / 2)
+
+
+def within(grid: Grid, ends: Float64, radii: Float64) -> Bool:
+    """[grid.size] True for voxels whose middles lie in a capsule: ends [C, 2, 3] and radii [C] in metres.
+
+    Compiled; `within_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return within_plainly(grid, ends, radii)
+    arrays = [np.ascontiguousarray(array, np.float64) for array in (grid.origin, ends, radii)]
+    taken = np.zeros(grid.size, np.bool_)
+    addresses = (array.ctypes.data for array in (*arrays, taken))
+    compiled.take(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses))
+    return taken
+
+
+def within_plainly(grid: Grid, ends: Float64, radii: Float64) -> Bool:
+    """What `within` does."""
     taken = np.zeros(grid.dims, np.bool_)
-    reach = placed.radii + MARGIN + grid.voxel_size * np.sqrt(3) / 2
-    for ends, radius in zip(placed.ends, reach, strict=True):
-        lower = np.floor((ends.min(axis=0) - radius - grid.origin) / grid.voxel_size).astype(int)
-        upper = np.ceil((ends.max(axis=0) + radius - grid.origin) / grid.voxel_size).astype(int)
+    for own, radius in zip(ends, radii, strict=True):
+        lower = np.floor((own.min(axis=0) - radius - grid.origin) / grid.voxel_size).astype(int)
+        upper = np.ceil((own.max(axis=0) + radius - grid.origin) / grid.voxel_size).astype(int)
         start, stop = np.clip(lower, 0, grid.dims), np.clip(upper, 0, grid.dims)
         if np.any(start >= stop):
             continue
         axes = [grid.origin[i] + (np.arange(start[i], stop[i]) + 0.5) * grid.voxel_size for i in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         box = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
-        taken[box] |= _distances(points, ends) <= radius
+        taken[box] |= _distances(points, own) <= radius
     return taken.reshape(-1)
 
 

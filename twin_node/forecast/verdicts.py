@@ -58,10 +58,12 @@ def verdicts(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight])
     given = (kernels.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
     for row, arrays in enumerate(held):
-        given[row] = kernels.Sight(*(None if array is None else array.ctypes.data for array in arrays))
+        addresses = (None if array is None else array.ctypes.data for array in arrays)
+        given[row] = kernels.Sight(*addresses, len(sights[row].flags))
     verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)
-    addresses = (chosen.ctypes.data, ctypes.addressof(given), verdicts.ctypes.data)
-    compiled.carve(kernels.CarveRequest(len(chosen), len(sights), *blocks.grid.dims, thread_count(), *addresses))
+    sizes = (len(chosen), len(sights), *blocks.grid.dims, thread_count())
+    places = (chosen.ctypes.data, ctypes.addressof(given), verdicts.ctypes.data)
+    compiled.carve(kernels.CarveRequest(*sizes, *places))
     return verdicts
 
 

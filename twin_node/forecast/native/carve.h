@@ -1,6 +1,9 @@
 // What the views of a rig say about every voxel.
 #pragma once
 
+#include <algorithm>
+#include <vector>
+
 #include "interface.h"
 
 namespace forecast {
@@ -11,35 +14,86 @@ constexpr int kVoxels = kBlock * kBlock * kBlock;
 // Two views must show the same to be believed where no surface is measured.
 constexpr int kWitnesses = 2;
 
-inline Verdict verdict_of(const CarveRequest &r, int64_t place) {
-  int moving = 0, robot = 0, seen = 0;
-  bool surface = false, beside = false;
-  for (int v = 0; v < r.views; v++) {
-    const Sight &sight = r.sights[v];
-    const int32_t pixel = sight.pixels[place];
-    const float depth = sight.depths[place];
-    if (depth < sight.free_until[pixel]) return kFree;
-    const uint8_t flags = sight.flags[pixel];
-    moving += (flags & kMoving) != 0;
-    robot += (flags & kRobot) != 0;
-    seen += (flags & kSeen) != 0;
-    beside |= (flags & kBeside) != 0;
-    surface |= sight.begin && sight.begin[pixel] <= depth && depth < sight.end[pixel];
+// What the views say of the voxels of one block, which lie side by side in the tables: vectors of `kVoxels`.
+class BlockVerdicts {
+ public:
+  BlockVerdicts(const CarveRequest &request, const std::vector<std::vector<int32_t>> &flags)
+      : r_(request), flags_(flags) {}
+
+  // Verdicts on a block; null where some view frees every voxel.
+  const int32_t *of(int64_t block) {
+    if (free_everywhere(block)) return nullptr;
+    for (int i = 0; i < kVoxels; i++) moving_[i] = robot_[i] = seen_[i] = surface_[i] = beside_[i] = 0;
+    for (int v = 0; v < r_.views; v++) look(r_.sights[v], flags_[v].data(), block * kVoxels);
+    for (int i = 0; i < kVoxels; i++) {
+      const int32_t explained = (moving_[i] >= kWitnesses) | surface_[i];
+      const int32_t itself = (robot_[i] >= kWitnesses) & (robot_[i] == seen_[i]);
+      const int32_t moves = beside_[i] ? kMayMove : kLikelyMoves, still = itself ? kFree : kUnknown;
+      verdicts_[i] = open_[i] ? (explained ? moves : still) : kFree;
+    }
+    return verdicts_;
   }
-  if (moving >= kWitnesses || surface) return beside ? kMayMove : kLikelyMoves;
-  return robot >= kWitnesses && robot == seen ? kFree : kUnknown;
-}
+
+ private:
+  bool free_everywhere(int64_t block) {
+    for (int i = 0; i < kVoxels; i++) open_[i] = 1;
+    for (int v = 0; v < r_.views; v++) {
+      const int32_t *pixels = r_.sights[v].pixels + block * kVoxels;
+      const float *depths = r_.sights[v].depths + block * kVoxels, *free_until = r_.sights[v].free_until;
+      int32_t left = 0;
+      for (int i = 0; i < kVoxels; i++) {
+        open_[i] &= !(depths[i] < free_until[pixels[i]]);
+        left |= open_[i];
+      }
+      if (!left) return true;
+    }
+    return false;
+  }
+
+  void look(const Sight &sight, const int32_t *flags, int64_t first) {
+    const int32_t *pixels = sight.pixels + first;
+    for (int i = 0; i < kVoxels; i++) {
+      const int32_t shown = flags[pixels[i]];
+      moving_[i] += (shown & kMoving) != 0;
+      robot_[i] += (shown & kRobot) != 0;
+      seen_[i] += (shown & kSeen) != 0;
+      beside_[i] |= shown & kBeside;
+    }
+    if (!sight.begin) return;
+    const float *depths = sight.depths + first;
+    for (int i = 0; i < kVoxels; i++) {
+      surface_[i] |= (sight.begin[pixels[i]] <= depths[i]) & (depths[i] < sight.end[pixels[i]]);
+    }
+  }
+
+  const CarveRequest &r_;
+  const std::vector<std::vector<int32_t>> &flags_;
+  int32_t open_[kVoxels], moving_[kVoxels], robot_[kVoxels], seen_[kVoxels], surface_[kVoxels], beside_[kVoxels];
+  int32_t verdicts_[kVoxels];
+};
 
 inline void carve(const CarveRequest &r) {
   const int64_t by = (r.ny + kBlock - 1) / kBlock, bz = (r.nz + kBlock - 1) / kBlock;
-#pragma omp parallel for schedule(static) num_threads(r.threads)
-  for (int64_t i = 0; i < r.blocks; i++) {
-    const int64_t block = r.chosen[i];
-    const int64_t x0 = block / (by * bz) * kBlock, y0 = block / bz % by * kBlock, z0 = block % bz * kBlock;
-    for (int offset = 0; offset < kVoxels; offset++) {
-      const int64_t x = x0 + offset / (kBlock * kBlock), y = y0 + offset / kBlock % kBlock, z = z0 + offset % kBlock;
-      if (x >= r.nx || y >= r.ny || z >= r.nz) continue;
-      r.verdicts[(x * r.ny + y) * r.nz + z] = verdict_of(r, block * kVoxels + offset);
+  std::vector<std::vector<int32_t>> flags;  // words are gathered many at a time, bytes are not
+  for (int v = 0; v < r.views; v++) flags.emplace_back(r.sights[v].flags, r.sights[v].flags + r.sights[v].size);
+#pragma omp parallel num_threads(r.threads)
+  {
+    BlockVerdicts verdicts(r, flags);
+#pragma omp for schedule(static)
+    for (int64_t i = 0; i < r.blocks; i++) {
+      const int64_t block = r.chosen[i];
+      const int32_t *found = verdicts.of(block);
+      if (!found) continue;
+      const int64_t x0 = block / (by * bz) * kBlock, y0 = block / bz % by * kBlock, z0 = block % bz * kBlock;
+      const int64_t xs = std::min<int64_t>(kBlock, r.nx - x0), ys = std::min<int64_t>(kBlock, r.ny - y0);
+      const int64_t zs = std::min<int64_t>(kBlock, r.nz - z0);
+      for (int64_t x = 0; x < xs; x++) {
+        for (int64_t y = 0; y < ys; y++) {
+          uint8_t *column = r.verdicts + ((x0 + x) * r.ny + y0 + y) * r.nz + z0;
+          const int32_t *from = found + (x * kBlock + y) * kBlock;
+          for (int64_t z = 0; z < zs; z++) column[z] = from[z];
+        }
+      }
     }
   }
 }

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 4;
+constexpr int32_t kInterfaceVersion = 5;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -38,6 +38,7 @@ struct Sight {
   const float *free_until;    // [pixels + 1] m
   const float *begin, *end;   // [pixels + 1] m, where a measured moving surface explains the ray; null without depth
   const uint8_t *flags;       // [pixels + 1] bits of Flag
+  int64_t size;               // pixels + 1
 };
 
 enum Flag : uint8_t { kMoving = 1, kRobot = 2, kSeen = 4, kBeside = 8 };
@@ -94,6 +95,16 @@ struct HideRequest {
   float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
   uint8_t *maybe_full;                           // [nx, ny, nz] not known to be empty, before and after
   uint8_t *reachable;                            // [nx, ny, nz] something may come out
+};
+
+// The voxels whose middles lie within some capsules.
+struct TakeRequest {
+  int64_t capsules;
+  int32_t nx, ny, nz;
+  double voxel_size;
+  const double *origin;         // [3] m
+  const double *ends, *radii;   // [capsules, 2, 3], [capsules] m
+  uint8_t *taken;               // [nx, ny, nz] comes zeroed
 };
 
 }  // namespace forecast

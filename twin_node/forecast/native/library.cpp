@@ -7,6 +7,7 @@
 #include "cover.h"
 #include "grow.h"
 #include "hide.h"
+#include "own.h"
 
 namespace {
 
@@ -52,5 +53,7 @@ int32_t forecast_fit(const forecast::FitRequest *request) {
 int32_t forecast_hide(const forecast::HideRequest *request) {
   return guarded([&] { forecast::hide(*request); });
 }
+
+void forecast_take(const forecast::TakeRequest *request) { forecast::take(*request); }
 }
 #pragma GCC visibility pop
