@@ -11,9 +11,9 @@ from twin_node import splat
 from twin_node.model.carriage import carry
 from twin_node.model.descending import Path, descend_fused, descend_plain
 from twin_node.model.fitting import fit_all
-from twin_node.model.gaussians import LOG_SCALE, WIDTH, Gaussians, Newborns
+from twin_node.model.gaussians import LOG_SCALE, QUICK, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
-from twin_node.model.photometric import Goal, focused, photometric, targets_of
+from twin_node.model.photometric import Goal, photometric, targets_of
 from twin_node.model.rendering import Splats, draw
 from twin_node.model.rotations import quat_product, rotate
 from twin_node.scene import Tier
@@ -91,8 +91,8 @@ def test_each_view_weighs_the_same_however_few_of_its_pixels_count() -> None:
     assert torch.allclose(both, first + torch.stack(alone[1:]).sum(), rtol=1e-3)
 
 
-@pytest.mark.parametrize(("steps", "focus"), [(1, 0.0), (3, 0.0), (3, 0.2)])
-def test_fused_steps_are_those_of_torch(steps: int, focus: float) -> None:
+@pytest.mark.parametrize(("steps", "decays"), [(1, QUICK), (3, QUICK), (3, splat.Decays())])
+def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> None:
     if not splat.can_descend(torch.device("cpu")):
         pytest.skip("the compiled library is not at hand")
     views = frames(0, -0.1, CAMERAS, depth=True).views
@@ -113,15 +113,13 @@ def test_fused_steps_are_those_of_torch(steps: int, focus: float) -> None:
         goal = Goal(CAMERAS, masks, targets_of(views, masks, torch.device("cpu")), backdrops)
         carriage = carry(poses(3, 1), torch.full((len(rows),), -1))
         rates = torch.full((len(rows), WIDTH), 1e-3)
-        last = descend(store, Path(rows, carriage, rates, still, goal, focus), steps)
+        last = descend(store, Path(rows, carriage, rates, still, goal, decays), steps)
         outcomes.append((store, last))
     (plain, of_plain), (fused, of_fused) = outcomes
     assert torch.allclose(of_plain.sheets[0].rgbd, of_fused.sheets[0].rgbd, atol=1e-3)
     assert torch.allclose(plain.moment1, fused.moment1, rtol=2e-2, atol=1e-6)
     taken = fused.steps[rows]
     assert torch.equal(plain.steps, fused.steps) and taken.max() == steps
-    if focus:
-        assert 0.2 < focused(goal, of_plain.sheets, focus).scale < 0.9
     moved = plain.moment1.abs() > 1e-5
     assert moved[rows].any() and torch.allclose(plain.values[moved], fused.values[moved], atol=2e-4)
     assert torch.equal(plain.values[1::2], fused.values[1::2])

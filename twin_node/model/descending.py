@@ -10,8 +10,8 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.carriage import Carriage
-from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, WIDTH, Gaussians, activated
-from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate, focused
+from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, PATIENT, QUAT, RGB, SMALLEST, WIDTH, Gaussians, activated
+from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate
 from twin_node.model.rendering import Sheet, Splats, join
 
 WORSE, WORSE_FLOOR = 1.5, 1e-3
@@ -38,8 +38,7 @@ class Path:
     static: Splats
     """What is drawn with them and does not learn."""
     goal: Goal
-    focus: float = 0.0
-    """See `splat.Course`."""
+    decays: splat.Decays = PATIENT
 
 
 @dataclass(frozen=True)
@@ -73,14 +72,12 @@ def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:
 
 def descend_plain(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """Steps in torch, on any device: the reference of the fused ones."""
-    descent, carriage, losses, goal = gaussians.descent(path.rows), path.carriage, [], path.goal
-    for step in range(steps):
+    descent, carriage, losses = gaussians.descent(path.rows, path.decays), path.carriage, []
+    for _ in range(steps):
         values = descent.values
         moving = activated(values, carriage.means(values[:, MEAN]), carriage.quats(values[:, QUAT]))
-        seen = differentiate(join(path.static, moving), goal)
+        seen = differentiate(join(path.static, moving), path.goal)
         losses.append(seen.loss)
-        if step == 0 and path.focus > 0 and len(goal.targets) == 1:  # of one size, as `descend_fused` has it
-            goal = focused(path.goal, seen.sheets, path.focus)
         gradient = _tail(seen.gradient, len(path.rows))
         local = replace(
             gradient,
@@ -124,7 +121,7 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         target.depth,
         0.0 if target.depth is None else DEPTH_WEIGHT,
     )
-    done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.focus))
+    done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.decays))
     gaussians.take(rows, learners.values, learners.moment1, learners.moment2, learners.steps)
     gaussians.refused += done.refused
     sheet = Sheet(list(range(times)), done.seen, done.alphas)

@@ -13,7 +13,7 @@ from torch import Tensor
 from twin_node.model.backgrounds import grow
 from twin_node.model.carriage import Bend, Carriage, carry
 from twin_node.model.descending import Path, descend, rates_of, to_columns, undo
-from twin_node.model.gaussians import MEAN, QUAT, Gaussians
+from twin_node.model.gaussians import MEAN, QUAT, QUICK, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
@@ -27,9 +27,6 @@ REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 1.5
 """What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
-FOCUS = 0.02
-"""Mean error of a cell of pixels, 0 to 1, from which on it needs more than one step: five grey levels, the noise of
-8-bit video and what Gaussians of two pixels leave over."""
 SKIRT_PX = 5
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
@@ -77,7 +74,7 @@ def fit_moving(
     rates = rates_of(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE
     rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(gaussians.population(rows, motion.nodes), stamps)
-    path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal, FOCUS)
+    path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal, QUICK)
     last = descend(gaussians, path, steps if bend is None else max(steps - 1, 1))
     if last.diverged:
         undo(gaussians, rows, values)

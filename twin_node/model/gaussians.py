@@ -11,12 +11,18 @@ from twin_node.model.nodes import Nodes
 from twin_node.model.rendering import Splats
 from twin_node.model.rotations import conjugate, quat_product, rotate
 from twin_node.scene import Tier
+from twin_node.splat import Decays
 
 MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
 """Columns of `Gaussians.values`."""
 WIDTH = 14
 SMALLEST = -7.6
 """Log of the smallest scale: half a millimetre."""
+PATIENT = Decays()
+"""Adam's of Gaussians that learn from what stays as it is."""
+QUICK = Decays(0.8, 0.95)
+"""Of those that are followed by a few steps per set: what they learned from farther back than five sets is of another
+image. Three steps then do what four with the usual decays do."""
 LARGEST = 0.7
 """Log of how many times its size at birth a Gaussian may reach: it stands for its own patch, not its neighbours'."""
 
@@ -182,7 +188,7 @@ class Gaussians:
         What is hidden or fainter than its neighbours has little. Infinite for those that have not learned yet.
         """
         steps = self.steps[rows]
-        square = self.moment2[rows, RGB].sum(-1) / (1 - 0.99 ** steps.clamp_min(1).float())
+        square = self.moment2[rows, RGB].sum(-1) / (1 - QUICK.second ** steps.clamp_min(1).float())
         return torch.where(steps > 0, square.sqrt(), torch.inf)
 
     def forget_moments(self, rows: Tensor) -> None:
@@ -201,21 +207,22 @@ class Gaussians:
         self.values[rows] = values
         self.moment1[rows], self.moment2[rows], self.steps[rows] = moment1, moment2, steps
 
-    def descent(self, rows: Tensor) -> Descent:
+    def descent(self, rows: Tensor, decays: Decays = PATIENT) -> Descent:
         """Adam steps on `rows` [n] only; what they lead to is stored by `Descent.end`.
 
         Raises `ValueError` where a row is named twice: which of its two results stayed would be left to chance.
         """
         if len(rows) != len(torch.unique(rows)):
             raise ValueError(f"descent: expected every row once, found {len(rows) - len(torch.unique(rows))} twice")
-        return Descent(self, rows)
+        return Descent(self, rows, decays)
 
 
 class Descent:
     """Several steps of Adam (Kingma and Ba, 2015) on the same rows of one store."""
 
-    def __init__(self, gaussians: Gaussians, rows: Tensor) -> None:
+    def __init__(self, gaussians: Gaussians, rows: Tensor, decays: Decays) -> None:
         self._store = gaussians
+        self._decays = decays
         self._rows = rows
         self._ceiling = gaussians.largest[rows, None]
         self._moment1, self._moment2 = gaussians.moment1[rows], gaussians.moment2[rows]
@@ -230,10 +237,11 @@ class Descent:
         """
         pulled = (gradient != 0).any(1)
         self._steps = self._steps + pulled
-        k = self._steps[:, None].to(gradient.dtype).clamp_min(1)
-        m = self._moment1.lerp_(gradient, 0.1 * pulled[:, None])
-        v = self._moment2.mul_(torch.where(pulled, 0.99, 1.0)[:, None]).addcmul_(gradient, gradient, value=0.01)
-        update = (m / (1 - 0.9**k)).div_((v / (1 - 0.99**k)).sqrt_().add_(1e-12))
+        k, first, second = self._steps[:, None].to(gradient.dtype).clamp_min(1), self._decays.first, self._decays.second
+        m = self._moment1.lerp_(gradient, (1 - first) * pulled[:, None])
+        v = self._moment2.mul_(torch.where(pulled, second, 1.0)[:, None])
+        v.addcmul_(gradient, gradient, value=1 - second)
+        update = (m / (1 - first**k)).div_((v / (1 - second**k)).sqrt_().add_(1e-12))
         values = self.values - update.mul_(rates * pulled[:, None])
         scales, rgb = values[:, LOG_SCALE], values[:, RGB]
         torch.minimum(scales, self._ceiling, out=scales)

@@ -31,7 +31,7 @@ class TrackParameters:
 
     alignments: int = 1
     """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
-    steps: int = 4
+    steps: int = 3
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
     learning_rate: float = 6.0
     """Multiplies all rates of `fitting.RATES`."""

@@ -7,15 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.rendering import Sheet, Splats, by_size, draw
 from twin_node.scene import Bool, Camera, Float32, View
 
-CELL_PX = 4
-"""Side in pixels of the cells that are told right from wrong together: the smallest patches that are drawn."""
 DEPTH_WEIGHT = 0.2
 """Weight of a metre of depth error beside the photometric loss."""
 
@@ -88,8 +85,6 @@ class Goal:
     targets: Sequence[Targets]
     backdrops: Sequence[Tensor] | None = None
     """What stands behind all that is drawn, see `rendering.render`."""
-    scale: float = 1.0
-    """What the loss is multiplied by."""
 
 
 @dataclass(frozen=True)
@@ -106,32 +101,8 @@ def differentiate(splats: Splats, goal: Goal) -> Differentiated:
     """Draws `splats` and takes the loss's gradient back to them."""
     leaf = Splats(*(field.detach().requires_grad_() for field in vars(splats).values()))
     sheets = draw(leaf, goal.cameras, goal.masks, goal.backdrops)
-    loss = goal.scale * photometric(sheets, goal.targets)
+    loss = photometric(sheets, goal.targets)
     torch.autograd.backward(loss)
     grads = [torch.zeros_like(field) if field.grad is None else field.grad for field in vars(leaf).values()]
     detached = [replace(sheet, rgbd=sheet.rgbd.detach(), alpha=sheet.alpha.detach()) for sheet in sheets]
     return Differentiated(detached, Splats(*grads), float(loss.detach()))
-
-
-def focused(goal: Goal, sheets: Sequence[Sheet], focus: float) -> Goal:
-    """The goal without the cells of pixels in which `sheets` miss it by less than `focus`, nor any such around them.
-
-    For cameras of one size. A pixel that still counts pulls as hard as it did among all.
-    """
-    target, seen = goal.targets[0], sheets[0].rgbd
-    weights = torch.ones_like(target.rgb[..., 0]) if target.weights is None else target.weights
-    error = (seen[..., :3] - target.rgb).abs().mean(-1)
-    if target.depth is not None:
-        error = error + torch.where(target.depth > 0, (seen[..., 3] - target.depth).abs(), 0.0)
-    height, width = error.shape[1:]
-    size = (-(-height // CELL_PX), -(-width // CELL_PX))
-    padding = (0, size[1] * CELL_PX - width, 0, size[0] * CELL_PX - height)
-    counted = (weights > 0).float()
-    sums = [F.avg_pool2d(F.pad(part, padding)[:, None], CELL_PX) for part in (error * counted, counted)]
-    wrong = F.max_pool2d((sums[0] > focus * sums[1]).float(), 3, 1, 1)
-    counts = F.interpolate(wrong, scale_factor=CELL_PX)[:, 0, :height, :width] > 0
-    kept = torch.where(counts, weights, 0.0)
-    given = torch.ones_like(counts) if goal.masks is None else torch.from_numpy(np.stack(goal.masks)).to(counts.device)
-    share = float(kept.sum() / weights.sum().clamp_min(1e-12))
-    masks = list((counts & given).cpu().numpy())
-    return replace(goal, masks=masks, targets=[replace(target, weights=kept)], scale=goal.scale * share)

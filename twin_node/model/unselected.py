@@ -9,7 +9,7 @@ import torch
 from twin_node.model.carriage import carry
 from twin_node.model.descending import Path, descend, rates_of, undo
 from twin_node.model.fitting import Fitted
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.gaussians import QUICK, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
@@ -48,7 +48,7 @@ def fit_unselected(
         carriage = carriage if bend is None else carriage.bent(bend)
     values = gaussians.values[rows]
     goal = Goal([view.camera for view in views], masks, targets_of(views, masks, device), backdrops)
-    done = descend(gaussians, Path(rows, carriage, rates_of(values, learning_rate), arm, goal), steps)
+    done = descend(gaussians, Path(rows, carriage, rates_of(values, learning_rate), arm, goal, QUICK), steps)
     if done.diverged:
         undo(gaussians, rows, values)
         return Fitted([], True)

@@ -1,7 +1,7 @@
 """Draws 3D Gaussians and differentiates the images: gsplat's semantics on a CPU, gsplat itself on CUDA."""
 
 from twin_node.splat.arguments import RasterMeta
-from twin_node.splat.descent import Aims, Bystanders, Course, Descended, Learners, can_descend, descend
+from twin_node.splat.descent import Aims, Bystanders, Course, Decays, Descended, Learners, can_descend, descend
 from twin_node.splat.dispatch import rasterize, rasterize_plain
 from twin_node.splat.errors import SplatError
 from twin_node.splat.loss import image_loss, image_loss_plain
@@ -11,6 +11,7 @@ __all__ = [
     "Aims",
     "Bystanders",
     "Course",
+    "Decays",
     "Descended",
     "Learners",
     "Placed",

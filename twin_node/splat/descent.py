@@ -82,9 +82,9 @@ class Descended:
     """What the last step saw and did."""
 
     seen: Tensor
-    """[T, H, W, 4] colour and depth before it, the backdrop behind; what no longer counted as it was seen before."""
+    """[T, H, W, 4] colour and depth before it, the backdrop behind."""
     alphas: Tensor
-    """[T, H, W] of what is drawn; 0 where pixels no longer counted."""
+    """[T, H, W] of what is drawn."""
     v_means: Tensor
     """[T, n, 3] gradient by the learners' carried means."""
     v_quats: Tensor
@@ -96,15 +96,21 @@ class Descended:
 
 
 @dataclass(frozen=True)
+class Decays:
+    """What Adam's moments keep of themselves per step, 0 to 1 (Kingma and Ba, 2015)."""
+
+    first: float = 0.9
+    second: float = 0.99
+
+
+@dataclass(frozen=True)
 class Course:
     """How steps are taken."""
 
     steps: int
     """1 or more."""
     smallest_log_scale: float
-    focus: float = 0.0
-    """Mean error of a cell of 4x4 pixels from which on it counts, with the cells around it, after the first step: what
-    is right by then needs no further steps. 0: all pixels count in all of them."""
+    decays: Decays = Decays()
 
 
 def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Course) -> Descended:
@@ -163,8 +169,6 @@ class _Call:
         self.depth = torch.empty(0) if aims.depth is None else aims.depth.contiguous()
         self.carriage = [t.contiguous() for t in (learners.turns, learners.shifts, learners.products)]
         self.loss = torch.zeros(1, dtype=torch.float64)
-        self.focus_mask = torch.empty(times, height, width, dtype=torch.bool)
-        self.focus_weights = torch.empty(times, height, width)
         self.refused = torch.zeros(1, dtype=torch.int64)
         self.losses = torch.zeros(0, dtype=torch.float64)
 
@@ -184,8 +188,8 @@ class _Call:
             course.steps,
             course.smallest_log_scale,
             *(_pointer(t) for t in (*drawn, *own, *self.carriage)),
-            course.focus,
-            *(_pointer(t) for t in (self.focus_mask, self.focus_weights, self.refused, self.losses)),
+            *vars(course.decays).values(),
+            *(_pointer(t) for t in (self.refused, self.losses)),
         )
 
     def _scene(self) -> native.Request:

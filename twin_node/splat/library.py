@@ -14,7 +14,7 @@ import torch  # loads the OpenMP runtime that the library then shares
 from twin_node import native_build
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 4
+INTERFACE_VERSION = 5
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -68,8 +68,8 @@ class DescentRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors")),
         *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps_taken", "rates", "ceilings")),
         *((name, c_void_p) for name in ("turns", "shifts", "products")),
-        ("focus", c_float),
-        *((name, c_void_p) for name in ("focus_mask", "focus_weights", "refused", "losses")),
+        *((name, c_float) for name in ("first_decay", "second_decay")),
+        *((name, c_void_p) for name in ("refused", "losses")),
     )
 
 

@@ -7,7 +7,6 @@
 namespace splat {
 
 constexpr int kMean = 0, kQuat = 3, kLogScale = 7, kLogit = 10, kRgb = 11, kColumns = 14;  // of a row of values
-constexpr float kFirstDecay = 0.9f, kSecondDecay = 0.99f;                                  // of Adam's moments
 constexpr float kAdamFloor = 1e-12f;
 constexpr int kRowsPerChunk = 128;
 
@@ -70,8 +69,13 @@ inline void gradient_of_row(const DescentRequest &d, int i, float *out) {
   out[kLogit] = d.gradients.v_opacities[row] * opacity * (1.f - opacity);
 }
 
-// One step of Adam (Kingma and Ba, 2015) on learned row `i`, none where nothing pulls at it; false where it would not stay finite: it then keeps its
-// values and forgets its moments.
+// What makes up for moments that began at zero `taken` steps ago: 1 / (1 - decay^taken).
+inline float correction(float decay, double taken) {
+  return static_cast<float>(1. / (1. - std::exp2(taken * std::log2(static_cast<double>(decay)))));
+}
+
+// One step of Adam (Kingma and Ba, 2015) on learned row `i`, none where nothing pulls at it; false where it would not
+// stay finite: it then keeps its values and forgets its moments.
 inline bool step_row(const DescentRequest &d, int i) {
   float gradient[kColumns], next[kColumns];
   gradient_of_row(d, i, gradient);
@@ -79,12 +83,11 @@ inline bool step_row(const DescentRequest &d, int i) {
   const int64_t at = static_cast<int64_t>(kColumns) * i;
   float *value = d.values + at, *first = d.moment1 + at, *second = d.moment2 + at;
   const double taken = static_cast<double>(++d.steps_taken[i]);
-  const float correct1 = static_cast<float>(1. / (1. - std::pow(static_cast<double>(kFirstDecay), taken)));
-  const float correct2 = static_cast<float>(1. / (1. - std::pow(static_cast<double>(kSecondDecay), taken)));
+  const float correct1 = correction(d.first_decay, taken), correct2 = correction(d.second_decay, taken);
   float sum = 0.f;
   for (int k = 0; k < kColumns; k++) {
-    first[k] += (1.f - kFirstDecay) * (gradient[k] - first[k]);
-    second[k] = kSecondDecay * second[k] + (1.f - kSecondDecay) * gradient[k] * gradient[k];
+    first[k] += (1.f - d.first_decay) * (gradient[k] - first[k]);
+    second[k] = d.second_decay * second[k] + (1.f - d.second_decay) * gradient[k] * gradient[k];
     next[k] = value[k] - d.rates[at + k] * (first[k] * correct1) / (std::sqrt(second[k] * correct2) + kAdamFloor);
   }
   for (int k = kLogScale; k < kLogScale + 3; k++) {
@@ -131,14 +134,12 @@ inline void clear_gradients(const DescentRequest &d) {
   std::fill_n(d.loss.gradient, static_cast<int64_t>(d.loss.images) * r.height * r.width * d.loss.channels, 0.f);
 }
 
-// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop; pixels that no longer count keep what
-// was seen last.
-inline void compose(const DescentRequest &d, bool first) {
+// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop.
+inline void compose(const DescentRequest &d) {
   const Request &r = d.scene;
   const int64_t pixels = static_cast<int64_t>(r.width) * r.height;
   parallel_for(r.threads, r.batches, [&](int64_t image) {
     for (int64_t at = image * pixels; at < (image + 1) * pixels; at++) {
-      if (!first && r.pixel_mask != nullptr && r.pixel_mask[at] == 0) continue;
       const float left = 1.f - r.alphas[at];
       for (int k = 0; k < 4; k++) d.seen[4 * at + k] = r.renders[4 * at + k] + left * d.backdrop[4 * at + k];
     }
@@ -157,78 +158,17 @@ inline void alpha_gradient(const DescentRequest &d) {
   });
 }
 
-// Marks the cells of pixels in which what is seen misses the target by `focus` on average, and those around them.
-inline void mark_wrong_cells(const DescentRequest &d, int64_t image, std::vector<uint8_t> &wrong) {
-  const Request &r = d.scene;
-  const int columns = (r.width + kCell - 1) / kCell, rows = (r.height + kCell - 1) / kCell;
-  wrong.assign(static_cast<size_t>(columns + 2) * (rows + 2), 0);
-  for (int cell = 0; cell < columns * rows; cell++) {
-    const int x0 = cell % columns * kCell, y0 = cell / columns * kCell;
-    float error = 0.f, counted = 0.f;
-    for (int y = y0; y < std::min(y0 + kCell, r.height); y++) {
-      for (int x = x0; x < std::min(x0 + kCell, r.width); x++) {
-        const int64_t at = (image * r.height + y) * r.width + x;
-        if (!(weight_at(d.loss, at) > 0.f)) continue;
-        const float *seen = d.seen + 4 * at, *target = d.loss.target + 3 * at;
-        for (int k = 0; k < 3; k++) error += std::fabs(seen[k] - target[k]) / 3.f;
-        const float depth = d.loss.target_depth == nullptr ? 0.f : d.loss.target_depth[at];
-        if (depth > 0.f) error += std::fabs(seen[3] - depth);
-        counted += 1.f;
-      }
-    }
-    if (!(error > d.focus * counted)) continue;
-    for (int i = 0; i < 9; i++) wrong[(cell / columns + i / 3) * (columns + 2) + cell % columns + i % 3] = 1;
-  }
-}
-
-// The same scene with the pixels left out that are explained already: what is right needs no further steps.
-inline DescentRequest focused(const DescentRequest &d) {
-  const Request &r = d.scene;
-  const int64_t pixels = static_cast<int64_t>(r.width) * r.height;
-  const int columns = (r.width + kCell - 1) / kCell;
-  std::vector<double> kept(r.batches, 0.), all(r.batches, 0.);
-  parallel_for(r.threads, r.batches, [&](int64_t image) {
-    std::vector<uint8_t> wrong;
-    mark_wrong_cells(d, image, wrong);
-    for (int64_t i = 0; i < pixels; i++) {
-      const int64_t at = image * pixels + i, x = i % r.width, y = i / r.width;
-      const bool counts = wrong[(y / kCell + 1) * (columns + 2) + x / kCell + 1] != 0;
-      const float weight = weight_at(d.loss, at);
-      d.focus_mask[at] = counts && (r.pixel_mask == nullptr || r.pixel_mask[at] != 0);
-      d.focus_weights[at] = counts ? weight : 0.f;
-      all[image] += weight;
-      kept[image] += d.focus_weights[at];
-    }
-  });
-  double share = 0., total = 0.;
-  for (int i = 0; i < r.batches; i++) {
-    share += kept[i];
-    total += all[i];
-  }
-  share = total > 0. ? share / total : 1.;
-  DescentRequest out = d;
-  out.scene.pixel_mask = d.focus_mask;
-  out.loss.weights = d.focus_weights;
-  // a pixel that still counts pulls as hard as it did among all
-  out.loss.l1 *= static_cast<float>(share);
-  out.loss.ssim *= static_cast<float>(share);
-  out.loss.depth_weight *= static_cast<float>(share);
-  return out;
-}
-
 // Takes the steps; `refused` counts those of single rows that were not taken.
-inline Status descend(Workspace &w, const DescentRequest &given) {
-  DescentRequest d = given;
+inline Status descend(Workspace &w, const DescentRequest &d) {
   *d.refused = 0;
   for (int step = 0; step < d.steps; step++) {
-    if (step == 1 && d.focus > 0.f) d = focused(given);
     over_rows(d, [&](int i) {
       place_row(d, i);
       return 0;
     });
     Status status = forward(w, d.scene);
     if (status != kOk) return status;
-    compose(d, step == 0);
+    compose(d);
     clear_gradients(d);
     status = image_loss(d.loss);
     if (status != kOk) return status;

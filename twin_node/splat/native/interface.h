@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 4;
+constexpr int32_t kInterfaceVersion = 5;
 
 enum Status : int32_t {
   kOk = 0,
@@ -88,9 +88,7 @@ struct DescentRequest {
   const float *rates;                                  // [learned, 14]
   const float *ceilings;                               // [learned] largest log scale
   const float *turns, *shifts, *products;              // [B, learned, 3, 3], [B, learned, 3], [B, learned, 4, 4]
-  float focus;          // mean error of a cell of pixels from which on it counts after the first step; 0: all do
-  uint8_t *focus_mask;  // [B, H, W] room for the pixels that then count, and for their weights
-  float *focus_weights;
+  float first_decay, second_decay;                     // of Adam's moments
   int64_t *refused;                                    // [1]
   double *losses;                                      // [steps] before each of them
 };
