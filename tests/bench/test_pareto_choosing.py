@@ -12,7 +12,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto import choosing
 from twin_node.bench.pareto.choosing import by_budget, by_target, front_text, read_front, timed_ms
 from twin_node.bench.pareto.measure import Point
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.sizes import SHIPPED, SIZES
 
@@ -74,7 +74,7 @@ def test_the_best_that_keeps_the_budget_is_taken(
 
 def test_a_size_is_timed_on_the_logs_own_sets(cell_log: Callable[..., Path]) -> None:
     """The clock goes on by a second per look, so that each set takes one."""
-    chain = choosing.Choice("tiny", "").applied(ChainParameters())
+    chain = at_size(ChainParameters(), "tiny")
     chain = replace(chain, model=replace(chain.model, seed=replace(chain.model.seed, steps=5)))
 
     def seconds() -> Iterator[float]:
@@ -90,7 +90,7 @@ def test_a_size_is_timed_on_the_logs_own_sets(cell_log: Callable[..., Path]) -> 
 
 def test_a_size_changes_what_it_says_and_nothing_else() -> None:
     chain = ChainParameters()
-    applied = choosing.Choice(SHIPPED, "").applied(chain)
+    applied = at_size(chain, SHIPPED)
     assert applied.synchronizer.width == SIZES[SHIPPED].width
     assert applied.model == chain.model, "the size that ships is what the model's defaults are"
     assert replace(applied, synchronizer=chain.synchronizer, model=chain.model) == chain

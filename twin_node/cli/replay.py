@@ -121,12 +121,13 @@ def _check_size(options: argparse.Namespace) -> None:
 def _sized(session: Any, parameters: Any, options: argparse.Namespace) -> Any:
     """The parameters at the size that is asked for, which is said."""
     from twin_node.bench.pareto.choosing import by_budget, by_target
+    from twin_node.nodes.chain import at_size
 
     choice = (
         by_target(options.target) if options.target is not None else by_budget(session, parameters, options.budget_ms)
     )
     print(f"twin_node: {choice.reason}", file=sys.stderr)
-    return choice.applied(parameters)
+    return at_size(parameters, choice.size)
 
 
 def _check_output(output: Path | None, log: Path) -> None:

@@ -17,6 +17,8 @@ from twin_node.nodes.forecast import ForecastNode
 from twin_node.nodes.latency import Latency
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
 from twin_node.nodes.model import ModelNode
+from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
+from twin_node.nodes.sizing import Trial
 from twin_node.nodes.status import StatusNode
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
@@ -51,6 +53,7 @@ class ChainParameters:
     forecast: ForecastParameters = field(default_factory=ForecastParameters)
     obstacles: CoverParameters = field(default_factory=CoverParameters)
     arm: ArmParameters = field(default_factory=ArmParameters)
+    size: SizeParameters = field(default_factory=SizeParameters)
 
 
 def load_parameters(path: Path | None) -> ChainParameters:
@@ -64,7 +67,30 @@ def load_parameters(path: Path | None) -> ChainParameters:
     for name in sections:
         if name not in known:
             raise ParameterError(f"{path}: unknown node '{name}'; expected some of {', '.join(sorted(known))}")
-    return fill(ChainParameters, sections, str(path))
+    return sized(fill(ChainParameters, sections, str(path)), str(path))
+
+
+def sized(parameters: ChainParameters, where: str) -> ChainParameters:
+    """The parameters at the size that they name; where they name none, or one that is to be measured, as they are.
+
+    Raises `ParameterError`, naming `where`, for a size beside parameters of the model that a size decides.
+    """
+    choice = parameters.size.name
+    if choice is SizeChoice.GIVEN:
+        return parameters
+    if SIZES[SHIPPED].model(parameters.model) != parameters.model:
+        raise ParameterError(
+            f"{where}: size: name: {choice.value}: expected the model's gaussians_per_pixel, most_gaussians, "
+            "track.steps and birth.per_set as they ship, found others; a size decides them: say given here"
+        )
+    return parameters if choice is SizeChoice.AUTO else at_size(parameters, choice.value)
+
+
+def at_size(parameters: ChainParameters, name: str) -> ChainParameters:
+    """The parameters at a size of `SIZES`."""
+    size = SIZES[name]
+    synchronizer = dataclasses.replace(parameters.synchronizer, width=size.width)
+    return dataclasses.replace(parameters, synchronizer=synchronizer, model=size.model(parameters.model))
 
 
 def make_model(parameters: ChainParameters) -> WindowModel:
@@ -92,16 +118,21 @@ class Chain:
         latency: Latency,
         dropped: Callable[[], int],
         with_arm: bool = True,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status.
 
-        The arm's node reads messages only, so it can stand in another process: `with_arm` False leaves it out.
+        The arm's node reads messages only, so it can stand in another process: `with_arm` False leaves it out. Where
+        the size is to be measured it is if there is a user to `say` it to; else the parameters stand as they are.
         """
-        self.model = make_model(parameters)
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
         self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
-        self._model_node = ModelNode(bus, clock, self.model)
+        trial = None
+        if say is not None and parameters.size.name is SizeChoice.AUTO:
+            arm, budget_ms = parameters.arm.arm(), parameters.size.budget_ms
+            trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say)
+        self._model_node = ModelNode(bus, clock, make_model(parameters), trial)
         self.nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),
@@ -109,6 +140,11 @@ class Chain:
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
             *([make_arm_node(bus, clock, workspace, parameters)] if with_arm else []),
         )
+
+    @property
+    def model(self) -> WindowModel:
+        """What follows the images: another one once its size has been measured."""
+        return self._model_node.model
 
     def start(self) -> None:
         """Configure and activate every node, the last of the chain first, so that no message is missed."""

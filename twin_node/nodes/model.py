@@ -6,7 +6,9 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
+from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
+from twin_node.rig import Narrower
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
@@ -23,9 +25,12 @@ after every so many that took more: it changes slowly, but it must not be forgot
 class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set."""
 
-    def __init__(self, bus: Bus, clock: Clock, model: WindowModel) -> None:
+    def __init__(self, bus: Bus, clock: Clock, model: WindowModel, trial: Trial | None = None) -> None:
+        """With a `trial`, sets are measured on until it is over, and a model of its size takes the place of `model`."""
         super().__init__("model", bus, clock)
         self.model = model
+        self._trial = trial
+        self._narrower: Narrower | None = None
         self._next_whole = 0
         self._is_first = True
         self._left = 0
@@ -35,6 +40,11 @@ class ModelNode(Node):
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
 
     def _on_frames(self, frames: FrameSet) -> None:
+        if self._trial is not None:
+            self._try(self._trial, frames)
+            return
+        if self._narrower is not None:
+            frames = self._narrower.narrowed(frames)
         self._begun = self.clock.now()
         state = self.model.update(frames)
         moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
@@ -47,6 +57,12 @@ class ModelNode(Node):
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
+
+    def _try(self, trial: Trial, frames: FrameSet) -> None:
+        size = trial.take(frames)
+        if size is not None:
+            self._trial, self._narrower = None, Narrower(size.width)
+            self.model = self.model.resized(size.model(self.model.parameters))
 
     def rest(self) -> None:
         """Uses the time between two sets to refine what stands still, where the last one has left some.

@@ -17,7 +17,7 @@ from twin_node.model import WindowModel
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain, ChainParameters
 from twin_node.nodes.collector import CollectorNode
-from twin_node.nodes.latency import Latency
+from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.player import Player
 from twin_node.nodes.recorder import RecorderNode
@@ -28,9 +28,6 @@ from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import Clock, PacedClock, SteppedClock
 from twin_node.runtime.node import Node
 from twin_node.scene import FrameSet
-
-ASSUMED_LATENCY_NS = 33_000_000
-"""From evidence to publication in lockstep, and before it was measured: one frame at 30 Hz."""
 
 Progress = Callable[[float], None]
 """Called with the seconds of log time that have been played."""

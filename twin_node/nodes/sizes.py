@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 
 from twin_node.model import ModelParameters
 from twin_node.nodes.log_source import DEFAULT_WIDTH
@@ -50,3 +51,26 @@ SIZES: Mapping[str, Size] = {
 }
 """`large` is what ships; `launch/sizes.yaml` tells what each takes and reaches."""
 SHIPPED = "large"
+
+
+class SizeChoice(Enum):
+    """How the size is found."""
+
+    GIVEN = "given"
+    """As the sections `model` and `synchronizer` say."""
+    AUTO = "auto"
+    """Measured by a launched twin on its first sets; given where nothing is launched, as in a replay."""
+    TINY = "tiny"
+    SMALL = "small"
+    MEDIUM = "medium"
+    LARGE = "large"
+    FULL = "full"
+
+
+@dataclass(frozen=True)
+class SizeParameters:
+    """Which size the twin has."""
+
+    name: SizeChoice = SizeChoice.GIVEN
+    budget_ms: float = 100.0
+    """What model and forecast may take of a set where the size is measured, ms: half of the time that is foreseen."""

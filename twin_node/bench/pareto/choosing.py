@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -15,19 +15,14 @@ from twin_node import resources
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.forecast import Forecaster, default_grid
-from twin_node.model import WindowModel
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain import ChainParameters, at_size, make_model
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.replay import ASSUMED_LATENCY_NS
 from twin_node.nodes.sizes import SIZES
+from twin_node.nodes.sizing import TRIED_SETS, Choice, best_within, median_ms
 from twin_node.runtime.parameters import ParameterError, fill
 
 FRONT_FILE = "launch/sizes.yaml"
 """What `bench pareto` has found, as shipped."""
-TRIED_SETS = 10
-"""Sets that a size is timed on; the first, which builds the model, does not count."""
-SPARE = 0.8
-"""Share of a budget that the median set may take: slow sets take longer."""
 
 
 @dataclass(frozen=True)
@@ -47,21 +42,6 @@ class _Front:
     """The file."""
 
     sizes: tuple[Rated, ...] = ()
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A size, and why."""
-
-    size: str
-    reason: str
-    """One line to tell the user."""
-
-    def applied(self, chain: ChainParameters) -> ChainParameters:
-        """The chain at this size."""
-        size = SIZES[self.size]
-        synchronizer = replace(chain.synchronizer, width=size.width)
-        return replace(chain, synchronizer=synchronizer, model=size.model(chain.model))
 
 
 def by_target(psnr_db: float, path: Path | None = None) -> Choice:
@@ -84,31 +64,19 @@ def by_budget(
 ) -> Choice:
     """The best size whose model and forecast of a set take no more than `budget_ms` on the log's first sets, here.
 
-    `sizes` rise; they are tried from the best down, a second or two each. Where none keeps the budget, the fastest is
-    taken.
+    `sizes` rise; they are tried from the smallest up, a second or two each. Where none keeps the budget, it is taken.
     """
-    name, spent = sizes[0], 0.0
-    for name in reversed(sizes):
-        spent = timed_ms(session, Choice(name, "").applied(chain))
-        if spent <= SPARE * budget_ms:
-            return Choice(name, f"size {name}: {spent:.0f} ms per set here, the best within {budget_ms:g} ms")
-    return Choice(name, f"size {name}: {spent:.0f} ms per set here, the fastest; none keeps {budget_ms:g} ms")
+    return best_within(budget_ms, sizes, lambda name: timed_ms(session, at_size(chain, name)))
 
 
 def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], float] = time.perf_counter) -> float:
     """Median time of model and forecast on the first sets of a log, ms by the wall clock."""
-    source, arm = LogSource(session, chain.synchronizer), chain.arm.arm()
-    model = WindowModel(chain.model, arm=arm)
-    forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, arm)
-    laps = []
-    for frames in islice(source, TRIED_SETS):
-        begun = clock()
-        state = model.update(frames)
-        forecaster.update(state, state.stamp + ASSUMED_LATENCY_NS)
-        laps.append(1e3 * (clock() - begun))
-    if len(laps) < 2:
-        raise BenchError(f"{session.log.path}: expected two sets of images to measure on, found {len(laps)}")
-    return float(np.median(laps[1:]))
+    source = LogSource(session, chain.synchronizer)
+    forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, chain.arm.arm())
+    spent = median_ms(islice(source, TRIED_SETS), make_model(chain), forecaster, clock)
+    if spent is None:
+        raise BenchError(f"{session.log.path}: expected two sets of images to measure on, found less")
+    return spent
 
 
 def read_front(path: Path | None) -> tuple[Rated, ...]:

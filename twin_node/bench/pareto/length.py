@@ -19,8 +19,7 @@ from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
 from twin_node.bench.track_runs import resident_bytes, to_and_fro
 from twin_node.cell import CellSource, Scenario
 from twin_node.nodes.chain import Chain, ChainParameters, GridParameters
-from twin_node.nodes.latency import Latency
-from twin_node.nodes.replay import ASSUMED_LATENCY_NS
+from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.topics import FORECAST, FRAMES
 from twin_node.rig import Narrower

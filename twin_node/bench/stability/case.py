@@ -19,8 +19,7 @@ from twin_node.cell.shapes import touched_voxels
 from twin_node.forecast import BaselineForecaster
 from twin_node.nodes.chain import Chain, ChainParameters
 from twin_node.nodes.forecast import Forecast
-from twin_node.nodes.latency import Latency
-from twin_node.nodes.replay import ASSUMED_LATENCY_NS
+from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, STATE
 from twin_node.rig.drift import DriftReport
 from twin_node.runtime.bus import LocalBus

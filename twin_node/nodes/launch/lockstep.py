@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain import ChainParameters, sized
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
 from twin_node.nodes.live.player import PlayParameters
 from twin_node.nodes.live.rig_source import RigParameters
@@ -36,6 +36,6 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
             raise GraphError(f"{where}: stopped before the log's end; nothing was written")
 
     with session:
-        parameters = fill(ChainParameters, chain, where)
+        parameters = sized(fill(ChainParameters, chain, where), where)
         with replay(session, parameters, None, Path(output) if output else None, False, check) as run:
             print(f"{player.log}: {run.sets} sets in lockstep, in {run.seconds:.1f} s", flush=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain import ChainParameters, sized
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.live.sections import Sections
 from twin_node.runtime.clock import Clock
@@ -58,4 +58,5 @@ class Setup:
     def chain_parameters(self) -> ChainParameters:
         """The parameters of the chain's nodes."""
         known = [f.name for f in dataclasses.fields(ChainParameters)]
-        return fill(ChainParameters, {name: self.sections[name] for name in known if name in self.sections}, self.where)
+        given = {name: self.sections[name] for name in known if name in self.sections}
+        return sized(fill(ChainParameters, given, self.where), self.where)

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from twin_node.nodes.chain import Chain, ChainParameters, make_arm_node
-from twin_node.nodes.latency import Latency
+from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.live.rig_source import RigSource, read_rig
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.log_source import workspace_for
-from twin_node.nodes.replay import ASSUMED_LATENCY_NS
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FORECAST, FRAMES
 from twin_node.rig import FrameAssembler
@@ -50,7 +49,9 @@ class TwinNode(Node):
         self._latency = Latency(ASSUMED_LATENCY_NS, is_measured=True)
         bus = setup.bus
         workspace = working_volume(source, parameters)
-        chain = Chain(bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES), False)
+        chain = Chain(
+            bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES), False, setup.say
+        )
         self._nodes: Sequence[Node] = chain.nodes
 
     def on_configure(self) -> None:

@@ -1,0 +1,120 @@
+"""A live twin takes the largest size that keeps its budget here; what is fixed stays fixed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin_node.forecast import Forecaster, ForecastParameters, default_grid
+from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.nodes import sizing
+from twin_node.nodes.chain import ChainParameters, sized
+from twin_node.nodes.model import ModelNode
+from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
+from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms
+from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.parameters import ParameterError, fill
+from twin_node.scene import Camera, FrameSet, TwinState, View
+
+GRID = default_grid(np.array([[0.0, 0.0, 0.5], [0.4, 0.4, 0.9]]), 0.1)
+MODEL = ModelParameters(seed=SeedParameters(steps=1))
+SPENT = dict(zip(SIZES, (10.0, 20.0, 30.0, 45.0, 90.0), strict=True))
+
+
+def frames(index: int, width: int = 100) -> FrameSet:
+    """A grey image of a camera that stays the same."""
+    image = np.full((width * 3 // 4, width, 3), 90, np.uint8)
+    return FrameSet(index, (View(CAMERAS[width], index, image),), sequence=index)
+
+
+CAMERAS = {
+    width: Camera("one", width, width * 3 // 4, np.diag([width, width, 1.0]), np.eye(4)) for width in (48, 100, 170)
+}
+
+
+@pytest.mark.parametrize(("budget_ms", "chosen"), [(1000, "full"), (60, "large"), (30, "small"), (1, "tiny")])
+def test_the_largest_within_a_budget_is_taken_from_the_smallest_up(budget_ms: float, chosen: str) -> None:
+    """A fifth of the budget is spare; what lies beyond the first that is too slow is not tried."""
+    tried: list[str] = []
+
+    def timed_ms(name: str) -> float:
+        tried.append(name)
+        return SPENT[name]
+
+    choice = best_within(budget_ms, tuple(SIZES), timed_ms)
+    assert choice.size == chosen
+    assert f"size {chosen}: {SPENT[chosen]:.0f} ms per set here" in choice.reason
+    names = list(SIZES)
+    assert tried == names[: min(names.index(chosen) + (1 if budget_ms == 1 else 2), len(names))]
+
+
+def test_one_set_tells_nothing() -> None:
+    assert median_ms([frames(0)], WindowModel(MODEL), Forecaster(GRID, ForecastParameters(), None)) is None
+
+
+def trial(said: list[str], budget_ms: float = 60) -> Trial:
+    return Trial(MODEL, ForecastParameters(), None, GRID, budget_ms, said.append)
+
+
+def test_a_trial_measures_sizes_on_the_first_sets_and_says_what_it_took() -> None:
+    said: list[str] = []
+    one = trial(said, budget_ms=1e6)
+    sizes = [one.take(frames(index)) for index in range(TRIED_SETS)]
+    assert sizes[:-1] == [None] * (TRIED_SETS - 1)
+    assert sizes[-1] == SIZES["small"], "images of 100 pixels are too narrow for medium"
+    assert len(said) == 1 and said[0].startswith("twin: size small: ")
+
+
+@pytest.mark.parametrize(("width", "chosen"), [(48, "tiny"), (170, "large")])
+def test_sizes_wider_than_the_images_are_not_tried(width: int, chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Trial, "_timed_ms", lambda _, name: SPENT[name])
+    one = trial([], budget_ms=1e6)
+    assert [one.take(frames(index, width)) for index in range(TRIED_SETS)][-1] == SIZES[chosen]
+
+
+def test_the_model_begins_when_its_size_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sizing, "TRIED_SETS", 2)
+    monkeypatch.setattr(Trial, "_timed_ms", lambda _, name: SPENT[name])
+    bus, states = LocalBus(), list[TwinState]()
+    node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), trial([], budget_ms=15))
+    bus.subscribe(STATE, states.append)
+    node.configure()
+    node.activate()
+    for index in range(4):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+        node.rest()
+    assert [state.stamp for state in states] == [2, 3]
+    assert states[0].frames.views[0].camera.width == SIZES["tiny"].width
+    assert states[0].frames.views[0].camera is states[1].frames.views[0].camera
+    assert node.model.parameters == SIZES["tiny"].model(MODEL)
+
+
+def test_a_size_that_is_named_is_taken_as_it_is() -> None:
+    chain = fill(ChainParameters, {"size": {"name": "small"}}, "here")
+    changed = sized(chain, "here")
+    assert changed.synchronizer.width == SIZES["small"].width
+    assert changed.model == SIZES["small"].model(chain.model)
+
+
+@pytest.mark.parametrize("choice", [SizeChoice.GIVEN, SizeChoice.AUTO])
+def test_what_is_not_launched_stays_as_it_is_given(choice: SizeChoice) -> None:
+    chain = ChainParameters(size=SizeParameters(choice))
+    assert sized(chain, "here") == chain
+
+
+def test_a_size_beside_what_it_decides_is_refused() -> None:
+    chain = ChainParameters(size=SizeParameters(SizeChoice.TINY))
+    mixed = replace(chain, model=replace(chain.model, most_gaussians=7))
+    with pytest.raises(ParameterError, match=r"here: size: name: tiny: expected the model's gaussians_per_pixel"):
+        sized(mixed, "here")
+    with pytest.raises(ParameterError, match=r"expected one of given, auto, tiny.*found 'huge'"):
+        fill(ChainParameters, {"size": {"name": "huge"}}, "here")
+
+
+def test_every_size_can_be_named() -> None:
+    assert [one.value for one in SizeChoice] == ["given", "auto", *SIZES]
+    assert SHIPPED in SIZES

@@ -1,0 +1,111 @@
+"""Picks the live model's size by need: the largest that keeps a budget on this machine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.forecast import Forecaster, ForecastParameters
+from twin_node.model import ModelParameters, WindowModel
+from twin_node.nodes.latency import ASSUMED_LATENCY_NS
+from twin_node.nodes.sizes import SIZES, Size
+from twin_node.rig import Narrower
+from twin_node.robot import ArmModel
+from twin_node.scene import FrameSet, Grid
+
+TRIED_SETS = 10
+"""Sets that a size is timed on; the first, which builds the model, does not count."""
+SPARE = 0.8
+"""Share of a budget that the median set may take: slow sets take longer."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A size, and why."""
+
+    size: str
+    """In `SIZES`."""
+    reason: str
+    """One line to tell the user."""
+
+
+def best_within(budget_ms: float, sizes: Sequence[str], timed_ms: Callable[[str], float]) -> Choice:
+    """The largest of `sizes`, which rise, before the first that takes more than `budget_ms` of a set.
+
+    They are tried from the smallest up, so that a slow machine does not spend its time on what it cannot do. Where none
+    keeps the budget, the smallest is taken.
+    """
+    taken, spent = sizes[0], timed_ms(sizes[0])
+    if spent > SPARE * budget_ms:
+        return Choice(taken, f"size {taken}: {spent:.0f} ms per set here, the fastest; none keeps {budget_ms:g} ms")
+    for name in sizes[1:]:
+        more = timed_ms(name)
+        if more > SPARE * budget_ms:
+            break
+        taken, spent = name, more
+    return Choice(taken, f"size {taken}: {spent:.0f} ms per set here, the best within {budget_ms:g} ms")
+
+
+def median_ms(
+    sets: Iterable[FrameSet],
+    model: WindowModel,
+    forecaster: Forecaster,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float | None:
+    """Median time of model and forecast of a set, ms, by a clock of seconds; None where less than two sets came."""
+    laps = []
+    for frames in sets:
+        begun = clock()
+        state = model.update(frames)
+        forecaster.update(state, state.stamp + ASSUMED_LATENCY_NS)
+        laps.append(1e3 * (clock() - begun))
+    return float(np.median(laps[1:])) if len(laps) > 1 else None
+
+
+class Trial:
+    """Times the sizes on the first sets that a live twin gets, for a few seconds, and says in one line what it took."""
+
+    def __init__(
+        self,
+        model: ModelParameters,
+        forecast: ForecastParameters,
+        arm: ArmModel | None,
+        grid: Grid,
+        budget_ms: float,
+        say: Callable[[str], None],
+    ) -> None:
+        """`model`: what a size does not say; `say(line)` tells the user."""
+        self._model = model
+        self._forecast = forecast
+        self._arm = arm
+        self._grid = grid
+        self._budget_ms = budget_ms
+        self._say = say
+        self._sets: list[FrameSet] = []
+
+    def take(self, frames: FrameSet) -> Size | None:
+        """Takes in a set as wide as the cameras' images are prepared; the size, when there are enough of them.
+
+        Sizes of wider images are not tried: they would see no more.
+        """
+        self._sets.append(frames)
+        if len(self._sets) < TRIED_SETS:
+            return None
+        widest = max(view.camera.width for view in frames.views)
+        names = [name for name, size in SIZES.items() if size.width <= widest]
+        choice = best_within(self._budget_ms, names or list(SIZES)[:1], self._timed_ms)
+        self._sets.clear()
+        self._say(f"twin: {choice.reason}")
+        return SIZES[choice.size]
+
+    def _timed_ms(self, name: str) -> float:
+        size = SIZES[name]
+        narrower = Narrower(size.width)
+        forecaster = Forecaster(self._grid, self._forecast, self._arm)
+        sets = (narrower.narrowed(frames) for frames in self._sets)
+        spent = median_ms(sets, WindowModel(size.model(self._model), arm=self._arm), forecaster)
+        assert spent is not None, "there are TRIED_SETS of them"
+        return spent
