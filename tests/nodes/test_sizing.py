@@ -66,7 +66,7 @@ def test_a_trial_measures_sizes_on_the_first_sets_and_says_what_it_took() -> Non
     sizes = [one.take(frames(index)) for index in range(TRIED_SETS)]
     assert sizes[:-1] == [None] * (TRIED_SETS - 1)
     assert sizes[-1] == SIZES["small"], "images of 100 pixels are too narrow for medium"
-    assert len(said) == 1 and said[0].startswith("twin: size small: ")
+    assert len(said) == 1 and said[0].startswith("size small: ")
 
 
 @pytest.mark.parametrize(("width", "chosen"), [(48, "tiny"), (170, "large")])

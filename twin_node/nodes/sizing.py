@@ -98,7 +98,7 @@ class Trial:
         names = [name for name, size in SIZES.items() if size.width <= widest]
         choice = best_within(self._budget_ms, names or list(SIZES)[:1], self._timed_ms)
         self._sets.clear()
-        self._say(f"twin: {choice.reason}")
+        self._say(choice.reason)
         return SIZES[choice.size]
 
     def _timed_ms(self, name: str) -> float:
