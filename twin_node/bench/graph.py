@@ -20,7 +20,7 @@ from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import LaunchPlan, in_one_process, read_launch_file
 from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLES, SEPARATION
 
-QUICK = ("synchronizer.width:=64", "synchronizer.max_rate_hz:=10.0")
+QUICK = ("synchronizer.width:=64", "synchronizer.max_rate_hz:=10.0", "size.name:=given")
 """A light model, so that the graph is measured and not the twin: what it computes is the same in both runs."""
 _LIGHT = {"width": 160, "height": 120, "rate_hz": 10.0, "jitter_ms": 1.0}
 """Cameras that two cores render with time to spare: else latency is the wait for a core, in any number of processes."""
