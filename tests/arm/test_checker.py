@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -92,6 +94,25 @@ def test_a_trajectory_step_is_what_the_pose_alone_is(ur5e_checker: ArmCollisionC
     poses = np.random.default_rng(1).uniform(-2, 2, (60, 6))
     steps = ur5e_checker.check(poses, np.full(60, NOW))
     assert [step.distance for step in steps] == [ur5e_checker.distance(q).distance for q in poses]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_closest_along_a_trajectory_is_the_least_of_its_steps(ur5e_checker: ArmCollisionChecker, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    placed = random_obstacles(80, seed)
+    begins = NOW + MS * rng.integers(-50, 200, 80)
+    ur5e_checker.update(replace(placed, valid_from=begins, valid_to=begins + MS * rng.integers(0, 60, 80)))
+    stamps = NOW + MS * np.arange(0, 201, 10)
+    for reach in (0.0, 0.05, 2.0):  # of the joints over the trajectory, rad
+        start = rng.uniform(-3, 3, 6)
+        positions = start + np.linspace(0, 1, len(stamps))[:, None] * rng.uniform(-reach, reach, 6)
+        steps = ur5e_checker.check(positions, stamps)
+        least = min(steps, key=lambda step: step.distance)
+        found = ur5e_checker.closest(positions, stamps)
+        assert found.distance == pytest.approx(least.distance, abs=1e-9)
+        assert (found.link, found.obstacle_id) == (least.link, least.obstacle_id)
+    ur5e_checker.update(replace(placed, valid_from=stamps[-1] + begins, valid_to=stamps[-1] + begins))
+    assert ur5e_checker.closest(positions, stamps).distance == np.inf
 
 
 def test_no_obstacles_means_infinite_distance(ur5e_checker: ArmCollisionChecker) -> None:

@@ -134,3 +134,20 @@ def test_parallel_and_pointlike_segments(gap: float) -> None:
     point = np.array([[0.4, gap, 0.0], [0.4, gap, 0.0]])
     assert segment_distances(first, point) == pytest.approx(gap, abs=1e-8)
     assert segment_distances(point, point) == pytest.approx(0, abs=1e-8)
+
+
+def test_many_pairs_are_measured_as_each_alone() -> None:
+    rng = np.random.default_rng(2)
+    ends, centers, half = (
+        rng.uniform(-1, 1, (2100, 2, 3)),
+        rng.uniform(-1, 1, (2100, 3)),
+        rng.uniform(0, 0.4, (2100, 3)),
+    )
+    radii, turns = rng.uniform(0, 0.1, 2100), rotation_from_quat(rng.normal(size=(2100, 4)))
+    together = box_distances(ends, radii, centers, turns, half)
+    for row in (0, 999, 1000, 1999, 2000, 2099):
+        one = slice(row, row + 1)
+        alone = box_distances(ends[one], radii[one], centers[one], turns[one], half[one])
+        assert alone == pytest.approx(together[one], abs=1e-12)
+    nothing = slice(0, 0)
+    assert len(box_distances(ends[nothing], radii[nothing], centers[nothing], turns[nothing], half[nothing])) == 0

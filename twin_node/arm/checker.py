@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,9 @@ from twin_node.scene import Bool, Float64, Obstacles
 
 _PAIRS_AT_ONCE = 100_000
 """Capsule-obstacle pairs looked at in one go: arrays of 0.8 MB stay in the cache."""
+
+_ROUNDING_M = 1e-9
+"""By which bounds of distances may be off, m."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,8 @@ class _Pair:
     distance: float
     """In closed form, m."""
 
+
+_Measure = Callable[[Float64, Float64, NDArray[np.int64]], Float64]
 
 _NO_CLEARANCE = Clearance(float("inf"), "", -1, np.full(3, np.nan), np.full(3, np.nan))
 
@@ -155,9 +160,20 @@ class ArmCollisionChecker:
         angles, times = self._trajectory(positions, stamps)
         if len(self._obstacles) == 0 or len(angles) == 0:
             return _NO_CLEARANCE
-        pairs = [pair for pair in self._nearest(angles, self._obstacles.valid_at(times[:, None])) if pair is not None]
-        best = min(pairs, key=lambda pair: pair.distance, default=None)
-        return _NO_CLEARANCE if best is None else self._witnessed(angles, best)
+        valid = self._obstacles.valid_at(times[:, None])
+        placed = place_capsules(self._model, forward_kinematics(self._model, angles))
+        capsules, rows = np.nonzero(self._contenders(placed, np.asarray(valid.any(axis=0))))
+        if len(capsules) == 0:
+            return _NO_CLEARANCE
+        lower = self._at_all_steps(placed, capsules, rows, self._outer)
+        lower[~valid[:, rows]] = np.inf
+        steps, pairs = np.nonzero(lower <= (lower + self._obstacles.slack[rows]).min())
+        capsules, rows = capsules[pairs], rows[pairs]
+        distances = self._exact(placed.ends[steps, capsules], placed.radii[capsules], rows)
+        best = int(distances.argmin())
+        step, capsule = int(steps[best]), int(capsules[best])
+        found = _Pair(step, capsule, int(rows[best]), placed.ends[step, capsule], float(distances[best]))
+        return self._witnessed(angles, found)
 
     def approaches(self, positions: Float64, reach: Float64) -> Approaches:
         """Pairs within reach [n] (m, per obstacle; negative: leave it out) of the first of the positions [T, J] (rad).
@@ -165,16 +181,10 @@ class ArmCollisionChecker:
         Their distances are given at all positions, the obstacles standing still.
         """
         placed = place_capsules(self._model, forward_kinematics(self._model, positions))
-        first = PlacedCapsules(placed.ends[:1], placed.radii, placed.links)
-        lower = self._axis_distances(first)[0] - placed.radii[:, None] - self._obstacles.outer_radii
-        capsules, rows = np.nonzero((lower <= reach) & (reach >= 0) & ~self._exempt)
-        now = self._exact(placed.ends[0, capsules], placed.radii[capsules], rows)
-        near = now <= reach[rows]
-        capsules, rows = capsules[near], rows[near]
-        later = len(positions) - 1
-        ends = placed.ends[1:, capsules].reshape(-1, 2, 3)
-        after = self._exact(ends, np.tile(placed.radii[capsules], later), np.tile(rows, later))
-        return Approaches(capsules, rows, np.concatenate([now[None, near], after.reshape(later, len(rows))]))
+        capsules, rows = np.nonzero((self._first_bounds(placed) <= reach) & (reach >= 0) & ~self._exempt)
+        distances = self._at_all_steps(placed, capsules, rows, self._exact)
+        near = distances[0] <= reach[rows]
+        return Approaches(capsules[near], rows[near], distances[:, near])
 
     def self_distance(self, q: NDArray[np.floating]) -> SelfClearance:
         """Closest pair of the arm's own links and attachments at joint angles [J] (rad).
@@ -244,6 +254,36 @@ class ArmCollisionChecker:
             on_arm = on_obstacle = point_in_box(nearest.ends, *box)
         smaller = min(nearest.distance, pair.distance)
         return Clearance(smaller, self._names[nearest.capsule], int(shapes.ids[row]), on_arm, on_obstacle)
+
+    def _contenders(self, placed: PlacedCapsules, valid: Bool) -> Bool:
+        """[C, n] pairs of valid [n] obstacles one of which is the closest at some step.
+
+        From one step to another no pair's distance changes by more than the capsule's faster end has moved.
+        """
+        travel = np.linalg.norm(placed.ends - placed.ends[0], axis=-1).max(axis=(0, 2))[:, None]
+        lower = np.where(self._exempt | ~valid, np.inf, self._first_bounds(placed))
+        upper = (lower + self._obstacles.slack + travel).min()
+        return np.asarray((lower - travel <= upper + _ROUNDING_M) & np.isfinite(lower))
+
+    def _first_bounds(self, placed: PlacedCapsules) -> Float64:
+        """Lower bounds [C, n] of the distances at the first step, m."""
+        first = PlacedCapsules(placed.ends[:1], placed.radii, placed.links)
+        bounds: Float64 = self._axis_distances(first)[0] - placed.radii[:, None] - self._obstacles.outer_radii
+        return bounds
+
+    def _at_all_steps(
+        self, placed: PlacedCapsules, capsules: NDArray[np.int64], rows: NDArray[np.int64], measure: _Measure
+    ) -> Float64:
+        """What `measure` makes [T, p] of pairs at every step: of capsules' ends and radii and of obstacles' rows."""
+        steps = len(placed.ends)
+        ends = placed.ends[:, capsules].reshape(-1, 2, 3)
+        found = measure(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
+        return found.reshape(steps, len(rows))
+
+    def _outer(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
+        """Distances [n] of capsules (ends [n, 2, 3], radii [n]) to the spheres about obstacles (rows [n]), m."""
+        shapes = self._obstacles
+        return sphere_distances(ends, radii, shapes.centers[rows], shapes.outer_radii[rows])
 
     def _axis_distances(self, placed: PlacedCapsules) -> Float64:
         """Distances [T, C, n] of the capsules' axes to the obstacles' centres, m."""

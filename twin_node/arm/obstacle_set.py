@@ -11,6 +11,7 @@ from twin_node.arm.errors import ArmError
 from twin_node.geometry import rotation_from_quat
 from twin_node.scene import Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
 
+_SHAPES, _KINDS = np.array(ObstacleShape, np.uint8), np.array(ObstacleKind, np.uint8)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -110,8 +111,5 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
     turns = np.linalg.norm(np.asarray(obstacles.quats).reshape(-1, 4), axis=1)
     if ((turns < 1e-6) & (obstacles.shapes == ObstacleShape.BOX)).any():
         raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
-    if (
-        not np.isin(obstacles.shapes, list(ObstacleShape)).all()
-        or not np.isin(obstacles.kinds, list(ObstacleKind)).all()
-    ):
+    if not np.isin(obstacles.shapes, _SHAPES).all() or not np.isin(obstacles.kinds, _KINDS).all():
         raise ArmError("obstacles: expected known shapes and kinds, found others; check the versions of the messages")

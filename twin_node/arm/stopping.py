@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,12 @@ class StoppingTable:
     def stop(self, speeds: NDArray[np.floating]) -> Stop:
         """The longest stop among the joints at speeds [J] (rad/s); speeds beyond the table go on along its last row."""
         magnitudes = np.abs(np.asarray(speeds, dtype=np.float64))
-        return Stop(self._read(self.times, magnitudes), self._read(self.angles / self.speeds[:, None], magnitudes))
+        return Stop(self._read(self.times, magnitudes), self._read(self._travels, magnitudes))
+
+    @cached_property
+    def _travels(self) -> Float64:
+        """[R, J] angles per speed, s."""
+        return self.angles / self.speeds[:, None]
 
     def _read(self, columns: Float64, speeds: Float64) -> float:
         """Largest of the columns' values [R, J] at speeds [J]; in proportion to speed below the first row and above."""
