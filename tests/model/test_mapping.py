@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -95,6 +96,18 @@ def test_a_set_that_is_left_teaches_nothing() -> None:
         state = model.update(brighter(frames(index, None, CAMERAS), 1.04))
         model.leave()
     assert np.array_equal(still(state)[:, :3], still(rest[0])[:, :3])
+
+
+def test_shares_that_are_broken_off_teach_in_part() -> None:
+    shown = []
+    for every in (1, 4):  # which of the questions whether to go on is answered with no
+        model, answers, whole = WindowModel(QUICK), itertools.count(1), []
+        for index in range(24):
+            state = model.update(brighter(frames(index, None, CAMERAS), 1.0 if index < 3 else 1.08))
+            whole.append(model.refine(lambda answers=answers, every=every: next(answers) % every != 0))
+        assert not all(whole[1:]) and any(whole[1:]) == (every > 1)
+        shown.append(shown_db(model, state))
+    assert shown[1] > shown[0] + 1
 
 
 def test_what_steps_cannot_show_is_given_new_gaussians() -> None:

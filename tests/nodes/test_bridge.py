@@ -13,9 +13,11 @@ def test_the_newest_frames_win_and_the_replaced_ones_are_reported() -> None:
     bridge = Bridge(dropped.append)
     for stamp in (1, 2, 3):
         bridge.put("/joints", stamp)
+        assert bridge.is_waiting == (stamp > 1)
         bridge.put_frames(FrameSet(stamp=stamp, views=()))
     bridge.close()
     [(messages, frames)] = list(bridge.batches())
+    assert not bridge.is_waiting
     assert frames.stamp == 3
     assert [m for _, m in messages] == [1, 2, 3]
     assert [f.stamp for f in dropped] == [1, 2]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
-from twin_node.nodes.model import BUDGET_NS, MOST_LEFT, ModelNode
+from twin_node.model.stages import Proceed, unhurried
+from twin_node.nodes.model import MOST_LEFT, ModelNode
 from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Camera, FrameSet, TwinState, View
+from twin_node.scene import Camera, FrameSet, View
 
 K = np.array([[30.0, 0, 16], [0, 30.0, 12], [0, 0, 1]])
 
@@ -24,39 +23,31 @@ def frames(index: int) -> FrameSet:
 
 
 class Watched(WindowModel):
-    """A model whose updates take as long as the test says, and that notes what is done after them."""
+    """A model that notes what is done after its updates."""
 
-    def __init__(self, wait: Callable[[], None]) -> None:
+    def __init__(self) -> None:
         super().__init__(ModelParameters(seed=SeedParameters(steps=1)))
-        self.wait = wait
         self.done: list[str] = []
 
-    def update(self, frames: FrameSet) -> TwinState:
-        state = super().update(frames)
-        self.wait()
-        return state
-
-    def refine(self) -> None:
-        self.done.append("refine")
-
-    def leave(self) -> None:
-        self.done.append("leave")
+    def refine(self, proceed: Proceed = unhurried) -> bool:
+        whole = proceed()
+        self.done.append("refine" if whole else "leave")
+        return whole
 
 
 @pytest.mark.parametrize(
-    ("cost_ns", "expected"),
-    [(0, ["refine"] * 8), (2 * BUDGET_NS, (["leave"] * (MOST_LEFT - 1) + ["refine"]) * 2)],
+    ("waits", "expected"),
+    [(False, ["refine"] * 8), (True, (["leave"] * (MOST_LEFT - 1) + ["refine"]) * 2)],
 )
-def test_what_stands_still_is_refined_where_there_is_time(cost_ns: int, expected: list[str]) -> None:
-    clock, bus = SteppedClock(), LocalBus()
-    model = Watched(lambda: clock.advance_to(clock.now() + cost_ns))
-    node = ModelNode(bus, clock, model)
+def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: list[str]) -> None:
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model)
     node.configure()
     node.activate()
     order: list[str] = []
     bus.subscribe(STATE, lambda state: order.append(f"{state.stamp} published after {len(model.done)}"))
     for index in range(8):
         bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest()
+        node.rest(lambda: not waits)
     assert model.done == expected
     assert order == [f"{index} published after {index}" for index in range(8)]

@@ -161,7 +161,7 @@ def follow_live(
             followed.watch.begin()
             working.publish(TRUSTED_FRAMES, frames)
             followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
-            node.rest()
+            node.rest(lambda: not bridge.is_waiting)
             followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
             followed.count(states[-1])
             _keep(spool, Tick(frames, states[-1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.carriage import Carriage
-from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, PATIENT, QUAT, RGB, SMALLEST, WIDTH, Gaussians, activated
+from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, QUICK, RGB, SMALLEST, WIDTH, Gaussians, activated
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate
 from twin_node.model.rendering import Sheet, Splats, join
 
@@ -38,7 +39,7 @@ class Path:
     static: Splats
     """What is drawn with them and does not learn."""
     goal: Goal
-    decays: splat.Decays = PATIENT
+    decays: splat.Decays = QUICK
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,10 @@ class Descended:
     losses: list[float]
     """Before each step."""
 
-    @property
-    def diverged(self) -> bool:
-        """Whether the steps have made the images worse; noise and births may do so a little."""
-        return not self.losses[-1] <= WORSE * self.losses[0] + WORSE_FLOOR
+
+def diverged(losses: Sequence[float]) -> bool:
+    """Whether steps have made the images worse, by the `losses` before each; noise and births may do so a little."""
+    return not losses[-1] <= WORSE * losses[0] + WORSE_FLOOR
 
 
 def undo(gaussians: Gaussians, rows: Tensor, values: Tensor) -> None:

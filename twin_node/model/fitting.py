@@ -12,8 +12,8 @@ from torch import Tensor
 
 from twin_node.model.backgrounds import grow
 from twin_node.model.carriage import Bend, Carriage, carry
-from twin_node.model.descending import Path, descend, rates_of, to_columns, undo
-from twin_node.model.gaussians import MEAN, QUAT, QUICK, Gaussians
+from twin_node.model.descending import Path, descend, diverged, rates_of, to_columns, undo
+from twin_node.model.gaussians import MEAN, QUAT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
@@ -27,7 +27,7 @@ REGULARITY = 1e-3
 """Weight of the field's own regulariser beside the photometric loss (4DGS: 2e-4 in space, 1e-3 in time)."""
 CANONICAL_SHARE = 1.5
 """What the mean's rate is multiplied by while things move: it also makes good what the nodes' motion leaves over."""
-SKIRT_PX = 5
+SKIRT_PX = 3
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
 
@@ -74,9 +74,9 @@ def fit_moving(
     rates = rates_of(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE
     rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(gaussians.population(rows, motion.nodes), stamps)
-    path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal, QUICK)
+    path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal)
     last = descend(gaussians, path, steps if bend is None else max(steps - 1, 1))
-    if last.diverged:
+    if diverged(last.losses):
         undo(gaussians, rows, values)
         return Fitted([], True)
     if bend is not None:

@@ -7,7 +7,7 @@ stays as it is to the bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,7 +20,7 @@ from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.backgrounds import Background, Backgrounds, grow
 from twin_node.model.births import BLOCK, SPREAD
 from twin_node.model.carriage import carry
-from twin_node.model.descending import Path, descend, rates_of, undo
+from twin_node.model.descending import Path, descend, diverged, rates_of, undo
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, largest_channel
@@ -115,8 +115,9 @@ class Mapper:
         self._turn = 0
         self._learning = torch.zeros(gaussians.capacity, dtype=torch.bool, device=gaussians.values.device)
 
-    def refine(self, observed: Sequence[Observed], stamp: int) -> int:
-        """Takes the share of the set at `stamp` (ns); returns how many Gaussians learned."""
+    def refine(self, observed: Sequence[Observed], stamp: int) -> Generator[None]:
+        """Takes the share of the set at `stamp` (ns), slice by slice: before any of them what is left can be let be."""
+        yield
         self._turn += 1
         views = []
         for index, one in enumerate(observed):
@@ -125,7 +126,9 @@ class Mapper:
                 at_rest.see(one, self._parameters)
                 self._fill(one, at_rest, stamp)
             views.append(_Wanting(one.background, at_rest))
-        return sum(self._learn([views[index] for index in chosen]) for chosen in by_size([v.camera for v in views]))
+        for chosen in by_size([v.camera for v in views]):
+            yield
+            yield from self._learn([views[index] for index in chosen])
 
     def _at_rest_of(self, one: Observed) -> _AtRest:
         """What a view's camera sees at rest."""
@@ -176,14 +179,14 @@ class Mapper:
             torch.full((count,), -1, device=device),
         )
 
-    def _learn(self, views: Sequence[_Wanting]) -> int:
+    def _learn(self, views: Sequence[_Wanting]) -> Generator[None]:
         """A few steps for the Gaussians that show at wrong pixels of `views`, cameras of one size."""
         chosen = self._chosen(views)
         g, rows = self._gaussians, self._backgrounds.rows
         standing = (g.alive[rows] & (g.tiers[rows] == int(Tier.STATIC))).cpu().numpy()
         chosen &= standing
         if not chosen.any():
-            return 0
+            return
         masks = [_footprint(view, chosen) for view in views]
         reaching = np.any([_reaching(view, mask) for view, mask in zip(views, masks, strict=True)], axis=0)
         learners, others = rows[_at(chosen, rows)], rows[_at(standing & reaching & ~chosen, rows)]
@@ -196,10 +199,15 @@ class Mapper:
         before = g.values[learners]
         rates = rates_of(before, self._parameters.learning_rate)
         path = Path(learners, carriage, rates, g.standing(g.values[others]), _goal(views, masks, g.values.device))
-        if descend(g, path, self._parameters.steps).diverged:
-            undo(g, learners, before)
-        self._backgrounds.repaint()
-        return len(learners)
+        losses: list[float] = []
+        try:
+            for _ in range(self._parameters.steps):
+                yield
+                losses += descend(g, path, 1).losses
+        finally:
+            if losses and diverged(losses):
+                undo(g, learners, before)
+            self._backgrounds.repaint()
 
     def _chosen(self, views: Sequence[_Wanting]) -> Bool:
         """[n] which of the background's rows show at a wrong pixel of some view, as many as may learn at once."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import torch
@@ -26,7 +27,7 @@ from twin_node.model.relearning import revise
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
-from twin_node.model.stages import OnStage, unwatched
+from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
 from twin_node.model.unselected import fit_unselected
 from twin_node.scene import Bool, FrameSet, Tier
 
@@ -108,11 +109,13 @@ class Tracker:
         self._due = observed
         return Tracked(born, self._pace if fitted.diverged else None)
 
-    def refine(self) -> None:
-        """The mapper's share of the last set, where it has not been taken yet."""
-        if self._due is not None and self._parameters.map.steps:
-            self._mapper.refine(self._due, self._nodes.stamp)
-        self._due = None
+    def refine(self, proceed: Proceed = unhurried) -> bool:
+        """The mapper's share of the last set, where it has not been taken yet; whether all of it was."""
+        due, self._due = self._due, None
+        if due is None or not self._parameters.map.steps:
+            return True
+        with closing(self._mapper.refine(due, self._nodes.stamp)) as slices:
+            return all(proceed() for _ in slices)
 
     def leave(self) -> None:
         """Lets the mapper's share of the last set be."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 
 from twin_node.model.carriage import carry
-from twin_node.model.descending import Path, descend, rates_of, undo
+from twin_node.model.descending import Path, descend, diverged, rates_of, undo
 from twin_node.model.fitting import Fitted
-from twin_node.model.gaussians import QUICK, Gaussians
+from twin_node.model.gaussians import Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
@@ -48,8 +48,8 @@ def fit_unselected(
         carriage = carriage if bend is None else carriage.bent(bend)
     values = gaussians.values[rows]
     goal = Goal([view.camera for view in views], masks, targets_of(views, masks, device), backdrops)
-    done = descend(gaussians, Path(rows, carriage, rates_of(values, learning_rate), arm, goal, QUICK), steps)
-    if done.diverged:
+    done = descend(gaussians, Path(rows, carriage, rates_of(values, learning_rate), arm, goal), steps)
+    if diverged(done.losses):
         undo(gaussians, rows, values)
         return Fitted([], True)
     return Fitted(split(done.sheets), False)

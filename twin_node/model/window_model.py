@@ -20,7 +20,7 @@ from twin_node.model.publishing import Publisher, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
-from twin_node.model.stages import OnStage, unwatched
+from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_mask
@@ -123,14 +123,18 @@ class WindowModel:
         self.on_stage("publish")
         return state
 
-    def refine(self) -> None:
+    def refine(self, proceed: Proceed = unhurried) -> bool:
         """Refines what stands still on the last set; once per set, by the next `update` where nobody has called it.
 
         A live node calls it when the state is published, so that it costs no latency, or `leave` where time is short.
+        It takes a few milliseconds; every one or two of them `proceed()` says whether it may go on, else the rest of
+        the set's share is left. Returns whether nothing was.
         """
-        if self._tracker is not None:
-            self._tracker.refine()
-            self.on_stage("refine")
+        if self._tracker is None:
+            return True
+        whole = self._tracker.refine(proceed)
+        self.on_stage("refine")
+        return whole
 
     def leave(self) -> None:
         """Leaves what stands still as it is on the last set."""

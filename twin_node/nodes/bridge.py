@@ -44,6 +44,11 @@ class Bridge:
             self._condition.notify()
 
     @property
+    def is_waiting(self) -> bool:
+        """Whether a frame set waits to be taken."""
+        return self._frames is not None
+
+    @property
     def is_closed(self) -> bool:
         """Whether either side has closed the bridge."""
         return self._closed

@@ -11,6 +11,7 @@ from twin_node import resources
 from twin_node.arm import ArmCollisionChecker, default_path
 from twin_node.forecast import CoverParameters, Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, WindowModel
+from twin_node.model.stages import Proceed, unhurried
 from twin_node.nodes.arm import ArmNode, ArmParameters
 from twin_node.nodes.drift import DriftNode
 from twin_node.nodes.forecast import ForecastNode
@@ -152,9 +153,9 @@ class Chain:
             node.configure()
             node.activate()
 
-    def rest(self) -> None:
+    def rest(self, proceed: Proceed = unhurried) -> None:
         """Uses the time between two sets, see `ModelNode.rest`."""
-        self._model_node.rest()
+        self._model_node.rest(proceed)
 
     def stop(self) -> None:
         """Deactivate and clean up every node, the first of the chain first."""

@@ -6,6 +6,7 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
+from twin_node.model.stages import Proceed, unhurried
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
 from twin_node.rig import Narrower
@@ -17,9 +18,9 @@ from twin_node.scene import FrameSet, Tier
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
 
-BUDGET_NS, MOST_LEFT = 25_000_000, 4
-"""What stands still is refined after sets that took less time than this, three quarters of a set's time at 30 Hz, and
-after every so many that took more: it changes slowly, but it must not be forgotten."""
+MOST_LEFT = 4
+"""What stands still is refined to the end, whoever waits, after so many sets that had to be left before: it changes
+slowly, but it must not be forgotten."""
 
 
 class ModelNode(Node):
@@ -34,7 +35,6 @@ class ModelNode(Node):
         self._next_whole = 0
         self._is_first = True
         self._left = 0
-        self._begun = 0
 
     def on_configure(self) -> None:
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
@@ -45,7 +45,6 @@ class ModelNode(Node):
             return
         if self._narrower is not None:
             frames = self._narrower.narrowed(frames)
-        self._begun = self.clock.now()
         state = self.model.update(frames)
         moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
@@ -64,15 +63,12 @@ class ModelNode(Node):
             self._trial, self._narrower = None, Narrower(size.width)
             self.model = self.model.resized(size.model(self.model.parameters))
 
-    def rest(self) -> None:
+    def rest(self, proceed: Proceed = unhurried) -> None:
         """Uses the time between two sets to refine what stands still, where the last one has left some.
 
         Called by whoever runs the node once everything that came of a set is delivered; where nobody calls it the next
-        update refines first. In lockstep the clock stands still meanwhile, so every set gets its share.
+        update refines first. `proceed()` says whether no other set waits; in lockstep none does, so every set gets its
+        share.
         """
-        self._left += 1
-        if self.clock.now() - self._begun > BUDGET_NS and self._left < MOST_LEFT:
-            self.model.leave()
-            return
-        self._left = 0
-        self.model.refine()
+        is_due = self._left >= MOST_LEFT - 1
+        self._left = 0 if self.model.refine(unhurried if is_due else proceed) else self._left + 1

@@ -151,7 +151,7 @@ class _Engine:
                 for topic, message in messages:
                     working.publish(topic, message)
                 working.publish(FRAMES, frames)
-                chain.rest()
+                chain.rest(lambda: not bridge.is_waiting)
         finally:
             bridge.close()
             reader.join()
