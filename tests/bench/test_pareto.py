@@ -18,8 +18,9 @@ from twin_node.bench.methods.protocol import QUICK as QUICK_BUDGET
 from twin_node.bench.pareto import ablations, costs
 from twin_node.bench.pareto.chart import draw, markdown, text
 from twin_node.bench.pareto.front import dominated_sizes, on_front
+from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane, said
 from twin_node.bench.pareto.measure import Job, Point, measure
-from twin_node.bench.pareto.suite import HEXPLANE, Pareto, ParetoParameters, run
+from twin_node.bench.pareto.suite import Pareto, ParetoParameters, run
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.sizes import SIZES
 
@@ -67,15 +68,33 @@ def test_another_data_set_is_another_matter() -> None:
 
 
 def test_planes_are_compared_where_they_do_as_well() -> None:
+    """Ours as shipped with the shortest training that reaches it, and the fastest size that reaches the plateau."""
     planes = [
         point(f"{HEXPLANE}:{steps}", 10.0 * steps, db, online=False, latency_ms=1000.0 * steps, parameters=600)
-        for steps, db in ((1, 15), (2, 18), (3, 20))
+        for steps, db in ((1, 15), (2, 18), (3, 18.05))
     ]
-    found = Pareto((point("ours_large", 10, 17.5, parameters=200), *reversed(planes))).against_hexplane()
-    assert [one.hexplane for one in found] == [f"{HEXPLANE}:2"]
+    sizes = [
+        point("ours_tiny", 5, 16.0, parameters=100),
+        point("ours_large", 10, 17.5, parameters=200),
+        point("ours_full", 20, 18.5, parameters=300),
+    ]
+    found = against_hexplane((*sizes, *reversed(planes)))
+    pairs = [(one.at, one.ours, one.hexplane) for one in found]
+    assert pairs == [("ours", "ours_large", f"{HEXPLANE}:2"), ("plateau", "ours_full", f"{HEXPLANE}:2")]
     assert found[0].times_faster_per_set == pytest.approx(200)
     assert found[0].times_faster_amortised == pytest.approx(2)
     assert found[0].times_fewer_parameters == pytest.approx(3)
+    assert "reaches 18.5 dB, 4dgs_hexplane:2 18.0 dB (its plateau)" in said(found[1])
+
+
+def test_where_one_never_reaches_the_other_there_is_no_pair() -> None:
+    weak, strong = point("ours_large", 10, 15.0), point(f"{HEXPLANE}:9", 90, 16.0, online=False, latency_ms=9.0)
+    assert [one.at for one in against_hexplane([weak, strong])] == ["ours"]
+    assert [one.at for one in against_hexplane([replaced(weak, 17.0), strong])] == ["plateau"]
+
+
+def replaced(one: Point, db: float) -> Point:
+    return dataclasses.replace(one, psnr_left_out_db=db)
 
 
 def test_sizes_rise_in_everything() -> None:

@@ -39,7 +39,7 @@ _DEFAULT = ModelParameters()
 SIZES: Mapping[str, Size] = {
     "tiny": Size(64, 0.1, 2_000, 1, 40),
     "small": Size(96, 0.2, 6_000, 2, 80),
-    "medium": Size(128, 0.3, 12_000, 4, 140),
+    "medium": Size(128, 0.3, 12_000, 3, 140),
     "large": Size(
         DEFAULT_WIDTH,
         _DEFAULT.gaussians_per_pixel,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin_node.bench.pareto.front import dominated_sizes, dominates, is_ours, on_front, pictures
+from twin_node.bench.pareto.hexplane import against_hexplane, said
 from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.bench.pareto.suite import Pareto
 from twin_node.bench.results_folder import save_chart
@@ -79,15 +80,9 @@ def _verdicts(found: Pareto) -> list[str]:
             lines.append(
                 f"{point.data}: {point.title} is no worse in anything, and better in something: {', '.join(sizes)}"
             )
-    for one in found.against_hexplane():
-        line = (
-            f"{one.data}: {one.hexplane} reaches {one.hexplane_db:.1f} dB where ours reaches {one.ours_db:.1f}; its "
-            f"training takes {one.times_faster_per_set:.0f} times as long as one of our sets, "
-            f"{one.times_faster_amortised:.1f} times where it is spread over all sets"
-        )
-        fewer = one.times_fewer_parameters
-        lines.append(line if fewer is None else f"{line}; it has {fewer:.2f} times our parameters")
-    return lines or ["no online method dominates any of our sizes"]
+    if not lines:
+        lines.append("no online method dominates any of our sizes")
+    return lines + [said(one) for one in against_hexplane(found.points)]
 
 
 def draw(found: Pareto, folder: Path) -> Path:

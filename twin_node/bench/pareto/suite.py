@@ -17,6 +17,7 @@ from twin_node.bench.methods.table import METHODS
 from twin_node.bench.methods.truth import MotionTruth
 from twin_node.bench.pareto.foresight import ForesightJob, ForesightPoint, foresee, has_truth
 from twin_node.bench.pareto.front import dominated_sizes, on_front
+from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane
 from twin_node.bench.pareto.measure import OURS, Job, Point, measure
 from twin_node.model.sequence import Recording, recording_of
 from twin_node.nodes.chain import ChainParameters
@@ -24,7 +25,6 @@ from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SHIPPED, SIZES
 from twin_node.nodes.synchronizer import SynchronizerParameters
 
-HEXPLANE = "4dgs_hexplane"
 RIVALS = tuple(name for name in METHODS if name not in (OURS, "static_3dgs"))
 """What ours is charted with; 3DGS of all frames is one of the ablations of `bench methods`."""
 
@@ -56,7 +56,7 @@ class ParetoParameters:
     """Sets taken of each log, for pictures."""
     forecast_frames: int = 120
     """The same for forecasts of logs with exact truth, at the log's own rate."""
-    rivals: tuple[str, ...] = (*RIVALS, *(f"{HEXPLANE}:{steps}" for steps in (75, 150, 300, 600)))
+    rivals: tuple[str, ...] = (*RIVALS, *(f"{HEXPLANE}:{steps}" for steps in (40, 75, 150, 300, 600)))
     """Names of `METHODS`, with a number of steps where one is given."""
     sizes: tuple[str, ...] = tuple(SIZES)
     images: int = 12
@@ -73,7 +73,7 @@ QUICK = ParetoParameters(
     width=96,
     frames=12,
     forecast_frames=40,
-    rivals=RIVALS,
+    rivals=(*RIVALS, *(f"{HEXPLANE}:{steps}" for steps in (40, 75, 300))),
     images=4,
     budget=QUICK_BUDGET,
     processes=2,
@@ -98,52 +98,8 @@ class Pareto:
                 }
                 for point in self.points
             ],
-            "against_hexplane": [asdict(one) for one in self.against_hexplane()],
+            "against_hexplane": [asdict(one) for one in against_hexplane(self.points)],
         }
-
-    def against_hexplane(self) -> list[AgainstHexplane]:
-        """Per data set, ours as shipped beside the shortest training of 4DGS on planes that does as well."""
-        found = []
-        for data in dict.fromkeys(point.data for point in self.points):
-            ours = next((p for p in self.points if p.data == data and p.name == f"{OURS}_{SHIPPED}"), None)
-            if ours is None or ours.psnr_left_out_db is None:
-                continue
-            rivals = [p for p in self.points if p.data == data and p.name.split(":")[0] == HEXPLANE]
-            rivals.sort(key=lambda one: one.ms_per_frame)
-            equal = next((p for p in rivals if (p.psnr_left_out_db or -1.0) >= ours.psnr_left_out_db), None)
-            if equal is not None:
-                found.append(AgainstHexplane.of(data, ours, equal))
-        return found
-
-
-@dataclass(frozen=True)
-class AgainstHexplane:
-    """Ours beside 4DGS on planes at equal PSNR of moving pixels of left-out cameras."""
-
-    data: str
-    hexplane: str
-    """Name of the shortest training that reaches ours."""
-    ours_db: float
-    hexplane_db: float
-    times_faster_per_set: float
-    """Training of the planes over our time per set: what a new set costs a method that is trained on the window."""
-    times_faster_amortised: float
-    """The same with the training spread over all sets of the recording."""
-    times_fewer_parameters: float | None
-
-    @staticmethod
-    def of(data: str, ours: Point, equal: Point) -> AgainstHexplane:
-        """Ratios of two points."""
-        fewer = None if not ours.parameters or not equal.parameters else equal.parameters / ours.parameters
-        return AgainstHexplane(
-            data,
-            equal.name,
-            ours.psnr_left_out_db or 0.0,
-            equal.psnr_left_out_db or 0.0,
-            (equal.latency_ms or 0.0) / ours.ms_per_frame,
-            equal.ms_per_frame / ours.ms_per_frame,
-            fewer,
-        )
 
 
 def run(parameters: ParetoParameters | None = None, progress: Progress = lambda names, total: names) -> Pareto:
