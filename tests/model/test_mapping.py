@@ -132,6 +132,6 @@ def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
             now = replace(now, views=tuple(replace(v, rgb=rgb) for v, rgb in zip(now.views, dark, strict=True)))
         observed = observer.observe(now, nothing, [None] * len(CAMERAS), backgrounds.of(store, CAMERAS), 0.033)
         errors.append(np.mean([np.abs(one.rgb - one.background.rgb).mean() for one in observed]))
-        mapper.refine(observed, now.stamp)
+        list(mapper.refine(observed, now.stamp))
     assert len(store) > count
     assert errors[-1] < 0.5 * errors[1]
