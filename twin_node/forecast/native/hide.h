@@ -40,38 +40,48 @@ inline Bits packed(const uint8_t *mask, int64_t nx, int64_t ny, int64_t nz) {
 
 enum class Join { kAll, kAny };
 
+template <Join join>
+inline uint64_t joined(uint64_t one, uint64_t other) {
+  return join == Join::kAll ? one & other : one | other;
+}
+
+// Words joined with those `offset` further on, of lines that begin at every multiple of `line`; none lie beyond a line.
+template <Join join>
+inline void join_along(const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t line, int64_t offset) {
+  for (int64_t begin = 0; begin < static_cast<int64_t>(words.size()); begin += line) {
+    uint64_t *own = &words[begin];
+    const uint64_t *from = &before[begin];
+    const int64_t first = std::clamp<int64_t>(-offset, 0, line), last = std::clamp<int64_t>(line - offset, first, line);
+    if (join == Join::kAll) std::fill(own, own + first, 0), std::fill(own + last, own + line, 0);
+    for (int64_t i = first; i < last; i++) own[i] = joined<join>(own[i], from[i + offset]);
+  }
+}
+
+// Bits of columns of words joined with those `step` further up, -63 to 63.
+template <Join join>
+inline void join_up(const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t column, int64_t step) {
+  const int64_t shift = std::abs(step), beside = step > 0 ? 1 : -1;
+  for (int64_t begin = 0; begin < static_cast<int64_t>(words.size()); begin += column) {
+    for (int64_t w = 0; w < column; w++) {
+      const uint64_t own = before[begin + w];
+      const uint64_t next = w + beside >= 0 && w + beside < column ? before[begin + w + beside] : 0;
+      const uint64_t moved = step > 0 ? own >> shift | next << (64 - shift) : own << shift | next >> (64 - shift);
+      words[begin + w] = joined<join>(words[begin + w], moved);
+    }
+  }
+}
+
 // Every bit joined with those from `first` to `last` places further up each axis; outside there are none.
-inline void join_around(Bits &b, Join join, int64_t first, int64_t last) {
-  const int64_t row = b.ny * b.words;
-  std::vector<uint64_t> moved(b.bits.size());
+template <Join join>
+inline void join_around(Bits &b, int64_t first, int64_t last) {
+  const int64_t row = b.ny * b.words, all = b.nx * row;
   for (int axis = 0; axis < 3; axis++) {
     const std::vector<uint64_t> before = b.bits;
     for (int64_t step = first; step <= last; step++) {
       if (step == 0) continue;
-      std::fill(moved.begin(), moved.end(), 0);
-      if (axis < 2) {
-        const int64_t extent = axis == 0 ? b.nx : b.ny, stride = axis == 0 ? row : b.words;
-        const int64_t outer = axis == 0 ? 1 : b.nx;
-        const int64_t kept = std::max<int64_t>(extent - std::abs(step), 0) * stride;
-        for (int64_t o = 0; o < outer; o++) {
-          const int64_t from = o * row + std::max<int64_t>(step, 0) * stride;
-          const int64_t to = o * row + std::max<int64_t>(-step, 0) * stride;
-          if (kept > 0) std::memcpy(&moved[to], &before[from], kept * sizeof(uint64_t));
-        }
-      } else {
-        const int64_t shift = std::abs(step);  // below 64
-        for (int64_t i = 0; i < static_cast<int64_t>(moved.size()); i++) {
-          const int64_t word = i % b.words;
-          if (step > 0) {
-            moved[i] = before[i] >> shift | (word + 1 < b.words ? before[i + 1] << (64 - shift) : 0);
-          } else {
-            moved[i] = before[i] << shift | (word > 0 ? before[i - 1] >> (64 - shift) : 0);
-          }
-        }
-      }
-      for (size_t i = 0; i < moved.size(); i++) {
-        b.bits[i] = join == Join::kAll ? b.bits[i] & moved[i] : b.bits[i] | moved[i];
-      }
+      if (axis == 0) join_along<join>(before, b.bits, all, step * row);
+      if (axis == 1) join_along<join>(before, b.bits, row, step * b.words);
+      if (axis == 2) join_up<join>(before, b.bits, b.words, step);
     }
   }
 }
@@ -204,14 +214,14 @@ inline void hide(const HideRequest &r) {
   const int64_t nx = r.nx, ny = r.ny, nz = r.nz, cx = (nx + 1) / 2, cy = (ny + 1) / 2, cz = (nz + 1) / 2;
   const Bits moving = packed(r.moving, nx, ny, nz);
   Bits beside = packed(r.standing, nx, ny, nz);
-  join_around(beside, Join::kAny, -1, 1);  // beside what stands lie the rims of its measurement
+  join_around<Join::kAny>(beside, -1, 1);  // beside what stands lie the rims of its measurement
   Bits passable = packed(r.unknown, nx, ny, nz);
   for (size_t i = 0; i < passable.bits.size(); i++) {
     const uint64_t bottom = i % passable.words == 0;
     passable.bits[i] = (passable.bits[i] & ~(beside.bits[i] | bottom)) | moving.bits[i];
   }
-  join_around(passable, Join::kAll, 0, r.width - 1);
-  join_around(passable, Join::kAny, 1 - r.width, 0);
+  join_around<Join::kAll>(passable, 0, r.width - 1);
+  join_around<Join::kAny>(passable, 1 - r.width, 0);
 
   std::vector<float> ages(r.ages, r.ages + cx * cy * cz);
   for (float &age : ages) age += r.elapsed_s;

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 5;
+constexpr int32_t kInterfaceVersion = 6;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -65,7 +65,7 @@ struct BoxList {
 struct HoldRequest {
   int64_t voxels;
   int32_t nx, ny, nz;
-  const int64_t *indices;  // [voxels] flat, in any order, also twice
+  const uint32_t *indices;  // [voxels] flat, in any order, also twice
   BoxList found;
 };
 
