@@ -134,12 +134,16 @@ inline void clear_gradients(const DescentRequest &d) {
   std::fill_n(d.loss.gradient, static_cast<int64_t>(d.loss.images) * r.height * r.width * d.loss.channels, 0.f);
 }
 
-// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop.
-inline void compose(const DescentRequest &d) {
+inline bool is_drawn(const Request &r, int64_t pixel) { return r.pixel_mask == nullptr || r.pixel_mask[pixel] != 0; }
+
+// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop. Pixels that are not drawn stay as they
+// were at first.
+inline void compose(const DescentRequest &d, bool first) {
   const Request &r = d.scene;
   const int64_t pixels = static_cast<int64_t>(r.width) * r.height;
   parallel_for(r.threads, r.batches, [&](int64_t image) {
     for (int64_t at = image * pixels; at < (image + 1) * pixels; at++) {
+      if (!first && !is_drawn(r, at)) continue;
       const float left = 1.f - r.alphas[at];
       for (int k = 0; k < 4; k++) d.seen[4 * at + k] = r.renders[4 * at + k] + left * d.backdrop[4 * at + k];
     }
@@ -152,13 +156,15 @@ inline void alpha_gradient(const DescentRequest &d) {
   const int64_t pixels = static_cast<int64_t>(r.width) * r.height;
   parallel_for(r.threads, r.batches, [&](int64_t image) {
     for (int64_t at = image * pixels; at < (image + 1) * pixels; at++) {
+      if (!is_drawn(r, at)) continue;
       const float *v = d.loss.gradient + 4 * at, *behind = d.backdrop + 4 * at;
       d.v_alphas[at] = -(v[0] * behind[0] + v[1] * behind[1] + v[2] * behind[2] + v[3] * behind[3]);
     }
   });
 }
 
-// Takes the steps; `refused` counts those of single rows that were not taken.
+// Takes the steps; `refused` counts those of single rows that were not taken. A few steps move a Gaussian by less than a
+// pixel: those after the first draw with its order and tiles.
 inline Status descend(Workspace &w, const DescentRequest &d) {
   *d.refused = 0;
   for (int step = 0; step < d.steps; step++) {
@@ -166,9 +172,14 @@ inline Status descend(Workspace &w, const DescentRequest &d) {
       place_row(d, i);
       return 0;
     });
-    Status status = forward(w, d.scene);
+    Status status = kOk;
+    if (step == 0) {
+      status = forward(w, d.scene);
+    } else {
+      redraw(w, d.scene, d.standing);
+    }
     if (status != kOk) return status;
-    compose(d);
+    compose(d, step == 0);
     clear_gradients(d);
     status = image_loss(d.loss);
     if (status != kOk) return status;

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <iterator>
 
 #include "image.h"
 
@@ -47,6 +46,43 @@ inline Extent extent_of(const Projection &p, Vec log2_opacity) {
   // The reach is padded by more than float32 can lose, so that it never cuts what the exponent would let through.
   return {at_most * x, at_most * y, sigmas * x * 1.0005f + 1e-3f, sigmas * y * 1.0005f + 1e-3f};
 }
+
+// What a vector of Gaussians looks like in one image, lane by lane.
+class Outlines {
+ public:
+  uint32_t drawn;  // lanes that are not too thin or too faint to be drawn
+
+  Outlines(const Request &r, const Camera &camera, int batch, const Rows &rows) {
+    const Shape shape = load_shape(r, batch, rows);
+    Vec opacity = rows.column(r.opacities + batch * r.opacities_stride, 1, 0);
+    Projection p;
+    transform_point(camera, shape, p);
+    project_covariance(camera, shape, r.eps2d, p);
+    if (r.antialiased) opacity *= compensation(p, r.min_compensation);
+    drawn = bits(both(gt(p.det, Vec{}), ge(opacity, broadcast(1.f / 255.f)))) & rows.valid();
+    if (drawn == 0) return;
+    const Vec log2_opacity = log2_positive(max(opacity, broadcast(1e-12f)));
+    const Extent extent = extent_of(p, log2_opacity);
+    const Vec x = camera.fx * p.point[0] * p.inverse_z + camera.cx;
+    const Vec y = camera.fy * p.point[1] * p.inverse_z + camera.cy;
+    const Vec a = 0.5f * kLog2E * p.conic_a(), b = kLog2E * p.conic_b(), c = 0.5f * kLog2E * p.conic_c();
+    const Vec columns[kOutlineColumns] = {
+        x, y, a, b, c, log2_opacity, extent.reach_x, extent.reach_y, extent.radius_x, extent.radius_y, p.point[2]};
+    for (int i = 0; i < kOutlineColumns; i++) store(value_[i], columns[i]);
+  }
+
+  Footprint footprint(int lane) const {
+    return {value_[0][lane], value_[1][lane], value_[2][lane], value_[3][lane],
+            value_[4][lane], value_[5][lane], value_[6][lane], value_[7][lane]};
+  }
+  float radius_x(int lane) const { return value_[8][lane]; }
+  float radius_y(int lane) const { return value_[9][lane]; }
+  float depth(int lane) const { return value_[10][lane]; }
+
+ private:
+  static constexpr int kOutlineColumns = 11;
+  float value_[kOutlineColumns][kLanes];
+};
 
 // Collects one task's Gaussians for one image: scan them all, then finish.
 class Finder {
@@ -112,30 +148,11 @@ class Finder {
   }
 
   void project(const Rows &rows) {
-    const Request &r = request_;
-    const Shape shape = load_shape(r, batch_, rows);
-    Vec opacity = rows.column(r.opacities + batch_ * r.opacities_stride, 1, 0);
-    Projection p;
-    transform_point(image_.camera, shape, p);
-    project_covariance(image_.camera, shape, r.eps2d, p);
-    if (r.antialiased) opacity *= compensation(p, r.min_compensation);
-    const Mask drawn = both(gt(p.det, Vec{}), ge(opacity, broadcast(1.f / 255.f)));
-    uint32_t found = bits(drawn) & rows.valid();
-    if (found == 0) return;
-    const Vec log2_opacity = log2_positive(max(opacity, broadcast(1e-12f)));
-    const Extent extent = extent_of(p, log2_opacity);
-    const Vec x = image_.camera.fx * p.point[0] * p.inverse_z + image_.camera.cx;
-    const Vec y = image_.camera.fy * p.point[1] * p.inverse_z + image_.camera.cy;
-    const Vec a = 0.5f * kLog2E * p.conic_a(), b = kLog2E * p.conic_b(), c = 0.5f * kLog2E * p.conic_c();
-    const Vec columns[] = {
-        x, y, a, b, c, log2_opacity, extent.reach_x, extent.reach_y, extent.radius_x, extent.radius_y, p.point[2]};
-    float value[std::size(columns)][kLanes];
-    for (size_t i = 0; i < std::size(columns); i++) store(value[i], columns[i]);
-    for (; found; found &= found - 1) {
+    const Outlines outlines(request_, image_.camera, batch_, rows);
+    for (uint32_t found = outlines.drawn; found; found &= found - 1) {
       const int lane = __builtin_ctz(found);
-      const Footprint f{value[0][lane], value[1][lane], value[2][lane], value[3][lane],
-                        value[4][lane], value[5][lane], value[6][lane], value[7][lane]};
-      keep(rows.id[lane], f, std::ceil(value[8][lane]), std::ceil(value[9][lane]), value[10][lane]);
+      keep(rows.id[lane], outlines.footprint(lane), std::ceil(outlines.radius_x(lane)),
+           std::ceil(outlines.radius_y(lane)), outlines.depth(lane));
     }
   }
 

@@ -200,4 +200,51 @@ inline Status forward(Workspace &w, const Request &r) {
   return kOk;
 }
 
+// Looks anew at the splats [begin, end) of an image that stand for Gaussians from `first_row` on.
+inline void refresh_splats(const Request &r, Image &image, int index, int begin, int end, int first_row) {
+  int32_t rows[kLanes], ids[kLanes];
+  const auto refresh = [&](int count) {
+    const Outlines outlines(r, image.camera, index / r.cameras, Rows(ids, count));
+    for (int lane = 0; lane < count; lane++) {
+      Splat &splat = image.splats[rows[lane]];
+      const float depth = outlines.drawn >> lane & 1 ? outlines.depth(lane) : -1.f;
+      if (depth >= r.near_plane && depth <= r.far_plane) {
+        splat.shape = outlines.footprint(lane);
+        image.depth[rows[lane]] = depth;
+      } else {
+        splat.shape.log2_opacity = kLog2AlphaThreshold - 1.f;
+      }
+    }
+  };
+  int count = 0;
+  for (int row = begin; row < end; row++) {
+    if (image.id[row] < first_row) continue;
+    rows[count] = row;
+    ids[count++] = image.id[row];
+    if (count < kLanes) continue;
+    refresh(count);
+    count = 0;
+  }
+  if (count > 0) refresh(count);
+  load_channels(r, image, index, make_pass(r, 0), begin, end);
+}
+
+// Draws the scene of the workspace's last forward pass again after its Gaussians from `first_row` on have changed a
+// little: they keep their order and their tiles. For no more channels than one pass has.
+inline void redraw(Workspace &w, const Request &r, int first_row) {
+  const std::lock_guard<std::mutex> lock(w.in_use);
+  constexpr int kSplatsPerTask = 256;
+  int most = 0;
+  for (int i = 0; i < images_of(r); i++) most = std::max(most, w.images[i]->visible);
+  const int64_t chunks = (most + kSplatsPerTask - 1) / kSplatsPerTask;
+  parallel_for(r.threads, chunks * images_of(r), [&](int64_t at) {
+    const int index = static_cast<int>(at / chunks), begin = static_cast<int>(at % chunks) * kSplatsPerTask;
+    Image &image = *w.images[index];
+    if (begin < image.visible) {
+      refresh_splats(r, image, index, begin, std::min(image.visible, begin + kSplatsPerTask), first_row);
+    }
+  });
+  blend_pass(r, w, make_pass(r, 0));
+}
+
 }  // namespace splat
