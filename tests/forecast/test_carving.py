@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_depth, ball_voxels, camera, pixels_of, state_of
 
-from twin_node.forecast.carving import Carved, Carver
+from twin_node.forecast.carving import Carver
 from twin_node.forecast.tables import RigTables
+from twin_node.forecast.verdicts import Carved
 from twin_node.scene import Camera, TwinState
 
 CENTER = np.array([0.1, -0.05, 0.45])

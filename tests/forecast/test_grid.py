@@ -44,3 +44,13 @@ def test_runs_come_back(mask: Bool) -> None:
     runs = encode_runs(mask)
     assert np.array_equal(decode_runs(runs, len(mask)), mask)
     assert np.all(runs[1:, 0] > runs[:-1].sum(axis=1))
+
+
+def test_runs_may_touch() -> None:
+    assert decode_runs(np.array([[1, 2], [3, 1]], np.uint32), 5).tolist() == [False, True, True, True, False]
+
+
+@pytest.mark.parametrize("runs", [[[3, 1], [1, 1]], [[1, 3], [2, 1]], [[4, 2]]])
+def test_runs_that_overlap_or_reach_too_far_are_refused(runs: list[list[int]]) -> None:
+    with pytest.raises(ForecastError, match="disjoint"):
+        decode_runs(np.array(runs, np.uint32), 5)

@@ -17,6 +17,8 @@ from twin_node.forecast.verdicts import (
     UNKNOWN,
     Sight,
     Surface,
+    carved,
+    carved_plainly,
     verdicts,
     verdicts_plainly,
 )
@@ -52,3 +54,14 @@ def test_every_verdict_occurs_and_other_blocks_are_free() -> None:
     assert set(np.unique(found)) == {FREE, UNKNOWN, MAY_MOVE, LIKELY_MOVES}
     others = BLOCKS.indices(BLOCKS.places(np.arange(1, BLOCKS.count, 2)))
     assert not found[others].any()
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@given(st.integers(0, 2**32 - 1), st.integers(0, 70))
+def test_compiled_lists_are_the_plain_ones(seed: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    given_verdicts = np.where(rng.uniform(size=size) < 0.7, FREE, rng.integers(0, 4, size)).astype(np.uint8)
+    one, other = carved(given_verdicts), carved_plainly(given_verdicts)
+    assert np.array_equal(one.moving, other.moving)
+    assert np.array_equal(one.likely, other.likely)
+    assert np.array_equal(one.unknown, other.unknown)

@@ -13,14 +13,13 @@ from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.tables import REACHES, CameraTable, RigTables
 from twin_node.forecast.verdicts import (
     BESIDE,
-    LIKELY_MOVES,
-    MAY_MOVE,
     MOVING,
     ROBOT,
     SEEN,
-    UNKNOWN,
+    Carved,
     Sight,
     Surface,
+    carved,
     verdicts,
 )
 from twin_node.scene import Bool, Float32, TwinState, UInt8, View
@@ -49,18 +48,6 @@ class CarvingParameters:
     """A thing is at most this many times as thick as it is wide in the image, plus `depth_margin`."""
 
 
-@dataclass(frozen=True)
-class Carved:
-    """What one set of images says about every voxel; voxels in neither list are free."""
-
-    moving: NDArray[np.int64]
-    """[n] flat indices of what may move, strictly increasing."""
-    likely: Bool
-    """[n] of these, where no camera sees past the moving thing: the rims that errors add are left out."""
-    unknown: NDArray[np.int64]
-    """[m] flat indices that nothing frees and nothing explains, strictly increasing."""
-
-
 class Carver:
     """Carves one grid with the views of a rig; what depends on the calibration alone is computed once per camera."""
 
@@ -79,9 +66,7 @@ class Carver:
         self._backdrops.update(state)
         sights = self._sights(state, speed)
         self._last = (state, sights)
-        found = verdicts(self._blocks, self._undecided_blocks(sights), sights)
-        moving = np.flatnonzero(found >= MAY_MOVE)
-        return Carved(moving, found[moving] == LIKELY_MOVES, np.flatnonzero(found == UNKNOWN))
+        return carved(verdicts(self._blocks, self._undecided_blocks(sights), sights))
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n]."""

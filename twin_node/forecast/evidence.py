@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.carving import Carved, Carver, CarvingParameters
+from twin_node.forecast.carving import Carver, CarvingParameters
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
@@ -16,6 +16,7 @@ from twin_node.forecast.own_space import own_space
 from twin_node.forecast.parts import Parts, PartVelocities, split
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
+from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
 

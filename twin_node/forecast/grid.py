@@ -40,8 +40,19 @@ def encode_runs(mask: Bool) -> UInt32:
 
 
 def decode_runs(runs: UInt32, size: int) -> Bool:
-    """Flat mask [size] of runs [r, 2] (start, length)."""
-    steps = np.zeros(size + 1, np.int32)
-    np.add.at(steps, runs[:, 0].astype(np.int64), 1)
-    np.add.at(steps, runs.astype(np.int64).sum(axis=1), -1)
-    return np.cumsum(steps[:-1]) > 0
+    """Flat mask [size] of runs [r, 2] (start, length), disjoint and rising.
+
+    Raises `ForecastError` for runs that are neither, or that reach beyond the mask.
+    """
+    edges = np.zeros(2 * len(runs) + 2, np.int64)
+    edges[1:-1:2] = runs[:, 0]
+    edges[2:-1:2] = runs.astype(np.int64).sum(axis=1)
+    edges[-1] = size
+    lengths = np.diff(edges)
+    if lengths.min() < 0:
+        raise ForecastError(
+            f"runs of unknown voxels: expected disjoint ones, rising, of {size} voxels, found others; check who "
+            "publishes the occupancy"
+        )
+    mask: Bool = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
+    return mask

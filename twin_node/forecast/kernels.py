@@ -12,7 +12,7 @@ from pathlib import Path
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 
-INTERFACE_VERSION = 6
+INTERFACE_VERSION = 7
 
 
 class GrowRequest(ctypes.Structure):
@@ -50,6 +50,15 @@ class CarveRequest(ctypes.Structure):
         ("blocks", c_int64),
         *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
         *((name, c_void_p) for name in ("chosen", "sights", "verdicts")),
+    )
+
+
+class SiftRequest(ctypes.Structure):
+    """`forecast::SiftRequest`."""
+
+    _fields_ = (
+        ("size", c_int64),
+        *((name, c_void_p) for name in ("verdicts", "moving", "likely", "unknown", "counts")),
     )
 
 
@@ -122,6 +131,8 @@ class Kernels:
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
         self._dll.forecast_list.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
+        self._dll.forecast_sift.argtypes = [ctypes.POINTER(SiftRequest)]
+        self._dll.forecast_sift.restype = None
         self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
         self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
         self._dll.forecast_count.restype = None
@@ -145,6 +156,10 @@ class Kernels:
         """Says of every voxel of some blocks what the views show. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.forecast_carve(request))
+
+    def sift(self, request: SiftRequest) -> None:
+        """Lists the voxels that are not free; takes one thread."""
+        self._dll.forecast_sift(request)
 
     def hold(self, request: HoldRequest) -> None:
         """Tight boxes about the voxels in every cell; takes one thread. Raises `MemoryError`."""

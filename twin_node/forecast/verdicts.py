@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast import kernels
 from twin_node.forecast.tables import Blocks, CameraTable
-from twin_node.scene import Float32, UInt8
+from twin_node.scene import Bool, Float32, UInt8
 from twin_node.splat.library import thread_count
 
 MOVING, ROBOT, SEEN, BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
@@ -65,6 +65,37 @@ def verdicts(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight])
     places = (chosen.ctypes.data, ctypes.addressof(given), verdicts.ctypes.data)
     compiled.carve(kernels.CarveRequest(*sizes, *places))
     return verdicts
+
+
+@dataclass(frozen=True)
+class Carved:
+    """What one set of images says about every voxel; voxels in neither list are free."""
+
+    moving: NDArray[np.int64]
+    """[n] flat indices of what may move, strictly increasing."""
+    likely: Bool
+    """[n] of these, where no camera sees past the moving thing: the rims that errors add are left out."""
+    unknown: NDArray[np.int64]
+    """[m] flat indices that nothing frees and nothing explains, strictly increasing."""
+
+
+def carved(verdicts: UInt8) -> Carved:
+    """What verdicts [grid.size] do not call free. Compiled; `carved_plainly` where that cannot be."""
+    compiled = kernels.kernels()
+    if compiled is None:
+        return carved_plainly(verdicts)
+    moving, unknown = np.empty((2, len(verdicts)), np.int64)
+    likely, counts = np.empty(len(verdicts), np.bool_), np.zeros(2, np.int64)
+    addresses = (array.ctypes.data for array in (verdicts, moving, likely, unknown, counts))
+    compiled.sift(kernels.SiftRequest(len(verdicts), *addresses))
+    moves, unseen = counts.tolist()
+    return Carved(moving[:moves].copy(), likely[:moves].copy(), unknown[:unseen].copy())
+
+
+def carved_plainly(verdicts: UInt8) -> Carved:
+    """What `carved` does."""
+    moving = np.flatnonzero(verdicts >= MAY_MOVE)
+    return Carved(moving, verdicts[moving] == LIKELY_MOVES, np.flatnonzero(verdicts == UNKNOWN))
 
 
 def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
