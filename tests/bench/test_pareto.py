@@ -62,6 +62,13 @@ def test_a_forecast_that_blocks_more_space_does_not_dominate() -> None:
     assert dominated_sizes(better, [ours]) == ("ours_large",)
 
 
+def test_a_suite_in_which_ours_is_dominated_does_not_pass() -> None:
+    ours = point("ours_large", 30, 18)
+    Pareto((ours, point("rival", 40, 18))).check()
+    with pytest.raises(BenchError, match="found rival on scene: ours_large"):
+        Pareto((ours, point("rival", 20, 18))).check()
+
+
 def test_another_data_set_is_another_matter() -> None:
     other = dataclasses.replace(point("rival", 1, 40), data="elsewhere")
     assert dominated_sizes(other, [point("ours_tiny", 10, 15)]) == ()

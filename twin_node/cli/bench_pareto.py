@@ -26,6 +26,7 @@ def add_bench_pareto(benches: Any) -> None:
     pareto.add_argument(
         "--out", type=Path, metavar="DIR", help="write pareto.json, .md, .png, .svg and sizes.yaml here"
     )
+    pareto.add_argument("--check", action="store_true", help="end with status 2 where an online method dominates ours")
     pareto.add_argument("--json", action="store_true", help="print one JSON object")
     pareto.set_defaults(run=_bench_pareto)
 
@@ -55,6 +56,8 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         save_figures(options.out, "pareto", figures, chart.markdown(found))
         (options.out / "sizes.yaml").write_text(front_text(found.points))
     print(json.dumps(figures) if options.json else chart.text(found))
+    if options.check:
+        found.check()
 
 
 def add_bench_ablations(benches: Any) -> None:

@@ -87,6 +87,15 @@ class Pareto:
 
     points: tuple[Point, ...]
 
+    def check(self) -> None:
+        """Raises `BenchError` where an online method that is not ours is no worse than one of our sizes in anything."""
+        for point in self.points:
+            sizes = dominated_sizes(point, self.points)
+            if sizes:
+                raise BenchError(
+                    f"pareto: expected nobody to dominate ours, found {point.name} on {point.data}: {sizes[0]}"
+                )
+
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
         return {
