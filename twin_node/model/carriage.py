@@ -25,40 +25,48 @@ class Bend:
 
 @dataclass(frozen=True)
 class Carriage:
-    """What the poses of their nodes do to n Gaussians at each of T times."""
+    """What the poses of K nodes do to n Gaussians at each of T times."""
 
     turns: Tensor
-    """[T, n, 3, 3] rotation of the node."""
+    """[T, K, 3, 3] rotation of the node."""
     shifts: Tensor
-    """[T, n, 3] m, position of the node."""
+    """[T, K, 3] m, position of the node."""
     products: Tensor
-    """[T, n, 4, 4] the quaternion product with the node's rotation."""
+    """[T, K, 4, 4] the quaternion product with the node's rotation."""
+    carriers: Tensor
+    """[n] int64: which of the K carries each."""
 
     def bent(self, bend: Bend) -> Carriage:
-        """The same with `bend` before it."""
-        offsets = _apply(self.turns[:, bend.chosen], bend.offsets)
-        products = self.products[:, bend.chosen] @ left_product(bend.turns)
+        """The same with `bend` before it: each Gaussian is then carried by one of its own."""
+        turns, shifts, products = (of.index_select(1, self.carriers) for of in (self.turns, self.shifts, self.products))
+        offsets = _apply(turns[:, bend.chosen], bend.offsets)
+        bent = products[:, bend.chosen] @ left_product(bend.turns)
         return Carriage(
-            self.turns,
-            self.shifts.index_add(1, bend.chosen, offsets),
-            self.products.index_copy(1, bend.chosen, products),
+            turns,
+            shifts.index_add(1, bend.chosen, offsets),
+            products.index_copy(1, bend.chosen, bent),
+            torch.arange(len(self.carriers), device=self.carriers.device),
         )
 
     def means(self, local: Tensor) -> Tensor:
         """[T, n, 3] m in `base_link` of means [n, 3] or [T, n, 3] in the nodes' frames."""
-        return _apply(self.turns, local) + self.shifts
+        return _apply(self._of(self.turns), local) + self._of(self.shifts)
 
     def quats(self, local: Tensor) -> Tensor:
         """[T, n, 4] in `base_link` of quaternions [n, 4] or [T, n, 4] in the nodes' frames."""
-        return _apply(self.products, local)
+        return _apply(self._of(self.products), local)
 
     def means_gradient(self, gradient: Tensor) -> Tensor:
         """[T, n, 3] gradient with respect to what `means` was given, from that [T, n, 3] with respect to its result."""
-        return _apply(self.turns.transpose(-1, -2), gradient)
+        return _apply(self._of(self.turns).transpose(-1, -2), gradient)
 
     def quats_gradient(self, gradient: Tensor) -> Tensor:
         """[T, n, 4] gradient with respect to what `quats` was given, from that [T, n, 4] with respect to its result."""
-        return _apply(self.products.transpose(-1, -2), gradient)
+        return _apply(self._of(self.products).transpose(-1, -2), gradient)
+
+    def _of(self, per_node: Tensor) -> Tensor:
+        """[T, n, ...] for each Gaussian, of [T, K, ...]."""
+        return per_node.index_select(1, self.carriers)
 
 
 def carry(poses: Poses, carriers: Tensor) -> Carriage:
@@ -67,11 +75,11 @@ def carry(poses: Poses, carriers: Tensor) -> Carriage:
     rest = poses.quats.new_tensor([1.0, 0, 0, 0]).expand(times, 1, 4)
     quats = torch.cat([poses.quats, rest], 1).to(carriers.device)
     positions = torch.cat([poses.positions, poses.positions.new_zeros(times, 1, 3)], 1).to(carriers.device)
-    row = carriers.remainder(quats.shape[1])  # -1 is the row at rest
     return Carriage(
-        rotation_matrix(quats).float().index_select(1, row),
-        positions.float().index_select(1, row),
-        left_product(quats).float().index_select(1, row),
+        rotation_matrix(quats).float(),
+        positions.float(),
+        left_product(quats).float(),
+        carriers.remainder(quats.shape[1]),  # -1 is the row at rest
     )
 
 

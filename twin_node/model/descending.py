@@ -96,12 +96,13 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     target = goal.targets[0]
     assert goal.backdrops is not None
     learners = splat.Learners(
-        gaussians.values[rows],
-        gaussians.moment1[rows],
-        gaussians.moment2[rows],
-        gaussians.steps[rows],
+        rows,
+        gaussians.values,
+        gaussians.moment1,
+        gaussians.moment2,
+        gaussians.steps,
+        gaussians.largest,
         path.rates,
-        gaussians.largest[rows],
         *vars(path.carriage).values(),
     )
     static = path.static
@@ -123,7 +124,7 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         0.0 if target.depth is None else DEPTH_WEIGHT,
     )
     done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.decays))
-    gaussians.take(rows, learners.values, learners.moment1, learners.moment2, learners.steps)
+    gaussians.touch(rows)
     gaussians.refused += done.refused
     sheet = Sheet(list(range(times)), done.seen, done.alphas)
     return Descended([sheet], done.v_means, done.v_quats, done.losses.tolist())

@@ -159,7 +159,7 @@ class Gaussians:
     def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
         """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take."""
         device = self.values.device
-        self._touch(rows)
+        self.touch(rows)
         turn = conjugate(nodes.quats[carriers])
         means = rotate(turn, self.values[rows, MEAN].cpu().double() - nodes.positions[carriers])
         quats = quat_product(turn, self.values[rows, QUAT].cpu().double())
@@ -178,7 +178,7 @@ class Gaussians:
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""
-        self._touch(rows)
+        self.touch(rows)
         self.alive[rows] = False
         self.nodes[rows] = -1
 
@@ -197,13 +197,13 @@ class Gaussians:
         self.moment2[rows] = 0
         self.steps[rows] = 0
 
-    def _touch(self, rows: Tensor) -> None:
-        """`rows` [n] are about to change."""
+    def touch(self, rows: Tensor) -> None:
+        """`rows` [n] change: what was made of the STATIC ones among them is no longer good."""
         self.static_version += bool((self.tiers[rows] == Tier.STATIC).any())
 
     def take(self, rows: Tensor, values: Tensor, moment1: Tensor, moment2: Tensor, steps: Tensor) -> None:
         """Stores attributes [n, 14] and optimiser state of `rows` [n]."""
-        self._touch(rows)
+        self.touch(rows)
         self.values[rows] = values
         self.moment1[rows], self.moment2[rows], self.steps[rows] = moment1, moment2, steps
 

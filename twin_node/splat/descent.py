@@ -18,26 +18,30 @@ WIDTH = 14
 
 @dataclass(frozen=True)
 class Learners:
-    """n Gaussians that learn; values, moments and steps are brought up to date in place."""
+    """n of a store of N Gaussians that learn; values, moments and steps are brought up to date in place."""
 
+    rows: Tensor
+    """[n] int64, each once."""
     values: Tensor
-    """[n, 14] in the frames of what carries them: mean, quaternion w x y z, log scale, opacity logit, colour."""
+    """[N, 14] in the frames of what carries them: mean, quaternion w x y z, log scale, opacity logit, colour."""
     moment1: Tensor
-    """[n, 14] Adam's."""
+    """[N, 14] Adam's."""
     moment2: Tensor
-    """[n, 14]."""
+    """[N, 14]."""
     steps: Tensor
-    """[n] int64 steps taken."""
+    """[N] int64 steps taken."""
+    ceilings: Tensor
+    """[N] largest log scale."""
     rates: Tensor
     """[n, 14]."""
-    ceilings: Tensor
-    """[n] largest log scale."""
     turns: Tensor
-    """[T, n, 3, 3] what means are turned by, for each camera."""
+    """[T, K, 3, 3] what means are turned by, for each camera and each of K carriers."""
     shifts: Tensor
-    """[T, n, 3] what is then added to them."""
+    """[T, K, 3] what is then added to them."""
     products: Tensor
-    """[T, n, 4, 4] what quaternions are multiplied by."""
+    """[T, K, 4, 4] what quaternions are multiplied by."""
+    carriers: Tensor
+    """[n] int64 which of the K carries each."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,7 @@ class _Call:
         self.learners = learners
         self.aims = aims
         times, height, width = aims.rgb.shape[:3]
-        self.standing, self.learned = bystanders.means.shape[1], len(learners.values)
+        self.standing, self.learned = bystanders.means.shape[1], len(learners.rows)
         count = self.standing + self.learned
         self.means, self.quats = torch.empty(times, count, 3), torch.empty(times, count, 4)
         self.scales, self.opacities, self.colors = torch.empty(count, 3), torch.empty(count), torch.empty(count, 3)
@@ -167,7 +171,9 @@ class _Call:
         self.mask = None if aims.pixel_mask is None else aims.pixel_mask.contiguous()
         self.weights = torch.empty(0) if aims.weights is None else aims.weights.contiguous()
         self.depth = torch.empty(0) if aims.depth is None else aims.depth.contiguous()
-        self.carriage = [t.contiguous() for t in (learners.turns, learners.shifts, learners.products)]
+        self.carriage = [
+            t.contiguous() for t in (learners.turns, learners.shifts, learners.products, learners.carriers)
+        ]
         self.loss = torch.zeros(1, dtype=torch.float64)
         self.refused = torch.zeros(1, dtype=torch.int64)
         self.losses = torch.zeros(0, dtype=torch.float64)
@@ -177,7 +183,7 @@ class _Call:
         learners = self.learners
         self.losses = torch.zeros(course.steps, dtype=torch.float64)
         drawn = (self.means, self.quats, self.scales, self.opacities, self.colors)
-        own = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.rates, learners.ceilings)
+        store = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.ceilings)
         return native.DescentRequest(
             self._scene(),
             self._gradients(),
@@ -187,7 +193,9 @@ class _Call:
             self.learned,
             course.steps,
             course.smallest_log_scale,
-            *(_pointer(t) for t in (*drawn, *own, *self.carriage)),
+            *(_pointer(t) for t in (*drawn, learners.rows, *store, learners.rates)),
+            learners.turns.shape[1],
+            *(_pointer(t) for t in self.carriage),
             *vars(course.decays).values(),
             *(_pointer(t) for t in (self.refused, self.losses)),
         )

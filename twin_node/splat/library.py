@@ -14,7 +14,7 @@ import torch  # loads the OpenMP runtime that the library then shares
 from twin_node import native_build
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 5
+INTERFACE_VERSION = 6
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -66,8 +66,9 @@ class DescentRequest(ctypes.Structure):
         *((name, c_int32) for name in ("standing", "learned", "steps")),
         ("smallest_log_scale", c_float),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors")),
-        *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps_taken", "rates", "ceilings")),
-        *((name, c_void_p) for name in ("turns", "shifts", "products")),
+        *((name, c_void_p) for name in ("rows", "values", "moment1", "moment2", "steps_taken", "ceilings", "rates")),
+        ("carriages", c_int64),
+        *((name, c_void_p) for name in ("turns", "shifts", "products", "carriers")),
         *((name, c_float) for name in ("first_decay", "second_decay")),
         *((name, c_void_p) for name in ("refused", "losses")),
     )

@@ -14,7 +14,7 @@ constexpr int kRowsPerChunk = 128;
 struct Carriage {
   const float *turn, *shift, *product;  // [3, 3], [3], [4, 4]
   Carriage(const DescentRequest &d, int time, int row) {
-    const int64_t at = static_cast<int64_t>(time) * d.learned + row;
+    const int64_t at = time * d.carriages + d.carriers[row];
     turn = d.turns + 9 * at;
     shift = d.shifts + 3 * at;
     product = d.products + 16 * at;
@@ -24,7 +24,7 @@ struct Carriage {
 // Puts learned row `i` into the scene that is drawn, at every time.
 inline void place_row(const DescentRequest &d, int i) {
   const Request &r = d.scene;
-  const float *value = d.values + static_cast<int64_t>(kColumns) * i;
+  const float *value = d.values + kColumns * d.rows[i];
   const int64_t row = d.standing + i;
   for (int k = 0; k < 3; k++) {
     d.scales[3 * row + k] = std::exp(value[kLogScale + k]);
@@ -80,18 +80,20 @@ inline bool step_row(const DescentRequest &d, int i) {
   float gradient[kColumns], next[kColumns];
   gradient_of_row(d, i, gradient);
   if (std::all_of(gradient, gradient + kColumns, [](float v) { return v == 0.f; })) return true;
-  const int64_t at = static_cast<int64_t>(kColumns) * i;
+  const int64_t at = kColumns * d.rows[i];
+  const float *rates = d.rates + static_cast<int64_t>(kColumns) * i;
+  const float ceiling = d.ceilings[d.rows[i]];
   float *value = d.values + at, *first = d.moment1 + at, *second = d.moment2 + at;
-  const double taken = static_cast<double>(++d.steps_taken[i]);
+  const double taken = static_cast<double>(++d.steps_taken[d.rows[i]]);
   const float correct1 = correction(d.first_decay, taken), correct2 = correction(d.second_decay, taken);
   float sum = 0.f;
   for (int k = 0; k < kColumns; k++) {
     first[k] += (1.f - d.first_decay) * (gradient[k] - first[k]);
     second[k] = d.second_decay * second[k] + (1.f - d.second_decay) * gradient[k] * gradient[k];
-    next[k] = value[k] - d.rates[at + k] * (first[k] * correct1) / (std::sqrt(second[k] * correct2) + kAdamFloor);
+    next[k] = value[k] - rates[k] * (first[k] * correct1) / (std::sqrt(second[k] * correct2) + kAdamFloor);
   }
   for (int k = kLogScale; k < kLogScale + 3; k++) {
-    if (std::isfinite(next[k])) next[k] = std::max(std::min(next[k], d.ceilings[i]), d.smallest_log_scale);
+    if (std::isfinite(next[k])) next[k] = std::max(std::min(next[k], ceiling), d.smallest_log_scale);
   }
   for (int k = kRgb; k < kRgb + 3; k++) {
     if (std::isfinite(next[k])) next[k] = std::min(std::max(next[k], 0.f), 1.f);
@@ -103,7 +105,7 @@ inline bool step_row(const DescentRequest &d, int i) {
   }
   std::fill_n(first, kColumns, 0.f);
   std::fill_n(second, kColumns, 0.f);
-  d.steps_taken[i] = 0;
+  d.steps_taken[d.rows[i]] = 0;
   return false;
 }
 
@@ -136,8 +138,8 @@ inline void clear_gradients(const DescentRequest &d) {
 
 inline bool is_drawn(const Request &r, int64_t pixel) { return r.pixel_mask == nullptr || r.pixel_mask[pixel] != 0; }
 
-// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop. Pixels that are not drawn stay as they
-// were at first.
+// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop. Pixels that are not drawn stay as
+// they were at first.
 inline void compose(const DescentRequest &d, bool first) {
   const Request &r = d.scene;
   const int64_t pixels = static_cast<int64_t>(r.width) * r.height;
@@ -163,8 +165,8 @@ inline void alpha_gradient(const DescentRequest &d) {
   });
 }
 
-// Takes the steps; `refused` counts those of single rows that were not taken. A few steps move a Gaussian by less than a
-// pixel: those after the first draw with its order and tiles.
+// Takes the steps; `refused` counts those of single rows that were not taken. A few steps move a Gaussian by less than
+// a pixel: those after the first draw with its order and tiles.
 inline Status descend(Workspace &w, const DescentRequest &d) {
   *d.refused = 0;
   for (int step = 0; step < d.steps; step++) {

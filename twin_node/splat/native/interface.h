@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 5;
+constexpr int32_t kInterfaceVersion = 6;
 
 enum Status : int32_t {
   kOk = 0,
@@ -83,11 +83,14 @@ struct DescentRequest {
   int32_t standing, learned, steps;
   float smallest_log_scale;
   float *means, *quats, *scales, *opacities, *colors;  // those of the scene; the learned rows are written
-  float *values, *moment1, *moment2;                   // [learned, 14] mean, quat, log scale, logit, rgb
-  int64_t *steps_taken;                                // [learned]
+  const int64_t *rows;                                 // [learned] of the store that the next five are
+  float *values, *moment1, *moment2;                   // [store, 14] mean, quat, log scale, logit, rgb
+  int64_t *steps_taken;                                // [store]
+  const float *ceilings;                               // [store] largest log scale
   const float *rates;                                  // [learned, 14]
-  const float *ceilings;                               // [learned] largest log scale
-  const float *turns, *shifts, *products;              // [B, learned, 3, 3], [B, learned, 3], [B, learned, 4, 4]
+  int64_t carriages;                                   // K
+  const float *turns, *shifts, *products;              // [B, K, 3, 3], [B, K, 3], [B, K, 4, 4]
+  const int64_t *carriers;                             // [learned] which of the K carries each
   float first_decay, second_decay;                     // of Adam's moments
   int64_t *refused;                                    // [1]
   double *losses;                                      // [steps] before each of them
