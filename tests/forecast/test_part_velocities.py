@@ -1,15 +1,28 @@
-"""Velocities of parts from the images: small things that fly far between two of them."""
+"""Velocities of parts from the images: small things that fly far between two of them, newcomers, views at odds."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from forecast_worlds import GRID, RIG, ball_voxels, state_of
+from forecast_worlds import GRID, RIG, ball_voxels, camera, state_of
 
-from twin_node.forecast.parts import PartVelocities, split
+from twin_node.forecast.part_velocities import UNKNOWN_SPEED, Moving, PartVelocities
+from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.tables import RigTables
+from twin_node.scene import Float64, TwinState
 
 PERIOD_S = 1 / 30
+
+
+def parts_of_ball(center: Float64, radius: float) -> Parts:
+    voxels = ball_voxels(center, radius)
+    return split(GRID, voxels, np.ones(len(voxels), np.bool_))
+
+
+def unknown(parts: Parts) -> Moving:
+    return Moving(np.zeros((parts.count, 3)), np.full(parts.count, UNKNOWN_SPEED))
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0, 6.0])
@@ -17,11 +30,56 @@ def test_a_ball_is_as_fast_as_it_flies(speed: float) -> None:
     """At 6 m/s it flies 20 cm, nearly its width, between two images."""
     direction = np.array([0.6, 0.64, -0.48])
     velocities = PartVelocities(RigTables(GRID))
-    mean = np.zeros(3)
+    mean, sigma = np.zeros(3), UNKNOWN_SPEED
     for number in range(5):
         center = np.array([-0.2, -0.2, 0.55]) + number * PERIOD_S * speed * direction
         state = state_of(round(number * PERIOD_S * 1e9), center, radius=0.11, cameras=RIG)
-        voxels = ball_voxels(center, 0.11)
-        parts = split(GRID, voxels, np.ones(len(voxels), np.bool_))
-        mean = velocities.update(state, parts, np.tile(mean, (parts.count, 1))).mean(axis=0)
+        parts = parts_of_ball(center, 0.11)
+        expected = Moving(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma))
+        moving = velocities.update(state, parts, expected)
+        mean, sigma = moving.velocities.mean(axis=0), float(moving.sigmas.mean())
     assert np.linalg.norm(mean - speed * direction) < 0.35 * speed
+
+
+def test_two_images_with_depth_tell_how_fast_a_newcomer_comes_at_the_camera() -> None:
+    """Flow alone shows next to nothing of it: the ball only grows."""
+    lone = camera("lone", np.array([2.0, 0.0, 0.5]))
+    velocity = np.array([2.0, 0.0, 0.05])
+    followed = {}
+    for with_depth in (False, True):
+        velocities = PartVelocities(RigTables(GRID))
+        for number in range(2):
+            center = np.array([-0.1, 0.0, 0.5]) + number * PERIOD_S * velocity
+            state = state_of(round(number * PERIOD_S * 1e9), center, cameras=(lone,), with_depth=with_depth)
+            parts = parts_of_ball(center, 0.12)
+            followed[with_depth] = velocities.update(state, parts, unknown(parts))
+    assert abs(np.median(followed[True].velocities[:, 0]) - 2.0) < 0.5
+    assert followed[True].sigmas.min() < 0.6 * followed[False].sigmas.min()
+
+
+def test_a_view_at_odds_with_three_others_loses_its_say() -> None:
+    velocity = np.array([0.4, 0.9, 0.0])
+
+    def seen(number: int) -> TwinState:
+        stamp, start = round(number * PERIOD_S * 1e9), np.array([0.0, -0.1, 0.5])
+        true, false = (state_of(stamp, start + sign * number * PERIOD_S * velocity) for sign in (1, -2))
+        views = (false.frames.views[0], *true.frames.views[1:])
+        masks = (false.moving_masks[0], *true.moving_masks[1:])
+        return replace(true, frames=replace(true.frames, views=views), moving_masks=masks)
+
+    velocities = PartVelocities(RigTables(GRID))
+    for number in range(2):
+        parts = parts_of_ball(np.array([0.0, -0.1, 0.5]) + number * PERIOD_S * velocity, 0.12)
+        moving = velocities.update(seen(number), parts, unknown(parts))
+    assert np.linalg.norm(np.median(moving.velocities, axis=0) - velocity) < 0.25
+
+
+def test_what_the_image_before_does_not_show_tells_nothing() -> None:
+    """A ball that was not there has no velocity; its standard deviation says so."""
+    velocities = PartVelocities(RigTables(GRID))
+    center = np.array([0.0, 0.0, 0.5])
+    velocities.update(state_of(0, None), parts_of_ball(center, 0.0), unknown(parts_of_ball(center, 0.0)))
+    parts = parts_of_ball(center, 0.12)
+    moving = velocities.update(state_of(round(PERIOD_S * 1e9), center), parts, unknown(parts))
+    np.testing.assert_array_equal(moving.velocities, 0)
+    np.testing.assert_allclose(moving.sigmas, UNKNOWN_SPEED)

@@ -65,7 +65,7 @@ class BaselineForecaster:
         parts = evidence.parts
         times, which = np.unique(travelled_s, return_inverse=True)
         reach = np.full((len(times), parts.count), reach_of(self.grid, np.array([radius]))[0])
-        shifts = shifts_of(self.grid, evidence.velocities * times[:, None, None])
+        shifts = shifts_of(self.grid, evidence.motion.velocities * times[:, None, None])
         spreads = spread(self.grid, parts.points, shifts, reach)
         layers: list[OccupancyLayer] = []
         for horizon, row in zip(HORIZONS_NS, which, strict=True):

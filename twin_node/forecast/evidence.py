@@ -13,7 +13,8 @@ from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
-from twin_node.forecast.parts import Parts, PartVelocities, split
+from twin_node.forecast.part_velocities import UNKNOWN_SPEED, Moving, PartVelocities
+from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
@@ -29,8 +30,8 @@ class Evidence:
     """ns."""
     parts: Parts
     """The moving space: flat indices in the outer grid, coordinates in the inner one."""
-    velocities: Float64
-    """[M, 3] of the parts, m/s."""
+    motion: Moving
+    """Of the parts."""
     static: OccupancyLayer
     """What stands."""
     unknown_runs: UInt32
@@ -55,14 +56,15 @@ class Observer:
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
         self._last_centers = np.zeros((0, 3))
-        self._last_velocities = np.zeros((0, 3))
+        self._last = Moving(np.zeros((0, 3)), np.zeros(0))
+        self._last_stamp = 0
 
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
         carved = self._without_arm(state, self._carver.carve(state, self._speed()))
         parts = split(self.grid, carved.moving, carved.likely)
-        velocities = self._velocities.update(state, parts, self._expected(parts.centers))
-        self._last_centers, self._last_velocities = parts.centers, velocities
+        motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
+        self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         static = self._static.update(state, self._carver)
         stands, unknown, moving = np.zeros((3, self.grid.size), np.bool_)
         stands[static.indices] = True
@@ -74,7 +76,7 @@ class Observer:
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),
-            velocities=velocities,
+            motion=motion,
             static=OccupancyLayer(static.horizon_ns, standing, np.full(len(standing), 255, np.uint8)),
             unknown_runs=encode_runs(self.margin.cropped(unknown)),
             hidden=hidden.masked(self.margin.cropped),
@@ -90,17 +92,20 @@ class Observer:
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""
-        if len(self._last_velocities) == 0:
-            return 0.0
-        return float(np.percentile(np.linalg.norm(self._last_velocities, axis=1), 95))
+        speeds = np.linalg.norm(self._last.velocities, axis=1)
+        return float(np.percentile(speeds, 95)) if len(speeds) else 0.0
 
-    def _expected(self, centers: Float64) -> Float64:
-        """Velocities [M, 3] of the parts that were nearest before; zero where none was near."""
-        known = np.append(self._last_velocities, np.zeros((1, 3)), axis=0)
+    def _expected(self, stamp: int, centers: Float64) -> Moving:
+        """How the parts move that were nearest before, as far as that still holds; nothing is known of others."""
+        before = self._last.after((stamp - self._last_stamp) * 1e-9)
         if len(self._last_centers) == 0 or len(centers) == 0:
-            return np.zeros(centers.shape)
+            return Moving(np.zeros(centers.shape), np.full(len(centers), UNKNOWN_SPEED))
         nearest = cKDTree(self._last_centers).query(centers, distance_upper_bound=NEAR)[1]
-        return np.asarray(known[nearest], dtype=np.float64)
+        velocities, sigmas = (
+            np.append(before.velocities, np.zeros((1, 3)), axis=0),
+            np.append(before.sigmas, UNKNOWN_SPEED),
+        )
+        return Moving(velocities[nearest], sigmas[nearest])
 
 
 NEAR = 0.12

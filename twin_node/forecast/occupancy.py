@@ -116,7 +116,7 @@ class Forecaster:
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
-        succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.velocities)
+        succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))

@@ -1,0 +1,299 @@
+"""Velocities of parts of the moving space, from what all views show of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twin_node.forecast.image_motion import ImageMotion, Shifts, near
+from twin_node.forecast.parts import PART_SIZE, Parts
+from twin_node.forecast.tables import CameraTable, RigTables
+from twin_node.geometry import transform
+from twin_node.scene import Bool, Camera, Float32, Float64, TwinState
+
+
+class PartVelocities:
+    """Velocities of parts from the optical flow, and from the change of depth, in the views that see them."""
+
+    def __init__(self, tables: RigTables) -> None:
+        self._tables = tables
+        self._motions: dict[str, ImageMotion] = {}
+
+    def update(self, state: TwinState, parts: Parts, expected: Moving) -> Moving:
+        """How parts move; `expected` is how those do that were where they are, with `UNKNOWN_SPEED` for new ones.
+
+        Least squares over the views: the image velocity of a part is its velocity seen through the projection. A view
+        at odds with the others loses its say, and looks again from where they say that the thing has come.
+        """
+        looks = self._look(state, parts)
+        if parts.count == 0 or not looks:
+            return expected
+        found = [look.sighting(expected.velocities) for look in looks]
+        moving = _solve(found, expected)
+        lost = [look.has_lost(sighting, moving.velocities) for look, sighting in zip(looks, found, strict=True)]
+        if any(lost):
+            found = [
+                look.sighting(moving.velocities) if is_lost else sighting
+                for look, sighting, is_lost in zip(looks, found, lost, strict=True)
+            ]
+            moving = _solve(found, expected)
+        shown = np.zeros(parts.count, np.bool_)
+        for sighting in found:
+            shown |= sighting.shown
+        return _filled(parts.centers, moving, shown)
+
+    def _look(self, state: TwinState, parts: Parts) -> list[_Look]:
+        """Takes in the images; what each view that has an earlier one shows of some voxels of all parts."""
+        chosen = slice(None, None, _SAMPLING)
+        places, labels = self._tables.blocks.locate(parts.indices[chosen]), parts.labels[chosen]
+        looks = []
+        for view, mask, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
+            motion = self._motions.setdefault(view.camera.name, ImageMotion())
+            motion.see(view, mask)
+            if motion.elapsed_s is not None and parts.count:
+                clear = mask if robot is None else mask & ~near(robot, _OCCLUSION_PIXELS)
+                visible = _visible(clear, self._tables.of(view.camera), places, labels)
+                jacobian = _jacobian(view.camera, parts.centers)
+                looks.append(_Look(motion, motion.elapsed_s, view.camera, visible, jacobian))
+        return looks
+
+
+@dataclass(frozen=True)
+class Moving:
+    """How M parts move."""
+
+    velocities: Float64
+    """[M, 3] m/s."""
+    sigmas: Float64
+    """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
+
+    def after(self, elapsed_s: float) -> Moving:
+        """What is known of it some time later."""
+        sigmas = np.hypot(self.sigmas, _ACCELERATION * elapsed_s)
+        return Moving(self.velocities, np.minimum(sigmas, UNKNOWN_SPEED))
+
+
+@dataclass(frozen=True)
+class _Visible:
+    """Voxels of parts that a view shows to move."""
+
+    pixels: NDArray[np.int64]
+    """[n] flat."""
+    labels: NDArray[np.int64]
+    """[n] part of each."""
+
+
+@dataclass(frozen=True)
+class _Sighting:
+    """What one view says of the motion of M parts since its last image."""
+
+    elapsed_s: float
+    jacobian: Float64
+    """[M, 2, 3] pixels per metre."""
+    shifts: Float64
+    """[M, 2] pixels."""
+    variances: Float64
+    """[M] pixels^2; infinite for parts that it does not show, or did not show before."""
+    shown: Bool
+    """[M]."""
+    axis: Float64
+    """[3] the optical axis in the base frame."""
+    receded: Float64
+    """[M] m by which they went away from the camera."""
+    depths: Float64
+    """[M] m; infinite for parts whose depth was not measured both times."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One view's newest pair of images, and where it shows parts in the newer one."""
+
+    motion: ImageMotion
+    elapsed_s: float
+    camera: Camera
+    visible: _Visible
+    jacobian: Float64
+    """[M, 2, 3] pixels per metre."""
+
+    def sighting(self, expected: Float64) -> _Sighting:
+        """What the view says, if it begins its search from velocities [M, 3] (m/s)."""
+        shifts = self.motion.shifts(self._guess(expected))
+        count, pixels, labels = len(self.jacobian), self.visible.pixels, self.visible.labels
+        found = shifts.found.ravel()[pixels]
+        moved = shifts.pixels.reshape(-1, 2)[pixels]
+        weight = found * (np.linalg.norm(moved, axis=1) + _FLOW_NOISE) ** 2
+        receded, depths = _recession(shifts, self.visible, count)
+        shown = np.bincount(labels, minlength=count) > 0
+        known = np.bincount(labels, found, minlength=count) > _KNOWN * np.bincount(labels, minlength=count)
+        return _Sighting(
+            self.elapsed_s,
+            self.jacobian,
+            np.stack([_mean(labels, moved[:, axis], weight, count) for axis in range(2)], axis=1),
+            np.where(known, self._variances(shifts), np.inf),
+            shown,
+            self.camera.viewmat[2, :3],
+            receded,
+            depths,
+        )
+
+    def has_lost(self, sighting: _Sighting, velocities: Float64) -> bool:
+        """Whether some part went further, at velocities [M, 3], than flow finds it, and another way than it says."""
+        gone = np.einsum("mki,mi->mk", self.jacobian, velocities) * self.elapsed_s
+        far = np.linalg.norm(gone, axis=1)
+        off = np.linalg.norm(gone - sighting.shifts, axis=1)
+        astray = np.isinf(sighting.variances) | (off > _ASTRAY * far)
+        return bool(((far > _FOUND) & astray & sighting.shown).any())
+
+    def _variances(self, shifts: Shifts) -> Float64:
+        """[M] pixels^2: what is near moves far between two images, and flow does not find it again."""
+        count, labels = len(self.jacobian), self.visible.labels
+        reach = np.linalg.norm(self.jacobian, axis=(1, 2)) / np.sqrt(2) * _FAST * self.elapsed_s
+        flow = _FLOW_SIGMA * (1 + (reach / _LOST) ** 3)
+        flying = _mean(labels, shifts.flying.ravel()[self.visible.pixels], np.ones(len(labels)), count) > 0.5
+        variances: Float64 = np.where(flying, _FLIGHT_SIGMA, flow) ** 2
+        return variances
+
+    def _guess(self, expected: Float64) -> Float32 | None:
+        """[H, W, 2] pixels that what moves has gone at velocities [M, 3]; None if that is little."""
+        gone = np.einsum("mki,mi->mk", self.jacobian, expected) * self.elapsed_s
+        mine = gone[self.visible.labels]
+        if len(mine) == 0 or np.abs(mine).max() < _FOUND / 2:
+            return None
+        sums = np.zeros((self.camera.height * self.camera.width, 3), np.float32)
+        sums[self.visible.pixels, :2], sums[self.visible.pixels, 2] = mine, 1
+        around = cv2.blur(sums.reshape(self.camera.height, self.camera.width, 3), (_PATCH, _PATCH))
+        overall = mine.mean(axis=0)
+        known = around[..., 2:] > 0
+        return np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), overall).astype(np.float32)
+
+
+def _solve(sightings: Sequence[_Sighting], expected: Moving) -> Moving:
+    """What the sightings and what is expected agree on best (Cauchy's loss by reweighting)."""
+    prior = expected.velocities
+    designs = [sighting.jacobian * sighting.elapsed_s for sighting in sightings]
+    trusts = [1 / one.variances for one in sightings]
+    depth_trusts = [one.elapsed_s**2 / _recession_variance(one) for one in sightings]
+    velocities = prior
+    for turn in range(_TURNS):
+        own = 1 / (expected.sigmas**2 + ((velocities - prior) ** 2).sum(axis=1))
+        normal, right = own[:, None, None] * np.eye(3), own[:, None] * prior
+        for one, design, trust, depth_trust in zip(sightings, designs, trusts, depth_trusts, strict=True):
+            misfit = np.einsum("mki,mi->mk", design, velocities) - one.shifts
+            doubted = trust / (1 + trust * (misfit**2).sum(axis=1)) if turn else trust
+            scaled = design * doubted[:, None, None]
+            normal += np.einsum("mki,mkj->mij", scaled, design)
+            right += np.einsum("mki,mk->mi", scaled, one.shifts)
+            away = velocities @ one.axis - one.receded / one.elapsed_s
+            doubted = depth_trust / (1 + depth_trust * away**2) if turn else depth_trust
+            normal += doubted[:, None, None] * np.outer(one.axis, one.axis)
+            right += (doubted * one.receded / one.elapsed_s)[:, None] * one.axis
+        inverse = np.linalg.inv(normal)
+        velocities = (inverse @ right[..., None])[..., 0]
+    return Moving(velocities, np.sqrt(np.einsum("mii->m", inverse) / 3))
+
+
+def _recession_variance(sighting: _Sighting) -> Float64:
+    """[M] m^2."""
+    sigma: Float64 = _DEPTH_SIGMA + _DEPTH_SHARE * sighting.depths
+    return sigma**2
+
+
+def _recession(shifts: Shifts, visible: _Visible, count: int) -> tuple[Float64, Float64]:
+    """By how much `count` parts went away from the camera, and their depth, m; infinite where that is not known."""
+    unknown = np.zeros(count), np.full(count, np.inf)
+    if shifts.receded is None or shifts.depth is None:
+        return unknown
+    receded, depth = shifts.receded.ravel()[visible.pixels], shifts.depth.ravel()[visible.pixels]
+    # what went further is another surface, in front or behind
+    sound = np.abs(receded) < _FASTEST * shifts.elapsed_s
+    labels = visible.labels[sound]
+    shown = np.bincount(labels, minlength=count) >= _FEWEST
+    mean = _mean(labels, receded[sound], np.ones(len(labels)), count)
+    depths = np.where(shown, _mean(labels, depth[sound], np.ones(len(labels)), count), np.inf)
+    return np.where(shown, mean, 0.0), depths
+
+
+def _mean(
+    labels: NDArray[np.int64], values: NDArray[np.floating[Any] | np.bool_], weights: Float64, count: int
+) -> Float64:
+    """[count] weighted means of values [n] by labels [n]; 0 for none."""
+    total = np.bincount(labels, weights, count)
+    mean: Float64 = np.bincount(labels, weights * values, count) / np.maximum(total, 1e-9)
+    return mean
+
+
+def _visible(mask: Bool, table: CameraTable, places: NDArray[np.int64], labels: NDArray[np.int64]) -> _Visible:
+    """Those of the voxels at `places` [n] that are nearest to the camera, where the mask shows something moving."""
+    seen = table.at(places)
+    inside = seen.pixels < table.outside
+    pixels = np.where(inside, seen.pixels, 0)
+    width, height = table.camera.width, table.camera.height
+    rows, columns = pixels // width // 2, pixels % width // 2
+    nearest = np.full((height // 2 + 1, width // 2 + 1), np.inf, np.float32)
+    np.minimum.at(nearest, (rows, columns), np.where(inside, seen.depth, np.inf).astype(np.float32))
+    visible = inside & (seen.depth < nearest[rows, columns] + PART_SIZE) & mask.ravel()[pixels]
+    return _Visible(pixels[visible].astype(np.int64), labels[visible])
+
+
+def _jacobian(camera: Camera, points: Float64) -> Float64:
+    """Derivative [M, 2, 3] of the pixel by the base-frame point."""
+    x, y, z = transform(camera.viewmat, points).T
+    z = np.maximum(z, 0.05)
+    rows = np.zeros((len(points), 2, 3))
+    rows[:, 0, 0], rows[:, 0, 2] = camera.K[0, 0] / z, -camera.K[0, 0] * x / z**2
+    rows[:, 1, 1], rows[:, 1, 2] = camera.K[1, 1] / z, -camera.K[1, 1] * y / z**2
+    return rows @ camera.viewmat[:3, :3]
+
+
+def _filled(centers: Float64, moving: Moving, measured: Bool) -> Moving:
+    """Parts that no view shows move as the nearest one that some view shows."""
+    hidden = np.flatnonzero(~measured)
+    if len(hidden) == 0 or not measured.any():
+        return moving
+    shown = np.flatnonzero(measured)
+    distances, rows = cKDTree(centers[shown]).query(centers[hidden], distance_upper_bound=_BODY_M)
+    attached = np.isfinite(distances)
+    source = np.arange(len(centers))
+    source[hidden[attached]] = shown[rows[attached]]
+    return Moving(moving.velocities[source], moving.sigmas[source])
+
+
+_BODY_M = 0.3
+"""What no view shows belongs to what is seen within this distance, m: a torso from front to back."""
+_OCCLUSION_PIXELS = 4
+"""Beside the arm the flow is that of its outline over what it hides: half a patch of the coarsest level's."""
+_SAMPLING = 3
+"""One voxel in so many is looked up in the images: a part has about 64."""
+_PATCH = 9
+"""Side in pixels of the window in which a guess stands for what lies between voxels."""
+_FLOW_NOISE = 0.1
+"""Noise of optical flow, pixels: weights favour the pixels that move, for the hull holds still ones too."""
+_FLOW_SIGMA = 0.3
+"""Error of the flow of a part, pixels (measured on the simulated cell: 0.2 to 0.4)."""
+_FLIGHT_SIGMA = 0.7
+"""Error of the way of a small thing that is found as a whole, pixels: masks are no sharper."""
+_FAST, _LOST = 2.0, 12.0
+"""Flow is as good as noise where what moves at the first, m/s, has gone much more than the second, pixels."""
+_FOUND, _ASTRAY = 5.0, 0.35
+"""Flow finds what has gone less than the first, pixels; what has gone further it has not found if it is off by more
+than the second, as a share of the way."""
+UNKNOWN_SPEED = 3.0
+"""Standard deviation of the velocity of what nothing is known of, m/s."""
+_ACCELERATION = 5.0
+"""By which velocities change, m/s^2."""
+_DEPTH_SIGMA, _DEPTH_SHARE = 0.02, 0.02
+"""Error of the change of a part's depth, m and as a share of the depth."""
+_FASTEST = 8.0
+"""Along the optical axis what goes faster is taken for another surface, m/s."""
+_KNOWN = 0.3
+"""Share of a part's pixels that must be found in the image before."""
+_FEWEST = 2
+"""Voxels that must have been measured to know a part's depth."""
+_TURNS = 4
+"""Rounds of reweighting."""
