@@ -12,6 +12,7 @@ from model_scenes import block, frames, joined, rig, table
 from twin_node.model.alignment import solve_twists
 from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import find_births
+from twin_node.model.cells import Cells
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import SKIRT_PX, held_pixels
@@ -131,8 +132,12 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     renderings = look_at(joined(table(), before))
     flows = FlowSolver().flows(renderings, observed)
     origins = torch.tensor([0.1, 0.0, 0.05], dtype=torch.float64).expand(3, 1, 3)
-    carriers = torch.zeros(before.means.shape[1], dtype=torch.int64)
-    twists = solve_twists(observed, renderings, flows, moving, carriers, origins, 0.05, 0.5)
+    own = torch.arange(before.means.shape[1])
+    left = before.means[0, :, 0].numpy() < 0.1
+    cells = Cells(
+        np.array([1, 2]), np.zeros(2, np.int64), np.zeros(2, np.int64), left.astype(np.int64), np.zeros((2, 3))
+    )
+    twists = solve_twists(observed, renderings, flows, moving, own, cells, origins, 0.05, 0.5)
     assert twists.linear[0].numpy() == pytest.approx(shift, abs=0.008)
     assert twists.angular[0].norm() < 0.12
     assert 0 < twists.sigmas[0] < 0.01

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from twin_node.model.births import Births
@@ -12,49 +15,96 @@ from twin_node.model.gaussians import Newborns
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate
-from twin_node.scene import Float64, Tier
+from twin_node.scene import Float32, Float64, Tier
 
 NEWBORN_OPACITY = 0.8
+KIN_COLOUR = 0.15
+"""Difference of colour (0 to 1, over the channels) that one kind may have at the same place: light and shade.
+Another colour begins another node; whether both are one body is for their motion to tell."""
+TOUCHING = 0.5
+"""Share of the distance to its kind within which a point belongs to what is there, whatever its colour: texture."""
 
 
-def adopt(births: Births, nodes: Nodes, parameters: BirthParameters) -> NDArray[np.int64]:
-    """[n] row of the node that carries each birth, -1 for what lies on the background or founds no node of its own."""
-    carriers = np.full(len(births), -1, np.int64)
+@dataclass(frozen=True)
+class Members:
+    """Gaussians that learned nodes carry: what is near one, and looks like it, is of the same kind."""
+
+    means: Float64
+    """[m, 3] m in `base_link`."""
+    rgb: Float32
+    """[m, 3] 0 to 1."""
+    nodes: NDArray[np.int64]
+    """[m] row of the node that carries each."""
+    founders: NDArray[np.int64]
+    """[m] id of the node that carried its kind first."""
+
+
+@dataclass(frozen=True)
+class Adopted:
+    """Who carries n points."""
+
+    nodes: NDArray[np.int64]
+    """[n] row of the node, -1 for none."""
+    founders: NDArray[np.int64]
+    """[n] id of the node that carried its kind first, -1 for none."""
+
+
+def adopt(births: Births, members: Members, nodes: Nodes, parameters: BirthParameters) -> Adopted:
+    """Who carries each birth: nobody what lies on the background or founds no node of its own."""
+    carriers = Adopted(np.full(len(births), -1, np.int64), np.full(len(births), -1, np.int64))
     off = ~births.on_background
-    carriers[off] = adopt_points(births.means[off], nodes, parameters)
+    found = adopt_points(births.means[off], births.rgb[off], members, nodes, parameters)
+    carriers.nodes[off], carriers.founders[off] = found.nodes, found.founders
     return carriers
 
 
-def adopt_points(points: Float64, nodes: Nodes, parameters: BirthParameters) -> NDArray[np.int64]:
-    """[n] row of the node that carries each of `points` [n, 3]; new nodes are founded where enough are together."""
-    carriers = np.full(len(points), -1, np.int64)
-    alive = nodes.rows
-    if len(alive) and len(points):
-        apart = np.linalg.norm(points[:, None] - nodes.positions[alive].numpy(), axis=-1)
-        near = apart.min(1) < parameters.node_radius_m
-        carriers[near] = alive.numpy()[apart.argmin(1)[near]]
-    homeless = np.nonzero(carriers < 0)[0]
+def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, parameters: BirthParameters) -> Adopted:
+    """Who carries each of `points` [n, 3] of colours `rgb` [n, 3]; nodes are founded where enough are together."""
+    carriers = Adopted(np.full(len(points), -1, np.int64), np.full(len(points), -1, np.int64))
+    if len(members.nodes) and len(points):
+        for place, own in (
+            (_looks(points, rgb, parameters.kin_m), _looks(members.means, members.rgb, parameters.kin_m)),
+            (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
+        ):
+            apart, nearest = cKDTree(own).query(place, distance_upper_bound=1.0)
+            near = np.isfinite(apart) & (carriers.nodes < 0)
+            carriers.nodes[near] = members.nodes[nearest[near]]
+            carriers.founders[near] = members.founders[nearest[near]]
+    for looks in (_looks(points, rgb, parameters.node_radius_m), points / parameters.node_radius_m):
+        _found_together(points, looks, carriers, members, nodes, parameters)
+    return carriers
+
+
+def _found_together(
+    points: Float64, looks: Float64, carriers: Adopted, members: Members, nodes: Nodes, parameters: BirthParameters
+) -> None:
+    """Founds nodes for those of `points` [n, 3] that nobody carries, where enough `looks` [n, d] are within 1."""
+    homeless = np.nonzero(carriers.nodes < 0)[0]
     while len(homeless) and nodes.free:
-        apart = np.linalg.norm(points[homeless] - points[homeless[0]], axis=-1)
-        group = homeless[apart < parameters.node_radius_m]
+        close = np.linalg.norm(looks[homeless] - looks[homeless[0]], axis=-1) < 1.0
+        group = homeless[close]
         if len(group) >= parameters.node_members:
-            carriers[group] = _found(torch.from_numpy(points[group].mean(0)), nodes, parameters.node_radius_m)
-        homeless = homeless[apart >= parameters.node_radius_m]
-    return carriers
+            row = _found(torch.from_numpy(points[group].mean(0)), members, nodes, parameters.node_radius_m)
+            carriers.nodes[group], carriers.founders[group] = row, int(nodes.ids[row])
+        homeless = homeless[~close]
 
 
-def _found(centre: Tensor, nodes: Nodes, radius_m: float) -> int:
-    """A new node, moving as its neighbours within twice `radius_m` do."""
-    alive = nodes.rows
-    apart = (nodes.positions[alive] - centre).norm(dim=-1)
-    neighbours = alive[apart < 2 * radius_m]
+def _looks(points: Float64, rgb: Float32, reach_m: float) -> Float64:
+    """[n, 6] place and colour, in units of how far both may lie from what is of the same kind."""
+    return np.concatenate([points / reach_m, rgb / KIN_COLOUR], axis=1)
+
+
+def _found(centre: Tensor, members: Members, nodes: Nodes, radius_m: float) -> int:
+    """A new node, moving as those with Gaussians within twice `radius_m` do."""
+    apart = np.linalg.norm(members.means - centre.numpy(), axis=-1)
+    neighbours = torch.from_numpy(np.unique(members.nodes[apart < 2 * radius_m]))
     velocity = nodes.velocities[neighbours].mean(0) if len(neighbours) else torch.zeros(3, dtype=torch.float64)
     return nodes.give_birth(centre, velocity)
 
 
-def as_newborns(births: Births, carriers: NDArray[np.int64], poses: Poses, device: torch.device) -> list[Newborns]:
+def as_newborns(births: Births, adopted: Adopted, poses: Poses, device: torch.device) -> list[Newborns]:
     """Births in the frames of their nodes, whose `poses` are those at each view's time, one batch per tier."""
-    node = torch.from_numpy(carriers)
+    node, founders = torch.from_numpy(adopted.nodes), torch.from_numpy(adopted.founders)
     view = torch.from_numpy(births.views)
     row = node.clamp_min(0)
     means = torch.from_numpy(births.means)
@@ -78,6 +128,7 @@ def as_newborns(births: Births, carriers: NDArray[np.int64], poses: Poses, devic
             tier,
             node[chosen].to(device),
             homeless,
+            founders[chosen].to(device),
         )
         for tier, chosen, homeless in kinds
         if bool(chosen.any())

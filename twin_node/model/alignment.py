@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from twin_node.model.cells import Cells
 from twin_node.model.evidence import Fits
 from twin_node.model.normal_equations import SHARED_BY, NormalEquations
 from twin_node.model.observation import Observed
@@ -41,6 +42,8 @@ class Twists:
     """[M] 1 sigma of the position after the correction, m."""
     fits: Fits
     """How well rigid motion explains the flow, and how well a strain on top of it."""
+    said: NormalEquations
+    """What the flow under each cell says about the motion of its node."""
 
 
 def solve_twists(
@@ -48,31 +51,33 @@ def solve_twists(
     renderings: Sequence[Rendering],
     flows: Sequence[Float32],
     moving: Splats,
-    nodes: Tensor,
+    carried: Tensor,
+    cells: Cells,
     origins: Tensor,
     dt_s: float,
     sigma_px: float,
 ) -> Twists:
     """The twist of each node that explains the flow under its Gaussians best, held to the prediction.
 
-    `moving` holds m Gaussians at each view's time, `nodes` [m] the rows that carry them, `origins` [C, M, 3] the nodes'
-    positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
+    `moving` holds Gaussians at each view's time, `carried` [m] tells which of them nodes carry, `cells` where in these,
+    `origins` [C, M, 3] the nodes' positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
     """
-    normal = NormalEquations(origins.shape[1])
-    carried = torch.nonzero(nodes >= 0)[:, 0]
+    said = NormalEquations(len(cells))
     stride = max(len(carried) // MOST_OBSERVATIONS, 1)
     carried = carried[::stride]
-    carriers = nodes[carried].numpy()
+    within = cells.of[::stride]
+    carriers = cells.nodes[within]
     means = moving.means.detach().cpu()[:, carried].double().numpy()
     opacities = moving.opacities.detach().cpu()[carried].double().numpy()
     for index, one in enumerate(observed):
         arms = means[index] - origins[index].double().numpy()[carriers]
-        carried_here = Carried(means[index], arms, opacities, carriers)
-        normal.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * sigma_px**2))
+        carried_here = Carried(means[index], arms, opacities, within)
+        said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * sigma_px**2))
+    normal = said.summed(cells.nodes, origins.shape[1])
     step = max(dt_s, 1e-3) ** 2 / 2
     motion = np.array([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
     rigid = normal.solve(6, motion)
     strained = normal.solve(12, np.concatenate([motion, np.full(6, STRAIN)]))
     sigmas = rigid.covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
     fits = Fits(rigid.cost, strained.cost, torch.from_numpy(normal.count))
-    return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits)
+    return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits, said)

@@ -46,6 +46,8 @@ class Newborns:
     """[n] int64 row of the node that carries it, -1 for none."""
     homeless: bool = False
     """Whether they stand in free space without a node: the next set may find them one."""
+    founders: Tensor | None = None
+    """[n] int64 id of the node that carried their kind first, -1 for none; None: none."""
 
     def packed(self) -> Tensor:
         """[n, 14] as the columns of `Gaussians.values`."""
@@ -90,6 +92,8 @@ class Gaussians:
         self.tiers = torch.zeros(capacity, dtype=torch.uint8, device=device)
         self.ids = torch.zeros(capacity, dtype=torch.int64, device=device)
         self.nodes = torch.full((capacity,), -1, dtype=torch.int64, device=device)
+        self.founders = torch.full((capacity,), -1, dtype=torch.int64, device=device)
+        """Id of the node that carried its kind first: who it belongs with as long as motion does not tell."""
         self.births = torch.zeros(capacity, dtype=torch.int64, device=device)
         self.largest = torch.zeros(capacity, device=device)
         self.doubts = torch.zeros(capacity, dtype=torch.int64, device=device)
@@ -147,6 +151,7 @@ class Gaussians:
         self.alive[free] = True
         self.tiers[free] = int(born.tier)
         self.nodes[free] = born.nodes[:n]
+        self.founders[free] = -1 if born.founders is None else born.founders[:n]
         self.ids[free] = torch.arange(self._next_id, self._next_id + n, device=free.device)
         self.births[free] = stamp
         self.largest[free] = born.scales[:n].amax(-1).log() + LARGEST
@@ -156,8 +161,11 @@ class Gaussians:
         self.forget_moments(free)
         return free
 
-    def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
-        """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take."""
+    def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes, founders: Tensor | None = None) -> None:
+        """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take.
+
+        `founders` [n]: see `Gaussians.founders`; None: the carriers themselves.
+        """
         device = self.values.device
         self.touch(rows)
         turn = conjugate(nodes.quats[carriers])
@@ -166,10 +174,19 @@ class Gaussians:
         self.values[rows, MEAN] = means.float().to(device)
         self.values[rows, QUAT] = quats.float().to(device)
         self.tiers[rows] = nodes.tiers[carriers].to(device)
+        self.founders[rows] = (nodes.ids[carriers] if founders is None else founders).to(device)
         self.nodes[rows] = carriers.to(device)
         self.doubts[rows] = 0
         self.homeless[rows] = False
         self.forget_moments(rows)
+
+    def transfer(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
+        """Gaussians `rows` [n], which nodes carry, are from now on carried by `carriers` [n]; none moves for it."""
+        device, old = self.values.device, self.nodes[rows].cpu()
+        means = rotate(nodes.quats[old], self.values[rows, MEAN].cpu().double()) + nodes.positions[old]
+        quats = quat_product(nodes.quats[old], self.values[rows, QUAT].cpu().double())
+        self.values[rows, MEAN], self.values[rows, QUAT] = means.float().to(device), quats.float().to(device)
+        self.board(rows, carriers, nodes, self.founders[rows])
 
     def recolour(self, rows: Tensor, change: Tensor) -> None:
         """Adds `change` [n, 3] to the colours of STATIC `rows` [n]; they stay in 0 to 1."""

@@ -103,8 +103,8 @@ class Nodes:
         gain = VELOCITY_GAIN / max(dt_s, 1e-3)
         self.positions[rows] = predicted.positions[0, rows] + POSITION_GAIN * shift
         self.quats[rows] = quat_product(quat_from_vector(POSITION_GAIN * turn), predicted.quats[0, rows])
-        self.velocities[rows] = _limit(self.velocities[rows] + gain * shift, MAX_SPEED)
-        self.angular_velocities[rows] = _limit(self.angular_velocities[rows] + gain * turn, MAX_TURN)
+        self.velocities[rows] = limited(self.velocities[rows] + gain * shift, MAX_SPEED)
+        self.angular_velocities[rows] = limited(self.angular_velocities[rows] + gain * turn, MAX_TURN)
 
     def drive(self, rows: Tensor, positions: Tensor, quats: Tensor, dt_s: float) -> None:
         """Sets poses that are known (arm links) and derives their velocities from the step of `dt_s`."""
@@ -122,6 +122,12 @@ class Nodes:
         self._history_ids[self._slot] = self.ids
         self._history_positions[self._slot] = self.positions
         self._history_quats[self._slot] = self.quats
+
+    @property
+    def moved(self) -> Tensor:
+        """[M, 6] m and rad (in `base_link`) from the poses remembered last to the present ones."""
+        turn = vector_from_quat(quat_product(self.quats, conjugate(self._history_quats[self._slot])))
+        return torch.cat([self.positions - self._history_positions[self._slot], turn], 1)
 
     def poses_at(self, stamp: int) -> Poses:
         """Poses of one time, `stamp` (ns): interpolated inside the window, at constant velocity after its newest end.
@@ -156,6 +162,7 @@ def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:
     return rotate(conjugate(quat), means - position)
 
 
-def _limit(vectors: Tensor, longest: float) -> Tensor:
+def limited(vectors: Tensor, longest: float) -> Tensor:
+    """Vectors [..., 3], those longer than `longest` cut to it."""
     length: Tensor = vectors.norm(dim=-1, keepdim=True)
     return vectors * (longest / length.clamp_min(1e-9)).clamp_max(1.0)

@@ -103,6 +103,13 @@ class NormalEquations:
         self.sums.squares[:] += np.bincount(linear.nodes, weights=squares, minlength=size)
         self.sums.weights[:] += np.bincount(linear.nodes, weights=linear.weight, minlength=size)
 
+    def summed(self, owners: NDArray[np.int64], count: int) -> NormalEquations:
+        """Those of `count` nodes that the bodies of these belong to: `owners` [M]."""
+        total = NormalEquations(count)
+        for name, values in vars(total.sums).items():
+            np.add.at(values, owners, vars(self.sums)[name])
+        return total
+
     def solve(self, size: int, sigmas: NDArray[np.float64]) -> Solved:
         """The most likely motion in the first `size` parameters, whose own 1 sigma are `sigmas` [size]."""
         covariance = np.linalg.inv(self.sums.H[:, :size, :size] + np.diag(1 / sigmas**2))

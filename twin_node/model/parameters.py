@@ -39,8 +39,8 @@ class TrackParameters:
     """False: what stands still takes the gradient steps too, on whole images, as methods do that select nothing."""
     bends: bool = True
     """False: nodes stay RIGID, whatever the evidence; the deformation field is never used."""
-    velocity_damping: float = 0.9
-    """Share of a node's velocity that the prediction of the next set keeps (damped constant velocity)."""
+    velocity_damping: float = 1.0
+    """Share of a node's velocity that the prediction of the next set keeps."""
     flow_sigma_px: float = 0.5
     """1 sigma of the optical flow on textured pixels: what the node's own sigma is derived from."""
     residual: float = 25 / 255
@@ -58,8 +58,10 @@ class BirthParameters:
     """Share of the capacity that Gaussians which are not STATIC may take."""
     ray_samples: int = 24
     """Depths tried along the ray of a pixel that nothing explains."""
+    kin_m: float = 0.06
+    """A Gaussian joins the node of the nearest one of its colour, if that is nearer than this; else a node is born."""
     node_radius_m: float = 0.12
-    """A Gaussian joins a node whose centre is nearer than this; else a new node is born."""
+    """Radius within which Gaussians of one colour found a node together."""
     node_members: int = 8
     """Gaussians that a new node needs."""
     transient_s: float = 0.5

@@ -9,20 +9,23 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from twin_node.model.adoption import adopt, adopt_points, as_newborns
+from twin_node.model.adoption import Members, adopt, adopt_points, as_newborns
 from twin_node.model.alignment import Twists, solve_twists
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import find_births
+from twin_node.model.bodies import Bodies
+from twin_node.model.cells import cells_of
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving, held_pixels
 from twin_node.model.flow import FlowSolver
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.mapping import Mapper
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
+from twin_node.model.regrouping import Decision
 from twin_node.model.relearning import revise
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
@@ -43,6 +46,8 @@ class Tracked:
     """Gaussians."""
     braked: float | None
     """Share of the learning rate that is left after steps that diverged and were undone; None: they did not."""
+    decisions: Sequence[Decision]
+    """Nodes that have merged or split, and why."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,8 @@ class Tracker:
         self._links = links
         most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
         self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
+        self._bodies = Bodies(gaussians, motion.nodes)
+        self._decisions: Sequence[Decision] = ()
         self._turn = 0
         self._pace = 1.0
         self._due: Sequence[Observed] | None = None
@@ -107,7 +114,7 @@ class Tracker:
         on_stage("bear")
         self._nodes.remember()
         self._due = observed
-        return Tracked(born, self._pace if fitted.diverged else None)
+        return Tracked(born, self._pace if fitted.diverged else None, self._decisions)
 
     def refine(self, proceed: Proceed = unhurried) -> bool:
         """The mapper's share of the last set, where it has not been taken yet; whether all of it was."""
@@ -123,25 +130,31 @@ class Tracker:
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
+        self._decisions = ()
         poses = self._poses(observed)
         splats = self._place(self._gaussians.moving_rows, observed, poses)
         before = self._before(observed, splats)
         around = torch.cat([before, self._gaussians.robot_rows])
         renderings = self._look(observed, splats, self._place(around, observed, poses))
-        for step in range(self._parameters.track.alignments):
-            nodes = self._gaussians.nodes[self._gaussians.moving_rows].cpu()
-            if not bool((nodes >= 0).any()):
-                break
+        rows = self._gaussians.moving_rows
+        carried = torch.nonzero(self._gaussians.nodes[rows] >= 0)[:, 0]
+        for step in range(self._parameters.track.alignments if len(carried) else 0):
             if step:
                 poses = self._poses(observed)
                 splats = self._place(self._gaussians.moving_rows, observed, poses)
                 renderings = self._look(observed, splats, self._place(around, observed, poses))
             flows = self._flow.flows(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
-            twists = solve_twists(observed, renderings, flows, splats, nodes, poses.positions, dt_s, sigma_px)
+            if step == 0:
+                cells = cells_of(self._gaussians, rows[carried], splats.means[0, carried], self._nodes)
+            own = carried.cpu()
+            twists = solve_twists(observed, renderings, flows, splats, own, cells, poses.positions, dt_s, sigma_px)
+            if step == 0:
+                self._bodies.hear(rows[carried], cells, twists.said, dt_s)
+                self._weigh(twists.fits)
             self._steer(twists, dt_s)
             if step == 0:
-                self._weigh(twists.fits)
+                self._decisions = self._bodies.regroup(rows[carried], cells, dt_s)
         return _Aligned(renderings, before)
 
     def _steer(self, twists: Twists, dt_s: float) -> None:
@@ -186,10 +199,24 @@ class Tracker:
 
     def _house(self, rows: Tensor) -> None:
         """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
-        points = self._gaussians.means[rows].cpu().double().numpy()
-        carriers = torch.from_numpy(adopt_points(points, self._nodes, self._parameters.birth))
-        housed = carriers >= 0
-        self._gaussians.board(rows[housed.to(rows.device)], carriers[housed], self._nodes)
+        if not len(rows):
+            return
+        g = self._gaussians
+        points, rgb = g.means[rows].cpu().double().numpy(), g.values[rows, RGB].cpu().numpy()
+        adopted = adopt_points(points, rgb, self._members(), self._nodes, self._parameters.birth)
+        housed = torch.from_numpy(adopted.nodes >= 0)
+        carriers, founders = torch.from_numpy(adopted.nodes)[housed], torch.from_numpy(adopted.founders)[housed]
+        g.board(rows[housed.to(rows.device)], carriers, self._nodes, founders)
+
+    def _members(self) -> Members:
+        """The Gaussians that learned nodes carry, where these are now."""
+        g, nodes = self._gaussians, self._nodes
+        rows = g.moving_rows
+        rows = rows[g.nodes[rows] >= 0]
+        with torch.no_grad():
+            here = self._motion.place(g, rows, Poses(nodes.positions[None], nodes.quats[None]), [nodes.stamp])
+        carriers, founders = g.nodes[rows].cpu().numpy(), g.founders[rows].cpu().numpy()
+        return Members(here.means[0].cpu().double().numpy(), here.rgb.cpu().numpy(), carriers, founders)
 
     def _fit(self, observed: Sequence[Observed], before: Tensor) -> Fitted:
         """Canonical attributes of what moves by a few gradient steps, and of STATIC Gaussians whose look has changed.
@@ -244,10 +271,10 @@ class Tracker:
         if not len(births):
             return 0
         self._make_room(len(births))
-        carriers = adopt(births, self._nodes, self._parameters.birth)
+        adopted = adopt(births, self._members(), self._nodes, self._parameters.birth)
         if births.lasting.any():
             self._backgrounds.mark()
-        newborns = as_newborns(births, carriers, self._poses(observed), self._gaussians.values.device)
+        newborns = as_newborns(births, adopted, self._poses(observed), self._gaussians.values.device)
         rows = torch.cat([self._gaussians.spawn(part, self._nodes.stamp) for part in newborns])
         carried = rows[self._gaussians.nodes[rows] >= 0]
         tiers = self._nodes.tiers[self._gaussians.nodes[carried].cpu()]

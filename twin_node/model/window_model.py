@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,6 +17,7 @@ from twin_node.model.nodes import Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.past import Past
 from twin_node.model.publishing import Publisher, node_states_of
+from twin_node.model.regrouping import Decision
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
@@ -63,6 +64,8 @@ class WindowModel:
         self._tracker: Tracker | None = None
         self._publisher = Publisher()
         self._bytes_per_frame = 0
+        self.decisions: Sequence[Decision] = ()
+        """Which nodes the last `update` has merged and split, and what spoke for it."""
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
 
@@ -222,6 +225,7 @@ class WindowModel:
         refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
         tracked = self._tracker.track(frames, moving, robots, dt_s, self.on_stage)
+        self.decisions = tracked.decisions
         moved = len(self._gaussians.moving_rows)
         self._bytes_per_frame = 4 * (14 * (tracked.born + moved) + 7 * len(self._nodes.rows))
         warnings = []

@@ -1,0 +1,169 @@
+"""One node per body: what moves as one is carried by one node, what parts by two, and every decision says why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from model_scenes import TICK_NS, block, joined, rig, table
+
+from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model.cells import Cells
+from twin_node.model.kinship import MERGE, SPLIT, Kinship, Merger, Parting
+from twin_node.model.regrouping import Decision, Kind
+from twin_node.model.rendering import Splats, render
+from twin_node.model.rotations import quat_from_vector, quat_product, rotate
+from twin_node.model.statements import PARAMETERS, Said, Statements, velocities_of
+from twin_node.scene import FrameSet, Tier, TwinState, View
+
+CAMERAS = rig(120, 90)
+QUICK = ModelParameters(seed=SeedParameters(steps=60), gaussians_per_pixel=0.4)
+DT_S = TICK_NS * 1e-9
+STEP_M, STEP_RAD = 0.008, 0.05
+"""Of the moving blocks between two sets."""
+
+
+def seen(index: int, *blocks: Splats) -> FrameSet:
+    """Set `index` of the table with blocks on it, with depth."""
+    scene = table()
+    for one in blocks:
+        scene = joined(scene, one)
+    stamp = 1_000_000_000 + index * TICK_NS
+    views = []
+    with torch.no_grad():
+        for camera, shown in zip(CAMERAS, render(scene, CAMERAS), strict=True):
+            rgb = (shown.rgb.clamp(0, 1).numpy() * 255).round().astype(np.uint8)
+            solid = np.where(shown.alpha.numpy() > 0.5, shown.depth.numpy(), 0).astype(np.float32)
+            views.append(View(camera, stamp, rgb, solid))
+    return FrameSet(stamp, tuple(views), sequence=index)
+
+
+def turned(one: Splats, angle: float, x: float, y: float) -> Splats:
+    """A block that stood at the origin, turned about z and put at (x, y)."""
+    turn = quat_from_vector(torch.tensor([0.0, 0.0, angle]))
+    return replace(one, means=rotate(turn, one.means) + torch.tensor([x, y, 0.0]), quats=quat_product(turn, one.quats))
+
+
+def carried(state: TwinState) -> np.ndarray:
+    """Gaussians per published node."""
+    nodes = state.gaussians.nodes
+    return np.bincount(nodes[nodes >= 0], minlength=len(state.nodes.ids))
+
+
+def test_a_block_that_turns_and_slides_ends_carried_by_one_rigid_node_with_its_motion() -> None:
+    model = WindowModel(QUICK)
+    own = block(0.0)
+    for index in range(26):
+        way = max(index - 2, 0)
+        state = model.update(seen(index, turned(own, STEP_RAD * way, -0.15 + STEP_M * way, 0.0)))
+    members = carried(state)
+    biggest = int(members.argmax())
+    assert members[biggest] >= 0.9 * members.sum()
+    assert (state.gaussians.tiers[state.gaussians.nodes == biggest] == Tier.RIGID).all()
+    expected = np.array([0.0, 0.0, STEP_RAD / DT_S])
+    assert state.nodes.angular_velocities[biggest] == pytest.approx(expected, abs=0.35 * expected[2])
+    assert state.nodes.velocities[biggest] == pytest.approx([STEP_M / DT_S, 0.0, 0.0], abs=0.3 * STEP_M / DT_S)
+
+
+def test_two_blocks_that_slide_as_one_and_then_part_end_on_two_nodes() -> None:
+    model = WindowModel(QUICK)
+    together, decisions = 26, []
+    for index in range(42):
+        x = -0.15 + STEP_M * min(max(index - 2, 0), together)
+        apart = STEP_M * max(index - 2 - together, 0)
+        state = model.update(seen(index, block(x, -0.09 - apart), block(x, 0.09 + apart)))
+        decisions += model.decisions
+        if index == together + 2:
+            before = carried(state).max() / carried(state).sum()
+    cloud = state.gaussians
+    of_nodes = cloud.nodes >= 0
+    left = of_nodes & (cloud.means[:, 1] < 0)
+    biggest = [np.bincount(cloud.nodes[side]).argmax() for side in (left, of_nodes & ~left)]
+    assert before > 0.8
+    assert biggest[0] != biggest[1]
+    for side, node in zip((left, of_nodes & ~left), biggest, strict=True):
+        assert (cloud.nodes[side] == node).mean() > 0.7
+    assert_reasoned(decisions)
+    assert any(one.kind is Kind.SPLIT for one in decisions)
+
+
+def assert_reasoned(decisions: list[Decision]) -> None:
+    """Every decision carries the terms that it rests on."""
+    for one in decisions:
+        gain = one.grounds.one - one.grounds.two
+        assert gain > MERGE if one.kind is Kind.MERGED else gain < -SPLIT
+        assert one.grounds.misfit > 0
+        assert one.node != one.other
+
+
+def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float = 0.2) -> Statements:
+    """What points about `centres` [c, 3] of bodies with `velocities` [c, 6] about the origin would say in one set."""
+    rng = np.random.default_rng(seed)
+    points = centres[:, None] + rng.uniform(-0.03, 0.03, (len(centres), 40, 3))
+    x, y, z = np.moveaxis(points, -1, 0)
+    o = np.zeros_like(x)
+    crossed = np.stack([o, z, -y, -z, o, x, y, -x, o], -1).reshape(*x.shape, 3, 3)
+    J = np.concatenate([np.broadcast_to(np.eye(3), crossed.shape), crossed], -1).reshape(len(centres), -1, PARAMETERS)
+    J = 200 * DT_S * J
+    error = (J @ velocities[..., None])[..., 0] + noise * rng.standard_normal(J.shape[:2])
+    turned_J = np.swapaxes(J, 1, 2)
+    g = (turned_J @ error[..., None])[..., 0]
+    return Statements(turned_J @ J, g, (error**2).sum(1), np.full(len(centres), 120.0))
+
+
+def row_of(count: int, nodes: list[int]) -> Cells:
+    """Cells in a row along x, 6 cm apart, of the nodes given."""
+    centres = np.stack([0.06 * np.arange(count), np.zeros(count), np.zeros(count)], 1)
+    keys, of_nodes = np.arange(count, dtype=np.int64), np.array(nodes, np.int64)
+    return Cells(keys, of_nodes, of_nodes, keys, centres)
+
+
+def decided(cells: Cells, velocities: np.ndarray, sets: int = 12) -> list[Merger | Parting]:
+    """All decisions about bodies whose cells go on moving alike."""
+    kinship, ids = Kinship(), np.arange(8)
+    out: list[Merger | Parting] = []
+    for index in range(sets):
+        kinship.hear(cells, told(velocities, cells.centres, index), DT_S)
+        out += kinship.decide(ids, DT_S)
+    return out
+
+
+def test_neighbours_that_turn_about_one_axis_are_one_body_and_others_are_not() -> None:
+    cells = row_of(6, [0, 0, 0, 1, 1, 1])
+    about_one = np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    merged = decided(cells, about_one)
+    assert merged and all(isinstance(one, Merger) and {one.kept, one.ended} == {0, 1} for one in merged)
+    two = about_one.copy()
+    two[3:, 1] += 0.05
+    assert not decided(cells, two)
+
+
+def test_what_rests_together_says_nothing() -> None:
+    assert not decided(row_of(6, [0, 0, 0, 1, 1, 1]), np.zeros((6, 6)))
+
+
+def test_a_node_whose_cells_move_two_ways_parts_along_the_cut_and_one_body_never_does() -> None:
+    cells = row_of(6, [0] * 6)
+    alike = np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    assert not decided(cells, alike, 30)
+    two = alike.copy()
+    two[4:, 1] -= 0.1
+    partings = [one for one in decided(cells, two, 30) if isinstance(one, Parting)]
+    assert partings[0].leaving.tolist() == [False] * 4 + [True] * 2
+
+
+def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_velocity() -> None:
+    rng = np.random.default_rng(2)
+    velocity, origin = np.array([[0.2, -0.1, 0.05, 0.3, 0.6, -0.4]]), np.array([[0.5, 0.2, 0.3]])
+    arms = rng.uniform(-0.1, 0.1, (30, 3))
+    x, y, z = arms.T
+    o = np.zeros(30)
+    crossed = np.stack([o, z, -y, -z, o, x, y, -x, o], -1).reshape(-1, 3, 3)
+    J = np.concatenate([np.broadcast_to(np.eye(3), crossed.shape), crossed], -1).reshape(1, 90, PARAMETERS) * 1e4
+    predicted = 0.7 * velocity * DT_S
+    error = (J @ (velocity * DT_S - predicted)[..., None])[..., 0]
+    g = (np.swapaxes(J, 1, 2) @ error[..., None])[..., 0]
+    said = Said(np.swapaxes(J, 1, 2) @ J, g, (error**2).sum(1), np.array([60.0]), origin, predicted)
+    assert velocities_of(said.statements(DT_S), origin) == pytest.approx(velocity, abs=1e-3)

@@ -1,0 +1,54 @@
+"""Which Gaussians move as one: nodes take the velocities that the flow speaks of, merge, and split."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node.model.cells import Cells
+from twin_node.model.drift import Drift
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.kinship import Kinship
+from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, limited
+from twin_node.model.normal_equations import NormalEquations
+from twin_node.model.regrouping import Decision, regroup
+from twin_node.model.statements import PARAMETERS, Said
+from twin_node.scene import Tier
+
+SHORTEST_S = 1e-3
+"""Sets nearer in time than this tell no velocity, s."""
+
+
+class Bodies:
+    """Keeps the nodes of one model at one per body."""
+
+    def __init__(self, gaussians: Gaussians, nodes: Nodes) -> None:
+        self._gaussians = gaussians
+        self._nodes = nodes
+        self._kinship = Kinship()
+        self._drift = Drift()
+
+    def hear(self, rows: Tensor, cells: Cells, said: NormalEquations, dt_s: float) -> None:
+        """Takes note of what the flow under the cells of Gaussians `rows` [m] says, before it has moved the nodes.
+
+        `dt_s`: time since the set before.
+        """
+        moved = self._nodes.moved.numpy()[cells.nodes]
+        moved[:, :3] += self._drift.of(self._gaussians, rows, cells, self._nodes)
+        part, sums = slice(PARAMETERS), said.sums
+        origins = self._nodes.positions.numpy()[cells.nodes]
+        one = Said(sums.H[:, part, part], sums.g[:, part], sums.squares, said.count, origins, moved)
+        self._kinship.hear(cells, one.statements(max(dt_s, SHORTEST_S)), dt_s)
+
+    def regroup(self, rows: Tensor, cells: Cells, dt_s: float) -> Sequence[Decision]:
+        """Merges and splits nodes by what has been heard, once they stand where this set has them."""
+        nodes = self._nodes
+        learned = nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)].numpy()
+        known = torch.from_numpy(learned[np.isin(learned, cells.nodes)])
+        velocities = torch.from_numpy(self._kinship.velocities(known.numpy(), nodes.positions[known].numpy()))
+        nodes.velocities[known] = limited(velocities[:, :3], MAX_SPEED)
+        nodes.angular_velocities[known] = limited(velocities[:, 3:], MAX_TURN)
+        return regroup(self._gaussians, rows, cells, nodes, self._kinship, dt_s)

@@ -1,0 +1,275 @@
+"""Which of the bodies that nodes carry are one and which are two: both ways to put it are weighed by the flow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twin_node.model.cells import Cells
+from twin_node.model.parts import halves_of, redealt
+from twin_node.model.statements import PARAMETERS, Statements, judge, nothing, velocities_of
+from twin_node.scene import Bool, Float64
+
+MEMORY_S, RECENT_S = 0.2, 0.05
+"""Times in which what was said fades to 1/e: for telling bodies apart, whose velocities change alike, and for telling
+how fast they are, where every set more is a delay."""
+MERGE, SPLIT = 2.0, 12.0
+"""Nats by which one body, and by which two, must explain what was said better; apart, so that nodes do not flicker."""
+MOVES = 10.0
+"""Nats by which moving together must explain it better than resting: what rests together says nothing."""
+STRAINED = 6.0
+"""Nats by which one body may fit worse than two, parameters left aside: noise alone gives 3 for 6 of them."""
+AGREED_S = 0.1
+"""For how long two nodes must be found to be one before they are merged."""
+DOUBT = -6.0
+"""Nats by which one body must explain it better before another way to see it as two is looked for."""
+NEAR_M = 0.08
+"""Two nodes are neighbours where some of their cells are this near, m: a cell and the gaps between."""
+SEARCHES = 2
+"""Nodes per set of which a way to see them as two bodies is looked for."""
+LEAST_MISFIT = 0.02
+"""Smallest variance of the errors in units of what the flow claims: a seventh of its sigma, of images without noise."""
+SHARED_OBSERVATIONS = 20.0
+"""Independent observations that the misfit of all nodes counts for in that of one."""
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What speaks for a decision, as logarithms of probabilities, nats."""
+
+    one: float
+    """Evidence that there is one body."""
+    two: float
+    """Evidence that there are two."""
+    at_rest: float
+    """Evidence that nothing moves."""
+    misfit: float
+    """Variance of the errors in units of what the flow claims."""
+
+
+@dataclass(frozen=True)
+class Merger:
+    """Two nodes are one body."""
+
+    kept: int
+    """Row of the node that goes on: the one more is known of."""
+    ended: int
+    """Row of the node whose Gaussians it takes over."""
+    grounds: Grounds
+
+
+@dataclass(frozen=True)
+class Parting:
+    """One node is two bodies."""
+
+    node: int
+    """Its row."""
+    leaving: Bool
+    """[c] which of the cells of the set leave it."""
+    grounds: Grounds
+
+
+@dataclass
+class _Suspicion:
+    """That a node is two bodies."""
+
+    second: NDArray[np.int64]
+    """[k] keys of the cells that are the smaller one's."""
+    one: float = 0.0
+    """Evidence, since it arose, that there is one body."""
+    two: float = 0.0
+    """Evidence that there are two."""
+
+
+class Kinship:
+    """Remembers what was said of cells, and finds nodes to be merged or split.
+
+    A split is judged prequentially: the parts are found in what was said before, and what comes then tells whether two
+    motions foretell it better than one, so that no choice among many ways to cut a body has to be paid for.
+    """
+
+    def __init__(self) -> None:
+        self._said = nothing(0)
+        self._before = nothing(0)
+        self._recent = nothing(0)
+        self._cells = Cells.none()
+        self._misfits = np.ones(0)
+        self._agreed: dict[tuple[int, int], float] = {}
+        self._suspicions: dict[int, _Suspicion] = {}
+        self._estranged: dict[int, float] = {}
+        self._turn = 0
+
+    def hear(self, cells: Cells, said: Statements, dt_s: float) -> None:
+        """Takes in what a set said of `cells`, `dt_s` after the one before; cells that are gone are forgotten."""
+        at = cells.found_in(self._cells)
+        self._before = _faded(self._said, at, dt_s / MEMORY_S)
+        self._said = self._before.plus(said)
+        self._recent = _faded(self._recent, at, dt_s / RECENT_S).plus(said)
+        self._cells = cells
+
+    def decide(self, ids: NDArray[np.int64], dt_s: float) -> Sequence[Merger | Parting]:
+        """What to merge and to split after a set `dt_s` after the one before; `ids` [M] of the nodes, by row.
+
+        No node is in two of the decisions.
+        """
+        if not len(self._cells):
+            return []
+        count = int(self._cells.nodes.max()) + 1
+        said, middles = self._said.summed(self._cells.nodes, count), self._cells.middles(count)
+        self._misfits = _misfits(said, middles)
+        partings = [*self._partings(ids, middles), *self._strangers(said, middles, ids, dt_s)]
+        taken = {one.node for one in partings}
+        decided: list[Merger | Parting] = [*partings]
+        agreed: dict[tuple[int, int], float] = {}
+        for one in self._mergers(said, middles):
+            key = (int(ids[min(one.kept, one.ended)]), int(ids[max(one.kept, one.ended)]))
+            agreed[key] = self._agreed.get(key, 0.0) + dt_s
+            if agreed[key] > AGREED_S and taken.isdisjoint((one.kept, one.ended)):
+                taken |= {one.kept, one.ended}
+                decided.append(one)
+        self._agreed = agreed
+        self._search(ids, middles)
+        return decided
+
+    def velocity_of(self, chosen: Bool, point: Float64) -> Float64:
+        """[6] m/s and rad/s at `point` [3] (m) of the cells `chosen` [c] as one body, by what was said of late."""
+        said = self._recent.of(np.flatnonzero(chosen))
+        one = said.summed(np.zeros(len(said), np.int64), 1)
+        velocity: Float64 = velocities_of(one, point[None])[0]
+        return velocity
+
+    def velocities(self, rows: NDArray[np.int64], points: Float64) -> Float64:
+        """[n, 6] m/s and rad/s at `points` [n, 3] m of nodes `rows` [n], by what was said of late."""
+        count = int(max(self._cells.nodes.max(initial=-1), rows.max(initial=-1))) + 1
+        return velocities_of(self._recent.summed(self._cells.nodes, count).of(rows), points)
+
+    def _mergers(self, said: Statements, middles: Float64) -> list[Merger]:
+        """Pairs of neighbours that one motion explains better than two, the surest first."""
+        pairs = _neighbours(self._cells)
+        if not len(pairs):
+            return []
+        a, b = said.of(pairs[:, 0]), said.of(pairs[:, 1])
+        at = (middles[pairs[:, 0]] + middles[pairs[:, 1]]) / 2
+        misfit = self._misfits[pairs].max(1)
+        one = judge(a.plus(b), at, misfit)
+        each = judge(a, at, misfit), judge(b, at, misfit)
+        two = each[0].evidence + each[1].evidence
+        strained = each[0].fit + each[1].fit - one.fit > STRAINED
+        good = (one.evidence - two > MERGE) & (one.evidence - one.at_rest > MOVES) & ~strained
+        order = np.flatnonzero(good)[np.argsort(-(one.evidence - two)[good], kind="stable")]
+        kept = np.where(a.counts >= b.counts, pairs[:, 0], pairs[:, 1])
+        return [
+            Merger(
+                int(kept[i]),
+                int(pairs[i].sum() - kept[i]),
+                Grounds(float(one.evidence[i]), float(two[i]), float(one.at_rest[i]), float(misfit[i])),
+            )
+            for i in order
+        ]
+
+    def _partings(self, ids: NDArray[np.int64], middles: Float64) -> list[Parting]:
+        """Nodes that two motions have foretold better than one."""
+        cells, count = self._cells, len(middles)
+        second = np.zeros(len(cells), bool)
+        rows = [row for row in np.unique(cells.nodes) if int(ids[row]) in self._suspicions]
+        for row in rows:
+            second |= (cells.nodes == row) & np.isin(cells.keys, self._suspicions[int(ids[row])].second)
+        bodies = cells.nodes + count * second
+        misfits = np.tile(self._misfits, 2)
+        foretold = [
+            judge(said.summed(bodies, 2 * count), np.tile(middles, (2, 1)), misfits).evidence.reshape(2, -1).sum(0)
+            for said in (self._said, self._before)
+        ]
+        alone = [judge(said.summed(cells.nodes, count), middles, self._misfits) for said in (self._said, self._before)]
+        suspicions: dict[int, _Suspicion] = {}
+        found = []
+        for row in rows:
+            suspicion = suspicions[int(ids[row])] = self._suspicions[int(ids[row])]
+            suspicion.two += float(foretold[0][row] - foretold[1][row])
+            suspicion.one += float(alone[0].evidence[row] - alone[1].evidence[row])
+            if suspicion.two - suspicion.one > SPLIT:
+                grounds = Grounds(suspicion.one, suspicion.two, float(alone[0].at_rest[row]), float(self._misfits[row]))
+                found.append(Parting(int(row), self._cut(int(row), second), grounds))
+        for one in found:
+            del suspicions[int(ids[one.node])]
+        self._suspicions = suspicions
+        return found
+
+    def _cut(self, row: int, second: Bool) -> Bool:
+        """[c] which cells leave the node in `row`, by all that has been said up to now; `second` [c] were suspected."""
+        own = np.flatnonzero(self._cells.nodes == row)
+        leaving = np.zeros(len(second), bool)
+        leaving[own] = redealt(self._said.of(own), self._cells.centres[own], second[own], float(self._misfits[row]))
+        return leaving
+
+    def _strangers(self, of_nodes: Statements, middles: Float64, ids: NDArray[np.int64], dt_s: float) -> list[Parting]:
+        """Nodes that are better explained without those of their Gaussians that another node founded."""
+        cells = self._cells
+        kinds, first, of = np.unique(cells.founders, return_index=True, return_inverse=True)
+        of = of.reshape(-1)
+        nodes = cells.nodes[first]
+        own = self._said.summed(of, len(kinds))
+        rest = Statements(*(getattr(of_nodes, name)[nodes] - getattr(own, name) for name in vars(own)))
+        at, misfit = middles[nodes], self._misfits[nodes]
+        one = judge(of_nodes.of(nodes), at, misfit)
+        two = judge(own, at, misfit).evidence + judge(rest, at, misfit).evidence
+        strange = (two - one.evidence > SPLIT) & (rest.counts > PARAMETERS) & (own.counts > PARAMETERS)
+        agreed: dict[int, float] = {}
+        found: dict[int, Parting] = {}
+        for i in np.flatnonzero(strange)[np.argsort(-(two - one.evidence)[strange], kind="stable")]:
+            agreed[int(kinds[i])] = self._estranged.get(int(kinds[i]), 0.0) + dt_s
+            if agreed[int(kinds[i])] > AGREED_S and int(nodes[i]) not in found:
+                grounds = Grounds(float(one.evidence[i]), float(two[i]), float(one.at_rest[i]), float(misfit[i]))
+                found[int(nodes[i])] = Parting(int(nodes[i]), self._cut(int(nodes[i]), of == i), grounds)
+        self._estranged = agreed
+        return list(found.values())
+
+    def _search(self, ids: NDArray[np.int64], middles: Float64) -> None:
+        """Looks for ways to see nodes as two bodies, where none is suspected or the one that is does not hold."""
+        self._turn += 1
+        rows = np.unique(self._cells.nodes)
+        order = np.roll(rows, -SEARCHES * self._turn)
+        idle = [row for row in order if self._holds(int(ids[row])) is False][:SEARCHES]
+        for row in idle:
+            own = np.flatnonzero(self._cells.nodes == row)
+            second = halves_of(self._said.of(own), self._cells.centres[own], float(self._misfits[row]))
+            if second is not None:
+                self._suspicions[int(ids[row])] = _Suspicion(self._cells.keys[own[second]])
+
+    def _holds(self, node: int) -> bool:
+        """Whether a suspicion about the node with that id is still worth following."""
+        suspicion = self._suspicions.get(node)
+        return suspicion is not None and suspicion.two - suspicion.one > DOUBT
+
+
+def _misfits(said: Statements, middles: Float64) -> Float64:
+    """[n] variance of the errors of bodies, in units of what the flow claims: their own, and that of all."""
+    judged = judge(said, middles, np.ones(len(said)))
+    free = np.maximum(said.counts - judged.told, 0.0)
+    pooled = judged.costs.sum() / max(free.sum(), 1.0)
+    own = (judged.costs + SHARED_OBSERVATIONS * pooled) / (free + SHARED_OBSERVATIONS)
+    floored: Float64 = np.maximum(own, LEAST_MISFIT)
+    return floored
+
+
+def _faded(said: Statements, at: NDArray[np.int64], ages: float) -> Statements:
+    """[n] what was said of the bodies `at` [n] (-1: nothing), `ages` time constants ago."""
+    kept = nothing(len(at))
+    fading = said.of(at[at >= 0]).faded(float(np.exp(-ages)))
+    for name, values in vars(kept).items():
+        values[at >= 0] = vars(fading)[name]
+    return kept
+
+
+def _neighbours(cells: Cells) -> NDArray[np.int64]:
+    """[p, 2] rows of nodes some of whose cells are near each other, the lower first."""
+    if len(cells) < 2:
+        return np.zeros((0, 2), np.int64)
+    near = cKDTree(cells.centres).query_pairs(NEAR_M, output_type="ndarray")
+    rows = np.sort(cells.nodes[near], axis=1)
+    pairs: NDArray[np.int64] = np.unique(rows[rows[:, 0] != rows[:, 1]], axis=0)
+    return pairs

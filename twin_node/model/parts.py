@@ -1,0 +1,106 @@
+"""The best way to see a node as two bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from twin_node.model.statements import PARAMETERS, Statements, judge, velocities_of
+from twin_node.scene import Bool, Float64
+
+LEAST = PARAMETERS
+"""Independent observations of a part that is told from the rest of its node: as many as its motion has parameters."""
+SURE = 1.0
+"""Nats by which one part must explain a cell better for it to be known whose it is."""
+ROUNDS = 3
+"""Times that cells are dealt out again between two parts."""
+
+
+def halves_of(said: Statements, centres: Float64, misfit: float) -> Bool | None:
+    """[c] which of c cells at `centres` [c, 3] m are the smaller of the two bodies that explain best what was said.
+
+    None where there are not enough observations. Cells are dealt out along the axes of the body and by their own
+    motions, then time and again to the part whose velocity explains them better (Lloyd's algorithm with the flow's own
+    errors, of variance `misfit`, as distance).
+    """
+    weight = said.counts
+    if len(said) < 2 or weight.sum() < 2 * LEAST:
+        return None
+    middle = (weight[:, None] * centres).sum(0) / weight.sum()
+    own = said.about(np.broadcast_to(middle, centres.shape))
+    second = _dealt(own, centres - middle, weight)
+    for _ in range(ROUNDS):
+        second = _dealt_again(own, second)
+    parts = _parts(own, second)
+    tries = len(second)
+    counts = parts.counts.reshape(2, tries)
+    enough = (counts > LEAST).all(0)
+    if not enough.any():
+        return None
+    two = judge(parts, np.zeros((2 * tries, 3)), np.full(2 * tries, misfit)).evidence.reshape(2, tries).sum(0)
+    best = int(np.where(enough, two, -np.inf).argmax())
+    smaller: Bool = second[best] if counts[1, best] <= counts[0, best] else ~second[best]
+    return smaller
+
+
+def redealt(said: Statements, centres: Float64, second: Bool, misfit: float) -> Bool:
+    """[c] the cells of two parts dealt out once more, each to the part that explains it better.
+
+    `second` [c] says which are the second part's so far. Cells that say little go where the nearest that say enough do.
+    """
+    middle = centres.mean(0)
+    own = said.about(np.broadcast_to(middle, centres.shape))
+    errors = _errors(own, second[None])[:, 0] / (2 * misfit)
+    better: Bool = errors[1] < errors[0]
+    sure = np.abs(errors[1] - errors[0]) > SURE
+    if not (sure & better).any() or not (sure & ~better).any():
+        return second
+    nearest = cKDTree(centres[sure]).query(centres)[1]
+    dealt: Bool = better[sure][nearest]
+    return dealt
+
+
+def _dealt(own: Statements, arms: Float64, weight: Float64) -> Bool:
+    """[4, c] first guesses: either side of the middle along each of the body's axes, and along its cells' motions."""
+    axes = np.linalg.svd(arms * np.sqrt(weight)[:, None], full_matrices=False)[2]
+    whole = own.summed(np.zeros(len(own), np.int64), 1)
+    velocity = velocities_of(whole, np.zeros((1, 3)))[0]
+    rest = own.g - (own.H @ velocity[:, None])[..., 0]
+    pulls = rest[:, :3] / np.sqrt(np.maximum(np.trace(own.H[:, :3, :3], axis1=1, axis2=2), 1e-12))[:, None]
+    way = np.linalg.svd(pulls, full_matrices=False)[2][:1]
+    along = np.concatenate([(arms @ axes.T).T, (pulls @ way.T).T])
+    guesses: Bool = along > np.array([[_median(row, weight)] for row in along])
+    return guesses
+
+
+def _dealt_again(own: Statements, second: Bool) -> Bool:
+    """[t, c] each cell to the part whose velocity leaves the smaller error."""
+    errors = _errors(own, second)
+    dealt: Bool = errors[1] < errors[0]
+    return dealt
+
+
+def _errors(own: Statements, second: Bool) -> Float64:
+    """[2, t, c] squared errors of each cell by the velocity of the first and of the second part of each try [t, c].
+
+    Less those of a cell that does not move.
+    """
+    tries = len(second)
+    velocities = velocities_of(_parts(own, second), np.zeros((2 * tries, 3)))
+    quadratic = np.einsum("pi,cij,pj->pc", velocities, own.H, velocities, optimize=True)
+    errors: Float64 = (quadratic - 2 * velocities @ own.g.T).reshape(2, tries, len(own))
+    return errors
+
+
+def _parts(own: Statements, second: Bool) -> Statements:
+    """[2 t] what was said of the first and of the second parts of each try [t, c]."""
+    belongs = np.concatenate([~second, second]).astype(np.float64)
+    H = (belongs @ own.H.reshape(len(own), -1)).reshape(-1, PARAMETERS, PARAMETERS)
+    return Statements(H, belongs @ own.g, belongs @ own.squares, belongs @ own.counts)
+
+
+def _median(values: Float64, weight: Float64) -> float:
+    """The weighted median of values [c]."""
+    order = np.argsort(values, kind="stable")
+    reached = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(reached, reached[-1] / 2)]])

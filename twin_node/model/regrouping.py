@@ -1,0 +1,75 @@
+"""Nodes merge and split: their Gaussians change carriers where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node.model.cells import Cells
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.kinship import Grounds, Kinship, Merger, Parting
+from twin_node.model.nodes import Nodes
+from twin_node.scene import Tier
+
+
+class Kind(Enum):
+    """What has been decided about nodes."""
+
+    MERGED = "merged"
+    SPLIT = "split"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One decision and what spoke for it."""
+
+    kind: Kind
+    stamp: int
+    """ns."""
+    node: int
+    """Id of the node that goes on."""
+    other: int
+    """Id of the node that has ended, or begun."""
+    grounds: Grounds
+
+
+def regroup(
+    gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, kinship: Kinship, dt_s: float
+) -> list[Decision]:
+    """Does what `kinship` decides `dt_s` after the set before; `rows` [m] are the Gaussians that `cells` hold."""
+    done = []
+    for one in kinship.decide(nodes.ids.numpy(), dt_s):
+        if isinstance(one, Merger):
+            done.append(_merge(gaussians, nodes, one))
+        elif nodes.free:
+            done.append(_split(gaussians, rows, cells, nodes, kinship, one))
+    return done
+
+
+def _merge(gaussians: Gaussians, nodes: Nodes, one: Merger) -> Decision:
+    members = torch.nonzero(gaussians.alive & (gaussians.nodes == one.ended))[:, 0]
+    gaussians.transfer(members, torch.full((len(members),), one.kept), nodes)
+    nodes.retire(torch.tensor([one.ended]))
+    return Decision(Kind.MERGED, nodes.stamp, int(nodes.ids[one.kept]), int(nodes.ids[one.ended]), one.grounds)
+
+
+def _split(gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, kinship: Kinship, one: Parting) -> Decision:
+    staying = ~one.leaving & (cells.nodes == one.node)
+    leavers = rows[torch.from_numpy(one.leaving[cells.of]).to(rows.device)]
+    place = torch.from_numpy(cells.centres[one.leaving].mean(0))
+    begun = nodes.give_birth(place, nodes.velocities[one.node])
+    nodes.quats[begun] = nodes.quats[one.node]
+    gaussians.transfer(leavers, torch.full((len(leavers),), begun), nodes)
+    divided = torch.from_numpy(np.intersect1d(cells.founders[one.leaving], cells.founders[staying]))
+    of_both = leavers[torch.isin(gaussians.founders[leavers], divided.to(leavers.device))]
+    gaussians.founders[of_both] = int(nodes.ids[begun])
+    for node, part in ((one.node, staying), (begun, one.leaving)):
+        velocity = torch.from_numpy(kinship.velocity_of(part, nodes.positions[node].numpy()))
+        nodes.velocities[node], nodes.angular_velocities[node] = velocity[:3], velocity[3:]
+    gaussians.tiers[torch.nonzero(gaussians.alive & (gaussians.nodes == one.node))[:, 0]] = int(Tier.RIGID)
+    nodes.tiers[one.node] = int(Tier.RIGID)
+    return Decision(Kind.SPLIT, nodes.stamp, int(nodes.ids[one.node]), int(nodes.ids[begun]), one.grounds)

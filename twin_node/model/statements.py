@@ -1,0 +1,143 @@
+"""What the flow says about the velocities of bodies, as normal equations that add up over cells and over sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.scene import Float64
+
+SPEED, TURN = 0.3, 1.0
+"""m/s and rad/s (1 sigma) that a body is expected to move at: a reaching hand's and a turning wrist's."""
+CORRELATED = 4.0
+"""Observations of a node that say the same: the flow is sought in patches of 8 pixels."""
+PARAMETERS = 6
+"""Of a rigid motion."""
+
+
+@dataclass(frozen=True)
+class Statements:
+    """Of n bodies: squared errors as a quadratic in their velocity, of the point at the origin of `base_link`."""
+
+    H: Float64
+    """[n, 6, 6] per (m/s, rad/s) squared."""
+    g: Float64
+    """[n, 6]."""
+    squares: Float64
+    """[n] of a body that does not move."""
+    counts: Float64
+    """[n] independent observations."""
+
+    def __len__(self) -> int:
+        return len(self.squares)
+
+    def of(self, rows: NDArray[np.int64]) -> Statements:
+        """Those in `rows` [k]."""
+        return Statements(self.H[rows], self.g[rows], self.squares[rows], self.counts[rows])
+
+    def plus(self, other: Statements) -> Statements:
+        """Each with the other's in its row, as if both were one body."""
+        return Statements(self.H + other.H, self.g + other.g, self.squares + other.squares, self.counts + other.counts)
+
+    def faded(self, share: float) -> Statements:
+        """`share` (0 to 1) of what was said."""
+        return Statements(share * self.H, share * self.g, share * self.squares, share * self.counts)
+
+    def summed(self, bodies: NDArray[np.int64], count: int) -> Statements:
+        """Those of `count` bodies, of which each of the n is one of a part of: `bodies` [n]."""
+        belongs = np.zeros((count, len(bodies)))
+        belongs[bodies, np.arange(len(bodies))] = 1
+        H = (belongs @ self.H.reshape(-1, PARAMETERS**2)).reshape(-1, PARAMETERS, PARAMETERS)
+        return Statements(H, belongs @ self.g, belongs @ self.squares, belongs @ self.counts)
+
+    def about(self, points: Float64) -> Statements:
+        """The same with the velocities of the points [n, 3] (m) as unknowns."""
+        shift = _shift(-points)
+        turned = np.swapaxes(shift, 1, 2)
+        return Statements(turned @ self.H @ shift, (turned @ self.g[..., None])[..., 0], self.squares, self.counts)
+
+
+def nothing(count: int) -> Statements:
+    """What nobody has said of `count` bodies."""
+    return Statements(
+        np.zeros((count, PARAMETERS, PARAMETERS)), np.zeros((count, PARAMETERS)), np.zeros(count), np.zeros(count)
+    )
+
+
+@dataclass(frozen=True)
+class Said:
+    """One set's normal equations of n bodies in corrections to their predicted poses."""
+
+    H: Float64
+    """[n, 6, 6] per (m, rad) squared."""
+    g: Float64
+    """[n, 6]."""
+    squares: Float64
+    """[n]."""
+    counts: Float64
+    """[n]."""
+    origins: Float64
+    """[n, 3] m, the predicted positions."""
+    moved: Float64
+    """[n, 6] m and rad, from the poses of the set before to the predicted ones."""
+
+    def statements(self, dt_s: float) -> Statements:
+        """The same in velocities over the `dt_s` since the set before."""
+        Hu = (self.H @ self.moved[..., None])[..., 0]
+        g = self.g + Hu
+        squares = self.squares + ((self.g + g) * self.moved).sum(-1)
+        own = Statements(dt_s**2 * self.H, dt_s * g, squares, self.counts / CORRELATED)
+        scaled = Statements(own.H / CORRELATED, own.g / CORRELATED, own.squares / CORRELATED, own.counts)
+        return scaled.about(-self.origins)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How well n bodies explain what was said of them, each by the most likely velocity."""
+
+    evidence: Float64
+    """[n] log of the probability of the observations, nats: half the squared errors, and what the parameters cost.
+
+    They cost half the logarithm of how much more is known of them than before, which (k / 2) log n approximates
+    (Schwarz, 1978) where all k can be told from the images.
+    """
+    at_rest: Float64
+    """[n] the same of bodies that do not move: no parameters."""
+    fit: Float64
+    """[n] the evidence without what the parameters cost."""
+    costs: Float64
+    """[n] squared errors left over."""
+    told: Float64
+    """[n] parameters that the observations tell, 0 to 6."""
+
+
+def judge(said: Statements, points: Float64, misfit: Float64) -> Judged:
+    """Judges bodies about `points` [n, 3] m, their middles; `misfit` [n] is the variance of the errors, at least 1."""
+    own = said.about(points)
+    scale = np.array([SPEED] * 3 + [TURN] * 3) / np.sqrt(misfit)[:, None]
+    known = np.eye(PARAMETERS) + scale[:, :, None] * own.H * scale[:, None, :]
+    pull = scale * own.g
+    explained = (pull * np.linalg.solve(known, pull[..., None])[..., 0]).sum(-1) / misfit
+    at_rest = -own.squares / misfit / 2
+    evidence = at_rest + explained / 2 - np.linalg.slogdet(known)[1] / 2
+    told = PARAMETERS - np.trace(np.linalg.inv(known), axis1=1, axis2=2)
+    return Judged(evidence, at_rest, at_rest + explained / 2, own.squares - misfit * explained, told)
+
+
+def velocities_of(said: Statements, points: Float64) -> Float64:
+    """[n, 6] the most likely velocities of bodies about `points` [n, 3] m: m/s and rad/s."""
+    own = said.about(points)
+    scale = np.array([SPEED] * 3 + [TURN] * 3)
+    return np.asarray(np.linalg.solve(own.H + np.diag(1 / scale**2), own.g[..., None])[..., 0], np.float64)
+
+
+def _shift(points: Float64) -> Float64:
+    """[n, 6, 6] from the velocity at a place to that [n, 3] m further on: v + w x d = v - [d] w."""
+    x, y, z = points.T
+    o = np.zeros_like(x)
+    crossed = np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(-1, 3, 3)
+    shift: Float64 = np.tile(np.eye(PARAMETERS), (len(points), 1, 1)).astype(np.float64)
+    shift[:, :3, 3:] = -crossed
+    return shift
