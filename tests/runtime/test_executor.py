@@ -80,3 +80,26 @@ def test_stop_ends_spinning_and_a_failure_passes_through() -> None:
     failing.inbox(lambda m: 1 / m, 1).offer(0)
     with pytest.raises(ZeroDivisionError):
         failing.spin()
+
+
+def test_an_old_message_is_left_for_the_next_and_holds_up_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("twin_node.runtime.executor.time.monotonic", lambda: now[0])
+    executor, seen = Executor(), []
+    patient, other = executor.inbox(seen.append, 1, patience=0.5), executor.inbox(seen.append, 1)
+    for second in range(20):
+        now[0] = float(second)
+        patient.offer(second)
+    now[0] += 0.9
+    assert not executor.step(0.0)
+    other.offer("at once")
+    run_all(executor)
+    assert seen == ["at once"]
+    now[0] += 0.1
+    patient.offer(20)
+    run_all(executor)
+    assert seen == ["at once", 20]
+    patient.offer(21)
+    now[0] += 5.0
+    run_all(executor)
+    assert seen[-1] == 21

@@ -24,6 +24,7 @@ from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, RECORDED, TRAJECTORY, GraphError
+from twin_node.runtime.arrivals import PATIENCE
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import Clock, PacedClock, SteppedClock
 from twin_node.runtime.node import Node
@@ -129,7 +130,7 @@ class _Engine:
         synchronizer = self._synchronizer(reading, clock)
         latency = Latency(ASSUMED_LATENCY_NS, True)
         collector = CollectorNode(working, clock, self._spool)
-        bridge = Bridge(collector.keep_dropped)
+        bridge = Bridge(collector.keep_dropped, PATIENCE)
         chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped)
         first = self._first_set()
         working.publish(FRAMES, first)

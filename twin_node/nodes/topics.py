@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
-from twin_node.runtime.qos import EVERY, LATCHED, NEWEST, SENSOR_DATA, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, FRESH, LATCHED, NEWEST, SENSOR_DATA, Qos, TopicKind
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
@@ -67,7 +67,7 @@ _MESSAGE_TYPES = {
     TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", Qos(depth=10, latched=True)),
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
-    FRAMES: TopicKind(None, NEWEST),
+    FRAMES: TopicKind(None, FRESH),
 }
 """What the graph's own topics carry; a set of images that a newer one has replaced is of no use to anybody."""
 _SUFFIXES = {

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from twin_node.runtime.arrivals import Arrivals
+
 SHORTEST_WAIT_S = 1e-3
 """Between two looks at a clock which may not run with the wall's (a log that is played slowly, or paused), by which
 an alarm is set, s."""
@@ -90,11 +92,13 @@ class _ExecutorAlarm:
 class Inbox:
     """The newest messages for one callback; when `depth` of them wait already, the oldest is dropped."""
 
-    def __init__(self, executor: Executor, callback: Callable[[Any], None], depth: int) -> None:
+    def __init__(self, executor: Executor, callback: Callable[[Any], None], depth: int, patience: float = 0.0) -> None:
+        """`patience`: how long a message is left for the next one, see `runtime.arrivals`."""
         self._executor = executor
         self._callback = callback
         self._waiting: deque[Any] = deque()
         self._depth = depth
+        self._arrivals = Arrivals(patience)
         self.dropped = 0
         """Messages that newer ones have replaced."""
 
@@ -104,12 +108,17 @@ class Inbox:
 
     def push(self, message: Any) -> bool:
         """Takes a message under the executor's lock; False where it replaced one that still waits."""
+        self._arrivals.add(time.monotonic())
         replaced = len(self._waiting) >= self._depth
         if replaced:
             self._waiting.popleft()
             self.dropped += 1
         self._waiting.append(message)
         return not replaced
+
+    def worth_waiting_s(self, now: float) -> float:
+        """How long to leave what waits for a newer message, at most, s."""
+        return self._arrivals.worth_waiting_s(now)
 
     def run(self) -> None:
         """Hands the oldest waiting message to the callback, in the executor's thread."""
@@ -126,9 +135,12 @@ class Executor:
         self._order = itertools.count()
         self._stopped = False
 
-    def inbox(self, callback: Callable[[Any], None], depth: int) -> Inbox:
-        """A queue of at most `depth` messages whose `callback(message)` this executor runs."""
-        return Inbox(self, callback, depth)
+    def inbox(self, callback: Callable[[Any], None], depth: int, patience: float = 0.0) -> Inbox:
+        """A queue of at most `depth` messages whose `callback(message)` this executor runs.
+
+        `patience`: how long a message is left for the next one, see `runtime.arrivals`; 0: not at all.
+        """
+        return Inbox(self, callback, depth, patience)
 
     def enqueue(self, inbox: Inbox, message: Any) -> None:
         """Puts a message into one of this executor's inboxes; from any thread."""
@@ -180,13 +192,16 @@ class Executor:
                 if self._timers and self._timers[0].due <= now:
                     callback = self._next_timer(now)
                     break
-                if self._ready:
-                    callback = self._ready.popleft().run
+                waits = [inbox.worth_waiting_s(now) for inbox in self._ready]
+                if 0.0 in waits:
+                    row = waits.index(0.0)
+                    callback = self._ready[row].run
+                    del self._ready[row]
                     break
                 if now >= deadline:
                     return False
                 until = min(deadline, self._timers[0].due) if self._timers else deadline
-                self._condition.wait(until - now)
+                self._condition.wait(min([until - now, *waits]))
             else:
                 return False
         callback()

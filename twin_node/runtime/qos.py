@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from twin_node.runtime.arrivals import PATIENCE
+
 
 @dataclass(frozen=True)
 class Qos:
@@ -17,6 +19,8 @@ class Qos:
     """Transient-local: a late subscriber is given the last message."""
     repeats: bool = False
     """A latched message soon comes anew: a reader without room waits for the next one, and holds nobody up."""
+    patience: float = 0.0
+    """How long a subscriber leaves a message for the next one, see `runtime.arrivals`; 0: not at all."""
 
 
 RELIABLE = Qos()
@@ -26,6 +30,8 @@ SENSOR_DATA = Qos(depth=5, reliable=False)
 LATCHED = Qos(depth=1, latched=True)
 NEWEST = Qos(depth=1)
 """Only the newest counts: what it replaces is dropped, and counted."""
+FRESH = Qos(depth=1, patience=PATIENCE)
+"""Only the newest counts, and an old one is left where a newer one is due: for what takes long to work on."""
 EVERY = Qos(depth=100_000)
 """Nothing is to be lost within a process: about an hour of 30 Hz."""
 
