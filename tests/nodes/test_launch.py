@@ -28,7 +28,7 @@ from twin_node.scene import Rig, RigCamera
 
 pytest.importorskip("zenoh")
 
-QUICK = ["synchronizer.width:=48", "synchronizer.max_rate_hz:=4.0"]
+QUICK = ["synchronizer.width:=48", "synchronizer.max_rate_hz:=4.0", "size.name:=given"]
 """Parameters that make the twin start soon on a busy machine."""
 
 
@@ -63,7 +63,7 @@ def test_replay(cell_log: Callable[..., Path], tmp_path: Path) -> None:
 
 
 def test_sim_cell_with_a_driver_and_its_controller(tmp_path: Path) -> None:
-    plan = read_launch_file("launch/sim_cell.yaml", [f"host:={free_loopback()}"], QUICK)
+    plan = read_launch_file("launch/sim_cell.yaml", [f"host:={free_loopback()}"], [*QUICK, "size.name:=auto"])
     decides(plan, tmp_path, free_endpoint())
 
 
