@@ -280,9 +280,10 @@ class Grid:
 
     def indices(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
         """Flat indices [n] of the voxels that hold points [n, 3]; -1 outside the grid."""
-        ijk = np.floor((points - self.origin) / self.voxel_size).astype(np.int64)
-        inside = np.all((ijk >= 0) & (ijk < np.array(self.dims)), axis=-1)
-        flat = (ijk[..., 0] * self.dims[1] + ijk[..., 1]) * self.dims[2] + ijk[..., 2]
+        i, j, k = np.floor((points - self.origin) / self.voxel_size).T.astype(np.int64, order="C")
+        nx, ny, nz = self.dims
+        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny) & (k >= 0) & (k < nz)
+        flat = (i * ny + j) * nz + k
         return np.where(inside, flat, -1)
 
 

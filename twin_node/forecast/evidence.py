@@ -19,7 +19,7 @@ from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
-from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
+from twin_node.scene import Bool, Float64, Grid, OccupancyLayer, TwinState, UInt32
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,27 @@ class Evidence:
     """What may be in these."""
 
 
+@dataclass(frozen=True)
+class _Standing:
+    """What stands, as several states in a row use it."""
+
+    source: OccupancyLayer
+    """In the outer grid."""
+    mask: Bool
+    """[outer.size]."""
+    inner: OccupancyLayer
+    """In the inner grid."""
+
+    @classmethod
+    def of(cls, static: OccupancyLayer, margin: Margin) -> _Standing:
+        """Of a layer of the outer grid."""
+        mask = np.zeros(margin.outer.size, np.bool_)
+        mask[static.indices] = True
+        standing = np.flatnonzero(margin.cropped(mask)).astype(np.uint32)
+        certain = np.full(len(standing), 255, np.uint8)
+        return cls(static, mask, OccupancyLayer(static.horizon_ns, standing, certain))
+
+
 class Observer:
     """Turns states into evidence on one grid and a rim about it."""
 
@@ -55,6 +76,7 @@ class Observer:
         self._velocities = PartVelocities(self.tables)
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
+        self._standing: _Standing | None = None
         self._last_centers = np.zeros((0, 3))
         self._last = Moving(np.zeros((0, 3)), np.zeros(0))
         self._last_stamp = 0
@@ -66,18 +88,19 @@ class Observer:
         motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         static = self._static.update(state, self._carver)
-        stands, unknown, moving = np.zeros((3, self.grid.size), np.bool_)
-        stands[static.indices] = True
+        if self._standing is None or self._standing.source is not static:
+            self._standing = _Standing.of(static, self.margin)
+        stands = self._standing.mask
+        unknown, moving = np.zeros((2, self.grid.size), np.bool_)
         unknown[carved.unknown] = True
         unknown &= ~stands
         moving[carved.moving] = True
         hidden = self._hiding.update(state.stamp, unknown, moving, stands)
-        standing = np.flatnonzero(self.margin.cropped(stands)).astype(np.uint32)
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),
             motion=motion,
-            static=OccupancyLayer(static.horizon_ns, standing, np.full(len(standing), 255, np.uint8)),
+            static=self._standing.inner,
             unknown_runs=encode_runs(self.margin.cropped(unknown)),
             hidden=hidden.masked(self.margin.cropped),
         )

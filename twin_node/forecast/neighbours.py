@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from twin_node.scene import Float64
 
@@ -34,7 +35,7 @@ class Neighbours:
         sizes = np.bincount(rows)
         self._members = csr_array((1 / sizes[rows], (rows, np.arange(count))), shape=(len(sizes), count))
         centers = self._cell_means(positions)
-        squared = ((positions[:, None] - centers) ** 2).sum(axis=2)
+        squared = cdist(positions, centers, "sqeuclidean")
         self._body_weights = _weights(squared, BODY_SCALE, sizes.astype(np.float64))
 
     def near(self, values: Float64) -> Float64:
