@@ -10,7 +10,7 @@ from model_scenes import block, frames, rig, table
 from twin_node import splat
 from twin_node.model.carriage import carry
 from twin_node.model.descending import Path, descend_fused, descend_plain
-from twin_node.model.fitting import fit_all
+from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
 from twin_node.model.gaussians import LOG_SCALE, QUICK, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
 from twin_node.model.photometric import Goal, photometric, targets_of
@@ -89,6 +89,15 @@ def test_each_view_weighs_the_same_however_few_of_its_pixels_count() -> None:
     first = photometric(draw(table(), CAMERAS[:1]), targets_of(views[:1], masks[:1], torch.device("cpu")))
     both = photometric(sheets, targets_of(views, masks, torch.device("cpu")))
     assert torch.allclose(both, first + torch.stack(alone[1:]).sum(), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("share", "steps"), [(0.0, 3), (FULL_SHARE, 3), (0.75, 2), (1.0, 1)])
+def test_more_pixels_take_fewer_steps(share: float, steps: int) -> None:
+    masks = [np.zeros((40, 50), bool), np.zeros((20, 30), bool)]
+    for mask in masks:
+        mask.ravel()[: round(share * mask.size)] = True
+    assert affordable_steps(3, masks) == steps
+    assert affordable_steps(1, masks) == 1
 
 
 @pytest.mark.parametrize(("steps", "decays"), [(1, QUICK), (3, QUICK), (3, splat.Decays())])

@@ -79,6 +79,7 @@ class TrackBench:
             "dropped_share": run.dropped / (run.sets + run.dropped),
             "rate_hz": run.sets / run.seconds,
             "latency_ms": percentiles(run.latencies_ms),
+            "offer_ms": percentiles(run.offers_ms),
             "wait_ms": percentiles(run.waits_ms),
             "update_ms": percentiles(run.updates_ms[1:]),
             "stages_ms": {name: percentiles(times[1:]) for name, times in run.watch.stages.items()},

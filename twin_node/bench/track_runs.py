@@ -54,6 +54,8 @@ class Followed:
     """Length of the span in real time, wall-clock time in lockstep."""
     latencies_ms: list[float] = field(default_factory=list)
     """From the newest image's stamp to the published cloud, by the run's clock; empty in lockstep."""
+    offers_ms: list[float] = field(default_factory=list)
+    """From the newest image's stamp to the set's being decoded and offered; sets that are dropped later count too."""
     waits_ms: list[float] = field(default_factory=list)
     """From the newest image's stamp to the model's having the set."""
     updates_ms: list[float] = field(default_factory=list)
@@ -149,7 +151,13 @@ def follow_live(
     working.publish(TRUSTED_FRAMES, first)
     followed.count(states[-1])
     _keep(spool, Tick(first, states[-1]))
-    reading.subscribe(FRAMES, lambda frames: bridge.put_frames(frames) if frames.stamp > first.stamp else None)
+
+    def offer(frames: FrameSet) -> None:
+        if frames.stamp > first.stamp:
+            followed.offers_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
+            bridge.put_frames(frames)
+
+    reading.subscribe(FRAMES, offer)
     reading.subscribe(JOINT_STATES, lambda message: bridge.put(JOINT_STATES, message))
     reader = threading.Thread(target=_read, args=(session, reading, clock, bridge), name="reader", daemon=True)
     clock.start()

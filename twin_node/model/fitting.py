@@ -33,6 +33,10 @@ then: with a tenth of it distances change by a third less, and pixels of a cell 
 SKIRT_PX = 3
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
+FULL_SHARE = 0.5
+"""Share of all pixels that may take every step. Where more count, as after a knock on a camera, all take fewer steps,
+so that no set costs much more than others; what is left the next sets make good."""
+
 
 def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
     """Fits every Gaussian, none of which moves, to one set of views."""
@@ -60,8 +64,8 @@ def fit_moving(
     """A few steps on the Gaussians that move, before the backgrounds, inside `masks` [H, W].
 
     Each view is fitted at its own time, for which `poses` holds the nodes'. `bystanders` are rows that can stand before
-    what moves and are not touched. Where a node is DEFORMABLE the field learns along, from the last step. Steps that
-    make the images worse are undone.
+    what moves and are not touched. Where a node is DEFORMABLE the field learns along, from the last step. Where more
+    than `FULL_SHARE` of the pixels count there are fewer steps. Steps that make the images worse are undone.
     """
     rows = gaussians.moving_rows
     if not len(rows) or not steps:
@@ -78,7 +82,8 @@ def fit_moving(
     rates[:, MEAN] *= CANONICAL_SHARE * _looseness(gaussians, rows, motion.nodes.stamp)[:, None]
     rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(gaussians.population(rows, motion.nodes), stamps)
     path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal)
-    last = descend(gaussians, path, steps if bend is None else max(steps - 1, 1))
+    affordable = affordable_steps(steps, masks)
+    last = descend(gaussians, path, affordable if bend is None else max(affordable - 1, 1))
     if diverged(last.losses):
         undo(gaussians, rows, values)
         return Fitted([], True)
@@ -98,6 +103,12 @@ class Fitted:
     """What the views saw before the last step; empty where nothing was learned."""
     diverged: bool
     """The steps made the images worse and were undone: the next ones should be smaller."""
+
+
+def affordable_steps(steps: int, masks: Sequence[Bool]) -> int:
+    """How many of `steps`, 1 or more, the pixels inside `masks` [H, W] may take; by their count, never by a clock."""
+    share = sum(int(np.count_nonzero(mask)) for mask in masks) / sum(mask.size for mask in masks)
+    return max(min(steps, int(steps * FULL_SHARE / max(share, FULL_SHARE))), 1)
 
 
 def _looseness(gaussians: Gaussians, rows: Tensor, stamp: int) -> Tensor:
