@@ -69,10 +69,6 @@ class WindowModel:
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
 
-    def resized(self, parameters: ModelParameters) -> WindowModel:
-        """A fresh model with other parameters of the same arm and seed."""
-        return WindowModel(parameters, self._arm, self._seed)
-
     @property
     def tier_counts(self) -> Mapping[Tier, int]:
         """Living Gaussians per tier."""

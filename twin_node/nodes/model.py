@@ -27,7 +27,7 @@ class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set."""
 
     def __init__(self, bus: Bus, clock: Clock, model: WindowModel, trial: Trial | None = None) -> None:
-        """With a `trial`, sets are measured on until it is over, and a model of its size takes the place of `model`."""
+        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`."""
         super().__init__("model", bus, clock)
         self.model = model
         self._trial = trial
@@ -58,10 +58,9 @@ class ModelNode(Node):
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
 
     def _try(self, trial: Trial, frames: FrameSet) -> None:
-        size = trial.take(frames)
-        if size is not None:
-            self._trial, self._narrower = None, Narrower(size.width)
-            self.model = self.model.resized(size.model(self.model.parameters))
+        sized = trial.take(frames)
+        if sized is not None:
+            self._trial, self._narrower, self.model = None, sized.narrower, sized.model
 
     def rest(self, proceed: Proceed = unhurried) -> None:
         """Uses the time between two sets to refine what stands still, where the last one has left some.

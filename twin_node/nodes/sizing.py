@@ -11,7 +11,7 @@ import numpy as np
 from twin_node.forecast import Forecaster, ForecastParameters
 from twin_node.model import ModelParameters, WindowModel
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS
-from twin_node.nodes.sizes import SIZES, Size
+from twin_node.nodes.sizes import SIZES
 from twin_node.rig import Narrower
 from twin_node.robot import ArmModel
 from twin_node.scene import FrameSet, Grid
@@ -65,6 +65,14 @@ def median_ms(
     return float(np.median(laps[1:])) if len(laps) > 1 else None
 
 
+@dataclass(frozen=True)
+class Sized:
+    """A model that has followed the sets of a trial, and what makes later sets as wide as it wants them."""
+
+    model: WindowModel
+    narrower: Narrower
+
+
 class Trial:
     """Times the sizes on the first sets that a live twin gets, for a few seconds, and says in one line what it took."""
 
@@ -85,9 +93,10 @@ class Trial:
         self._budget_ms = budget_ms
         self._say = say
         self._sets: list[FrameSet] = []
+        self._tried: dict[str, Sized] = {}
 
-    def take(self, frames: FrameSet) -> Size | None:
-        """Takes in a set as wide as the cameras' images are prepared; the size, when there are enough of them.
+    def take(self, frames: FrameSet) -> Sized | None:
+        """Takes in a set as wide as the cameras' images are prepared; the model to go on with, when they are enough.
 
         Sizes of wider images are not tried: they would see no more.
         """
@@ -97,15 +106,13 @@ class Trial:
         widest = max(view.camera.width for view in frames.views)
         names = [name for name, size in SIZES.items() if size.width <= widest]
         choice = best_within(self._budget_ms, names or list(SIZES)[:1], self._timed_ms)
-        self._sets.clear()
         self._say(choice.reason)
-        return SIZES[choice.size]
+        return self._tried[choice.size]
 
     def _timed_ms(self, name: str) -> float:
         size = SIZES[name]
-        narrower = Narrower(size.width)
+        one = self._tried[name] = Sized(WindowModel(size.model(self._model), arm=self._arm), Narrower(size.width))
         forecaster = Forecaster(self._grid, self._forecast, self._arm)
-        sets = (narrower.narrowed(frames) for frames in self._sets)
-        spent = median_ms(sets, WindowModel(size.model(self._model), arm=self._arm), forecaster)
+        spent = median_ms((one.narrower.narrowed(frames) for frames in self._sets), one.model, forecaster)
         assert spent is not None, "there are TRIED_SETS of them"
         return spent
