@@ -59,10 +59,15 @@ def test_a_light_that_changes_a_little_is_taken_up() -> None:
     assert gained[1] > gained[0] + 2
 
 
-def test_a_scene_at_rest_stays_as_it_is_to_the_bit() -> None:
-    model = WindowModel(QUICK)
-    states = [model.update(frames(index, -0.15, CAMERAS)) for index in range(12)]
-    assert np.array_equal(still(states[0]), still(states[-1]))
+def test_a_scene_at_rest_is_learnt_better_and_then_stays_as_it_is_to_the_bit() -> None:
+    model = WindowModel(replace(QUICK, map=MapParameters(tries=3)))
+    states = [model.update(frames(0, -0.15, CAMERAS))]
+    shown = [shown_db(model, states[0])]
+    for index in range(1, 80):
+        states.append(model.update(frames(index, -0.15, CAMERAS)))
+    shown.append(shown_db(model, states[-1]))
+    assert shown[-1] > shown[0] + 0.5
+    assert np.array_equal(still(states[70]), still(states[-1]))
 
 
 def test_refining_at_once_or_with_the_next_set_is_the_same() -> None:
@@ -82,11 +87,12 @@ def test_refining_at_once_or_with_the_next_set_is_the_same() -> None:
 def test_ground_far_from_what_moves_keeps_its_place() -> None:
     model = WindowModel(QUICK)
     before = still(model.update(sliding(1, CAMERAS)[0]))
-    for one in sliding(12, CAMERAS):
+    for one in sliding(24, CAMERAS):
         state = model.update(replace(one, stamp=one.stamp + 1, views=one.views))
     far = before[before[:, 1] < -0.4]
     after = still(state)
-    assert all((np.abs(after[:, :3] - row[:3]).sum(1) < 1e-6).any() for row in far)
+    moved = np.array([np.abs(after[:, :3] - row[:3]).sum(1).min() for row in far])
+    assert np.percentile(moved, 90) < 0.001 and moved.max() < 0.01
 
 
 def test_a_set_that_is_left_teaches_nothing() -> None:

@@ -21,7 +21,6 @@ from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.plane import Plane
-from twin_node.model.relearning import revise
 from twin_node.model.rendering import Rendering, Splats, render
 from twin_node.model.sweep import shell_around
 from twin_node.scene import Tier
@@ -181,18 +180,3 @@ def test_what_can_stand_before_a_moving_thing_is_found_and_no_more() -> None:
     assert not len(backgrounds.occluders(known, [above] * 3))
     before = backgrounds.occluders(known, [under] * 3)
     assert 0 < len(before) < len(store) / 4
-
-
-def test_stale_ground_takes_up_what_it_misses_and_nothing_else_does() -> None:
-    one, *others = observe(table(), None)
-    brighter = np.clip(one.rgb + 0.2, 0, 1).astype(np.float32)
-    stale = np.zeros_like(one.stale)
-    stale[40:60, 50:80] = True
-    revision = revise(replace(one, rgb=brighter, stale=stale), [], THRESHOLD)
-    seen = one.background.static
-    assert len(revision.chosen) > 20
-    assert grow(stale, 1)[seen.rows[revision.chosen], seen.columns[revision.chosen]].all()
-    assert 0.02 < revision.missed.mean() < 0.2
-    calm = [replace(other, near_moving=np.zeros_like(other.near_moving)) for other in others]
-    contradicted = revise(replace(one, rgb=brighter, stale=stale), calm, THRESHOLD)
-    assert len(contradicted.chosen) < len(revision.chosen) / 2

@@ -77,8 +77,6 @@ class Backgrounds:
         self._changed = False
         self._waiting: list[str] = []
         self.rows = torch.zeros(0, dtype=torch.int64)
-        self.newest: str | None = None
-        """Camera whose background was rendered for this set; None: none was."""
 
     def mark(self) -> None:
         """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
@@ -96,9 +94,8 @@ class Backgrounds:
         elif self._changed and self._age >= REFRESH_SETS:
             self._survey(gaussians, cameras, self._known)
             self._waiting += [camera.name for camera in cameras if camera.name not in self._waiting]
-        self.newest = self._waiting.pop(0) if self._waiting else None
-        if self.newest is not None:
-            name = self.newest
+        if self._waiting:
+            name = self._waiting.pop(0)
             self._known[name] = replace(self._known[name], **vars(self._render(gaussians, self._known[name].camera)))
         return [self._known[camera.name] for camera in cameras]
 

@@ -102,8 +102,6 @@ class Gaussians:
         """Steps of single Gaussians that were not finite and were therefore not taken, since the model began."""
         self.static_version = 0
         """Counts what has happened to STATIC Gaussians: what was made of them is good as long as this stays."""
-        self.static_colours = 0
-        """Counts how often nothing but colours of STATIC Gaussians has changed."""
         self._next_id = 0
 
     def __len__(self) -> int:
@@ -187,11 +185,6 @@ class Gaussians:
         quats = quat_product(nodes.quats[old], self.values[rows, QUAT].cpu().double())
         self.values[rows, MEAN], self.values[rows, QUAT] = means.float().to(device), quats.float().to(device)
         self.board(rows, carriers, nodes, self.founders[rows])
-
-    def recolour(self, rows: Tensor, change: Tensor) -> None:
-        """Adds `change` [n, 3] to the colours of STATIC `rows` [n]; they stay in 0 to 1."""
-        self.static_colours += 1
-        self.values[rows, RGB] = (self.values[rows, RGB] + change).clamp(0, 1)
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""

@@ -46,8 +46,6 @@ class Observed:
     """[H, W] m: smallest depth measured in the 3 x 3 pixels around, so that edges refute nothing; 0 where unknown."""
     stale: Bool
     """[H, W] the background has been wrong here for a while although nothing moves: it has to be learnt anew."""
-    came_late: bool
-    """Whether the camera was not there when the scene at rest was learnt, so that it has had no say in it."""
 
 
 class Observer:
@@ -59,7 +57,6 @@ class Observer:
         self._wrong_s: dict[str, Float32] = {}
         self._misfit: dict[str, Float32] = {}
         self._seeding = True
-        self._founders: set[str] = set()
 
     def observe(
         self,
@@ -71,8 +68,6 @@ class Observer:
     ) -> list[Observed]:
         """What is known about each view of `frames`, `dt_s` after the set before."""
         out = []
-        if self._seeding:
-            self._founders = {view.camera.name for view in frames.views}
         for view, mask, robot, background in zip(frames.views, moving, robots, backgrounds, strict=True):
             usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
             usable = usable if robot is None else usable & ~robot
@@ -97,7 +92,6 @@ class Observer:
                     active,
                     _nearest(view.depth),
                     stale,
-                    view.camera.name not in self._founders,
                 )
             )
         self._seeding = False

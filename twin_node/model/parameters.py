@@ -77,12 +77,12 @@ class MapParameters:
     """How what stands still is refined beside the tracking."""
 
     steps: int = 2
-    """Gradient steps per set; 0: STATIC Gaussians keep the shape that the first set gave them."""
-    learning_rate: float = 0.5
-    """Multiplies all rates of `descending.RATES`."""
+    """Steps per set; 0: STATIC Gaussians keep the shape that the first set gave them."""
     threshold: float = 0.02
-    """Difference (0 to 1) between background and image at rest, beyond what the first fit left over, that is worth a
-    step: five grey levels, above the noise of 8-bit video."""
+    """Difference (0 to 1) between background and image at rest that is worth a step: five grey levels, above the noise
+    of 8-bit video. Beyond what steps have left over before, where there have been some."""
+    tries: int = 30
+    """Looks at a pixel, one per camera in turn, after which what steps have left over is taken for all that can be."""
     calm_s: float = 0.15
     """For how long a pixel must have been free and still before what it shows is learnt."""
     patience_s: float = 0.5
@@ -91,8 +91,6 @@ class MapParameters:
     """Difference (0 to 1) that is then too much: what counts as change."""
     most_born: int = 40
     """Gaussians born per set at most."""
-    most_learners: int = 1000
-    """Gaussians that learn at once: what a fraction of a frame's time is enough for."""
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from twin_node.model.gaussians import LOGIT, RGB, Gaussians
+from twin_node.model.gaussians import LOGIT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
@@ -19,7 +17,7 @@ class Publisher:
     """Makes clouds of a model; what stands still is made ready once and kept for as long as it does."""
 
     def __init__(self) -> None:
-        self._version = self._colours = -1
+        self._version = -1
         self._still: GaussianCloud | None = None
 
     def cloud(self, gaussians: Gaussians, motion: Motion) -> GaussianCloud:
@@ -27,10 +25,6 @@ class Publisher:
         if self._still is None or self._version != gaussians.static_version:
             self._still = _part(gaussians, motion, gaussians.static_rows)
             self._version = gaussians.static_version
-        elif self._colours != gaussians.static_colours:
-            rgb = gaussians.values[gaussians.static_rows, RGB].clamp(0, 1).cpu().numpy()
-            self._still = replace(self._still, rgb=rgb)
-        self._colours = gaussians.static_colours
         moving = _part(gaussians, motion, torch.nonzero(gaussians.alive & (gaussians.tiers != int(Tier.STATIC)))[:, 0])
         return self._still.joined(moving)
 

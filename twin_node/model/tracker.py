@@ -26,7 +26,6 @@ from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.regrouping import Decision
-from twin_node.model.relearning import revise
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
@@ -219,11 +218,10 @@ class Tracker:
         return Members(here.means[0].cpu().double().numpy(), here.rgb.cpu().numpy(), carriers, founders)
 
     def _fit(self, observed: Sequence[Observed], before: Tensor) -> Fitted:
-        """Canonical attributes of what moves by a few gradient steps, and of STATIC Gaussians whose look has changed.
+        """Canonical attributes of what moves by a few gradient steps.
 
         `before` are STATIC rows that can stand before what moves. After steps that diverged the next ones are smaller.
         """
-        self._revise(observed)
         g, track = self._gaussians, self._parameters.track
         poses = self._poses(observed)
         if not track.selects:
@@ -236,18 +234,6 @@ class Tracker:
         fitted = fit_moving(g, self._motion, observed, poses, masks, around, track.steps, rate)
         self._pace = self._pace * BRAKE if fitted.diverged else min(1.0, self._pace * PICK_UP)
         return fitted
-
-    def _revise(self, observed: Sequence[Observed]) -> None:
-        """STATIC Gaussians take up what the view whose background was rendered last misses where it is stale."""
-        for one in observed:
-            if one.view.camera.name == self._backgrounds.newest and one.stale.any():
-                others = [other for other in observed if other is not one and not one.came_late]
-                revision = revise(one, others, self._parameters.track.residual)
-                rows = self._backgrounds.rows[torch.from_numpy(revision.chosen)]
-                standing = self._gaussians.alive[rows] & (self._gaussians.tiers[rows] == int(Tier.STATIC))
-                missed = torch.from_numpy(revision.missed).to(rows.device)
-                self._gaussians.recolour(rows[standing], missed[standing])
-                self._backgrounds.mark()
 
     def _bury_moving(self, observed: Sequence[Observed]) -> None:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""

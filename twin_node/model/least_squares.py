@@ -1,0 +1,118 @@
+"""One step of STATIC Gaussians towards what cameras see at rest: least squares, damped by what each of them covers.
+
+Adam's steps are as long near the goal as far from it, and shake what has long been right. Here a step is as long as the
+error says: the gradient of the squared error over the curvature of a Gaussian's colour, which is the sum of its blend
+weights (one sweep of SIRT, Gilbert 1972); its shape follows with the same curvature and less haste.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node import splat
+from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, Gaussians
+from twin_node.model.rendering import Splats
+from twin_node.scene import Bool, Camera, Float32
+
+COLOUR_SHARE = 0.7
+"""Share of the colour's full step: neighbours that overlap correct the same pixels."""
+SHAPE_SHARE = 0.55
+"""The same of means, sizes, turns and opacities, whose curvature is known worse: from twice as much on they swing."""
+LONGEST = 0.05
+"""Longest step of a mean in its Gaussian's sizes, of a log size and of a quaternion; twice as much of a logit."""
+OUTLIER = 0.1
+"""Error of a channel (0 to 1) that pulls no harder when it grows: a view that shows what no Gaussian can, as a glare,
+must not outweigh what all others see."""
+FEWEST_PIXELS = 0.3
+"""Blend weight, summed over pixels, under which a Gaussian is seen too little to be judged."""
+DEPTH_GAIN = 2.0
+"""What a relative error of depth counts in errors of colour."""
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """What one camera sees of what stands still."""
+
+    camera: Camera
+    rgb: Float32
+    """[H, W, 3] 0 to 1."""
+    depth: Float32
+    """[H, W] m; 0 where nothing was measured."""
+    surface: Float32
+    """[H, W] m: what stands behind all Gaussians."""
+    counted: Bool
+    """[H, W] pixels that are held to it."""
+
+
+def step(gaussians: Gaussians, rows: Tensor, learners: Tensor, views: Sequence[AtRest]) -> None:
+    """One step of `learners` ([n], True among STATIC `rows` [n]) towards `views`, cameras of one size."""
+    splats = gaussians.standing(gaussians.values[rows])
+    gradient = _descent(splats, views)
+    taken = torch.nonzero(learners & (gradient.weights > FEWEST_PIXELS))[:, 0]
+    rows, pull, seen = rows[taken], gradient.splats, gradient.weights[taken, None]
+    scales, opacities, share = splats.scales[taken], splats.opacities[taken], SHAPE_SHARE / seen
+    size = scales.mean(-1, keepdim=True)
+    new = gaussians.values[rows]
+    new[:, MEAN] += size * (share * pull.means[0, taken] * size).clamp(-LONGEST, LONGEST)
+    new[:, QUAT] += (share * pull.quats[0, taken]).clamp(-LONGEST, LONGEST)
+    new[:, LOG_SCALE] += (share * pull.scales[taken] * scales).clamp(-LONGEST, LONGEST)
+    new[:, LOG_SCALE] = torch.minimum(new[:, LOG_SCALE], gaussians.largest[rows, None]).clamp_min(SMALLEST)
+    new[:, LOGIT.start] += (share[:, 0] * pull.opacities[taken] * opacities).clamp(-2 * LONGEST, 2 * LONGEST)
+    new[:, RGB] = (new[:, RGB] + COLOUR_SHARE * pull.rgb[taken] / seen).clamp(0, 1)
+    finite = torch.isfinite(new).all(1)
+    gaussians.refused += int((~finite).sum())
+    rows = rows[finite]
+    gaussians.take(rows, new[finite], gaussians.moment1[rows], gaussians.moment2[rows], gaussians.steps[rows])
+
+
+@dataclass(frozen=True)
+class _Descent:
+    """Half the squared error's steepest descent, and how much each Gaussian shows."""
+
+    splats: Splats
+    weights: Tensor
+    """[n] blend weights summed over the counted pixels of all views."""
+
+
+def _descent(splats: Splats, views: Sequence[AtRest]) -> _Descent:
+    device, count = splats.means.device, len(splats.scales)
+    with_depth = any(view.depth.any() for view in views)
+    means, quats, scales, opacities = (
+        field.detach().requires_grad_() for field in (splats.means[0], splats.quats[0], splats.scales, splats.opacities)
+    )
+    features = torch.cat([splats.rgb, splats.rgb.new_zeros(count, 1)], 1).requires_grad_()
+    cameras = [view.camera for view in views]
+    counted = torch.from_numpy(np.stack([view.counted for view in views])).to(device)
+    renders, alphas, _ = splat.rasterize(
+        means,
+        quats,
+        scales,
+        opacities,
+        features,
+        torch.from_numpy(np.stack([camera.viewmat for camera in cameras])).to(device, torch.float32),
+        torch.from_numpy(np.stack([camera.K for camera in cameras])).to(device, torch.float32),
+        cameras[0].width,
+        cameras[0].height,
+        render_mode="RGB+D" if with_depth else "RGB",
+        pixel_mask=counted,
+    )
+    pull, pull_alphas = torch.zeros_like(renders), torch.zeros_like(alphas)
+    rgb = torch.from_numpy(np.stack([view.rgb for view in views])).to(device)
+    pull[..., :3] = (rgb - renders.detach()[..., :3]).clamp(-OUTLIER, OUTLIER)
+    pull[..., 3] = 1  # on a feature that is zero everywhere: its gradient is the sum of the blend weights
+    if with_depth:
+        surface = torch.from_numpy(np.stack([view.surface for view in views])).to(device)
+        depth = torch.from_numpy(np.stack([view.depth for view in views])).to(device)
+        shown = renders.detach()[..., 4] + (1 - alphas.detach()[..., 0]) * surface
+        missed = torch.where(depth > 0, DEPTH_GAIN * (depth / shown.clamp_min(1e-3) - 1), 0.0)
+        pull[..., 4] = missed.clamp(-OUTLIER, OUTLIER) * DEPTH_GAIN / shown.clamp_min(1e-3)
+        pull_alphas[..., 0] = -pull[..., 4] * surface
+    torch.autograd.backward([renders, alphas], [pull * counted[..., None], pull_alphas * counted[..., None]])
+    of = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in (means, quats, scales, opacities)]
+    assert features.grad is not None
+    return _Descent(Splats(of[0][None], of[1][None], of[2], of[3], features.grad[:, :3]), features.grad[:, 3])

@@ -1,0 +1,88 @@
+"""What a camera sees where nothing moves, and where what stands still looks otherwise."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.model.backgrounds import grow
+from twin_node.model.births import BLOCK
+from twin_node.model.observation import Observed, largest_channel
+from twin_node.model.parameters import MapParameters
+from twin_node.scene import Float32
+
+UPTAKE = 0.3
+"""Share of each image that enters what a pixel shows at rest: noise is averaged over about six images."""
+STIRRED = 25 / 255
+"""Change from what a pixel shows at rest that is no noise: it starts anew (the threshold for moving pixels)."""
+MOST_FILLS = 2
+"""Times that one place is given new Gaussians before it changes again: what they do not mend, more will not."""
+
+AROUND_PX = 3
+"""Pixels around one within which another shows the same Gaussians."""
+
+
+class Rest:
+    """What one camera sees where nothing moves."""
+
+    def __init__(self, one: Observed) -> None:
+        """Begins with an image."""
+        shape = one.rgb.shape[:2]
+        self.camera = one.view.camera
+        self.rgb = one.rgb.copy()
+        """[H, W, 3] running mean of what pixels show at rest, 0 to 1."""
+        self.depth = np.zeros(shape, np.float32)
+        """[H, W] m, what was measured there last; 0 where unknown."""
+        self.counted = np.zeros(shape, bool)
+        """[H, W] pixels that had been at rest for long enough when it looked last."""
+        self.hidden = np.zeros(shape, bool)
+        """[H, W] pixels that show something that moves, or nothing of use."""
+        self.wrong = np.zeros(shape, bool)
+        """[H, W] those where the background looks otherwise and steps have not been in vain, and those around."""
+        self.lacking = np.zeros(shape, np.float32)
+        """[H, W] what steps have not made good although there was time for them, 0 to 1."""
+        self._calm_s = np.zeros(shape, np.float32)
+        self._filled = np.zeros(shape, np.uint8)
+        self._tries = np.zeros(shape, np.int32)
+        self._settled = np.zeros(shape, np.float32)
+        self._stamp = one.view.stamp
+
+    def see(self, one: Observed, parameters: MapParameters) -> None:
+        """Takes in an image."""
+        change = largest_channel(one.rgb, self.rgb)
+        self.hidden = ~one.usable | one.near_moving
+        calm = ~self.hidden & (change < STIRRED)
+        since_s = np.float32((one.view.stamp - self._stamp) * 1e-9)
+        self._stamp = one.view.stamp
+        self._calm_s = np.where(calm, self._calm_s + since_s, np.float32(0))
+        self.rgb += np.where(calm, np.float32(UPTAKE), np.float32(1))[..., None] * (one.rgb - self.rgb)
+        if one.view.depth is not None:
+            self.depth = np.where(calm & (one.view.depth > 0), one.view.depth, self.depth)
+        self.counted = self._calm_s > parameters.calm_s
+        difference = largest_channel(self.rgb, one.background.rgb)
+        self._find_wrong(cv2.blur(difference, (3, 3)).astype(np.float32), parameters)
+        stirred = ~self.hidden & ~calm
+        self._filled[stirred], self._settled[stirred], self._tries[stirred] = 0, 0, 0
+        patient = (self._calm_s > parameters.patience_s) & (self._filled < MOST_FILLS)
+        self.lacking = np.where(patient, cv2.blur(difference - one.misfit, (3, 3)), np.float32(0))
+
+    def _find_wrong(self, missed: Float32, parameters: MapParameters) -> None:
+        """Where more is `missed` [H, W] than steps leave over.
+
+        What is left after so many looks, in a pixel and around it, is what it takes from then on to be wrong again, and
+        half a threshold more: neighbours that share a Gaussian would take turns without end.
+        """
+        wrong = self.counted & (missed > self._settled + parameters.threshold)
+        self._tries += wrong
+        spent = grow(self._tries > parameters.tries, AROUND_PX)
+        self._settled[spent] = np.maximum(self._settled, missed + np.float32(0.5 * parameters.threshold))[spent]
+        self._tries[spent] = 0
+        self.wrong = grow(wrong & ~spent, 1)
+
+    def fill(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> None:
+        """The blocks of pixels that begin at `rows` and `columns` [n] have new Gaussians, which must learn first."""
+        for down in range(BLOCK):
+            for right in range(BLOCK):
+                self._calm_s[rows + down, columns + right] = 0
+                self._filled[rows + down, columns + right] += 1
