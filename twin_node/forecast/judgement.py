@@ -77,7 +77,8 @@ def held(
     than what moves, and flickers.
     """
     known = _mask(margin.outer.size, here)
-    foreseen = _mask(margin.outer.size, margin.outer_indices(forecast))
+    foreseen = margin.padded(_mask(margin.inner.size, forecast))
+    mine, expected = tables.blocks.locate(here), None
     seen = covered = measured = agreed = 0
     for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
         if view.depth is not None:
@@ -88,10 +89,12 @@ def held(
             seen += len(places)
             covered += int(np.count_nonzero(foreseen[places]))
             continue
+        if expected is None:
+            expected = tables.blocks.locate(np.flatnonzero(foreseen))
         table = tables.of(view.camera)
-        explained = moving & table.image_of(tables.blocks.locate(here))
+        explained = moving & table.image_of(mine)
         seen += int(np.count_nonzero(explained))
-        covered += int(np.count_nonzero(explained & table.image_of(tables.blocks.locate(np.flatnonzero(foreseen)))))
+        covered += int(np.count_nonzero(explained & table.image_of(expected)))
     return Held(seen, covered, measured, agreed)
 
 

@@ -39,10 +39,13 @@ class Margin:
         nx, ny, nz = self.inner.dims
         return mask.reshape(self.outer.dims)[x : x + nx, y : y + ny, z : z + nz].reshape(-1)
 
-    def outer_indices(self, indices: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Flat indices [n] in the outer grid of flat indices [n] in the inner one."""
-        ijk = np.stack(np.unravel_index(indices.astype(np.int64), self.inner.dims)) + self._offset[:, None]
-        return np.asarray(np.ravel_multi_index(tuple(ijk), self.outer.dims), dtype=np.int64)
+    def padded(self, mask: Bool) -> Bool:
+        """Flat mask [outer.size] of a flat mask [inner.size]: what `cropped` undoes."""
+        x, y, z = self._offset
+        nx, ny, nz = self.inner.dims
+        padded = np.zeros(self.outer.dims, np.bool_)
+        padded[x : x + nx, y : y + ny, z : z + nz] = mask.reshape(self.inner.dims)
+        return padded.reshape(-1)
 
 
 _SIDES = np.array([2, 2, 1])

@@ -50,11 +50,24 @@ inline void write(const BoxList &list, int64_t level, const int64_t *cell, const
 inline void hold_voxels(const HoldRequest &r) {
   const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
   std::vector<Box> boxes(lattice.size(), kNothing);
-  const uint32_t ny = r.ny, nz = r.nz;
-  for (int64_t i = 0; i < r.voxels; i++) {
-    const uint32_t column = r.indices[i] / nz, x = column / ny, y = column % ny, z = r.indices[i] % nz;
-    const int32_t voxel[3] = {static_cast<int32_t>(x), static_cast<int32_t>(y), static_cast<int32_t>(z)};
-    boxes[((x / kCell) * lattice.y + y / kCell) * lattice.z + z / kCell].hold(voxel, voxel);
+  const int64_t ny = r.ny, nz = r.nz;
+  int64_t bottom = 0, top = 0;  // first voxel of the column that the last one lay in, and one past its last
+  int32_t x = 0, y = 0;
+  Box *cells = nullptr;
+  for (int64_t i = 0; i < r.voxels;) {
+    const int64_t index = r.indices[i];
+    if (index < bottom || index >= top) {
+      const int64_t column = index / nz;
+      x = static_cast<int32_t>(column / ny), y = static_cast<int32_t>(column % ny);
+      bottom = column * nz, top = bottom + nz;
+      cells = &boxes[((x / kCell) * lattice.y + y / kCell) * lattice.z];
+    }
+    const int32_t z = static_cast<int32_t>(index - bottom);
+    const int64_t end = std::min(top, bottom + (z / kCell + 1) * kCell);  // of the cell
+    int64_t next = index + 1;  // voxels mostly stand one upon the other
+    for (i++; i < r.voxels && r.indices[i] == next && next < end; i++) next++;
+    const int32_t low[3] = {x, y, z}, high[3] = {x, y, static_cast<int32_t>(next - 1 - bottom)};
+    cells[z / kCell].hold(low, high);
   }
   *r.found.count = 0;
   int64_t row = 0;

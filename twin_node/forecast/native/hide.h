@@ -47,11 +47,13 @@ inline uint64_t joined(uint64_t one, uint64_t other) {
 
 // Words joined with those `offset` further on, of lines that begin at every multiple of `line`; none lie beyond a line.
 template <Join join>
-inline void join_along(const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t line, int64_t offset) {
+inline void join_along(
+    const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t line, int64_t offset) {
   for (int64_t begin = 0; begin < static_cast<int64_t>(words.size()); begin += line) {
     uint64_t *own = &words[begin];
     const uint64_t *from = &before[begin];
-    const int64_t first = std::clamp<int64_t>(-offset, 0, line), last = std::clamp<int64_t>(line - offset, first, line);
+    const int64_t first = std::clamp<int64_t>(-offset, 0, line);
+    const int64_t last = std::clamp<int64_t>(line - offset, first, line);
     if (join == Join::kAll) std::fill(own, own + first, 0), std::fill(own + last, own + line, 0);
     for (int64_t i = first; i < last; i++) own[i] = joined<join>(own[i], from[i + offset]);
   }
