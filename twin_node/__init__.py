@@ -6,9 +6,6 @@ import os
 # them, up to 60 times their time; a short spin is worth its while (docs/design.md, "Threads").
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("GOMP_SPINCOUNT", "1000")
-# Before NumPy is imported: its matrix library's workers spin for tens of milliseconds after every product, and the
-# products of a set are of a few hundred rows, which one thread does as fast.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Before NumPy is: OpenBLAS's workers spin for tens of milliseconds after a product of a few hundred rows, which took a
 # core away from the rasteriser and half as much time again per set. What is large enough for two cores is torch's.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
