@@ -23,6 +23,9 @@ RAMP_S = 0.5
 """Time in which a motion gets up to its speed, s: nothing starts at once, unless a test says so."""
 ONSET_S = 1.2
 """When what goes wrong during a run begins, s: the twin has seen the undisturbed scene by then."""
+SHOWN = 0.6
+"""Share of its period for which a thing that blinks is there. Half of half a second would be as long as a forecast
+looks ahead: of those made while it is seen, only the one made as it appears, before all cameras see it, would count."""
 OFF_STAGE = np.array([0.55, 0.0, -4.0])
 """Below the floor, where no camera sees, m."""
 SIZE: Triple = (0.14, 0.12, 0.18)
@@ -104,10 +107,10 @@ def turning_box(speed: float, seconds: float) -> Scenario:
 
 
 def blinking_box(per_second: float, seconds: float) -> Scenario:
-    """A box that stands in mid-air for the second half of each period, and is nowhere in the first."""
+    """A box that stands in mid-air for the last `SHOWN` of each period, and is nowhere before."""
 
     def course(t: float) -> Float64:
-        return MIDDLE if (t * per_second) % 1.0 >= 0.5 else OFF_STAGE
+        return MIDDLE if (t * per_second) % 1.0 >= 1 - SHOWN else OFF_STAGE
 
     return one_box(course, seconds)
 
