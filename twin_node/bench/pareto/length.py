@@ -263,7 +263,7 @@ def draw(found: Length, folder: Path) -> Path:
     above.set_title(f"The whole chain on {sets}", loc="left")
     above.legend(frameon=False, fontsize=8)
     for axes in (above, below):
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.15 * axes.get_ylim()[1])
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color="#eeeeee")
     return save_chart(figure, folder, "length")
