@@ -105,6 +105,16 @@ def test_what_a_view_sees_through_is_refuted() -> None:
     assert gone.tolist() == [False, True]
 
 
+def test_what_reaches_in_from_beyond_the_edge_is_refuted_too() -> None:
+    seeing = observe(table(), 0.1)[0]
+    camera = seeing.view.camera
+    right = camera.T_base_cam[:3, :3] @ np.array([(camera.width / 2 + 4) / camera.K[0, 0], 0, 1])
+    beyond = (camera.T_base_cam[:3, 3] + 0.8 * right)[None]
+    seeing = replace(seeing, background=replace(seeing.background, depth=np.full_like(seeing.background.depth, 9.0)))
+    reaching = [refuted_moving([seeing], [beyond], np.array([radius]), np.ones(1, bool)) for radius in (0.01, 0.05)]
+    assert [bool(one[0]) for one in reaching] == [False, True]
+
+
 @pytest.mark.parametrize("depth", [False, True])
 def test_static_gaussians_of_a_thing_that_left_are_told_from_the_rest(depth: bool) -> None:
     static = joined(table(), block(-0.2))

@@ -109,7 +109,7 @@ class Backgrounds:
         for camera in cameras:
             static = look(camera, means)
             seen = {name: getattr(shown[camera.name], name) for name in _Shown.__dataclass_fields__}
-            reach_px = _reach_px(camera, static, means, reach)
+            reach_px = pixels_reached(camera, static, means, reach)
             surveyed[camera.name] = Background(**seen, camera=camera, static=static, reach_px=reach_px)
         self._known = surveyed
         self._waiting = [name for name in self._waiting if name in surveyed]
@@ -153,7 +153,7 @@ class Backgrounds:
         return np.where((plane > 0.05) & (plane < shell), plane, shell)
 
 
-def _reach_px(camera: Camera, seen: Seen, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Float32:
+def pixels_reached(camera: Camera, seen: Seen, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Float32:
     """[n] pixels that spheres of `radii` (m) at `points` [n, 3] reach into the image from its pixel next to them."""
     uv = project(camera.K, camera.viewmat, points)[:, :2]
     outside = np.square(uv - 0.5 - np.stack([seen.columns, seen.rows], -1)).sum(-1) * ~seen.inside

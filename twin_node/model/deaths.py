@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.model.backgrounds import OCCLUSION, on_surface
+from twin_node.model.backgrounds import OCCLUSION, on_surface, pixels_reached
 from twin_node.model.observation import Observed
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
@@ -16,15 +16,18 @@ from twin_node.scene import Bool, Float64
 SEEN_THROUGH = 0.05
 """Share of its depth by which a measured surface must lie behind a Gaussian to refute it."""
 
-RIM = np.array([[0.0, 0.0], [2.2, 0.0], [-2.2, 0.0], [0.0, 2.2], [0.0, -2.2]])
-"""Where a Gaussian is looked for, in sigmas along the image's axes: its centre and the rim where a tenth is left."""
+REACH = 2.2
+"""Sigmas from its centre at which a tenth of a Gaussian is left."""
+RIM = REACH * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Where a Gaussian is looked for, in sigmas along the image's axes: its centre and its rim."""
 
 
 def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii: Float64, carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
     `means` holds [n, 3] per view, at its time; `radii` [n] 1 sigma in m. `carried` [n] says which have a node: a view
-    that shows nothing moving where they reach speaks against them; against others, one that shows the background.
+    that shows nothing moving where they reach speaks against them; against others, one that shows the background. That
+    holds at the image's edge too, for what reaches in from beyond.
     """
     refuted = np.zeros(len(carried), bool)
     for one, at in zip(observed, means, strict=True):
@@ -35,6 +38,9 @@ def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii
             rim = _beside(seen, share[0] * reach_px, share[1] * reach_px, one.usable.shape)
             empty = np.where(carried, carried_pixels[rim.rows, rim.columns], free_pixels[rim.rows, rim.columns])
             refuted |= rim.inside & ~one.background.occluded(rim) & empty
+        looms = ~seen.inside & (pixels_reached(one.view.camera, seen, at, REACH * radii) > 1)
+        empty = np.where(carried, carried_pixels[seen.rows, seen.columns], free_pixels[seen.rows, seen.columns])
+        refuted |= looms & ~one.background.occluded(seen) & empty
         refuted |= _seen_through(one, seen)
     return refuted
 
