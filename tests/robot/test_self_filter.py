@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from twin_node.model.robot_links import arm_depth
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, robot_mask, ur_model
 from twin_node.scene import Camera
 
@@ -88,3 +89,22 @@ def test_calibration_error_grows_the_mask() -> None:
 def test_joints_that_are_not_finite_are_refused() -> None:
     with pytest.raises(RobotError, match="finite"):
         robot_mask(MODEL, np.full(6, np.nan), camera_at(np.array([2.0, 0.0, 1.0]), np.zeros(3)))
+
+
+def test_what_depth_shows_in_front_of_the_arm_is_not_the_arm() -> None:
+    camera = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))
+    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
+    mask = robot_mask(MODEL, q, camera)
+    surface = arm_depth(MODEL, q, camera, mask)
+    surface = np.where(surface > 0, surface, np.where(mask, 3.0, 0)).astype(np.float32)  # about the arm, the wall
+    for error in (-0.02, 0.0, 0.02):
+        measured = np.where(surface > 0, surface + np.float32(error), 0)
+        np.testing.assert_array_equal(robot_mask(MODEL, q, camera, depth=measured), mask)
+    rows, columns = np.nonzero(surface < 2.9)
+    middle = np.hypot(rows - np.median(rows), columns - np.median(columns)).argmin()
+    hand = np.s_[rows[middle] - 2 : rows[middle] + 3, columns[middle] - 2 : columns[middle] + 3]
+    held_up = surface.copy()
+    held_up[hand] = surface[rows[middle], columns[middle]] - 0.25
+    expected = mask.copy()
+    expected[hand] = False
+    np.testing.assert_array_equal(robot_mask(MODEL, q, camera, depth=held_up), expected)

@@ -168,7 +168,7 @@ class WindowModel:
         if self._arm is None or frames.joints is None:
             return (None,) * len(frames.views)
         q = self._arm.ordered_positions(frames.joints)
-        return tuple(robot_mask(self._arm, q, view.camera) for view in frames.views)
+        return tuple(robot_mask(self._arm, q, view.camera, depth=view.depth) for view in frames.views)
 
     def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> None:
         torch.manual_seed(self._seed)

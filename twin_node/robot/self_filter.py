@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin_node.robot.kinematics import forward_kinematics, place_capsules
 from twin_node.robot.model import ArmModel
-from twin_node.scene import Bool, Camera, Float64, UInt8
+from twin_node.scene import Bool, Camera, Float32, Float64, UInt8
 
 _RIM_POINTS = 16
 """Corners of the polygon drawn around each end's outline; it stands out by less than 2 % of the radius."""
@@ -16,6 +16,8 @@ _SIGMAS = 2.0
 """How many standard errors of the camera's pose the arm is grown by (95 % of errors in one direction)."""
 _PIXEL_MARGIN = 0.5
 """Pixels added around a polygon, because OpenCV fills to the nearest pixel and rounds corners."""
+_CLEAR_M, _DEPTH_SHARE = 0.03, 0.01
+"""What is measured so far in front of the grown arm is not the arm, m and as a share of the depth: errors of depth."""
 _WIDEST = 0.999
 """Sine of the largest half angle of an end's cone of rays: a camera that nearly touches an end sees it up to here."""
 _SUBPIXEL_BITS = 4
@@ -24,12 +26,15 @@ _FAR_PIXEL = 2.0**24
 """Corners are kept within this many pixels, so that they fit OpenCV's fixed-point numbers."""
 
 
-def robot_mask(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_m: float = 0.03) -> Bool:
+def robot_mask(
+    model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_m: float = 0.03, depth: Float32 | None = None
+) -> Bool:
     """True [H, W] where the arm, at joint angles [J] (rad), may be seen by the camera.
 
     Every capsule is grown by `margin_m` plus twice the camera's calibration error `sigma_m`. Its outline is the convex
-    hull of those of its two end spheres; every pixel whose centre is inside counts. Raises `RobotError` for joint
-    angles that are not usable.
+    hull of those of its two end spheres; every pixel whose centre is inside counts, unless `depth` [H, W] (m, 0 where
+    it is not measured) shows something in front of the arm there. Raises `RobotError` for joint angles that are not
+    usable.
     """
     placed = place_capsules(model, forward_kinematics(model, q))
     ends = placed.ends @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -42,7 +47,30 @@ def robot_mask(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_
         _draw_outlines(mask, _rims(ends[in_front], radii[in_front, None] + _PIXEL_MARGIN * pixel), camera.K)
     for index in np.flatnonzero(~in_front & ~behind):
         mask |= _ray_hits(camera, ends[index], float(radii[index]))
-    return mask.astype(bool)
+    covered = mask.astype(np.bool_)
+    return covered if depth is None else covered & ~_hidden(covered, depth, camera, ends, radii)
+
+
+def _hidden(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii: Float64) -> Bool:
+    """[H, W] those pixels of `covered` [H, W] that show something in front of capsules `ends` [C, 2, 3], radii [C].
+
+    A point well off every capsule, and nearer to the camera than the place on an axis that is nearest to it. Single
+    pixels do not count: at edges depth cameras measure what is nowhere.
+    """
+    rows, columns = np.nonzero(covered & (depth > 0))
+    z, K = depth[rows, columns].astype(np.float64), camera.K
+    points = np.stack([(columns + 0.5 - K[0, 2]) / K[0, 0] * z, (rows + 0.5 - K[1, 2]) / K[1, 1] * z, z], axis=1)
+    off, nearer = np.full(len(points), np.inf), np.zeros(len(points), np.bool_)
+    for (begin, end), radius in zip(ends, radii, strict=True):
+        axis = end - begin
+        share = np.clip((points - begin) @ axis / max(float(axis @ axis), 1e-18), 0, 1)
+        apart = points - begin - share[:, None] * axis
+        gap = np.sqrt(np.einsum("nc,nc->n", apart, apart)) - radius
+        closer = gap < off
+        off, nearer = np.where(closer, gap, off), np.where(closer, apart[:, 2] < 0, nearer)
+    hidden = np.zeros(covered.shape, np.uint8)
+    hidden[rows, columns] = nearer & (off > _CLEAR_M + _DEPTH_SHARE * z)
+    return cv2.morphologyEx(hidden, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
 
 
 def _rims(ends: Float64, radii: Float64) -> Float64:
