@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin_node.bench.body import BodyScore, BodyTally
 from twin_node.bench.equal_recall import EqualRecall, PersistenceGrowth
 from twin_node.bench.errors import BenchError
 from twin_node.bench.space import SpaceScore, SpaceTally
@@ -71,6 +72,8 @@ class OccupancyBench:
     """Vacated and unseen space; None without exact truth."""
     update_ms: float | None = None
     """Median time of one forecast, without its evidence being scored."""
+    body: BodyScore | None = None
+    """The node that carries the thing of the colour; None without a colour."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
@@ -78,7 +81,8 @@ class OccupancyBench:
         own = {"truth": self.truth, "sets": self.sets, "coverage": self.coverage, "target": self.target}
         equal = None if self.persistence_equal_recall is None else asdict(self.persistence_equal_recall)
         space = {} if self.space is None else asdict(self.space)
-        return {**named, "persistence_equal_recall": equal, **space, **own, "update_ms": self.update_ms}
+        body = None if self.body is None else asdict(self.body)
+        return {**named, "persistence_equal_recall": equal, **space, **own, "update_ms": self.update_ms, "body": body}
 
 
 def run(
@@ -102,8 +106,10 @@ def run(
         source = LogSource(session, SynchronizerParameters(parameters.width, parameters.max_rate_hz))
         grid = default_grid(source.workspace, parameters.chain.grid.voxel_size)
         truth = _truth_of(session, markers, colour)
+        tally = None if colour is None else BodyTally(colour, round(parameters.latency_ms * 1e6))
         states = _states(progress(source), make_model(parameters.chain).update, colour)
-        bench = score_states(states, grid, truth, parameters)
+        bench = score_states(states if tally is None else tally.watch(states), grid, truth, parameters)
+        bench = replace(bench, body=None if tally is None else tally.score())
     if not bench.scores:
         raise BenchError(f"{log}: expected more than {parameters.warm_up_s + 0.2} s of images, found {bench.sets} sets")
     return bench

@@ -74,13 +74,17 @@ class Backgrounds:
         self._shell = shell
         self._known: dict[str, Background] = {}
         self._age = 0
-        self._changed = False
+        self._changed = self._outdated = False
         self._waiting: list[str] = []
         self.rows = torch.zeros(0, dtype=torch.int64)
 
     def mark(self) -> None:
         """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
         self._changed = True
+
+    def renew(self) -> None:
+        """What stands has become something else at once: all of it is rendered anew for the next set."""
+        self._outdated = True
 
     def repaint(self) -> None:
         """STATIC Gaussians look otherwise, but stand where they stood: the images are rendered anew, one per set."""
@@ -89,7 +93,8 @@ class Backgrounds:
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera; called once per set."""
         self._age += 1
-        if not all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras):
+        known = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
+        if self._outdated or not known:
             self._survey(gaussians, cameras, {camera.name: self._render(gaussians, camera) for camera in cameras})
         elif self._changed and self._age >= REFRESH_SETS:
             self._survey(gaussians, cameras, self._known)
@@ -113,7 +118,7 @@ class Backgrounds:
             surveyed[camera.name] = Background(**seen, camera=camera, static=static, reach_px=reach_px)
         self._known = surveyed
         self._waiting = [name for name in self._waiting if name in surveyed]
-        self._changed = False
+        self._changed = self._outdated = False
         self._age = 0
 
     def _render(self, gaussians: Gaussians, camera: Camera) -> _Shown:

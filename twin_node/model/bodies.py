@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from twin_node.model.cells import Cells
+from twin_node.model.decisions import Decision, Grounds
 from twin_node.model.drift import Drift
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.kinship import Kinship
 from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, limited
 from twin_node.model.normal_equations import NormalEquations
-from twin_node.model.regrouping import Decision, regroup
+from twin_node.model.regrouping import regroup
 from twin_node.model.statements import PARAMETERS, Said
 from twin_node.scene import Tier
 
@@ -30,6 +31,12 @@ class Bodies:
         self._nodes = nodes
         self._kinship = Kinship()
         self._drift = Drift()
+
+    @property
+    def resting(self) -> Mapping[int, Grounds]:
+        """By row, the nodes that do not move, as far as the images of the last set tell."""
+        learned = self._nodes.alive & (self._nodes.tiers != int(Tier.ROBOT))
+        return {row: grounds for row, grounds in self._kinship.resting.items() if bool(learned[row])}
 
     def hear(self, rows: Tensor, cells: Cells, said: NormalEquations, dt_s: float) -> None:
         """Takes note of what the flow under the cells of Gaussians `rows` [m] says, before it has moved the nodes.

@@ -94,6 +94,8 @@ class Gaussians:
         self.nodes = torch.full((capacity,), -1, dtype=torch.int64, device=device)
         self.founders = torch.full((capacity,), -1, dtype=torch.int64, device=device)
         """Id of the node that carried its kind first: who it belongs with as long as motion does not tell."""
+        self.rested = torch.full((capacity,), -1, dtype=torch.int64, device=device)
+        """Id of the node that carried a STATIC Gaussian until it came to rest, -1 for others."""
         self.births = torch.zeros(capacity, dtype=torch.int64, device=device)
         self.largest = torch.zeros(capacity, device=device)
         self.doubts = torch.zeros(capacity, dtype=torch.int64, device=device)
@@ -149,6 +151,7 @@ class Gaussians:
         self.alive[free] = True
         self.tiers[free] = int(born.tier)
         self.nodes[free] = born.nodes[:n]
+        self.rested[free] = -1
         self.founders[free] = -1 if born.founders is None else born.founders[:n]
         self.ids[free] = torch.arange(self._next_id, self._next_id + n, device=free.device)
         self.births[free] = stamp
@@ -175,16 +178,31 @@ class Gaussians:
         self.founders[rows] = (nodes.ids[carriers] if founders is None else founders).to(device)
         self.nodes[rows] = carriers.to(device)
         self.doubts[rows] = 0
+        self.rested[rows] = -1
         self.homeless[rows] = False
         self.forget_moments(rows)
 
+    def settle(self, rows: Tensor, node: int, nodes: Nodes) -> None:
+        """Gaussians `rows` [n], which the node with the id `node` carries, are STATIC where they are from now on."""
+        self._stand(rows, nodes)
+        self.tiers[rows] = int(Tier.STATIC)
+        self.nodes[rows] = -1
+        self.rested[rows] = node
+        self.doubts[rows] = 0
+        self.forget_moments(rows)
+        self.touch(rows)
+
     def transfer(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
         """Gaussians `rows` [n], which nodes carry, are from now on carried by `carriers` [n]; none moves for it."""
+        self._stand(rows, nodes)
+        self.board(rows, carriers, nodes, self.founders[rows])
+
+    def _stand(self, rows: Tensor, nodes: Nodes) -> None:
+        """The attributes of `rows` [n], which nodes carry, become those in `base_link`."""
         device, old = self.values.device, self.nodes[rows].cpu()
         means = rotate(nodes.quats[old], self.values[rows, MEAN].cpu().double()) + nodes.positions[old]
         quats = quat_product(nodes.quats[old], self.values[rows, QUAT].cpu().double())
         self.values[rows, MEAN], self.values[rows, QUAT] = means.float().to(device), quats.float().to(device)
-        self.board(rows, carriers, nodes, self.founders[rows])
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""

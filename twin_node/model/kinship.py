@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.model.cells import Cells
+from twin_node.model.decisions import Grounds
 from twin_node.model.parts import halves_of, redealt
 from twin_node.model.statements import PARAMETERS, Statements, judge, nothing, velocities_of
 from twin_node.scene import Bool, Float64
@@ -35,20 +36,6 @@ LEAST_MISFIT = 0.02
 """Smallest variance of the errors in units of what the flow claims: a seventh of its sigma, of images without noise."""
 SHARED_OBSERVATIONS = 20.0
 """Independent observations that the misfit of all nodes counts for in that of one."""
-
-
-@dataclass(frozen=True)
-class Grounds:
-    """What speaks for a decision, as logarithms of probabilities, nats."""
-
-    one: float
-    """Evidence that there is one body."""
-    two: float
-    """Evidence that there are two."""
-    at_rest: float
-    """Evidence that nothing moves."""
-    misfit: float
-    """Variance of the errors in units of what the flow claims."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +81,8 @@ class Kinship:
 
     def __init__(self) -> None:
         self._said = nothing(0)
+        self.resting: dict[int, Grounds] = {}
+        """By row, the nodes that the set decided about last shows, and shows no motion of."""
         self._before = nothing(0)
         self._recent = nothing(0)
         self._cells = Cells.none()
@@ -117,10 +106,18 @@ class Kinship:
         No node is in two of the decisions.
         """
         if not len(self._cells):
+            self.resting = {}
             return []
         count = int(self._cells.nodes.max()) + 1
         said, middles = self._said.summed(self._cells.nodes, count), self._cells.middles(count)
         self._misfits = _misfits(said, middles)
+        judged = judge(said, middles, self._misfits)
+        self.resting = {
+            int(row): Grounds(
+                float(judged.evidence[row]), -np.inf, float(judged.at_rest[row]), float(self._misfits[row])
+            )
+            for row in np.flatnonzero(judged.at_rest > judged.evidence)
+        }
         partings = [*self._partings(ids, middles), *self._strangers(said, middles, ids, dt_s)]
         taken = {one.node for one in partings}
         decided: list[Merger | Parting] = [*partings]

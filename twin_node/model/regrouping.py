@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from twin_node.model.cells import Cells
+from twin_node.model.decisions import Decision, Kind
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.kinship import Grounds, Kinship, Merger, Parting
+from twin_node.model.kinship import Kinship, Merger, Parting
 from twin_node.model.nodes import Nodes
 from twin_node.scene import Tier
-
-
-class Kind(Enum):
-    """What has been decided about nodes."""
-
-    MERGED = "merged"
-    SPLIT = "split"
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One decision and what spoke for it."""
-
-    kind: Kind
-    stamp: int
-    """ns."""
-    node: int
-    """Id of the node that goes on."""
-    other: int
-    """Id of the node that has ended, or begun."""
-    grounds: Grounds
 
 
 def regroup(

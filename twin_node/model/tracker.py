@@ -16,6 +16,7 @@ from twin_node.model.births import find_births
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import cells_of
 from twin_node.model.deaths import judge_static, refuted_moving
+from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving, held_pixels
 from twin_node.model.flow import FlowSolver
@@ -25,8 +26,8 @@ from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
-from twin_node.model.regrouping import Decision
 from twin_node.model.rendering import Rendering, Splats, join, render
+from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
@@ -46,7 +47,7 @@ class Tracked:
     braked: float | None
     """Share of the learning rate that is left after steps that diverged and were undone; None: they did not."""
     decisions: Sequence[Decision]
-    """Nodes that have merged or split, and why."""
+    """Nodes that have merged, split, come to rest or woken, and why."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ class Tracker:
         most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
         self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
         self._bodies = Bodies(gaussians, motion.nodes)
+        self._resting = Resting(gaussians, motion.nodes, backgrounds)
         self._decisions: Sequence[Decision] = ()
         self._turn = 0
         self._pace = 1.0
@@ -105,6 +107,7 @@ class Tracker:
             self._links.drive(frames.joints, dt_s)
         aligned = self._align(observed, dt_s)
         on_stage("align")
+        self._rest(observed, aligned.renderings, dt_s)
         self._judge(observed, aligned.renderings)
         on_stage("judge")
         fitted = self._fit(observed, aligned.before)
@@ -177,6 +180,12 @@ class Tracker:
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
 
+    def _rest(self, observed: Sequence[Observed], renderings: Sequence[Rendering], dt_s: float) -> None:
+        """What rests counts as standing, what rested and moves again has a node again."""
+        woken = self._resting.wake(observed, renderings, self._parameters.track.residual)
+        settled = self._resting.settle(self._bodies.resting, dt_s)
+        self._decisions = [*self._decisions, *woken, *settled]
+
     def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """What the images refute goes: what stands still and what moves in turn, one of the two per set."""
         if self._turn % 2:
@@ -189,7 +198,9 @@ class Tracker:
     def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """STATIC Gaussians that have left die, those that are part of something that moves join its node."""
         evidence = judge_static(observed, renderings, self._parameters.track.residual)
-        doubted = self._doubted(self._backgrounds.rows, torch.from_numpy(evidence.left | evidence.moving))
+        resting = (self._gaussians.rested[self._backgrounds.rows] >= 0).cpu().numpy()
+        moving = evidence.moving & ~resting  # the masks keep what has moved; it wakes when it looks otherwise
+        doubted = self._doubted(self._backgrounds.rows, torch.from_numpy(evidence.left | moving))
         left = torch.from_numpy(evidence.left).to(doubted.device)
         self._gaussians.retire(self._backgrounds.rows[doubted & left])
         self._house(self._backgrounds.rows[doubted & ~left])

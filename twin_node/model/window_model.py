@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.decisions import Decision
 from twin_node.model.field import HexPlane
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
@@ -17,7 +18,6 @@ from twin_node.model.nodes import Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.past import Past
 from twin_node.model.publishing import Publisher, node_states_of
-from twin_node.model.regrouping import Decision
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
@@ -65,7 +65,7 @@ class WindowModel:
         self._publisher = Publisher()
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
-        """Which nodes the last `update` has merged and split, and what spoke for it."""
+        """Which nodes the last `update` has merged, split, laid to rest and woken, and what spoke for it."""
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
 

@@ -1,0 +1,53 @@
+"""What is decided about nodes, and what spoke for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What speaks for a decision, as logarithms of probabilities, nats."""
+
+    one: float
+    """Evidence that there is one body."""
+    two: float
+    """Evidence that there are two; minus infinity where that was not asked."""
+    at_rest: float
+    """Evidence that nothing moves."""
+    misfit: float
+    """Variance of the errors in units of what the flow claims."""
+
+
+@dataclass(frozen=True)
+class Stir:
+    """What of a thing at rest looks otherwise than it did."""
+
+    visible: int
+    """Gaussians of it that some view shows."""
+    stirred: int
+    """Those of them where a view shows something else."""
+
+
+class Kind(Enum):
+    """What has been decided about nodes."""
+
+    MERGED = "merged"
+    SPLIT = "split"
+    SETTLED = "settled"
+    WOKEN = "woken"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One decision and what spoke for it."""
+
+    kind: Kind
+    stamp: int
+    """ns."""
+    node: int
+    """Id of the node that goes on, has come to rest, or had come to rest."""
+    other: int
+    """Id of the node that has ended, or begun; `node` itself where it settles."""
+    grounds: Grounds | Stir

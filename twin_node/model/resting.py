@@ -1,0 +1,103 @@
+"""What has come to rest for good needs no motion parameters: its Gaussians become STATIC, until it moves again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from twin_node.model.backgrounds import OCCLUSION, Backgrounds
+from twin_node.model.decisions import Decision, Grounds, Kind, Stir
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.nodes import Nodes
+from twin_node.model.observation import Observed, largest_channel
+from twin_node.model.rendering import Rendering
+from twin_node.scene import Bool
+
+REST_S = 1.0
+"""For how long the images must tell no motion of a node before what it carries counts as standing, s: a hand that
+holds still between two moves rests for less."""
+RESTS = 6.0
+"""Nats by which resting must explain the images better than moving for a set to count in full; less counts for less:
+what is hardly seen is watched for longer."""
+STIRRED = 0.25
+"""Share of what is seen of a thing at rest that looks otherwise when it moves again: its edges do so first."""
+LEAST_STIRRED = 3
+"""Gaussians that must look otherwise: one or two may be noise."""
+
+
+class Resting:
+    """Sends nodes that rest to the STATIC Gaussians, and wakes them again."""
+
+    def __init__(self, gaussians: Gaussians, nodes: Nodes, backgrounds: Backgrounds) -> None:
+        self._gaussians = gaussians
+        self._nodes = nodes
+        self._backgrounds = backgrounds
+        self._rested_s: dict[int, float] = {}
+        """Seconds for which each node, by its id, has rested."""
+
+    def settle(self, resting: Mapping[int, Grounds], dt_s: float) -> Sequence[Decision]:
+        """Takes in which nodes, by row, rest in a set `dt_s` after the one before; those that have for long end."""
+        g, nodes = self._gaussians, self._nodes
+        ids = {int(nodes.ids[row]): row for row in resting}
+        surely = {node: min((resting[row].at_rest - resting[row].one) / RESTS, 1.0) for node, row in ids.items()}
+        self._rested_s = {node: self._rested_s.get(node, 0.0) + surely[node] * dt_s for node in ids}
+        ended = [node for node, rested_s in self._rested_s.items() if rested_s > REST_S]
+        for node in ended:
+            members = torch.nonzero(g.alive & (g.nodes == ids[node]))[:, 0]
+            g.settle(members, node, nodes)
+            del self._rested_s[node]
+        if ended:
+            nodes.retire(torch.tensor([ids[node] for node in ended]))
+            self._backgrounds.renew()
+        return [Decision(Kind.SETTLED, nodes.stamp, node, node, resting[ids[node]]) for node in ended]
+
+    def wake(
+        self, observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float
+    ) -> Sequence[Decision]:
+        """Gives what rested and looks otherwise a node again.
+
+        `renderings` tell what stands covered; `threshold` (0 to 1) is the difference that counts.
+        """
+        g, rows = self._gaussians, self._backgrounds.rows
+        groups = torch.where(g.alive[rows], g.rested[rows], -1).cpu()
+        stirring = [int(one) for one in torch.unique(groups) if one >= 0]
+        if not stirring:
+            return []
+        seen, changed = _stirred(observed, renderings, threshold)
+        begun = []
+        for group in stirring:
+            own = (groups == group).numpy()
+            visible, stirred = int((seen & own).sum()), int((changed & own).sum())
+            if stirred >= max(LEAST_STIRRED, STIRRED * visible) and self._nodes.free:
+                node = self._begin(torch.nonzero(g.alive & (g.rested == group))[:, 0])
+                begun.append(Decision(Kind.WOKEN, self._nodes.stamp, group, node, Stir(visible, stirred)))
+        if begun:
+            self._backgrounds.renew()
+        return begun
+
+    def _begin(self, members: Tensor) -> int:
+        """A node that carries `members` [k], and its id."""
+        g, nodes = self._gaussians, self._nodes
+        middle = g.means[members].cpu().double().mean(0)
+        row = nodes.give_birth(middle, torch.zeros(3, dtype=torch.float64))
+        g.board(members, torch.full((len(members),), row), nodes)
+        return int(nodes.ids[row])
+
+
+def _stirred(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> tuple[Bool, Bool]:
+    """Per row of the background [n]: whether some view shows it uncovered, and whether one shows something else."""
+    count = len(observed[0].background.static.rows)
+    visible, changed = np.zeros(count, bool), np.zeros(count, bool)
+    for one, rendering in zip(observed, renderings, strict=True):
+        seen = one.background.static
+        at = (seen.rows, seen.columns)
+        front = rendering.depth.cpu().numpy()[at]
+        covered = one.active[at] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
+        shown = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[at]
+        visible |= shown
+        missed = largest_channel(one.rgb, rendering.rgb.cpu().numpy()) - one.misfit
+        changed |= shown & (missed[at] > threshold)
+    return visible, changed
