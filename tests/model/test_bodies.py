@@ -94,7 +94,7 @@ def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> No
     own, kinds, resting = block(0.0), [], {}
     for index in range(74):
         way = min(max(index - 2, 0), 14) + max(index - 64, 0)
-        state = model.update(seen(index, turned(own, STEP_RAD * way, -0.15 + STEP_M * way, 0.0)))
+        model.update(seen(index, turned(own, STEP_RAD * way, -0.15 + STEP_M * way, 0.0)))
         model.refine()
         resting[index] = int((model._gaussians.rested >= 0).sum())
         kinds += [(index, one.kind) for one in model.decisions if one.kind in (Kind.SETTLED, Kind.WOKEN)]
