@@ -7,6 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.statements import CORRELATED
+
+LEAST = 1e-9
+"""Keeps ratios of squares finite."""
 FORGETTING = 0.9
 """Share of the evidence that a set keeps: things change how they move within ten sets."""
 PROMOTE, DEMOTE = 20.0, -20.0
@@ -28,9 +32,15 @@ class Fits:
 
 
 def gain(fits: Fits) -> Tensor:
-    """[M] nats by which the strain explains a set better, less (k / 2) log n for its k parameters."""
-    cost = EXTRA_PARAMETERS / 2 * torch.log(fits.count.clamp_min(2.0))
-    return torch.where(fits.count > EXTRA_PARAMETERS, (fits.rigid - fits.strained) / 2 - cost, 0.0)
+    """[M] nats by which the strain explains a set better, less (k / 2) log n for its k parameters.
+
+    How much the flow errs is not known beforehand: the likelihood is that of errors whose variance is what each model
+    leaves, so that a large body is not called bending because flow errs more than it claims.
+    """
+    count = fits.count / CORRELATED
+    cost = EXTRA_PARAMETERS / 2 * torch.log(count.clamp_min(2.0))
+    ratio = fits.rigid.clamp_min(LEAST) / fits.strained.clamp_min(LEAST)
+    return torch.where(count > EXTRA_PARAMETERS, count / 2 * torch.log(ratio) - cost, 0.0)
 
 
 def accumulate(evidence: Tensor, fits: Fits) -> Tensor:
