@@ -89,13 +89,13 @@ def test_nothing_to_judge_changes_nothing() -> None:
 def test_the_factor_grows_with_what_the_images_miss_and_is_slow_to_shrink() -> None:
     control = CoverageControl(BoundParameters())
     before = control.factor
-    control.observe(0.7, before, 0.2)
+    control.observe(0.7, 0.7, before, 0.2)
     surprised = control.factor
     assert surprised > 1.5 * before
-    control.observe(1.0, before, 0.2)
+    control.observe(1.0, 1.0, before, 0.2)
     assert control.factor > 0.9 * surprised
     for _ in range(60):
-        control.observe(1.0, control.factor, 0.2)
+        control.observe(1.0, 1.0, control.factor, 0.2)
     assert control.factor < 0.7 * surprised
 
 
@@ -103,13 +103,22 @@ def test_forecasts_made_before_a_surprise_do_not_raise_the_factor_again_and_agai
     """What comes due until a horizon after was made in ignorance: the same share missed asks for the same factor."""
     control = CoverageControl(BoundParameters())
     then = control.factor
-    control.observe(0.5, then, 0.25)
+    control.observe(0.5, 0.5, then, 0.25)
     first = control.factor
     for _ in range(3):
-        control.observe(0.5, then, 0.25)
+        control.observe(0.5, 0.5, then, 0.25)
     assert control.factor < 1.1 * first
-    control.observe(0.5, first, 0.25)
+    control.observe(0.5, 0.5, first, 0.25)
     assert control.factor > 1.5 * first
+
+
+def test_what_begins_something_new_is_not_made_up_for_by_larger_radii_of_all_else() -> None:
+    control = CoverageControl(BoundParameters())
+    before = control.factor
+    control.observe(0.5, 1.0, before, 0.25)
+    control.observe(0.5, None, before, 0.25)
+    assert control.factor <= before
+    assert np.isclose(control.coverage, 0.5)
 
 
 def test_the_factor_finds_the_target_coverage() -> None:
@@ -119,7 +128,7 @@ def test_the_factor_finds_the_target_coverage() -> None:
     inside = []
     for step in range(3000):
         covered = float(np.mean(np.abs(rng.normal(0, 0.02, 50)) < 0.1 * control.factor))
-        control.observe(covered, control.factor, 0.2)
+        control.observe(covered, covered, control.factor, 0.2)
         if step > 1000:
             inside.append(covered)
     assert 0.94 < np.mean(inside) < 0.985
@@ -128,6 +137,6 @@ def test_the_factor_finds_the_target_coverage() -> None:
 def test_coverage_is_not_a_number_before_the_first_truth() -> None:
     control = CoverageControl(BoundParameters())
     assert np.isnan(control.coverage)
-    control.observe(0.9, 0.5, 1.0)
-    control.observe(1.0, 0.5, 1.0)
+    control.observe(0.9, 0.9, 0.5, 1.0)
+    control.observe(1.0, 1.0, 0.5, 1.0)
     assert np.isclose(control.coverage, 0.95)

@@ -187,14 +187,16 @@ class CoverageControl:
         """Mean share that the forecasts held over the last 120 judged image sets; NaN before the first."""
         return float(np.mean(self._covered)) if self._covered else float("nan")
 
-    def observe(self, covered: float, then: float, elapsed: float) -> None:
+    def observe(self, covered: float, steady: float | None, then: float, elapsed: float) -> None:
         """Takes in the share [0, 1] of now moving space that lay inside the forecast made for now.
 
-        `then` is the factor it was made with; `elapsed` is the time since the last observation in horizons.
+        `steady` is that of the parts that began nothing new since, None if there were none: those that did are bounded
+        by their reach, and larger radii for all others would not have held them. `then` is the factor the forecast was
+        made with; `elapsed` is the time since the last observation in horizons.
         """
         p = self.parameters
         self._covered.append(covered)
-        missed, elapsed = p.coverage - covered, min(elapsed, 1.0)
+        missed, elapsed = p.coverage - (p.coverage if steady is None else steady), min(elapsed, 1.0)
         self._level = self._clipped(self._level * np.exp(p.follow * missed * elapsed))
         needed = then * np.exp(p.surprise * missed) if missed > 0 else 0.0
         relieved = self._level + (self.factor - self._level) * np.exp(-elapsed / p.relief)

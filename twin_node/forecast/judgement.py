@@ -24,6 +24,11 @@ class Held:
     agreed: int = 0
     """Of these, those in space that no other camera sees past."""
 
+    @property
+    def share(self) -> float:
+        """Of what was seen, what was foreseen; asked only where something was seen."""
+        return self.covered / self.seen
+
 
 @dataclass(frozen=True)
 class Watch:

@@ -14,7 +14,7 @@ from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
-from twin_node.forecast.judgement import Watch, held
+from twin_node.forecast.judgement import Held, Watch, held
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Prediction, Predictor
@@ -150,19 +150,22 @@ class Forecaster:
         if due is None or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
-        here = evidence.parts.indices[known[evidence.parts.labels]]
-        observer = self._observer
-        found = held(state, observer.margin, observer.tables, here, due.indices)
+        found = self._held(state, evidence, known, due)
         if due.stamp >= self._sees_motion_from:
-            everything = held(state, observer.margin, observer.tables, evidence.parts.indices, due.indices)
-            self._watch = self._watch.after(everything)
+            self._watch = self._watch.after(self._held(state, evidence, np.ones(len(known), np.bool_), due))
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
-            self._control.observe(found.covered / found.seen, due.factor, elapsed)
+            steady = self._held(state, evidence, known & self._predictor.unstartled_since(due.stamp * 1e-9), due)
+            self._control.observe(found.share, steady.share if steady.seen else None, due.factor, elapsed)
         if known.any() and due.places.shape[1]:
             missed = _missed(due.places, evidence.parts.centers[known])
             self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)
         self._judged_at = state.stamp
+
+    def _held(self, state: TwinState, evidence: Evidence, chosen: Bool, due: _Issued) -> Held:
+        """How much of the parts `chosen` [M] lies inside the forecast that is due."""
+        here = evidence.parts.indices[chosen[evidence.parts.labels]]
+        return held(state, self._observer.margin, self._observer.tables, here, due.indices)
 
     def _foreseen(self, stamp: int, centers: Float64) -> Bool:
         """[M] parts, by their centres, that lie where the newest forecast whose time has come had some part.

@@ -175,6 +175,11 @@ class Predictor:
         old = self._history.times[-1] - self._horizon_s
         self._records.began = np.where(foreseen, np.minimum(self._records.began, old), self._records.began)
 
+    def unstartled_since(self, time: float) -> Bool:
+        """[M] nodes that began nothing new after `time` (s)."""
+        unstartled: Bool = self._records.began <= time
+        return unstartled
+
     def predict(self, horizons: Float64, factor: float = 1.0) -> Prediction:
         """Displacements and bounds of the nodes of the last `advance` after horizons [H] in seconds.
 
