@@ -267,6 +267,7 @@ def _neighbours(cells: Cells) -> NDArray[np.int64]:
     if len(cells) < 2:
         return np.zeros((0, 2), np.int64)
     near = cKDTree(cells.centres).query_pairs(NEAR_M, output_type="ndarray")
-    rows = np.sort(cells.nodes[near], axis=1)
-    pairs: NDArray[np.int64] = np.unique(rows[rows[:, 0] != rows[:, 1]], axis=0)
-    return pairs
+    a, b = cells.nodes[near].T
+    count = int(cells.nodes.max()) + 1
+    pairs = np.unique((np.minimum(a, b) * count + np.maximum(a, b))[a != b])
+    return np.stack(np.divmod(pairs, count), 1)

@@ -47,10 +47,15 @@ class Statements:
 
     def summed(self, bodies: NDArray[np.int64], count: int) -> Statements:
         """Those of `count` bodies, of which each of the n is one of a part of: `bodies` [n]."""
-        belongs = np.zeros((count, len(bodies)))
-        belongs[bodies, np.arange(len(bodies))] = 1
-        H = (belongs @ self.H.reshape(-1, PARAMETERS**2)).reshape(-1, PARAMETERS, PARAMETERS)
-        return Statements(H, belongs @ self.g, belongs @ self.squares, belongs @ self.counts)
+        shape = (count, PARAMETERS, PARAMETERS)
+        total = Statements(np.zeros(shape), np.zeros((count, PARAMETERS)), np.zeros(count), np.zeros(count))
+        if len(bodies):
+            order = np.argsort(bodies, kind="stable")
+            owners = bodies[order]
+            starts = np.flatnonzero(np.diff(owners, prepend=-1))
+            for name, values in vars(total).items():
+                values[owners[starts]] = np.add.reduceat(vars(self)[name][order], starts)
+        return total
 
     def about(self, points: Float64) -> Statements:
         """The same with the velocities of the points [n, 3] (m) as unknowns."""
@@ -118,11 +123,11 @@ def judge(said: Statements, points: Float64, misfit: Float64) -> Judged:
     own = said.about(points)
     scale = np.array([SPEED] * 3 + [TURN] * 3) / np.sqrt(misfit)[:, None]
     known = np.eye(PARAMETERS) + scale[:, :, None] * own.H * scale[:, None, :]
-    pull = scale * own.g
-    explained = (pull * np.linalg.solve(known, pull[..., None])[..., 0]).sum(-1) / misfit
+    root = np.linalg.inv(np.linalg.cholesky(known))
+    explained = np.square(root @ (scale * own.g)[..., None]).sum((1, 2)) / misfit
     at_rest = -own.squares / misfit / 2
-    evidence = at_rest + explained / 2 - np.linalg.slogdet(known)[1] / 2
-    told = PARAMETERS - np.trace(np.linalg.inv(known), axis1=1, axis2=2)
+    evidence = at_rest + explained / 2 + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(-1)
+    told = PARAMETERS - np.square(root).sum((1, 2))
     return Judged(evidence, at_rest, at_rest + explained / 2, own.squares - misfit * explained, told)
 
 
