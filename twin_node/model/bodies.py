@@ -30,7 +30,7 @@ class Bodies:
         self._gaussians = gaussians
         self._nodes = nodes
         self._kinship = Kinship()
-        self._drift = Drift()
+        self._drift = Drift(gaussians.capacity)
 
     @property
     def resting(self) -> Mapping[int, Grounds]:

@@ -16,27 +16,23 @@ from twin_node.scene import Float64
 class Drift:
     """Remembers where Gaussians were in their nodes' frames when the flow was looked at last."""
 
-    def __init__(self) -> None:
-        self._ids = torch.zeros(0, dtype=torch.int64)
-        self._nodes = torch.zeros(0, dtype=torch.int64)
-        self._means = torch.zeros(0, 3)
+    def __init__(self, capacity: int) -> None:
+        self._ids = np.full(capacity, -1, np.int64)
+        self._homes = np.full(capacity, -1, np.int64)
+        self._means = np.zeros((capacity, 3), np.float32)
 
     def of(self, gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes) -> Float64:
         """[c, 3] m in `base_link` that the Gaussians `rows` [m] of each cell have crept since the last call, mean.
 
         0 for those that are new or have changed their node.
         """
-        ids, means = gaussians.ids[rows].cpu(), gaussians.means[rows].cpu()
-        carriers = gaussians.nodes[rows].cpu()
-        homes = nodes.ids[carriers]
-        order = ids.argsort()
-        crept = torch.zeros(len(rows), 3, dtype=torch.float64)
-        if len(self._ids):
-            at = torch.searchsorted(self._ids, ids).clamp_max(len(self._ids) - 1)
-            same = (self._ids[at] == ids) & (self._nodes[at] == homes)
-            moved = rotate(nodes.quats[carriers], (means - self._means[at]).double())
-            crept = torch.where(same[:, None], moved, 0.0)
-        self._ids, self._nodes, self._means = ids[order], homes[order], means[order]
-        sums = np.zeros((len(cells), 3))
-        np.add.at(sums, cells.of, crept.numpy())
-        return sums / np.maximum(np.bincount(cells.of, minlength=len(cells)), 1)[:, None]
+        at, ids = rows.cpu().numpy(), gaussians.ids[rows].cpu().numpy()
+        means = gaussians.means[rows].cpu().numpy()
+        homes = nodes.ids.numpy()[cells.nodes[cells.of]]
+        same = (self._ids[at] == ids) & (self._homes[at] == homes)
+        crept = np.where(same[:, None], means - self._means[at], 0.0)
+        self._ids[:] = -1
+        self._ids[at], self._homes[at], self._means[at] = ids, homes, means
+        shares = 1 / np.maximum(np.bincount(cells.of, minlength=len(cells)), 1)
+        mean = [np.bincount(cells.of, weights=axis, minlength=len(cells)) * shares for axis in crept.T]
+        return rotate(nodes.quats[torch.from_numpy(cells.nodes)], torch.from_numpy(np.stack(mean, 1))).numpy()

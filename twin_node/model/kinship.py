@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import Grounds
 from twin_node.model.parts import halves_of, redealt
-from twin_node.model.statements import PARAMETERS, Statements, judge, nothing, velocities_of
+from twin_node.model.statements import PARAMETERS, Statements, judge, nothing, stacked, velocities_of
 from twin_node.scene import Bool, Float64
 
 MEMORY_S, RECENT_S = 0.2, 0.05
@@ -152,18 +152,19 @@ class Kinship:
         a, b = said.of(pairs[:, 0]), said.of(pairs[:, 1])
         at = (middles[pairs[:, 0]] + middles[pairs[:, 1]]) / 2
         misfit = self._misfits[pairs].max(1)
-        one = judge(a.plus(b), at, misfit)
-        each = judge(a, at, misfit), judge(b, at, misfit)
-        two = each[0].evidence + each[1].evidence
-        strained = each[0].fit + each[1].fit - one.fit > STRAINED
-        good = (one.evidence - two > MERGE) & (one.evidence - one.at_rest > MOVES) & ~strained
-        order = np.flatnonzero(good)[np.argsort(-(one.evidence - two)[good], kind="stable")]
+        judged = judge(stacked(a.plus(b), a, b), np.tile(at, (3, 1)), np.tile(misfit, 3))
+        one, *each = judged.evidence.reshape(3, -1)
+        two, at_rest = each[0] + each[1], judged.at_rest[: len(pairs)]
+        fits = judged.fit.reshape(3, -1)
+        strained = fits[1] + fits[2] - fits[0] > STRAINED
+        good = (one - two > MERGE) & (one - at_rest > MOVES) & ~strained
+        order = np.flatnonzero(good)[np.argsort(-(one - two)[good], kind="stable")]
         kept = np.where(a.counts >= b.counts, pairs[:, 0], pairs[:, 1])
         return [
             Merger(
                 int(kept[i]),
                 int(pairs[i].sum() - kept[i]),
-                Grounds(float(one.evidence[i]), float(two[i]), float(one.at_rest[i]), float(misfit[i])),
+                Grounds(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i])),
             )
             for i in order
         ]
@@ -171,26 +172,30 @@ class Kinship:
     def _partings(self, ids: NDArray[np.int64], middles: Float64) -> list[Parting]:
         """Nodes that two motions have foretold better than one."""
         cells, count = self._cells, len(middles)
+        rows = [int(row) for row in np.unique(cells.nodes) if int(ids[row]) in self._suspicions]
+        if not rows:
+            self._suspicions = {}
+            return []
         second = np.zeros(len(cells), bool)
-        rows = [row for row in np.unique(cells.nodes) if int(ids[row]) in self._suspicions]
         for row in rows:
             second |= (cells.nodes == row) & np.isin(cells.keys, self._suspicions[int(ids[row])].second)
         bodies = cells.nodes + count * second
-        misfits = np.tile(self._misfits, 2)
-        foretold = [
-            judge(said.summed(bodies, 2 * count), np.tile(middles, (2, 1)), misfits).evidence.reshape(2, -1).sum(0)
-            for said in (self._said, self._before)
-        ]
-        alone = [judge(said.summed(cells.nodes, count), middles, self._misfits) for said in (self._said, self._before)]
+        sums = [said.summed(bodies, 2 * count) for said in (self._said, self._before)]
+        firsts, seconds = np.array(rows), np.array(rows) + count
+        groups = [group for both in sums for group in (both.of(firsts), both.of(seconds))]
+        whole = [groups[0].plus(groups[1]), groups[2].plus(groups[3])]
+        judged = judge(stacked(*groups, *whole), np.tile(middles[firsts], (6, 1)), np.tile(self._misfits[firsts], 6))
+        now_first, now_second, then_first, then_second, now, then = judged.evidence.reshape(6, -1)
+        at_rest = judged.at_rest.reshape(6, -1)[4]
         suspicions: dict[int, _Suspicion] = {}
         found = []
-        for row in rows:
+        for i, row in enumerate(rows):
             suspicion = suspicions[int(ids[row])] = self._suspicions[int(ids[row])]
-            suspicion.two += float(foretold[0][row] - foretold[1][row])
-            suspicion.one += float(alone[0].evidence[row] - alone[1].evidence[row])
+            suspicion.two += float(now_first[i] + now_second[i] - then_first[i] - then_second[i])
+            suspicion.one += float(now[i] - then[i])
             if suspicion.two - suspicion.one > SPLIT:
-                grounds = Grounds(suspicion.one, suspicion.two, float(alone[0].at_rest[row]), float(self._misfits[row]))
-                found.append(Parting(int(row), self._cut(int(row), second), grounds))
+                grounds = Grounds(suspicion.one, suspicion.two, float(at_rest[i]), float(self._misfits[row]))
+                found.append(Parting(row, self._cut(row, second), grounds))
         for one in found:
             del suspicions[int(ids[one.node])]
         self._suspicions = suspicions
@@ -208,20 +213,25 @@ class Kinship:
         cells = self._cells
         kinds, first, of = np.unique(cells.founders, return_index=True, return_inverse=True)
         of = of.reshape(-1)
-        nodes = cells.nodes[first]
-        own = self._said.summed(of, len(kinds))
+        mixed = np.flatnonzero(np.bincount(cells.nodes[first])[cells.nodes[first]] > 1)
+        if not len(mixed):
+            self._estranged = {}
+            return []
+        nodes = cells.nodes[first[mixed]]
+        own = self._said.summed(of, len(kinds)).of(mixed)
         rest = Statements(*(getattr(of_nodes, name)[nodes] - getattr(own, name) for name in vars(own)))
-        at, misfit = middles[nodes], self._misfits[nodes]
-        one = judge(of_nodes.of(nodes), at, misfit)
-        two = judge(own, at, misfit).evidence + judge(rest, at, misfit).evidence
-        strange = (two - one.evidence > SPLIT) & (rest.counts > PARAMETERS) & (own.counts > PARAMETERS)
+        misfit = self._misfits[nodes]
+        judged = judge(stacked(of_nodes.of(nodes), own, rest), np.tile(middles[nodes], (3, 1)), np.tile(misfit, 3))
+        one, *each = judged.evidence.reshape(3, -1)
+        two, at_rest = each[0] + each[1], judged.at_rest[: len(mixed)]
+        strange = (two - one > SPLIT) & (rest.counts > PARAMETERS) & (own.counts > PARAMETERS)
         agreed: dict[int, float] = {}
         found: dict[int, Parting] = {}
-        for i in np.flatnonzero(strange)[np.argsort(-(two - one.evidence)[strange], kind="stable")]:
-            agreed[int(kinds[i])] = self._estranged.get(int(kinds[i]), 0.0) + dt_s
-            if agreed[int(kinds[i])] > AGREED_S and int(nodes[i]) not in found:
-                grounds = Grounds(float(one.evidence[i]), float(two[i]), float(one.at_rest[i]), float(misfit[i]))
-                found[int(nodes[i])] = Parting(int(nodes[i]), self._cut(int(nodes[i]), of == i), grounds)
+        for i in np.flatnonzero(strange)[np.argsort(-(two - one)[strange], kind="stable")]:
+            agreed[int(kinds[mixed[i]])] = self._estranged.get(int(kinds[mixed[i]]), 0.0) + dt_s
+            if agreed[int(kinds[mixed[i]])] > AGREED_S and int(nodes[i]) not in found:
+                grounds = Grounds(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i]))
+                found[int(nodes[i])] = Parting(int(nodes[i]), self._cut(int(nodes[i]), of == mixed[i]), grounds)
         self._estranged = agreed
         return list(found.values())
 

@@ -106,8 +106,12 @@ class NormalEquations:
     def summed(self, owners: NDArray[np.int64], count: int) -> NormalEquations:
         """Those of `count` nodes that the bodies of these belong to: `owners` [M]."""
         total = NormalEquations(count)
-        for name, values in vars(total.sums).items():
-            np.add.at(values, owners, vars(self.sums)[name])
+        if len(owners):
+            order = np.argsort(owners, kind="stable")
+            present = owners[order]
+            starts = np.flatnonzero(np.diff(present, prepend=-1))
+            for name, values in vars(total.sums).items():
+                values[present[starts]] = np.add.reduceat(vars(self.sums)[name][order], starts)
         return total
 
     def solve(self, size: int, sigmas: NDArray[np.float64]) -> Solved:

@@ -64,6 +64,11 @@ class Statements:
         return Statements(turned @ self.H @ shift, (turned @ self.g[..., None])[..., 0], self.squares, self.counts)
 
 
+def stacked(*some: Statements) -> Statements:
+    """Those of several groups of bodies, one group after another."""
+    return Statements(*(np.concatenate([vars(one)[name] for one in some]) for name in vars(some[0])))
+
+
 def nothing(count: int) -> Statements:
     """What nobody has said of `count` bodies."""
     return Statements(
