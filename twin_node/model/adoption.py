@@ -66,7 +66,7 @@ def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, 
             (_looks(points, rgb, parameters.kin_m), _looks(members.means, members.rgb, parameters.kin_m)),
             (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
         ):
-            apart, nearest = cKDTree(own).query(place, distance_upper_bound=1.0)
+            apart, nearest = cKDTree(own, balanced_tree=False, compact_nodes=False).query(place, distance_upper_bound=1.0)
             near = np.isfinite(apart) & (carriers.nodes < 0)
             carriers.nodes[near] = members.nodes[nearest[near]]
             carriers.founders[near] = members.founders[nearest[near]]

@@ -276,7 +276,7 @@ def _neighbours(cells: Cells) -> NDArray[np.int64]:
     """[p, 2] rows of nodes some of whose cells are near each other, the lower first."""
     if len(cells) < 2:
         return np.zeros((0, 2), np.int64)
-    near = cKDTree(cells.centres).query_pairs(NEAR_M, output_type="ndarray")
+    near = cKDTree(cells.centres, balanced_tree=False, compact_nodes=False).query_pairs(NEAR_M, output_type="ndarray")
     a, b = cells.nodes[near].T
     count = int(cells.nodes.max()) + 1
     pairs = np.unique((np.minimum(a, b) * count + np.maximum(a, b))[a != b])

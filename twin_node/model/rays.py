@@ -43,6 +43,10 @@ class Seen:
     inside: Bool
     """[n] whether the point is in front of the camera and inside its image."""
 
+    def of(self, chosen: NDArray[np.int64]) -> Seen:
+        """Those `chosen` [k] of the points."""
+        return Seen(self.columns[chosen], self.rows[chosen], self.depth[chosen], self.inside[chosen])
+
 
 def look(camera: Camera, points: NDArray[np.floating]) -> Seen:
     """Pixels that hold base-frame points [n, 3]."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.backgrounds import OCCLUSION, Backgrounds
@@ -62,14 +63,15 @@ class Resting:
         `renderings` tell what stands covered; `threshold` (0 to 1) is the difference that counts.
         """
         g, rows = self._gaussians, self._backgrounds.rows
-        groups = torch.where(g.alive[rows], g.rested[rows], -1).cpu()
-        stirring = [int(one) for one in torch.unique(groups) if one >= 0]
-        if not stirring:
+        groups = torch.where(g.alive[rows], g.rested[rows], -1).cpu().numpy()
+        at_rest = np.flatnonzero(groups >= 0)
+        if not len(at_rest):
             return []
-        seen, changed = _stirred(observed, renderings, threshold)
+        groups = groups[at_rest]
+        seen, changed = _stirred(observed, renderings, threshold, at_rest)
         begun = []
-        for group in stirring:
-            own = (groups == group).numpy()
+        for group in np.unique(groups).tolist():
+            own = groups == group
             visible, stirred = int((seen & own).sum()), int((changed & own).sum())
             if stirred >= max(LEAST_STIRRED, STIRRED * visible) and self._nodes.free:
                 node = self._begin(torch.nonzero(g.alive & (g.rested == group))[:, 0])
@@ -87,17 +89,18 @@ class Resting:
         return int(nodes.ids[row])
 
 
-def _stirred(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> tuple[Bool, Bool]:
-    """Per row of the background [n]: whether some view shows it uncovered, and whether one shows something else."""
-    count = len(observed[0].background.static.rows)
-    visible, changed = np.zeros(count, bool), np.zeros(count, bool)
+def _stirred(
+    observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float, chosen: NDArray[np.int64]
+) -> tuple[Bool, Bool]:
+    """Per row of the background that is `chosen` [n]: whether some view shows it, and whether one something else."""
+    visible, changed = np.zeros(len(chosen), bool), np.zeros(len(chosen), bool)
     for one, rendering in zip(observed, renderings, strict=True):
-        seen = one.background.static
+        seen = one.background.static.of(chosen)
         at = (seen.rows, seen.columns)
         front = rendering.depth.cpu().numpy()[at]
         covered = one.active[at] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
         shown = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[at]
         visible |= shown
-        missed = largest_channel(one.rgb, rendering.rgb.cpu().numpy()) - one.misfit
-        changed |= shown & (missed[at] > threshold)
+        missed = largest_channel(one.rgb[at], rendering.rgb.cpu().numpy()[at]) - one.misfit[at]
+        changed |= shown & (missed > threshold)
     return visible, changed
