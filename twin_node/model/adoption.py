@@ -66,7 +66,8 @@ def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, 
             (_looks(points, rgb, parameters.kin_m), _looks(members.means, members.rgb, parameters.kin_m)),
             (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
         ):
-            apart, nearest = cKDTree(own, balanced_tree=False, compact_nodes=False).query(place, distance_upper_bound=1.0)
+            tree = cKDTree(own, balanced_tree=False, compact_nodes=False)
+            apart, nearest = tree.query(place, distance_upper_bound=1.0)
             near = np.isfinite(apart) & (carriers.nodes < 0)
             carriers.nodes[near] = members.nodes[nearest[near]]
             carriers.founders[near] = members.founders[nearest[near]]
@@ -81,7 +82,7 @@ def _found_together(
     """Founds nodes for those of `points` [n, 3] that nobody carries, where enough `looks` [n, d] are within 1."""
     homeless = np.nonzero(carriers.nodes < 0)[0]
     while len(homeless) and nodes.free:
-        close = np.linalg.norm(looks[homeless] - looks[homeless[0]], axis=-1) < 1.0
+        close = np.square(looks[homeless] - looks[homeless[0]]).sum(-1) < 1.0
         group = homeless[close]
         if len(group) >= parameters.node_members:
             row = _found(torch.from_numpy(points[group].mean(0)), members, nodes, parameters.node_radius_m)

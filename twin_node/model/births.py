@@ -92,8 +92,8 @@ def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: i
     error = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2]) * counts
     blocks = cv2.resize(error, (error.shape[1] // BLOCK, error.shape[0] // BLOCK), interpolation=cv2.INTER_AREA)
     colours = cv2.resize(image, (blocks.shape[1], blocks.shape[0]), interpolation=cv2.INTER_AREA)
-    order = np.argsort(-blocks, axis=None, kind="stable")[:quota]
-    order = order[blocks.ravel()[order] > threshold]
+    wrong = np.flatnonzero(blocks > threshold)
+    order = wrong[np.argsort(-blocks.ravel()[wrong], kind="stable")[:quota]]
     rows, columns = np.unravel_index(order, blocks.shape)
     return _Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns].astype(np.float32))
 
@@ -190,9 +190,11 @@ def _known_depth(one: Observed, rendering: Rendering, pixels: _Pixels, far: Floa
         np.minimum(pixels.rows * cells // height, cells - 1),
         np.minimum(pixels.columns * cells // width, cells - 1),
     )
-    labels = (np.arange(height) * cells // height)[:, None] * cells + np.arange(width) * cells // width
-    total = np.bincount(labels[closer], weights=shown[closer], minlength=cells * cells)
-    count = np.bincount(labels[closer], minlength=cells * cells)
-    mean = np.where(count > 0, total / np.maximum(count, 1), float(np.median(shown[closer])))
+    rows, columns = np.nonzero(closer)
+    depths = shown[rows, columns]
+    labels = rows * cells // height * cells + columns * cells // width
+    total = np.bincount(labels, weights=depths, minlength=cells * cells)
+    count = np.bincount(labels, minlength=cells * cells)
+    mean = np.where(count > 0, total / np.maximum(count, 1), float(np.median(depths)))
     known: Float64 = np.minimum(mean[row_cell * cells + column_cell], far)
     return known

@@ -33,25 +33,26 @@ def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii
     for one, at in zip(observed, means, strict=True):
         seen = look(one.view.camera, at)
         reach_px = radii * one.view.camera.K[0, 0] / np.maximum(seen.depth, 0.02)
-        carried_pixels, free_pixels = one.usable & ~one.near_moving, one.usable & ~one.active
-        for share in RIM:
-            rim = _beside(seen, share[0] * reach_px, share[1] * reach_px, one.usable.shape)
-            empty = np.where(carried, carried_pixels[rim.rows, rim.columns], free_pixels[rim.rows, rim.columns])
-            refuted |= rim.inside & ~one.background.occluded(rim) & empty
+        surface = (one.background.depth * (1 + OCCLUSION)).ravel()
+        empty = np.concatenate([one.usable & ~one.active, one.usable & ~one.near_moving]).ravel()
+        own = surface.size * carried
+        rim = _around(seen, reach_px, one.usable.shape)
+        at_rim = rim.rows * one.usable.shape[1] + rim.columns
+        refuted |= (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
         looms = ~seen.inside & (pixels_reached(one.view.camera, seen, at, REACH * radii) > 1)
-        empty = np.where(carried, carried_pixels[seen.rows, seen.columns], free_pixels[seen.rows, seen.columns])
-        refuted |= looms & ~one.background.occluded(seen) & empty
+        at_edge = seen.rows * one.usable.shape[1] + seen.columns
+        refuted |= looms & ~(seen.depth > surface.take(at_edge)) & empty.take(at_edge + own)
         refuted |= _seen_through(one, seen)
     return refuted
 
 
-def _beside(seen: Seen, right: Float64, down: Float64, shape: tuple[int, ...]) -> Seen:
-    """The pixels `right` and `down` [n] of where points fall, at the same depth."""
-    columns = seen.columns + np.clip(np.rint(right), -1e6, 1e6).astype(np.int64)
-    rows = seen.rows + np.clip(np.rint(down), -1e6, 1e6).astype(np.int64)
+def _around(seen: Seen, reach_px: Float64, shape: tuple[int, ...]) -> Seen:
+    """[5, n] the pixels on the rims, of 1 sigma `reach_px` [n], of what is where points fall, at the same depth."""
+    shifts = np.rint(np.clip(RIM[..., None] * reach_px, -1e6, 1e6)).astype(np.int64)
+    columns, rows = seen.columns + shifts[:, 0], seen.rows + shifts[:, 1]
     inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
-    clipped = np.clip(rows, 0, shape[0] - 1), np.clip(columns, 0, shape[1] - 1)
-    return Seen(clipped[1], clipped[0], seen.depth, inside & seen.inside)
+    clipped = np.clip(columns, 0, shape[1] - 1), np.clip(rows, 0, shape[0] - 1)
+    return Seen(*clipped, seen.depth, inside & seen.inside)
 
 
 @dataclass(frozen=True)
