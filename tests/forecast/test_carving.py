@@ -10,7 +10,7 @@ from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_depth, bal
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
-from twin_node.scene import Camera, TwinState
+from twin_node.scene import Bool, Camera, Float32, FrameSet, TwinState, View
 
 CENTER = np.array([0.1, -0.05, 0.45])
 
@@ -173,3 +173,36 @@ def test_likely_voxels_look_like_the_ball_and_rims_do_not_count() -> None:
         assert np.isin(ball_voxels(CENTER, 0.1), likely).all()
         assert len(likely) < 1.5 * len(ball)
     assert np.array_equal(likely, carve(state_of(0, CENTER)).moving[carve(state_of(0, CENTER)).likely])
+
+
+def flat_state(stamp: int, depth: Float32, moving: Bool, robot: Bool | None = None) -> TwinState:
+    """What one camera shows of surfaces at `depth` [H, W]."""
+    lone = camera("lone", np.array([2.0, 0.0, 0.45]))
+    view = View(lone, stamp, np.full((*depth.shape, 3), 100, np.uint8), depth)
+    return replace(
+        state_of(stamp, None, cameras=(lone,)),
+        frames=FrameSet(stamp, (view,)),
+        moving_masks=(moving,),
+        robot_masks=(robot,),
+    )
+
+
+def test_what_moves_far_behind_an_edge_is_not_one_with_what_moves_before_it() -> None:
+    carver, still = Carver(RigTables(GRID)), np.zeros((HEIGHT, WIDTH), np.bool_)
+    wall, both = np.full((HEIGHT, WIDTH), 5.0, np.float32), np.full((HEIGHT, WIDTH), 2.5, np.float32)
+    both[:, : WIDTH // 2] = 1.6
+    carver.carve(flat_state(0, wall, still), 0.0)
+    moving = carver.carve(flat_state(33_000_000, both, ~still), 0.0).moving
+    along = 2.0 - GRID.centers(moving)[:, 0]
+    assert (along < 1.6 + 0.35).any()
+    assert (along > 2.4).any()
+    assert not ((along > 1.6 + 0.35) & (along < 2.4)).any()
+
+
+def test_a_measured_surface_frees_the_space_before_it_be_it_the_arm_or_not() -> None:
+    wall, still = np.full((HEIGHT, WIDTH), 5.0, np.float32), np.zeros((HEIGHT, WIDTH), np.bool_)
+    arm = still.copy()
+    arm[20:50, 30:60] = True
+    carved = Carver(RigTables(GRID)).carve(flat_state(0, wall, still, arm), 0.0)
+    pixels = pixels_of(camera("lone", np.array([2.0, 0.0, 0.45])), GRID.centers(carved.unknown))
+    assert not arm.ravel()[pixels[pixels >= 0]].any()

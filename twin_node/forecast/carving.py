@@ -110,7 +110,7 @@ def _sight(
     seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid
     blind = ~seen if robot is None else ~seen | robot
     widened = _dilate(moving, error_pixels)
-    free_image = _free_until(view, widened | blind, blind, error_pixels, parameters)
+    free_image = _free_until(view, widened | blind, ~seen, error_pixels, parameters)
     blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
     flags = blunt * MOVING + seen * SEEN + (seen & ~moving & ~blind) * BESIDE
     if robot is not None:
@@ -136,14 +136,17 @@ def _freed_blocks(sight: Sight) -> Bool:
     return freed
 
 
-def _free_until(view: View, moving: Bool, blind: Bool, error_pixels: float, parameters: CarvingParameters) -> Float32:
-    """[H, W] depth up to which each pixel frees its ray, m."""
+def _free_until(view: View, hidden: Bool, unseen: Bool, error_pixels: float, parameters: CarvingParameters) -> Float32:
+    """[H, W] depth up to which each pixel frees its ray, m: to what was measured, be it the arm, or all of it.
+
+    Without depth `hidden` pixels free nothing; with it those that show nothing at all.
+    """
     if view.depth is None:
-        return np.where(moving, _NEVER, _ALWAYS).astype(np.float32)
+        return np.where(hidden, _NEVER, _ALWAYS).astype(np.float32)
     surface = np.where(view.depth > 0, view.depth * (1 - parameters.depth_share) - parameters.depth_margin, _ALWAYS)
     nearest = cv2.erode(surface.astype(np.float32), np.ones((3, 3), np.uint8))  # single pixels lack depth everywhere
     surface = np.where(view.depth > 0, surface, np.where(nearest < _ALWAYS, nearest, _NEVER))
-    free = np.where(blind, _NEVER, surface).astype(np.float32)
+    free = np.where(unseen, _NEVER, surface).astype(np.float32)
     return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 1 else free
 
 
@@ -163,8 +166,11 @@ def _surface(
     stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
     found = moving & ~blind & (view.depth > 0) & stands_out
     kernel = _disk(error_pixels)
-    begin = cv2.erode(np.where(found, front, _ALWAYS).astype(np.float32), kernel)
-    end = np.where(blind, _NEVER, cv2.dilate(np.where(found, back, _NEVER).astype(np.float32), kernel))
+    fronts = np.where(found, front, _ALWAYS).astype(np.float32)
+    begin = cv2.erode(fronts, kernel)
+    # at the edge of a near thing the ray ends with that: what moves far behind it is not one with it
+    foremost = found & (front <= cv2.erode(fronts, _disk(2 * error_pixels)) + parameters.thickness)
+    end = np.where(blind, _NEVER, cv2.dilate(np.where(foremost, back, _NEVER).astype(np.float32), kernel))
     return Surface(np.append(begin, _ALWAYS).astype(np.float32), np.append(end, _NEVER).astype(np.float32))
 
 

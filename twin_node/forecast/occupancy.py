@@ -117,7 +117,10 @@ class Forecaster:
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
-        self._predictor.advance(self._tracks.history, succession, float(horizons[-1]))
+        # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
+        measured = any(view.depth is not None for view in state.frames.views)
+        sigmas = evidence.motion.sigmas if measured else None
+        self._predictor.advance(self._tracks.history, succession, float(horizons[-1]), sigmas)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]

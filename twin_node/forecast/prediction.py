@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.bound import Bound, BoundParameters, CueLengths, cues
+from twin_node.forecast.bound import LEAST, Bound, BoundParameters, CueLengths, cues
 from twin_node.forecast.experts import (
     EXPERT_NAMES,
     EXPERTS,
@@ -52,8 +52,10 @@ class _Records:
     """[E, M] recent mean square errors of the experts, m^2."""
     errors: Float64 = field(default_factory=lambda: np.zeros(0))
     """[M] recent error of the mixture, m: quick to grow, slow to shrink."""
+    born: Float64 = field(default_factory=lambda: np.zeros(0))
+    """[M] s when the node was first known."""
     began: Float64 = field(default_factory=lambda: np.zeros(0))
-    """[M] s when the record began."""
+    """[M] s when the record began: then, or when the node began something new."""
     judged: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
     """[M] forecasts in the record."""
 
@@ -63,10 +65,13 @@ class _Records:
         if len(self.errors) == 0:
             count = len(rows)
             squared = np.tile(_UNTRIED[:, None] ** 2, (1, count))
-            return _Records(squared, np.full(count, _UNTRIED[-1]), np.full(count, time), np.zeros(count, np.int64))
+            return _Records(
+                squared, np.full(count, _UNTRIED[-1]), *np.full((2, count), time), np.zeros(count, np.int64)
+            )
         return _Records(
             np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
             np.where(new, _UNTRIED[-1], self.errors[rows]),
+            np.where(new, time, self.born[rows]),
             np.where(new, time, self.began[rows]),
             np.where(new, 0, self.judged[rows]),
         )
@@ -74,6 +79,8 @@ class _Records:
 
 _UNTRIED = np.array([0.17, 0.16, 0.13, 0.24, 0.12])
 """Errors ascribed to experts before they are judged, m: theirs on human motion at 200 ms (`bench forecast`)."""
+_STRAIGHT_ON = np.array([[name == "constant_velocity"] for name in EXPERT_NAMES], np.float64)
+"""[E, 1] weights of what is bounded by its reach alone."""
 _RECORD_S = 0.65
 """Time constant of the experts' records, s."""
 _RISE_S, _FALL_S = 0.05, 0.6
@@ -125,6 +132,7 @@ class Predictor:
         self.bound = Bound(parameters)
         self.autoregression = Autoregression()
         self._horizon_s = 0.2
+        self._sigmas: Float64 | None = None
         self._records = _Records()
         self._trust = np.ones(len(EXPERT_NAMES))
         self._missed = np.zeros(len(EXPERT_NAMES))
@@ -138,19 +146,25 @@ class Predictor:
 
     @property
     def weights(self) -> Float64:
-        """[E, M] of the experts, in the order of `EXPERT_NAMES`."""
+        """[E, M] of the experts, in the order of `EXPERT_NAMES`.
+
+        Where the velocity is measured, what has no record yet goes on at it.
+        """
         pooled = self._around.body(self._records.squared.T).T
         weights = mix((1 - _POOLED) * self._records.squared + _POOLED * pooled) * self._trust[:, None]
         normalised: Float64 = weights / weights.sum(axis=0)
-        return normalised
+        return np.where(self._newcomers, _STRAIGHT_ON, normalised)
 
-    def advance(self, history: History, succession: Succession, horizon_s: float) -> None:
+    def advance(
+        self, history: History, succession: Succession, horizon_s: float, sigmas: Float64 | None = None
+    ) -> None:
         """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
 
         Earlier samples of the history are the paths of the nodes of now. What was forecast for the time since the last
-        sample is judged.
+        sample is judged. `sigmas` [M] (m/s): how well the velocities are known that the paths end with, if they are
+        measured.
         """
-        self._horizon_s = horizon_s
+        self._horizon_s, self._sigmas = horizon_s, sigmas
         self._history = history
         self._around = Neighbours(history.positions[-1])
         self._records = self._records.inherited(succession.records, history.times[-1])
@@ -187,9 +201,25 @@ class Predictor:
         """
         mixed = np.einsum("em,ehmc->hmc", self.weights, self.single(horizons), optimize=True)
         last = float(horizons[-1])
-        radii = self.bound.radii(self._cues, self._ages, last, factor)
+        radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
         return Prediction(mixed, shares[:, None] * radii)
+
+    def _radii(self, horizon_s: float, factor: float = 1.0) -> Float64:
+        """[M] m."""
+        radii = self.bound.radii(self._cues, self._ages, horizon_s, factor)
+        if self._sigmas is not None:
+            spread, new = np.exp(self._cues[:, 1]) - LEAST, self._newcomers
+            radii[new] = self.bound.reach(self._sigmas[new], spread[new], horizon_s)
+        return radii
+
+    @property
+    def _newcomers(self) -> Bool:
+        """[M] nodes of which nothing has come true yet, and whose velocity is measured."""
+        if self._sigmas is None:
+            return np.zeros(len(self._records.born), np.bool_)
+        young: Bool = self._history.times[-1] - self._records.born < self._horizon_s
+        return young & (self._ages < self._horizon_s)
 
     @property
     def _ages(self) -> Float64:
@@ -208,7 +238,7 @@ class Predictor:
         mixed = np.einsum("em,ekmc->kmc", self.weights, single, optimize=True)
         self._cues = _cues_of(single[:, -1], mixed[-1], self._records.errors, self._around)
         time, count = float(self._history.times[-1]), len(mixed[0])
-        radii = self.bound.radii(self._cues, self._ages, self._horizon_s)
+        radii = self._radii(self._horizon_s)
         here, rows = self._history.positions[-1], np.arange(count)
         issued = _Issued(time, self._horizon_s, rows, self._features, single, mixed, self._cues, radii, here)
         self._issued.append(issued)
