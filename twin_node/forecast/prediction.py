@@ -65,9 +65,8 @@ class _Records:
         if len(self.errors) == 0:
             count = len(rows)
             squared = np.tile(_UNTRIED[:, None] ** 2, (1, count))
-            return _Records(
-                squared, np.full(count, _UNTRIED[-1]), *np.full((2, count), time), np.zeros(count, np.int64)
-            )
+            born, began = np.full((2, count), time)
+            return _Records(squared, np.full(count, _UNTRIED[-1]), born, began, np.zeros(count, np.int64))
         return _Records(
             np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
             np.where(new, _UNTRIED[-1], self.errors[rows]),
