@@ -66,14 +66,25 @@ def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, 
             (_looks(points, rgb, parameters.kin_m), _looks(members.means, members.rgb, parameters.kin_m)),
             (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
         ):
-            tree = cKDTree(own, balanced_tree=False, compact_nodes=False)
-            apart, nearest = tree.query(place, distance_upper_bound=1.0)
-            near = np.isfinite(apart) & (carriers.nodes < 0)
-            carriers.nodes[near] = members.nodes[nearest[near]]
-            carriers.founders[near] = members.founders[nearest[near]]
+            without = np.flatnonzero(carriers.nodes < 0)
+            nearest = _nearest(place[without], own)
+            kin, nearest = without[nearest >= 0], nearest[nearest >= 0]
+            carriers.nodes[kin], carriers.founders[kin] = members.nodes[nearest], members.founders[nearest]
     for looks in (_looks(points, rgb, parameters.node_radius_m), points / parameters.node_radius_m):
         _found_together(points, looks, carriers, members, nodes, parameters)
     return carriers
+
+
+def _nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
+    """[n] the row of `own` [m, d] nearest to each of `places` [n, d] that is within 1 of it; -1 without one."""
+    if not len(places):
+        return np.zeros(0, np.int64)
+    around = np.flatnonzero(((own > places.min(0) - 1) & (own < places.max(0) + 1)).all(1))
+    if not len(around):
+        return np.full(len(places), -1, np.int64)
+    tree = cKDTree(own[around], balanced_tree=False, compact_nodes=False)
+    apart, nearest = tree.query(places, distance_upper_bound=1.0)
+    return np.where(np.isfinite(apart), around[np.minimum(nearest, len(around) - 1)], -1)
 
 
 def _found_together(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.model.observation import Observed
+from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
@@ -88,8 +88,9 @@ def find_births(
 def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> _Pixels:
     image = one.rgb
     counts = one.active & (one.surprise > 0.5 * threshold) & (~one.stale | (one.background.alpha < SOLID))
-    difference = np.abs(image - rendering.rgb.detach().cpu().numpy())
-    error = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2]) * counts
+    at = np.nonzero(counts)
+    error = np.zeros_like(one.surprise)
+    error[at] = largest_channel(image[at], rendering.rgb.detach().cpu().numpy()[at])
     blocks = cv2.resize(error, (error.shape[1] // BLOCK, error.shape[0] // BLOCK), interpolation=cv2.INTER_AREA)
     colours = cv2.resize(image, (blocks.shape[1], blocks.shape[0]), interpolation=cv2.INTER_AREA)
     wrong = np.flatnonzero(blocks > threshold)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from torch import Tensor
 
+from twin_node.geometry import rotation_from_quat
 from twin_node.model.cells import Cells
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.nodes import Nodes
-from twin_node.model.rotations import rotate
 from twin_node.scene import Float64
 
 
@@ -35,4 +34,5 @@ class Drift:
         self._ids[at], self._homes[at], self._means[at] = ids, homes, means
         shares = 1 / np.maximum(np.bincount(cells.of, minlength=len(cells)), 1)
         mean = [np.bincount(cells.of, weights=axis, minlength=len(cells)) * shares for axis in crept.T]
-        return rotate(nodes.quats[torch.from_numpy(cells.nodes)], torch.from_numpy(np.stack(mean, 1))).numpy()
+        turned: Float64 = (rotation_from_quat(nodes.quats.numpy())[cells.nodes] @ np.stack(mean, 1)[..., None])[..., 0]
+        return turned

@@ -265,11 +265,15 @@ def _misfits(said: Statements, middles: Float64) -> Float64:
 
 def _faded(said: Statements, at: NDArray[np.int64], ages: float) -> Statements:
     """[n] what was said of the bodies `at` [n] (-1: nothing), `ages` time constants ago."""
-    kept = nothing(len(at))
-    fading = said.of(at[at >= 0]).faded(float(np.exp(-ages)))
-    for name, values in vars(kept).items():
-        values[at >= 0] = vars(fading)[name]
-    return kept
+    if not len(said):
+        return nothing(len(at))
+    share = np.where(at >= 0, np.exp(-ages), 0.0)
+    return Statements(
+        share[:, None, None] * said.H[at],
+        share[:, None] * said.g[at],
+        share * said.squares[at],
+        share * said.counts[at],
+    )
 
 
 def _neighbours(cells: Cells) -> NDArray[np.int64]:
