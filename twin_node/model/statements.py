@@ -41,10 +41,6 @@ class Statements:
         """Each with the other's in its row, as if both were one body."""
         return Statements(self.H + other.H, self.g + other.g, self.squares + other.squares, self.counts + other.counts)
 
-    def faded(self, share: float) -> Statements:
-        """`share` (0 to 1) of what was said."""
-        return Statements(share * self.H, share * self.g, share * self.squares, share * self.counts)
-
     def summed(self, bodies: NDArray[np.int64], count: int) -> Statements:
         """Those of `count` bodies, of which each of the n is one of a part of: `bodies` [n]."""
         shape = (count, PARAMETERS, PARAMETERS)
