@@ -26,6 +26,8 @@ from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
 _NEVER = np.float32(0)
 _ALWAYS = np.float32(1e6)
+_SLANT_M = 0.05
+"""By how much a surface's depth may differ within the error of calibration, m."""
 _PIXEL_ERROR = 0.5
 """A mask is no sharper than its pixels."""
 
@@ -166,11 +168,12 @@ def _surface(
     stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
     found = moving & ~blind & (view.depth > 0) & stands_out
     kernel = _disk(error_pixels)
-    fronts = np.where(found, front, _ALWAYS).astype(np.float32)
-    begin = cv2.erode(fronts, kernel)
-    # at the edge of a near thing the ray ends with that: what moves far behind it is not one with it
-    foremost = found & (front <= cv2.erode(fronts, _disk(2 * error_pixels)) + parameters.thickness)
-    end = np.where(blind, _NEVER, cv2.dilate(np.where(foremost, back, _NEVER).astype(np.float32), kernel))
+    begin = cv2.erode(np.where(found, front, _ALWAYS).astype(np.float32), kernel)
+    end = cv2.dilate(np.where(found, back, _NEVER).astype(np.float32), kernel)
+    # where a near and a far thing meet in the image, what lies between them is part of neither
+    begin = np.where(found, np.maximum(begin, front - _SLANT_M), begin)
+    end = np.where(found, np.minimum(end, back + _SLANT_M), np.minimum(end, begin + parameters.thickness + _SLANT_M))
+    end = np.where(blind, _NEVER, end)
     return Surface(np.append(begin, _ALWAYS).astype(np.float32), np.append(end, _NEVER).astype(np.float32))
 
 
