@@ -15,6 +15,8 @@ FORGETTING = 0.9
 """Share of the evidence that a set keeps: things change how they move within ten sets."""
 PROMOTE, DEMOTE = 20.0, -20.0
 """Evidence (nats) at which a node becomes DEFORMABLE and RIGID again; apart, so that it does not flicker."""
+TOLERATED = 0.3
+"""Share of the errors that a strain takes away where nothing bends: links of one jointed arm, light that is uneven."""
 EXTRA_PARAMETERS = 6
 """Of a symmetric strain, the simplest motion that no rigid one explains."""
 
@@ -40,7 +42,7 @@ def gain(fits: Fits) -> Tensor:
     count = fits.count / CORRELATED
     cost = EXTRA_PARAMETERS / 2 * torch.log(count.clamp_min(2.0))
     ratio = fits.rigid.clamp_min(LEAST) / fits.strained.clamp_min(LEAST)
-    return torch.where(count > EXTRA_PARAMETERS, count / 2 * torch.log(ratio) - cost, 0.0)
+    return torch.where(count > EXTRA_PARAMETERS, count / 2 * torch.log((1 - TOLERATED) * ratio) - cost, 0.0)
 
 
 def accumulate(evidence: Tensor, fits: Fits) -> Tensor:
