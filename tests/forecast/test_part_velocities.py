@@ -83,3 +83,16 @@ def test_what_the_image_before_does_not_show_tells_nothing() -> None:
     moving = velocities.update(state_of(round(PERIOD_S * 1e9), center), parts, unknown(parts))
     np.testing.assert_array_equal(moving.velocities, 0)
     np.testing.assert_allclose(moving.sigmas, UNKNOWN_SPEED)
+
+
+def test_a_thing_as_grey_as_what_stands_is_painted_is_followed() -> None:
+    """What moves is told by the mask; no brightness stands for rest."""
+    velocity = np.array([2.0, 4.0, 1.0])
+    velocities = PartVelocities(RigTables(GRID))
+    for number in range(2):
+        stamp, center = round(number * PERIOD_S * 1e9), np.array([-0.1, -0.2, 0.5]) + number * PERIOD_S * velocity
+        state = state_of(stamp, center, radius=0.09)
+        views = tuple(replace(view, rgb=np.full_like(view.rgb, 128)) for view in state.frames.views)
+        parts = parts_of_ball(center, 0.09)
+        moving = velocities.update(replace(state, frames=replace(state.frames, views=views)), parts, unknown(parts))
+    assert np.linalg.norm(np.median(moving.velocities, axis=0) - velocity) < 0.3 * np.linalg.norm(velocity)

@@ -40,8 +40,9 @@ class ImageMotion:
 
     def see(self, view: View, moving: Bool) -> None:
         """Takes in the next image and where it shows something moving [H, W]."""
-        grey = np.where(near(moving, 1), cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
-        self._before, self._now = self._now, _Image(view.stamp, grey, view.depth)
+        shown = near(moving, 1)
+        grey = np.where(shown, cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
+        self._before, self._now = self._now, _Image(view.stamp, grey, shown, view.depth)
 
     @property
     def elapsed_s(self) -> float | None:
@@ -60,14 +61,14 @@ class ImageMotion:
         now, before = self._now, self._before
         assert now is not None and before is not None
         pixels = np.zeros((*now.grey.shape, 2), np.float32)
-        window = _window((now.grey != _GREY) | (before.grey != _GREY))
+        window = _window(now.moving | before.moving)
         if window is not None:
             here, there = np.ascontiguousarray(now.grey[window]), np.ascontiguousarray(before.grey[window])
             begin = np.zeros((*here.shape, 2), np.float32) if guess is None else np.ascontiguousarray(-guess[window])
             pixels[window] = -self._flow.calc(here, there, begin)
         traced = _traced(now, before, pixels)
         flying = np.zeros(now.grey.shape, np.bool_)
-        for flight in _flights(now.grey != _GREY, before.grey != _GREY):
+        for flight in _flights(now.moving, before.moving):
             flying |= flight.now
             pixels[flight.now] = flight.shift
             if traced.receded is not None:
@@ -85,6 +86,8 @@ class _Image:
     """ns."""
     grey: UInt8
     """[H, W], `_GREY` where nothing moves."""
+    moving: Bool
+    """[H, W] what moves, and a pixel about it."""
     depth: Float32 | None
     """[H, W] m, 0 where it is not measured; None without depth."""
 
@@ -92,13 +95,12 @@ class _Image:
 def _traced(now: _Image, before: _Image, pixels: Float32) -> _Traced:
     """Follows what moves back along its way `pixels` [H, W, 2] into the image before."""
     height, width = now.grey.shape
-    rows, columns = np.nonzero(now.grey != _GREY)
+    rows, columns = np.nonzero(now.moving)
     source = np.round(np.stack([columns, rows], axis=1) - pixels[rows, columns]).astype(np.int64)
     inside = ((source >= 0) & (source < (width, height))).all(axis=1)
     rows, columns, source = rows[inside], columns[inside], source[inside]
-    was = before.grey[source[:, 1], source[:, 0]]
-    change = now.grey[rows, columns].astype(np.int16) - was
-    alike = (was != _GREY) & (np.abs(change) < _ALIKE_GREY)
+    change = now.grey[rows, columns].astype(np.int16) - before.grey[source[:, 1], source[:, 0]]
+    alike = before.moving[source[:, 1], source[:, 0]] & (np.abs(change) < _ALIKE_GREY)
     found = np.zeros((height, width), np.bool_)
     found[rows, columns] = alike
     if now.depth is None or before.depth is None or before.depth.shape != now.depth.shape:
@@ -179,7 +181,7 @@ def _blobs(mask: Bool) -> tuple[NDArray[np.int32], _Blobs]:
 
 
 _GREY = np.uint8(128)
-"""What stands for all that does not move."""
+"""Brightness that all that does not move is painted with."""
 _ALIKE_GREY = 30
 """Difference in brightness up to which two pixels may show the same, of 255: four sigmas of noise in poor light."""
 _SMALLEST_WINDOW = 32

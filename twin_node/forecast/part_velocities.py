@@ -195,7 +195,7 @@ def _solve(sightings: Sequence[_Sighting], expected: Moving) -> Moving:
             right += (doubted * one.receded / one.elapsed_s)[:, None] * one.axis
         inverse = np.linalg.inv(normal)
         velocities = (inverse @ right[..., None])[..., 0]
-    return Moving(velocities, np.sqrt(np.einsum("mii->m", inverse) / 3))
+    return Moving(velocities, np.minimum(np.sqrt(np.einsum("mii->m", inverse) / 3), UNKNOWN_SPEED))
 
 
 def _recession_variance(sighting: _Sighting) -> Float64:
