@@ -16,7 +16,7 @@ from splat_scenes import assert_close, differentiate, make_case
 
 from twin_node import native_build
 from twin_node.native_build import Kernels
-from twin_node.splat import SplatError, image_loss, rasterize, rasterize_plain
+from twin_node.splat import SplatError, can_descend, image_loss, rasterize, rasterize_plain
 from twin_node.splat import library as native
 from twin_node.splat.library import NativeLibrary
 
@@ -79,6 +79,15 @@ def test_a_library_of_another_interface_is_refused(tiny: Kernels, monkeypatch: p
     monkeypatch.setattr(native_build, "SPLAT", tiny)
     with pytest.raises(OSError, match=f"expected interface version {native.INTERFACE_VERSION}, found 7"):
         native.load_variant("baseline")
+
+
+def test_where_there_is_a_compiler_there_is_a_library():
+    """Else every comparison with plain torch would be skipped, and nobody would know."""
+    try:
+        native_build.find_compiler()
+    except native_build.CompileError as error:
+        pytest.skip(str(error))
+    assert can_descend(torch.device("cpu"))
 
 
 def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

@@ -68,14 +68,14 @@ def run_single(
     `/clock` where there is one. Raises what the node raises.
     """
     executor = Executor()
+    for number in (signal.SIGINT, signal.SIGTERM):  # first: an interrupted set-up ends in order too
+        signal.signal(number, lambda *_: executor.stop())
     with open_wire(zenoh) as wire:
         bus = WireBus(wire, executor, kind, kind_of)
         clock: Clock = _GraphTime(wire, kind) if follows_clock else SystemClock()
         sections = {**(others or {}), kind: parameters}
         setup = Setup(kind, bus, clock, executor, sections, where, executor.stop, wire.endpoints)
         node: Node = find_factory(kind)(setup)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: executor.stop())
         node.configure()
         node.activate()
         try:
