@@ -21,6 +21,8 @@ from twin_node.scene import Tier
 
 SHORTEST_S = 1e-3
 """Sets nearer in time than this tell no velocity, s."""
+DECIDED_S = 0.06
+"""Time between decisions about which nodes are one, s: half of what they have to be agreed on for."""
 
 
 class Bodies:
@@ -31,10 +33,13 @@ class Bodies:
         self._nodes = nodes
         self._kinship = Kinship()
         self._drift = Drift(gaussians.capacity)
+        self._undecided_s = 0.0
+        self.decided_s = 0.0
+        """Time that the last `regroup` has decided about, s; 0 where it has put decisions off."""
 
     @property
     def resting(self) -> Mapping[int, Grounds]:
-        """By row, the nodes that do not move, as far as the images of the last set tell."""
+        """By row, the nodes that did not move in the time that was decided about last."""
         learned = self._nodes.alive & (self._nodes.tiers != int(Tier.ROBOT))
         return {row: grounds for row, grounds in self._kinship.resting.items() if bool(learned[row])}
 
@@ -51,11 +56,19 @@ class Bodies:
         self._kinship.hear(cells, one.statements(max(dt_s, SHORTEST_S)), dt_s)
 
     def regroup(self, rows: Tensor, cells: Cells, dt_s: float) -> Sequence[Decision]:
-        """Merges and splits nodes by what has been heard, once they stand where this set has them."""
+        """Takes over the velocities that were heard of, and, where that is due, merges and splits nodes.
+
+        Called once the nodes stand where this set has them, `dt_s` after the one before.
+        """
         nodes = self._nodes
         learned = nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)].numpy()
         known = torch.from_numpy(learned[np.isin(learned, cells.nodes)])
         velocities = torch.from_numpy(self._kinship.velocities(known.numpy(), nodes.positions[known].numpy()))
         nodes.velocities[known] = limited(velocities[:, :3], MAX_SPEED)
         nodes.angular_velocities[known] = limited(velocities[:, 3:], MAX_TURN)
-        return regroup(self._gaussians, rows, cells, nodes, self._kinship, dt_s)
+        self._undecided_s += dt_s
+        self.decided_s = 0.0
+        if self._undecided_s < DECIDED_S:
+            return []
+        self.decided_s, self._undecided_s = self._undecided_s, 0.0
+        return regroup(self._gaussians, rows, cells, nodes, self._kinship, self.decided_s)

@@ -30,8 +30,8 @@ DOUBT = -6.0
 """Nats by which one body must explain it better before another way to see it as two is looked for."""
 NEAR_M = 0.08
 """Two nodes are neighbours where some of their cells are this near, m: a cell and the gaps between."""
-SEARCHES = 2
-"""Nodes per set of which a way to see them as two bodies is looked for."""
+SEARCHES = 4
+"""Nodes per decision of which a way to see them as two bodies is looked for."""
 LEAST_MISFIT = 0.02
 """Smallest variance of the errors in units of what the flow claims: a seventh of its sigma, of images without noise."""
 SHARED_OBSERVATIONS = 20.0
@@ -82,8 +82,9 @@ class Kinship:
     def __init__(self) -> None:
         self._said = nothing(0)
         self.resting: dict[int, Grounds] = {}
-        """By row, the nodes that the set decided about last shows, and shows no motion of."""
+        """By row, the nodes that were seen when it was decided last, and seen not to move."""
         self._before = nothing(0)
+        """What had been said when it was decided last, as it has faded since."""
         self._recent = nothing(0)
         self._cells = Cells.none()
         self._misfits = np.ones(0)
@@ -95,13 +96,13 @@ class Kinship:
     def hear(self, cells: Cells, said: Statements, dt_s: float) -> None:
         """Takes in what a set said of `cells`, `dt_s` after the one before; cells that are gone are forgotten."""
         at = cells.found_in(self._cells)
-        self._before = _faded(self._said, at, dt_s / MEMORY_S)
-        self._said = self._before.plus(said)
+        self._before = _faded(self._before, at, dt_s / MEMORY_S)
+        self._said = _faded(self._said, at, dt_s / MEMORY_S).plus(said)
         self._recent = _faded(self._recent, at, dt_s / RECENT_S).plus(said)
         self._cells = cells
 
     def decide(self, ids: NDArray[np.int64], dt_s: float) -> Sequence[Merger | Parting]:
-        """What to merge and to split after a set `dt_s` after the one before; `ids` [M] of the nodes, by row.
+        """What to merge and to split by what was said in the `dt_s` since the last decision; `ids` [M] of the nodes.
 
         No node is in two of the decisions.
         """
@@ -130,6 +131,7 @@ class Kinship:
                 decided.append(one)
         self._agreed = agreed
         self._search(ids, middles)
+        self._before = self._said
         return decided
 
     def velocity_of(self, chosen: Bool, point: Float64) -> Float64:

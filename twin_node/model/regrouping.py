@@ -17,7 +17,7 @@ from twin_node.scene import Tier
 def regroup(
     gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, kinship: Kinship, dt_s: float
 ) -> list[Decision]:
-    """Does what `kinship` decides `dt_s` after the set before; `rows` [m] are the Gaussians that `cells` hold."""
+    """Does what `kinship` decides about the last `dt_s`; `rows` [m] are the Gaussians that `cells` hold."""
     done = []
     for one in kinship.decide(nodes.ids.numpy(), dt_s):
         if isinstance(one, Merger):

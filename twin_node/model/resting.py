@@ -40,7 +40,7 @@ class Resting:
         """Seconds for which each node, by its id, has rested."""
 
     def settle(self, resting: Mapping[int, Grounds], dt_s: float) -> Sequence[Decision]:
-        """Takes in which nodes, by row, rest in a set `dt_s` after the one before; those that have for long end."""
+        """Takes in which nodes, by row, have rested in the last `dt_s`; those that have for long end."""
         g, nodes = self._gaussians, self._nodes
         ids = {int(nodes.ids[row]): row for row in resting}
         surely = {node: min((resting[row].at_rest - resting[row].one) / RESTS, 1.0) for node, row in ids.items()}

@@ -107,7 +107,7 @@ class Tracker:
             self._links.drive(frames.joints, dt_s)
         aligned = self._align(observed, dt_s)
         on_stage("align")
-        self._rest(observed, aligned.renderings, dt_s)
+        self._rest(observed, aligned.renderings)
         self._judge(observed, aligned.renderings)
         on_stage("judge")
         fitted = self._fit(observed, aligned.before)
@@ -180,10 +180,11 @@ class Tracker:
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
 
-    def _rest(self, observed: Sequence[Observed], renderings: Sequence[Rendering], dt_s: float) -> None:
+    def _rest(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """What rests counts as standing, what rested and moves again has a node again."""
         woken = self._resting.wake(observed, renderings, self._parameters.track.residual)
-        settled = self._resting.settle(self._bodies.resting, dt_s)
+        decided_s = self._bodies.decided_s
+        settled = self._resting.settle(self._bodies.resting, decided_s) if decided_s else ()
         self._decisions = [*self._decisions, *woken, *settled]
 
     def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
