@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from model_scenes import camera, frames, with_joints
@@ -9,7 +11,7 @@ from model_scenes import camera, frames, with_joints
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.robot_links import arm_depth
 from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
-from twin_node.scene import Tier
+from twin_node.scene import Float64, FrameSet, Tier
 
 ARM = ur_model("ur5e")
 Q = np.array([0.3, -1.2, 1.4, -1.6, -1.5, 0.0])
@@ -54,3 +56,27 @@ def test_the_arm_is_left_out_of_the_masks() -> None:
         assert robot is not None
         assert not (moving & robot).any()
     assert torch.isfinite(torch.from_numpy(state.gaussians.means)).all()
+
+
+def with_arm(index: int, q: Float64) -> FrameSet:
+    """The table with measured depth as one camera sees it, and a light grey arm before it."""
+    bare = with_joints(frames(index, None, CAMERAS[:1], depth=True), ARM.joint_names, q)
+    view = bare.views[0]
+    mask = robot_mask(ARM, q, view.camera, margin_m=0.0)
+    assert view.depth is not None
+    depth = np.where(mask, arm_depth(ARM, q, view.camera, mask), view.depth)
+    return replace(bare, views=(replace(view, rgb=np.where(mask[..., None], np.uint8(190), view.rgb), depth=depth),))
+
+
+def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)), arm=ARM)
+    turned = Q + np.array([1.2, 0, 0, 0, 0, 0])
+    for index in range(40):
+        state = model.update(with_arm(index, Q if index < 2 else turned))
+    view, robot = state.frames.views[0], state.robot_masks[0]
+    assert robot is not None
+    ground = ~robot & (view.rgb.max(-1) > 60)
+    behind = robot_mask(ARM, Q, view.camera) & ground
+    assert behind.sum() > 50
+    missed = np.abs(model.render(view.camera).rgb - view.rgb / np.float32(255)).mean(-1)
+    assert missed[behind].mean() < 2.5 * missed[ground & ~behind].mean()

@@ -72,7 +72,7 @@ class Observer:
             usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
             usable = usable if robot is None else usable & ~robot
             rgb = np.divide(view.rgb, np.float32(255), dtype=np.float32)
-            surprise = self._surprise(view.camera.name, rgb, background) * usable
+            surprise = self._surprise(view.camera.name, rgb, background, usable)
             grown = grow(mask, margin_px(view.camera, background.depth))
             wrong = surprise > self._threshold
             stale = self._stale(view.camera.name, wrong & ~grown, dt_s)
@@ -97,14 +97,17 @@ class Observer:
         self._seeding = False
         return out
 
-    def _surprise(self, name: str, rgb: Float32, background: Background) -> Float32:
-        """[H, W] what the image differs by beyond what the background's own fit to the first images left over."""
+    def _surprise(self, name: str, rgb: Float32, background: Background, usable: Bool) -> Float32:
+        """[H, W] what the image differs by beyond what the background's own fit to the first images left over.
+
+        Nothing is left over where no fit was: there is no background yet behind the arm, or where no pixel was valid.
+        """
         difference = largest_channel(rgb, background.rgb)
         known = self._misfit.get(name)
         if known is None or known.shape != difference.shape:
-            known = difference if self._seeding else np.zeros_like(difference)
+            known = difference * usable if self._seeding else np.zeros_like(difference)
         misfit = self._misfit[name] = np.minimum(known, difference + np.float32(MISFIT_GROWTH))
-        surprise: Float32 = np.maximum(difference - misfit, np.float32(0))
+        surprise: Float32 = np.maximum(difference - misfit, np.float32(0)) * usable
         return surprise
 
     def _stale(self, name: str, wrong: Bool, dt_s: float) -> Bool:
