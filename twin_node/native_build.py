@@ -120,7 +120,9 @@ SPLAT = Kernels("splat", Path(__file__).resolve().parent / "splat" / "native")
 """The CPU rasteriser."""
 FORECAST = Kernels("forecast", Path(__file__).resolve().parent / "forecast" / "native")
 """Carving and growth of the forecast's grid."""
-ROOMS = (SPLAT, FORECAST)
+MODEL = Kernels("model", Path(__file__).resolve().parent / "model" / "native")
+"""What the model finds in images."""
+ROOMS = (SPLAT, FORECAST, MODEL)
 
 
 def _compile(source: Path, variant: str, to: Path, compiler: str) -> None:

@@ -1,6 +1,7 @@
 """The 4D model: Gaussians, their motion, and the window they are fitted in."""
 
-from twin_node.model.moving_mask import MovingMask, MovingMaskParameters
+from twin_node.model.camera_mask import MovingMaskParameters
+from twin_node.model.moving_mask import MovingMask
 from twin_node.model.parameters import (
     BirthParameters,
     MapParameters,

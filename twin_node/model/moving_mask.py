@@ -2,49 +2,11 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
-
-from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
-
-
-@dataclass(frozen=True)
-class MovingMaskParameters:
-    """What counts as change, and when a pixel that changed is background again."""
-
-    change_sigmas: float = 6.0
-    """A pixel has changed when it differs by this many times the image's own noise (1 sigma, measured)."""
-    change_levels: float = 9.0
-    """Smallest difference that counts, in 8-bit levels: below it lie compression artefacts."""
-    baseline_ns: int = 100_000_000
-    """An image is compared with one this much older: slow limbs move a pixel in 100 ms, not between two frames."""
-    settle_ns: int = 120_000_000
-    """A pixel still for this long may be recognised as uncovered background."""
-    smallest_area: float = 6e-4
-    """Smallest moving region as a share of the image; less is noise."""
-    gap: float = 0.03
-    """Gaps inside a moving thing up to this share of the image's shorter side are closed."""
-    shadow_darkest: float = 0.7
-    """A cast shadow keeps at least this share of the background's brightness (and its colour)."""
-    reflection_brightest: float = 1.2
-    """A reflected glow adds at most up to this multiple of the background's brightness."""
-    ground_certainty: float = 0.7
-    """A settled pixel of a colour this surely ground's is ground, if it touches ground."""
-    ground_likelihood: float = 0.4
-    """A settled pixel of a colour this likely ground's is ground, if it fits the ground beside it clearly better than
-    what the background held there does: textured ground that a thing, there from the start, has moved off."""
-    growth_pixels: int = 3
-    """Rings of uncovered ground found per image; each ring is two pixels wide."""
-    learning_rate: float = 0.05
-    """Share of each new image that enters the background where it is free."""
-    depth_levels: float = 0.02
-    """Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
+from twin_node.model.camera_mask import CameraMask, MovingMaskParameters
+from twin_node.model.compiled_mask import can_compile, update_compiled
+from twin_node.scene import Bool, FrameSet, View
 
 
 class MovingMask:
@@ -56,252 +18,21 @@ class MovingMask:
 
     def __init__(self, parameters: MovingMaskParameters | None = None) -> None:
         self.parameters = parameters or MovingMaskParameters()
-        self._cameras: dict[str, _CameraMask] = {}
+        self._cameras: dict[str, CameraMask] = {}
 
     def update(self, frames: FrameSet, robot_masks: Sequence[Bool | None]) -> tuple[Bool, ...]:
         """Masks [H, W] per view of `frames`, True where something moves or has moved; the robot is left out.
 
         `robot_masks`: per view [H, W] True on the arm and its margin, or None where the arm's joints are unknown.
         """
-        masks = []
-        for view, robot in zip(frames.views, robot_masks, strict=True):
-            camera = self._cameras.get(view.camera.name)
-            if camera is None or camera.shape != view.rgb.shape[:2]:
-                camera = self._cameras[view.camera.name] = _CameraMask(view, self.parameters)
-            masks.append(camera.update(view, robot))
-        return tuple(masks)
+        cameras = [self._camera_of(view) for view in frames.views]
+        if can_compile():
+            return tuple(update_compiled(cameras, frames.views, robot_masks))
+        pairs = zip(cameras, frames.views, robot_masks, strict=True)
+        return tuple(camera.update(view, robot) for camera, view, robot in pairs)
 
-
-class _CameraMask:
-    """One camera's background and the mask of what stands out from it. Images are float planes [3, H, W]."""
-
-    def __init__(self, view: View, parameters: MovingMaskParameters) -> None:
-        self.parameters = parameters
-        self.shape = view.rgb.shape[:2]
-        self._background = _planes(view.rgb)
-        self._depth = None if view.depth is None else view.depth.copy()
-        self._known = np.zeros(self.shape, np.bool_)  # False where nothing but the robot has been seen yet
-        self._trusted = np.ones(self.shape, np.bool_)  # False where the background may show the moving thing itself
-        self._confirmed = np.zeros(self.shape, np.bool_)  # was covered once, and is known to be ground since
-        self._mask = np.zeros(self.shape, np.bool_)
-        self._still_ns = np.zeros(self.shape, np.float32)
-        self._sigma = parameters.change_levels / parameters.change_sigmas
-        self._past: deque[tuple[int, Float32]] = deque([(view.stamp, self._background.copy())])
-        self._close = _disk(max(1, round(parameters.gap * min(self.shape))))
-        self._colours = _Colours()
-
-    def update(self, view: View, robot: Bool | None) -> Bool:
-        """The mask [H, W] of this view."""
-        image = _planes(view.rgb)
-        seen = _seen(view, robot)
-        gain = _gain(image, self._background, seen & ~self._mask & self._known)
-        self._meet(image / gain, view, seen & ~self._known)
-        free = seen & ~self._mask
-        settled = self._settled(image, view.stamp, free)
-        threshold = max(self.parameters.change_levels, self.parameters.change_sigmas * self._sigma)
-        expected = self._background * gain
-        difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
-        in_front = self._depth_in_front(view, seen)
-        moving = self._regions(np.where(self._trusted & seen, difference, 0), threshold) | in_front
-        like_ground = difference < 0.5 * threshold
-        mask = moving | (self._mask & ~_eroded(self._trusted & like_ground))
-        mask = (mask | self._unconfirmed_holes(mask)) & seen
-        self._trusted &= ~(mask & ~self._mask & like_ground & ~in_front)
-        object_ = self._confirmed & self._trusted & (difference > threshold)
-        uncovered = self._uncovered(image / gain, settled & mask & ~in_front, seen & ~mask, object_, threshold)
-        uncovered &= (difference > threshold) | ~self._trusted
-        self._confirmed |= (self._mask & ~mask) | uncovered
-        self._background[:, uncovered] = (image / gain)[:, uncovered]
-        self._trusted |= uncovered
-        self._mask = mask & ~uncovered
-        self._learn(image / gain, view, seen & ~self._mask)
-        return self._mask.copy()
-
-    def _meet(self, image: Float32, view: View, fresh: Bool) -> None:
-        """Takes pixels that are seen for the first time as the scene at rest, unless they touch what moves."""
-        if not fresh.any():
-            return
-        self._known |= fresh
-        self._background[:, fresh] = image[:, fresh]
-        if view.depth is not None and self._depth is not None:
-            self._depth[fresh] = view.depth[fresh]
-        doubtful = fresh & (cv2.dilate(self._mask.astype(np.uint8), self._close) > 0)
-        self._trusted &= ~doubtful
-        self._mask |= doubtful
-
-    def _settled(self, image: Float32, stamp: int, free: Bool) -> Bool:
-        """Pixels that look as they did one baseline ago and have been still since; measures the noise on the way."""
-        recent = (past for at, past in self._past if stamp - at <= self.parameters.baseline_ns)
-        reference = next(recent, self._past[-1][1])
-        change = _difference(image, reference * _gain(image, reference, free))
-        sample = change[::4, ::4][free[::4, ::4]]
-        if sample.size > 50:
-            self._sigma += 0.05 * (max(0.5, 1.48 * float(_middle(sample))) - self._sigma)
-        last_stamp, last = self._past[-1]
-        quiet = _difference(image, last) < 0.7 * self.parameters.change_levels
-        self._still_ns = np.where(quiet, self._still_ns + np.float32(stamp - last_stamp), np.float32(0))
-        self._past.append((stamp, image))
-        while len(self._past) > 2 and stamp - self._past[1][0] > self.parameters.baseline_ns:
-            self._past.popleft()
-        settled: Bool = (self._still_ns > self.parameters.settle_ns) & (change < 0.7 * self.parameters.change_levels)
-        return settled
-
-    def _lighting_only(self, image: Float32, expected: Float32, threshold: float) -> Bool:
-        """Where the image is the background in a shadow or a glow: same colour, another brightness."""
-        ratio = (image * expected).sum(0) / np.maximum((expected * expected).sum(0), 1)
-        residual = _difference(image, ratio * expected)
-        low, high = self.parameters.shadow_darkest, self.parameters.reflection_brightest
-        lit: Bool = (ratio > low) & (ratio < high) & (residual < 0.6 * threshold)
-        return lit
-
-    def _regions(self, evidence: Float32, threshold: float) -> Bool:
-        """Connected regions over half the threshold that reach the threshold and are large enough, gaps closed."""
-        count, labels, stats, _ = cv2.connectedComponentsWithStats((evidence > 0.5 * threshold).astype(np.uint8))
-        strong = np.zeros(count, np.bool_)
-        strong[labels[evidence > threshold]] = True
-        strong[0] = False
-        strong &= stats[:, cv2.CC_STAT_AREA] >= self.parameters.smallest_area * evidence.size
-        return self._closed(strong[labels])
-
-    def _unconfirmed_holes(self, mask: Bool) -> Bool:
-        """Ground enclosed by what moves that was never seen uncovered: the even inside of a thing shows no change."""
-        closed = self._closed(mask)
-        outlines, _ = cv2.findContours(closed.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        filled = np.zeros(self.shape, np.uint8)
-        cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
-        inside = cv2.dilate(((filled > 0) & ~closed).astype(np.uint8), self._close) > 0
-        holes: Bool = inside & (filled > 0) & ~mask & ~self._confirmed
-        return holes
-
-    def _closed(self, mask: Bool) -> Bool:
-        """The mask with gaps up to the kernel's width closed."""
-        margin = self._close.shape[0] // 2
-        padded = np.pad(mask.astype(np.uint8), margin)
-        closed: Bool = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, self._close)[margin:-margin, margin:-margin] > 0
-        return closed
-
-    def _depth_in_front(self, view: View, seen: Bool) -> Bool:
-        """Where a measured surface stands in front of the background's."""
-        if view.depth is None or self._depth is None:
-            return np.zeros(self.shape, np.bool_)
-        known = seen & (view.depth > 0) & (self._depth > 0)
-        near = known & (view.depth < self._depth * (1 - self.parameters.depth_levels) - 0.01)
-        return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
-
-    def _uncovered(self, image: Float32, settled: Bool, free: Bool, object_: Bool, threshold: float) -> Bool:
-        """Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
-
-        They continue the free ground beside them, or have a colour of the ground around and not of moving things.
-        """
-        found = np.zeros(self.shape, np.bool_)
-        share = self._colours.learn(image, free, object_)
-        if not settled.any():
-            return found
-        ground_coloured = settled & (share > self.parameters.ground_certainty)
-        likely_ground = settled & (share > self.parameters.ground_likelihood)
-        box = _around(settled, 2)  # what is found is settled, and looks no farther than its 5 x 5 pixels
-        image, background, inside = image[:, *box], self._background[:, *box], found[box]
-        for _ in range(self.parameters.growth_pixels):
-            known = (free[box] | inside).astype(np.float32)
-            weight = cv2.boxFilter(known, -1, (5, 5))
-            sums = np.stack([cv2.boxFilter(plane * known, -1, (5, 5)) for plane in image])
-            ground = (sums / np.maximum(weight, 1e-3)).astype(np.float32)
-            rough, was_rough = _difference(image, ground), _difference(background, ground)
-            fits_better = likely_ground[box] & (was_rough > 2 * threshold) & (rough < 0.7 * was_rough)
-            continues = (settled[box] & (rough < 0.6 * threshold)) | fits_better
-            inside |= (weight > 0.2) & (continues | ground_coloured[box])
-        return found
-
-    def _learn(self, image: Float32, view: View, free: Bool) -> None:
-        """Draws the background towards the image where it is free."""
-        rate = np.where(free, np.float32(self.parameters.learning_rate), np.float32(0))
-        self._background += rate * (image - self._background)
-        if view.depth is not None and self._depth is not None:
-            deeper = (view.depth > self._depth) | (self._depth == 0)
-            self._depth = np.where(free & (view.depth > 0) | deeper, view.depth, self._depth)
-
-
-class _Colours:
-    """How often each colour is free ground and how often a moving thing, in bins of 16 levels per channel."""
-
-    def __init__(self) -> None:
-        self._ground = np.zeros(16**3)
-        self._moving = np.zeros(16**3)
-
-    def learn(self, image: Float32, ground: Bool, moving: Bool) -> Float32:
-        """Counts the pixels of both; older counts fade over about 50 images.
-
-        Returns the probability [H, W] that a pixel of this colour is ground; 0 until moving things have been seen.
-        """
-        bins = self._bins(image)
-        self._ground = 0.98 * self._ground + np.bincount(bins[ground], minlength=self._ground.size)
-        self._moving = 0.98 * self._moving + np.bincount(bins[moving], minlength=self._moving.size)
-        if self._moving.sum() < 200:
-            return np.zeros(image.shape[1:], np.float32)
-        on_ground, on_moving = (_smooth(counts / max(counts.sum(), 1)) for counts in (self._ground, self._moving))
-        share = on_ground / np.maximum(on_ground + on_moving, 1e-9)
-        return share.astype(np.float32)[bins]
-
-    @staticmethod
-    def _bins(image: Float32) -> NDArray[np.intp]:
-        levels = (np.clip(image, 0, 255) / 16).astype(np.int16)
-        bins: NDArray[np.intp] = ((levels[0] * 16 + levels[1]) * 16 + levels[2]).astype(np.intp)
-        return bins
-
-
-def _smooth(density: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A colour density spread over its neighbouring bins."""
-    cube: NDArray[np.float64] = uniform_filter(density.reshape(16, 16, 16), 3, mode="nearest")
-    return cube.ravel()
-
-
-def _eroded(mask: Bool) -> Bool:
-    """Pixels whose eight neighbours are in the mask as well."""
-    return cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-
-
-def _around(mask: Bool, margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold all True pixels, of which there are some, and `margin` more."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return (
-        slice(max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1),
-        slice(max(int(columns[0]) - margin, 0), int(columns[-1]) + margin + 1),
-    )
-
-
-def _disk(radius: int) -> UInt8:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)).astype(np.uint8)
-
-
-def _planes(rgb: UInt8) -> Float32:
-    """Slightly smoothed float planes [3, H, W] of an image [H, W, 3]."""
-    smooth = cv2.GaussianBlur(rgb, (3, 3), 0)
-    return np.ascontiguousarray(np.moveaxis(smooth, -1, 0), dtype=np.float32)
-
-
-def _seen(view: View, robot: Bool | None) -> Bool:
-    seen = np.ones(view.rgb.shape[:2], np.bool_) if view.valid is None else view.valid.copy()
-    return seen if robot is None else seen & ~robot
-
-
-def _difference(image: Float32, other: Float32) -> Float32:
-    """Largest difference over the channels [H, W]."""
-    apart = np.abs(image - other)
-    largest: Float32 = np.maximum(np.maximum(apart[0], apart[1]), apart[2])
-    return largest
-
-
-def _gain(image: Float32, reference: Float32, free: Bool) -> Float32:
-    """Exposure ratio per channel [3, 1, 1]: the median over free pixels, so that up to half may have changed."""
-    where = free[::4, ::4]
-    if np.count_nonzero(where) < 50:
-        return np.ones((3, 1, 1), np.float32)
-    ratios = (image[:, ::4, ::4][:, where] + 4) / (reference[:, ::4, ::4][:, where] + 4)
-    gain: Float32 = _middle(ratios)[:, None, None]
-    return gain
-
-
-def _middle(values: Float32) -> Float32:
-    """The upper median [...] of values [..., n]: `np.median` takes ten times as long on so few."""
-    half = values.shape[-1] // 2
-    return np.partition(values, half, axis=-1)[..., half]
+    def _camera_of(self, view: View) -> CameraMask:
+        camera = self._cameras.get(view.camera.name)
+        if camera is None or camera.shape != view.rgb.shape[:2]:
+            camera = self._cameras[view.camera.name] = CameraMask(view, self.parameters)
+        return camera

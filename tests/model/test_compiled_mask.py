@@ -1,0 +1,81 @@
+"""The compiled moving mask against the one in NumPy, on scenes that reach all of its branches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin_node.model.camera_mask import CameraMask, MovingMaskParameters
+from twin_node.model.compiled_mask import can_compile, update_compiled
+from twin_node.scene import Bool, Camera, View
+
+pytestmark = pytest.mark.skipif(not can_compile(), reason="no compiled kernels here")
+HEIGHT, WIDTH, SETS = 45, 70, 40
+CAMERA = Camera("cam", WIDTH, HEIGHT, np.eye(3), np.eye(4))
+ROUNDING = 2
+"""Pixels per image that may fall on the other side of a threshold: sums are taken in another order."""
+
+
+def scene(seed: int, with_depth: bool) -> list[View]:
+    """A patch that is there from the start slides off, another comes, rings, stops and goes; the light drifts."""
+    rng = np.random.default_rng(seed)
+    floor = np.repeat(np.repeat(rng.uniform(60, 170, (5, 7, 3)), 9, 0), 10, 1)
+    floor[20:32, 8:22] = rng.uniform(0, 255, 3)
+    colour, views = rng.uniform(0, 255, 3), []
+    under = floor.copy()
+    under[20:32, 8:22] = np.repeat(np.repeat(rng.uniform(90, 130, (2, 2, 3)), 6, 0), 7, 1)
+    for index in range(SETS):
+        image, depth = (floor if index < 4 else under).copy(), np.full((HEIGHT, WIDTH), 1.5, np.float32)
+        left = min(2 * index, 40)
+        if index >= 4:
+            image[20:32, 8 + left : 22 + left] = floor[20:32, 8:22]
+        if 5 < index < 32:
+            image[2:18, left : left + 16], depth[2:18, left : left + 16] = colour, 1.2
+            image[6:14, left + 4 : left + 12] = under[6:14, left + 4 : left + 12]
+        image = image * (1 + 0.003 * index) + rng.normal(0, 1.5, image.shape)
+        depth[rng.random(depth.shape) < 0.05] = 0
+        rgb = np.clip(image, 0, 255).astype(np.uint8)
+        views.append(View(CAMERA, index * 33_000_000, rgb, depth if with_depth else None))
+    return views
+
+
+def arm(index: int, sees_arm: bool) -> Bool | None:
+    """A bar that sweeps over the image, so that some pixels are met late."""
+    if not sees_arm:
+        return None
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[:, max(50 - 2 * index, 0) : max(64 - 2 * index, 4)] = True
+    return mask
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6), st.booleans(), st.booleans())
+def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int, depth: bool, sees_arm: bool) -> None:
+    views = scene(seed, depth)
+    plain, compiled = (CameraMask(views[0], MovingMaskParameters()) for _ in range(2))
+    marked = 0
+    for index, view in enumerate(views):
+        robot = arm(index, sees_arm)
+        expected, (found,) = plain.update(view, robot), update_compiled([compiled], [view], [robot])
+        marked += int(expected.sum())
+        assert np.count_nonzero(found != expected) <= ROUNDING
+        for name in ("mask", "known", "trusted", "confirmed"):
+            setattr(compiled, name, getattr(plain, name).copy())  # so that a pixel within rounding does not spread
+    assert marked > 100
+    assert compiled.sigma == pytest.approx(plain.sigma, rel=1e-3)
+    assert np.mean(np.abs(compiled.background - plain.background) > 0.01) < 1e-3
+    assert np.count_nonzero(compiled.still_ns != plain.still_ns) <= ROUNDING
+    assert np.abs(compiled.colours.ground - plain.colours.ground).sum() < 1e-3 * plain.colours.ground.sum()
+    if depth:
+        assert np.count_nonzero(compiled.depth != plain.depth) <= ROUNDING
+
+
+def test_several_cameras_at_once_are_those_one_by_one() -> None:
+    scenes = [scene(seed, False) for seed in (3, 4, 5)]
+    together, alone = ([CameraMask(views[0], MovingMaskParameters()) for views in scenes] for _ in range(2))
+    for views in zip(*scenes, strict=True):
+        at_once = update_compiled(together, views, [None] * 3)
+        one_by_one = [update_compiled([c], [v], [None])[0] for c, v in zip(alone, views, strict=True)]
+        assert all(np.array_equal(a, b) for a, b in zip(at_once, one_by_one, strict=True))

@@ -1,0 +1,71 @@
+"""The moving masks of a rig by the compiled kernels, its cameras side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from ctypes import pointer
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.model.camera_mask import CameraMask, MovingMaskParameters, seen_by
+from twin_node.model.kernels import MaskRequest, MaskRules, kernels
+from twin_node.scene import Bool, Float32, View
+
+
+def can_compile() -> bool:
+    """Whether the compiled kernels are at hand."""
+    return kernels() is not None
+
+
+def update_compiled(cameras: Sequence[CameraMask], views: Sequence[View], robots: Sequence[Bool | None]) -> list[Bool]:
+    """What `CameraMask.update` of each of `cameras` returns, and leaves behind."""
+    library = kernels()
+    assert library is not None
+    calls = [_Call(*given) for given in zip(cameras, views, robots, strict=True)]
+    library.mask([call.request for call in calls])
+    return [call.end() for call in calls]
+
+
+class _Call:
+    """One camera's request, and the arrays that it points to."""
+
+    def __init__(self, camera: CameraMask, view: View, robot: Bool | None) -> None:
+        self._camera = camera
+        self._stamp = view.stamp
+        self._image: Float32 = np.empty((3, *camera.shape), np.float32)
+        self._sigma = np.array([camera.sigma])
+        self._rules = _rules(camera.parameters, camera.closing)
+        last_stamp, last = camera.past[-1]
+        self._held: list[NDArray[np.generic] | None] = [
+            cv2.GaussianBlur(view.rgb, (3, 3), 0),
+            np.ascontiguousarray(seen_by(view, robot)),
+            camera.reference(view.stamp),
+            last,
+            None if view.depth is None else np.ascontiguousarray(view.depth, dtype=np.float32),
+            self._image,
+            *(camera.background, camera.depth, camera.still_ns),
+            *(camera.known, camera.trusted, camera.confirmed, camera.mask),
+            *(camera.colours.ground, camera.colours.moving, self._sigma),
+        ]
+        height, width = camera.shape
+        pointers = (None if array is None else array.ctypes.data for array in self._held)
+        self.request = MaskRequest(width, height, view.stamp - last_stamp, pointer(self._rules), *pointers)
+
+    def end(self) -> Bool:
+        """Takes over what the kernel has found; returns the mask."""
+        self._camera.sigma = float(self._sigma[0])
+        self._camera.remember(self._stamp, self._image)
+        return self._camera.mask.copy()
+
+
+def _rules(parameters: MovingMaskParameters, closing: NDArray[np.uint8]) -> MaskRules:
+    p = parameters
+    return MaskRules(
+        *(p.change_sigmas, p.change_levels, p.settle_ns, p.smallest_area, p.shadow_darkest, p.reflection_brightest),
+        *(p.ground_certainty, p.ground_likelihood, p.learning_rate, p.depth_levels),
+        p.growth_pixels,
+        closing.shape[0] // 2,
+        closing.ctypes.data,
+    )

@@ -1,0 +1,99 @@
+"""Loads the compiled kernels of the model and calls them; the structs mirror `native/interface.h`."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import warnings
+from collections.abc import Sequence
+from ctypes import c_double, c_float, c_int32, c_void_p
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from twin_node import native_build
+from twin_node.model.parameters import ModelError
+
+INTERFACE_VERSION = 1
+
+
+class MaskRules(ctypes.Structure):
+    """`model::MaskRules`."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("change_sigmas", "change_levels", "settle_ns", "smallest_area")),
+        *((name, c_double) for name in ("shadow_darkest", "reflection_brightest")),
+        *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "learning_rate", "depth_levels")),
+        *((name, c_int32) for name in ("rings", "closing")),
+        ("kernel", c_void_p),
+    )
+
+
+class MaskRequest(ctypes.Structure):
+    """`model::MaskRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        ("elapsed_ns", c_float),
+        ("rules", ctypes.POINTER(MaskRules)),
+        *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
+        *((name, c_void_p) for name in ("background", "depth", "still_ns", "known", "trusted", "confirmed", "mask")),
+        *((name, c_void_p) for name in ("ground", "moving", "sigma")),
+    )
+
+
+class MaskRequests(ctypes.Structure):
+    """`model::MaskRequests`."""
+
+    _fields_ = (("count", c_int32), ("threads", c_int32), ("cameras", ctypes.POINTER(MaskRequest)))
+
+
+class Kernels:
+    """One compiled variant. Safe from several threads; a forked child gets `ModelError`."""
+
+    def __init__(self, path: Path) -> None:
+        """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
+        self._dll = ctypes.CDLL(str(path))
+        version = self._dll.model_interface_version()
+        if version != INTERFACE_VERSION:
+            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
+        self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
+        self._forked = False
+        os.register_at_fork(after_in_child=self._mark_forked)
+
+    def mask(self, requests: Sequence[MaskRequest]) -> None:
+        """Brings the moving masks of some cameras up to date. Raises `MemoryError`."""
+        self._require_not_forked()
+        cameras = (MaskRequest * len(requests))(*requests)
+        _check(self._dll.model_mask(MaskRequests(len(requests), torch.get_num_threads(), cameras)))
+
+    def _mark_forked(self) -> None:
+        self._forked = True
+
+    def _require_not_forked(self) -> None:
+        if self._forked:
+            raise ModelError(
+                "model: called in a process forked from one that had loaded its kernels, where OpenMP would hang; "
+                "start the process with the `spawn` method instead"
+            )
+
+
+def _check(status: int) -> None:
+    if status:
+        raise MemoryError("no memory for the model's masks")
+
+
+def load_variant(variant: str) -> Kernels:
+    """The kernels of one instruction set. Raises `native_build.CompileError` or `OSError`."""
+    return Kernels(native_build.MODEL.best_library(variant))
+
+
+@cache
+def kernels() -> Kernels | None:
+    """The best kernels for this processor; None, with one warning, where there are none."""
+    try:
+        return load_variant(native_build.supported_variants()[0])
+    except (native_build.CompileError, OSError) as error:
+        warnings.warn(f"the model finds what moves in plain NumPy, ten times slower: {error}", stacklevel=2)
+        return None

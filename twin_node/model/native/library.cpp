@@ -1,0 +1,39 @@
+// The plain C interface. Nothing throws across it: functions return a Status.
+#include <omp.h>
+
+#include <atomic>
+#include <new>
+
+#include "mask.h"
+
+namespace {
+
+// Runs task(0) ... task(count - 1) on up to `threads` threads. The runtime is torch's too: after another library's
+// omp_set_dynamic(1) it would take threads away under load.
+template <class Task>
+int32_t side_by_side(int threads, int count, const Task &task) {
+  omp_set_dynamic(0);
+  std::atomic<int32_t> status{model::kOk};
+#pragma omp parallel for schedule(dynamic, 1) num_threads(threads) if (threads > 1 && count > 1)
+  for (int i = 0; i < count; i++) {
+    try {
+      task(i);
+    } catch (const std::bad_alloc &) {
+      status = model::kOutOfMemory;
+    }
+  }
+  return status;
+}
+
+}  // namespace
+
+#pragma GCC visibility push(default)
+extern "C" {
+
+int32_t model_interface_version() { return model::kInterfaceVersion; }
+
+int32_t model_mask(const model::MaskRequests *requests) {
+  return side_by_side(requests->threads, requests->count, [&](int i) { model::MaskUpdate(requests->cameras[i]).run(); });
+}
+}
+#pragma GCC visibility pop

@@ -1,0 +1,331 @@
+// Which pixels of one camera show something that moves or has moved: `CameraMask.update` in one go.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+
+#include "interface.h"
+#include "regions.h"
+
+namespace model {
+
+constexpr int kSampled = 4, kLeastSample = 50;  // every how many pixels medians look at one, and of how many at least
+constexpr float kDark = 4.f;                    // levels added to both sides of a ratio: black tells nothing
+constexpr double kNoiseShare = 0.05, kLeastNoise = 0.5, kSigmaOfMedian = 1.48;
+constexpr double kQuiet = 0.7, kAlike = 0.6;
+constexpr int kBins = 4096;
+constexpr double kFading = 0.98, kLeastMoving = 200;
+constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
+constexpr double kNearM = 0.01;
+
+using Gains = std::array<float, 3>;
+
+struct Planes {
+  const float *data;
+  int64_t pixels;
+  float operator()(int channel, int64_t at) const { return data[channel * pixels + at]; }
+};
+
+// Largest difference over the channels of image and other * gain.
+inline float difference(const Planes &image, const Planes &other, const Gains &gain, int64_t at) {
+  float most = 0.f;
+  for (int k = 0; k < 3; k++) most = std::max(most, std::fabs(image(k, at) - other(k, at) * gain[k]));
+  return most;
+}
+
+// The upper median of values, which are put in another order.
+inline float middle(std::vector<float> &values) {
+  const auto half = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), half, values.end());
+  return *half;
+}
+
+// One camera's update: its stages in the order in which they are called.
+class MaskUpdate {
+ public:
+  explicit MaskUpdate(const MaskRequest &request)
+      : r_(request),
+        p_(*request.rules),
+        pixels_(static_cast<int64_t>(request.width) * request.height),
+        image_{request.image, pixels_},
+        background_{request.background, pixels_},
+        closing_(shifts_of(p_.kernel, p_.closing)),
+        uncovered_(pixels_, 0),
+        difference_(pixels_) {}
+
+  void run() {
+    unpack();
+    gain_ = gain(background_, [&](int64_t at) { return r_.seen[at] && !r_.mask[at] && r_.known[at]; });
+    meet();
+    find_settled();
+    threshold_ = std::max(p_.change_levels, p_.change_sigmas * *r_.sigma);
+    compare();
+    find_in_front();
+    Mask mask = moving();
+    hold(mask);
+    doubt(mask);
+    uncover(mask);
+    learn(mask);
+  }
+
+ private:
+  float plain(int channel, int64_t at) const { return image_(channel, at) / gain_[channel]; }
+
+  void unpack() {
+    for (int64_t at = 0; at < pixels_; at++) {
+      for (int k = 0; k < 3; k++) r_.image[k * pixels_ + at] = r_.smooth[3 * at + k];
+    }
+  }
+
+  template <class Free>
+  Gains gain(const Planes &reference, const Free &free) const {
+    std::vector<float> ratios[3];
+    for (int row = 0; row < r_.height; row += kSampled) {
+      for (int column = 0; column < r_.width; column += kSampled) {
+        const int64_t at = static_cast<int64_t>(row) * r_.width + column;
+        if (!free(at)) continue;
+        for (int k = 0; k < 3; k++) ratios[k].push_back((image_(k, at) + kDark) / (reference(k, at) + kDark));
+      }
+    }
+    if (ratios[0].size() < kLeastSample) return {1.f, 1.f, 1.f};
+    return {middle(ratios[0]), middle(ratios[1]), middle(ratios[2])};
+  }
+
+  // Takes pixels that are seen for the first time as the scene at rest, unless they touch what moves.
+  void meet() {
+    std::vector<int64_t> fresh;
+    for (int64_t at = 0; at < pixels_; at++) {
+      if (r_.seen[at] && !r_.known[at]) fresh.push_back(at);
+    }
+    if (fresh.empty()) return;
+    const Padded around = dilated(r_.mask, r_.width, r_.height, closing_, p_.closing, 0);
+    for (const int64_t at : fresh) {
+      r_.known[at] = 1;
+      for (int k = 0; k < 3; k++) r_.background[k * pixels_ + at] = plain(k, at);
+      if (r_.measured != nullptr && r_.depth != nullptr) r_.depth[at] = r_.measured[at];
+      if (!around.row(static_cast<int>(at / r_.width))[at % r_.width]) continue;
+      r_.trusted[at] = 0;
+      r_.mask[at] = 1;
+    }
+  }
+
+  // Pixels that look as they did one baseline ago and have been still since; measures the noise on the way.
+  void find_settled() {
+    const Planes reference{r_.reference, pixels_}, last{r_.last, pixels_};
+    const auto free = [&](int64_t at) { return r_.seen[at] && !r_.mask[at]; };
+    const Gains gains = gain(reference, free);
+    std::vector<float> sample;
+    settled_.assign(pixels_, 0);
+    for (int64_t at = 0; at < pixels_; at++) {
+      const float change = difference(image_, reference, gains, at);
+      const bool is_sample = at / r_.width % kSampled == 0 && at % r_.width % kSampled == 0;
+      if (is_sample && free(at)) sample.push_back(change);
+      const bool quiet = difference(image_, last, {1.f, 1.f, 1.f}, at) < kQuiet * p_.change_levels;
+      r_.still_ns[at] = quiet ? r_.still_ns[at] + r_.elapsed_ns : 0.f;
+      settled_[at] = r_.still_ns[at] > p_.settle_ns && change < kQuiet * p_.change_levels;
+    }
+    if (sample.size() > kLeastSample) {
+      *r_.sigma += kNoiseShare * (std::max(kLeastNoise, kSigmaOfMedian * middle(sample)) - *r_.sigma);
+    }
+  }
+
+  // What differs from the background by more than a shadow or a glow.
+  void compare() {
+    for (int64_t at = 0; at < pixels_; at++) {
+      float expected[3], both = 0.f, square = 0.f, residual = 0.f, apart = 0.f;
+      for (int k = 0; k < 3; k++) {
+        expected[k] = background_(k, at) * gain_[k];
+        both += image_(k, at) * expected[k];
+        square += expected[k] * expected[k];
+        apart = std::max(apart, std::fabs(image_(k, at) - expected[k]));
+      }
+      const float ratio = both / std::max(square, 1.f);
+      for (int k = 0; k < 3; k++) residual = std::max(residual, std::fabs(image_(k, at) - ratio * expected[k]));
+      const bool lit =
+          ratio > p_.shadow_darkest && ratio < p_.reflection_brightest && residual < kAlike * threshold_;
+      difference_[at] = lit ? 0.f : apart;
+    }
+  }
+
+  // Where a measured surface stands in front of the background's.
+  void find_in_front() {
+    in_front_.assign(pixels_, 0);
+    if (r_.measured == nullptr || r_.depth == nullptr) return;
+    static const std::vector<Shift> cross = {{-1, 0}, {0, -1}, {0, 0}, {0, 1}, {1, 0}};
+    Mask near(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) {
+      const float measured = r_.measured[at], depth = r_.depth[at];
+      near[at] = r_.seen[at] && measured > 0 && depth > 0 &&
+                 measured < depth * static_cast<float>(1 - p_.depth_levels) - static_cast<float>(kNearM);
+    }
+    const Padded opened = dilated(eroded(near, r_.width, r_.height, cross).data(), r_.width, r_.height, cross, 1, 0);
+    for (int row = 0; row < r_.height; row++) {
+      std::copy_n(opened.row(row), r_.width, in_front_.data() + static_cast<int64_t>(row) * r_.width);
+    }
+  }
+
+  Mask moving() const {
+    std::vector<float> evidence(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) evidence[at] = r_.trusted[at] && r_.seen[at] ? difference_[at] : 0.f;
+    const Mask strong = strong_regions(evidence, r_.width, r_.height, 0.5 * threshold_, threshold_,
+                                       p_.smallest_area * static_cast<double>(pixels_));
+    Mask out = closed(strong.data(), r_.width, r_.height, closing_, p_.closing);
+    for (int64_t at = 0; at < pixels_; at++) out[at] |= in_front_[at];
+    return out;
+  }
+
+  bool like_ground(int64_t at) const { return difference_[at] < 0.5 * threshold_; }
+
+  // What moved stays, until it looks like ground, and so does ground that it encloses and that was never seen.
+  void hold(Mask &mask) const {
+    static const std::vector<Shift> square = {{-1, -1}, {-1, 0}, {-1, 1}, {0, -1}, {0, 0},
+                                              {0, 1},   {1, -1}, {1, 0},  {1, 1}};
+    Mask ground(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) ground[at] = r_.trusted[at] && like_ground(at);
+    ground = eroded(ground, r_.width, r_.height, square);
+    for (int64_t at = 0; at < pixels_; at++) mask[at] |= r_.mask[at] && !ground[at];
+    const Mask outline = closed(mask.data(), r_.width, r_.height, closing_, p_.closing);
+    const Mask whole = filled(outline, r_.width, r_.height);
+    Mask hole(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) hole[at] = whole[at] && !outline[at];
+    const Padded inside = dilated(hole.data(), r_.width, r_.height, closing_, p_.closing, 0);
+    for (int64_t at = 0; at < pixels_; at++) {
+      const bool enclosed = inside.row(static_cast<int>(at / r_.width))[at % r_.width] && whole[at];
+      mask[at] = (mask[at] || (enclosed && !r_.confirmed[at])) && r_.seen[at];
+    }
+  }
+
+  // The background may show the very thing where one begins to be seen that looks like it.
+  void doubt(const Mask &mask) const {
+    for (int64_t at = 0; at < pixels_; at++) {
+      if (mask[at] && !r_.mask[at] && like_ground(at) && !in_front_[at]) r_.trusted[at] = 0;
+    }
+  }
+
+  int bin(int64_t at) const {
+    int bin = 0;
+    for (int k = 0; k < 3; k++) {
+      bin = 16 * bin + static_cast<int>(std::min(std::max(plain(k, at), 0.f), 255.f) / 16.f);
+    }
+    return bin;
+  }
+
+  // How often each colour is what counts, spread over the bins around it.
+  static std::vector<double> density(const double *counts) {
+    double sum = 0;
+    for (int i = 0; i < kBins; i++) sum += counts[i];
+    std::vector<double> from(kBins), to(kBins);
+    for (int i = 0; i < kBins; i++) from[i] = counts[i] / std::max(sum, 1.);
+    for (const int step : {256, 16, 1}) {
+      for (int i = 0; i < kBins; i++) {
+        const int place = i / step % 16;
+        to[i] = (from[place > 0 ? i - step : i] + from[i] + from[place < 15 ? i + step : i]) / 3;
+      }
+      std::swap(from, to);
+    }
+    return from;
+  }
+
+  // Counts the colours of free ground and of moving things; returns how likely each is ground, 0 while that is unknown.
+  std::vector<float> colours(const Mask &mask) const {
+    for (int i = 0; i < kBins; i++) {
+      r_.ground[i] *= kFading;
+      r_.moving[i] *= kFading;
+    }
+    for (int64_t at = 0; at < pixels_; at++) {
+      if (r_.seen[at] && !mask[at]) r_.ground[bin(at)] += 1;
+      if (r_.confirmed[at] && r_.trusted[at] && difference_[at] > threshold_) r_.moving[bin(at)] += 1;
+    }
+    std::vector<float> share(kBins, 0.f);
+    double sum = 0;
+    for (int i = 0; i < kBins; i++) sum += r_.moving[i];
+    if (sum < kLeastMoving) return share;
+    const std::vector<double> ground = density(r_.ground), moving = density(r_.moving);
+    for (int i = 0; i < kBins; i++) share[i] = static_cast<float>(ground[i] / std::max(ground[i] + moving[i], 1e-9));
+    return share;
+  }
+
+  // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
+  static int mirrored(int at, int size) {
+    while (at < 0 || at >= size) at = at < 0 ? -at : 2 * size - 2 - at;
+    return at;
+  }
+
+  // Whether a settled pixel continues the ground around it, of which `known` is what is known.
+  bool continues(int64_t at, const Mask &known, float share) const {
+    const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
+    constexpr int kSide = 2 * kAround + 1;
+    float sums[3] = {0.f, 0.f, 0.f}, count = 0.f;
+    for (int y = row - kAround; y <= row + kAround; y++) {
+      for (int x = column - kAround; x <= column + kAround; x++) {
+        const int64_t near = static_cast<int64_t>(mirrored(y, r_.height)) * r_.width + mirrored(x, r_.width);
+        if (!known[near]) continue;
+        count += 1.f;
+        for (int k = 0; k < 3; k++) sums[k] += plain(k, near);
+      }
+    }
+    if (!(count / (kSide * kSide) > 0.2f)) return false;
+    float rough = 0.f, was_rough = 0.f;
+    for (int k = 0; k < 3; k++) {
+      const float ground = sums[k] / count;
+      rough = std::max(rough, std::fabs(plain(k, at) - ground));
+      was_rough = std::max(was_rough, std::fabs(background_(k, at) - ground));
+    }
+    const bool fits = share > p_.ground_likelihood && was_rough > 2 * threshold_ && rough < kQuiet * was_rough;
+    return rough < kAlike * threshold_ || fits || share > p_.ground_certainty;
+  }
+
+  // Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
+  void uncover(const Mask &mask) {
+    const std::vector<float> share = colours(mask);
+    std::vector<int64_t> open, found;
+    Mask known(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) {
+      known[at] = r_.seen[at] && !mask[at];
+      if (settled_[at] && mask[at] && !in_front_[at]) open.push_back(at);
+    }
+    for (int ring = 0; ring < p_.rings && !open.empty(); ring++) {
+      found.clear();
+      std::vector<int64_t> left;
+      for (const int64_t at : open) (continues(at, known, share[bin(at)]) ? found : left).push_back(at);
+      for (const int64_t at : found) {
+        known[at] = 1;
+        uncovered_[at] = difference_[at] > threshold_ || !r_.trusted[at];
+      }
+      open.swap(left);
+    }
+  }
+
+  // Takes what has been found into what is remembered.
+  void learn(const Mask &mask) {
+    const float rate = static_cast<float>(p_.learning_rate);
+    for (int64_t at = 0; at < pixels_; at++) {
+      r_.confirmed[at] |= (r_.mask[at] && !mask[at]) || uncovered_[at];
+      r_.trusted[at] |= uncovered_[at];
+      r_.mask[at] = mask[at] && !uncovered_[at];
+      const bool free = r_.seen[at] && !r_.mask[at];
+      for (int k = 0; k < 3 && free; k++) {
+        float &value = r_.background[k * pixels_ + at];
+        value = uncovered_[at] ? plain(k, at) : value + rate * (plain(k, at) - value);
+      }
+      if (r_.measured == nullptr || r_.depth == nullptr) continue;
+      const float measured = r_.measured[at];
+      const bool deeper = measured > r_.depth[at] || r_.depth[at] == 0.f;
+      if ((free && measured > 0) || deeper) r_.depth[at] = measured;
+    }
+  }
+
+  const MaskRequest &r_;
+  const MaskRules &p_;
+  const int64_t pixels_;
+  const Planes image_, background_;
+  const std::vector<Shift> closing_;
+  Gains gain_{};
+  double threshold_ = 0;
+  Mask settled_, in_front_, uncovered_;
+  std::vector<float> difference_;
+};
+
+}  // namespace model
