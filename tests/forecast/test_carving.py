@@ -206,3 +206,25 @@ def test_a_measured_surface_frees_the_space_before_it_be_it_the_arm_or_not() -> 
     carved = Carver(RigTables(GRID)).carve(flat_state(0, wall, still, arm), 0.0)
     pixels = pixels_of(camera("lone", np.array([2.0, 0.0, 0.45])), GRID.centers(carved.unknown))
     assert not arm.ravel()[pixels[pixels >= 0]].any()
+
+
+def test_specks_of_noisy_depth_are_not_things() -> None:
+    carver, still = Carver(RigTables(GRID)), np.zeros((HEIGHT, WIDTH), np.bool_)
+    wall = np.full((HEIGHT, WIDTH), 2.5, np.float32)
+    row, column = HEIGHT // 2, WIDTH // 2
+    speck, thing = wall.copy(), wall.copy()
+    speck[row, column] = 2.2
+    thing[row : row + 2, column : column + 2] = 2.2
+    carver.carve(flat_state(0, wall, still), 0.0)
+    assert len(carver.carve(flat_state(33_000_000, speck, ~still), 0.0).moving) == 0
+    assert len(carver.carve(flat_state(66_000_000, thing, ~still), 0.0).moving) > 0
+
+
+def test_what_stood_behind_pixels_that_measured_nothing_is_known_from_those_about_them() -> None:
+    carver, still = Carver(RigTables(GRID)), np.zeros((HEIGHT, WIDTH), np.bool_)
+    wall = np.full((HEIGHT, WIDTH), 2.5, np.float32)
+    pierced = wall.copy()
+    row, column = HEIGHT // 2, WIDTH // 2
+    pierced[row : row + 3, column : column + 3] = 0
+    carver.carve(flat_state(0, pierced, still), 0.0)
+    assert len(carver.carve(flat_state(33_000_000, wall, ~still), 0.0).moving) == 0

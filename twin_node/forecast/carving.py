@@ -166,7 +166,7 @@ def _surface(
     front = view.depth * (1 - parameters.depth_share) - parameters.depth_margin
     back = np.minimum(view.depth + thickness, backdrop + parameters.depth_margin)
     stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
-    found = moving & ~blind & (view.depth > 0) & stands_out
+    found = _without_specks(moving & ~blind & (view.depth > 0) & stands_out)
     kernel = _disk(error_pixels)
     begin = cv2.erode(np.where(found, front, _ALWAYS).astype(np.float32), kernel)
     end = cv2.dilate(np.where(found, back, _NEVER).astype(np.float32), kernel)
@@ -177,6 +177,16 @@ def _surface(
     return Surface(np.append(begin, _ALWAYS).astype(np.float32), np.append(end, _NEVER).astype(np.float32))
 
 
+def _without_specks(mask: Bool) -> Bool:
+    """A mask [H, W] without its blobs of fewer than `_SPECK` pixels."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    whole = stats[:, cv2.CC_STAT_AREA] >= _SPECK
+    kept: Bool = mask & whole[labels]
+    return kept
+
+
+_SPECK = 4
+"""Pixels; what so few show to stand out is noise of their depth, and would be grown as a thing."""
 _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 """Radii in pixels that widths in the image are told apart by."""
 
