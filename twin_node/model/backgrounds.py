@@ -74,8 +74,9 @@ class Backgrounds:
         self._shell = shell
         self._known: dict[str, Background] = {}
         self._age = 0
-        self._changed = self._outdated = False
+        self._changed = self._outdated = self._kept_up = False
         self._waiting: list[str] = []
+        self._wanted: Sequence[Camera] = ()
         self.rows = torch.zeros(0, dtype=torch.int64)
 
     def mark(self) -> None:
@@ -92,17 +93,29 @@ class Backgrounds:
 
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera; called once per set."""
+        if not all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras):
+            self._renew(gaussians, cameras)
+        elif not self._kept_up:
+            self.keep_up(gaussians)
+        self._kept_up, self._wanted = False, cameras
+        return [self._known[camera.name] for camera in cameras]
+
+    def keep_up(self, gaussians: Gaussians) -> None:
+        """Brings the backgrounds up to date for the next set: after a set it costs that one no latency."""
+        self._kept_up = True
         self._age += 1
-        known = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
-        if self._outdated or not known:
-            self._survey(gaussians, cameras, {camera.name: self._render(gaussians, camera) for camera in cameras})
+        if self._outdated:
+            self._renew(gaussians, self._wanted)
         elif self._changed and self._age >= REFRESH_SETS:
-            self._survey(gaussians, cameras, self._known)
-            self._waiting += [camera.name for camera in cameras if camera.name not in self._waiting]
+            self._survey(gaussians, self._wanted, self._known)
+            self._waiting += [name for name in self._known if name not in self._waiting]
         if self._waiting:
             name = self._waiting.pop(0)
             self._known[name] = replace(self._known[name], **vars(self._render(gaussians, self._known[name].camera)))
-        return [self._known[camera.name] for camera in cameras]
+
+    def _renew(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
+        """Finds and renders all there is, for `cameras` and no other."""
+        self._survey(gaussians, cameras, {camera.name: self._render(gaussians, camera) for camera in cameras})
 
     def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
         """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`; absent cameras are forgotten."""

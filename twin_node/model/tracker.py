@@ -119,12 +119,19 @@ class Tracker:
         return Tracked(born, self._pace if fitted.diverged else None, self._decisions)
 
     def refine(self, proceed: Proceed = unhurried) -> bool:
-        """The mapper's share of the last set, where it has not been taken yet; whether all of it was."""
+        """The mapper's share of the last set, where it has not been taken yet; whether all of it was.
+
+        Brings the backgrounds up to date for the next set in any case.
+        """
         due, self._due = self._due, None
-        if due is None or not self._parameters.map.steps:
+        if due is None:
             return True
-        with closing(self._mapper.refine(due, self._nodes.stamp)) as slices:
-            return all(proceed() for _ in slices)
+        whole = True
+        if self._parameters.map.steps:
+            with closing(self._mapper.refine(due, self._nodes.stamp)) as slices:
+                whole = all(proceed() for _ in slices)
+        self._backgrounds.keep_up(self._gaussians)
+        return whole
 
     def leave(self) -> None:
         """Lets the mapper's share of the last set be."""
