@@ -11,13 +11,15 @@ from model_scenes import block, frames, joined, rig, table
 
 from twin_node.model.alignment import solve_twists
 from twin_node.model.backgrounds import Backgrounds, grow
-from twin_node.model.births import find_births
+from twin_node.model.births import find_births_plainly
 from twin_node.model.cells import Cells
+from twin_node.model.compiled_births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import SKIRT_PX, held_pixels
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import Gaussians, Newborns
+from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.plane import Plane
@@ -91,6 +93,26 @@ def test_measured_depth_places_births_on_the_surface() -> None:
     assert len(free) > 60
     outside = np.maximum(np.abs(free - [0.1, 0, 0.05]) - [0.08, 0.08, 0.05], 0)
     assert np.percentile(np.linalg.norm(outside, axis=1), 80) < 0.03
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize("depth", [False, True])
+@pytest.mark.parametrize("blind", [None, 1])
+@pytest.mark.parametrize("shown_x", [None, 0.05])
+def test_compiled_births_are_those_found_in_numpy(depth: bool, blind: int | None, shown_x: float | None) -> None:
+    noise = np.random.default_rng(4)
+    shown = look_at(table() if shown_x is None else joined(table(), block(shown_x)))
+    observed = []
+    for one in observe(table(), 0.1, depth, blind):
+        rgb = np.clip(one.rgb + noise.normal(0, 0.02, one.rgb.shape), 0, 1).astype(np.float32)
+        usable, stale = (noise.random(one.usable.shape) < share for share in (0.95, 0.1))
+        observed.append(replace(one, rgb=rgb, usable=one.usable & usable, stale=stale))
+    given = (observed, shown, THRESHOLD, BirthParameters(per_set=150))
+    found, expected = find_births(*given), find_births_plainly(*given)
+    assert len(expected) > 30
+    assert len(found) == len(expected)
+    for name, values in vars(expected).items():
+        assert vars(found)[name] == pytest.approx(values, rel=1e-6), name
 
 
 def test_an_explained_image_bears_nothing() -> None:

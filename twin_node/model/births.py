@@ -63,26 +63,27 @@ class _Pixels:
     rgb: Float32
 
 
-def find_births(
+def joined(parts: Sequence[Births]) -> Births:
+    """Those of several views."""
+    return Births(*(np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])))
+
+
+def find_births_plainly(
     observed: Sequence[Observed],
     renderings: Sequence[Rendering],
     threshold: float,
     parameters: BirthParameters,
 ) -> Births:
-    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`."""
+    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
+
+    In NumPy: the reference of `compiled_births.find_births`.
+    """
     quota = parameters.per_set // max(len(observed), 1)
     parts = []
     for index, one in enumerate(observed):
         pixels = _unexplained(one, renderings[index], threshold, quota)
         parts.append(_lift(observed, renderings[index], index, pixels, parameters.ray_samples, threshold))
-    return Births(
-        np.concatenate([part.means for part in parts]),
-        np.concatenate([part.radii for part in parts]),
-        np.concatenate([part.rgb for part in parts]),
-        np.concatenate([part.on_background for part in parts]),
-        np.concatenate([part.lasting for part in parts]),
-        np.concatenate([part.views for part in parts]),
-    )
+    return joined(parts)
 
 
 def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> _Pixels:

@@ -6,7 +6,7 @@ import ctypes
 import os
 import warnings
 from collections.abc import Sequence
-from ctypes import c_double, c_float, c_int32, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
@@ -49,6 +49,38 @@ class MaskRequests(ctypes.Structure):
     _fields_ = (("count", c_int32), ("threads", c_int32), ("cameras", ctypes.POINTER(MaskRequest)))
 
 
+class BirthRules(ctypes.Structure):
+    """`model::BirthRules`."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge_px", "refuted")),
+        *((name, c_double) for name in ("locality", "occlusion", "spread")),
+        ("quota", c_int64),
+        ("samples", c_int32),
+    )
+
+
+class BirthView(ctypes.Structure):
+    """`model::BirthView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("viewmat", "K", "T_base_cam", "rgb", "shown", "far", "rays", "alpha")),
+        *((name, c_void_p) for name in ("surprise", "active", "usable", "near_moving", "stale", "measured")),
+        *((name, c_void_p) for name in ("means", "radii", "colours", "on_background", "lasting", "born")),
+    )
+
+
+class BirthRequest(ctypes.Structure):
+    """`model::BirthRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "threads")),
+        ("rules", ctypes.POINTER(BirthRules)),
+        ("views", ctypes.POINTER(BirthView)),
+    )
+
+
 class Kernels:
     """One compiled variant. Safe from several threads; a forked child gets `ModelError`."""
 
@@ -59,6 +91,7 @@ class Kernels:
         if version != INTERFACE_VERSION:
             raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
         self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
+        self._dll.model_births.argtypes = [ctypes.POINTER(BirthRequest)]
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -67,6 +100,13 @@ class Kernels:
         self._require_not_forked()
         cameras = (MaskRequest * len(requests))(*requests)
         _check(self._dll.model_mask(MaskRequests(len(requests), torch.get_num_threads(), cameras)))
+
+    def births(self, rules: BirthRules, views: Sequence[BirthView]) -> None:
+        """Finds what is born of some views that see each other's things. Raises `MemoryError`."""
+        self._require_not_forked()
+        given = (BirthView * len(views))(*views)
+        request = BirthRequest(len(views), torch.get_num_threads(), ctypes.pointer(rules), given)
+        _check(self._dll.model_births(request))
 
     def _mark_forked(self) -> None:
         self._forked = True
@@ -81,7 +121,7 @@ class Kernels:
 
 def _check(status: int) -> None:
     if status:
-        raise MemoryError("no memory for the model's masks")
+        raise MemoryError("no memory for what the model finds in images")
 
 
 def load_variant(variant: str) -> Kernels:

@@ -12,9 +12,9 @@ from torch import Tensor
 from twin_node.model.adoption import Members, adopt, adopt_points, as_newborns
 from twin_node.model.alignment import Twists, solve_twists
 from twin_node.model.backgrounds import Backgrounds
-from twin_node.model.births import find_births
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import cells_of
+from twin_node.model.compiled_births import find_births
 from twin_node.model.deaths import judge_static, refuted_moving
 from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate

@@ -39,4 +39,32 @@ struct MaskRequests {
   const MaskRequest *cameras;  // [count]
 };
 
+// What counts as unexplained, and what speaks for a depth; see `births.py`.
+struct BirthRules {
+  double threshold, solid, colour_sigma, same_depth, huge_px, refuted, locality, occlusion, spread;
+  int64_t quota;  // births per view
+  int32_t samples;
+};
+
+// One view, and the births that it needs.
+struct BirthView {
+  int32_t width, height;
+  const double *viewmat, *K, *T_base_cam;  // [4, 4], [3, 3], [4, 4]
+  const float *rgb, *shown;                // [H, W, 3] the image, [H, W, 4] rendered colour and depth
+  const double *far, *rays;                // [H, W] m and [H, W, 3]: the background's depth, and the pixels' rays
+  const float *alpha, *surprise;           // [H, W] of the background, and what differs from it
+  const uint8_t *active, *usable, *near_moving, *stale;  // [H, W]
+  const float *measured;                                 // [H, W] m, or null
+  double *means, *radii;                                 // [quota, 3], [quota] written, as the next three
+  float *colours;                                        // [quota, 3]
+  uint8_t *on_background, *lasting;                      // [quota]
+  int64_t *born;                                         // [1] how many have been written
+};
+
+struct BirthRequest {
+  int32_t count, threads;
+  const BirthRules *rules;
+  const BirthView *views;  // [count]
+};
+
 }  // namespace model

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <new>
 
+#include "births.h"
 #include "mask.h"
 
 namespace {
@@ -34,6 +35,10 @@ int32_t model_interface_version() { return model::kInterfaceVersion; }
 
 int32_t model_mask(const model::MaskRequests *requests) {
   return side_by_side(requests->threads, requests->count, [&](int i) { model::MaskUpdate(requests->cameras[i]).run(); });
+}
+
+int32_t model_births(const model::BirthRequest *request) {
+  return side_by_side(request->threads, request->count, [&](int i) { model::ViewBirths(*request, i).run(); });
 }
 }
 #pragma GCC visibility pop

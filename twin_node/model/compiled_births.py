@@ -1,0 +1,73 @@
+"""New Gaussians by the compiled kernels, the views side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.model import births
+from twin_node.model.backgrounds import OCCLUSION
+from twin_node.model.births import BLOCK, SOLID, SPREAD, Births, find_births_plainly, joined
+from twin_node.model.kernels import BirthRules, BirthView, kernels
+from twin_node.model.observation import Observed
+from twin_node.model.parameters import BirthParameters
+from twin_node.model.rendering import Rendering
+
+
+def find_births(
+    observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float, parameters: BirthParameters
+) -> Births:
+    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`."""
+    library = kernels()
+    if library is None or any(side % BLOCK for one in observed for side in one.usable.shape):
+        return find_births_plainly(observed, renderings, threshold, parameters)
+    quota = parameters.per_set // max(len(observed), 1)
+    rules = BirthRules(
+        *(threshold, SOLID, births.COLOUR_SIGMA, births.SAME_DEPTH, births.HUGE_PX, births.REFUTED, births.LOCALITY),
+        *(OCCLUSION, SPREAD, quota, parameters.ray_samples),
+    )
+    calls = [_Call(one, rendering, quota) for one, rendering in zip(observed, renderings, strict=True)]
+    library.births(rules, [call.view for call in calls])
+    return joined([call.born(index) for index, call in enumerate(calls)])
+
+
+class _Call:
+    """One view's request, and the arrays that it points to."""
+
+    def __init__(self, one: Observed, rendering: Rendering, quota: int) -> None:
+        camera, background = one.view.camera, one.background
+        images = (one.rgb, rendering.rgbd.detach().cpu().numpy())
+        given: list[NDArray[np.generic] | None] = [
+            *(np.ascontiguousarray(matrix, np.float64) for matrix in (camera.viewmat, camera.K, camera.T_base_cam)),
+            *(np.ascontiguousarray(image, np.float32) for image in images),
+            *(np.ascontiguousarray(surface, np.float64) for surface in (background.depth, background.rays)),
+            *(np.ascontiguousarray(image, np.float32) for image in (background.alpha, one.surprise)),
+            *(np.ascontiguousarray(mask) for mask in (one.active, one.usable, one.near_moving, one.stale)),
+            None if one.view.depth is None else np.ascontiguousarray(one.view.depth, np.float32),
+        ]
+        self._found = Births(
+            np.empty((quota, 3)),
+            np.empty(quota),
+            np.empty((quota, 3), np.float32),
+            np.empty(quota, bool),
+            np.empty(quota, bool),
+            np.empty(0, np.int64),
+        )
+        self._count = np.zeros(1, np.int64)
+        self._held = [*given, *list(vars(self._found).values())[:-1], self._count]
+        pointers = (None if array is None else array.ctypes.data for array in self._held)
+        self.view = BirthView(camera.width, camera.height, *pointers)
+
+    def born(self, index: int) -> Births:
+        """What the kernel has found for the view number `index`."""
+        count, found = int(self._count[0]), self._found
+        return Births(
+            found.means[:count],
+            found.radii[:count],
+            found.rgb[:count],
+            found.on_background[:count],
+            found.lasting[:count],
+            np.full(count, index),
+        )
