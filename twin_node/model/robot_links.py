@@ -17,6 +17,8 @@ from twin_node.scene import Bool, Camera, Float32, Float64, JointSample, Tier
 
 SKIN_M = 0.03
 """Distance from the arm's capsules at which a Gaussian still belongs to it: the margin of the robot mask."""
+CLOSE_M = 0.015
+"""Distance from them at which a measured point does: errors of depth cameras. Capsules enclose links, so any inside."""
 MARCH_STEPS = 32
 """Steps of sphere tracing; a grazing ray at 2 m then ends within 2 mm of the surface."""
 
@@ -40,11 +42,25 @@ class RobotLinks:
         quats = torch.from_numpy(quat_from_rotation(poses[:, :3, :3]))
         self._nodes.drive(self._rows, torch.from_numpy(poses[:, :3, 3].copy()), quats, dt_s)
 
+    def nearest(self, joints: JointSample, points: Float64) -> NDArray[np.int64]:
+        """[n] rows of the nodes of the links on or in whose capsules points [n, 3] lie, -1 where they lie on none."""
+        placed = self._placed(joints)
+        distance = _distances(placed, points)
+        rows = self._rows.numpy()[np.searchsorted(self._links, placed.links[distance.argmin(1)])]
+        return np.where(distance.min(1) < CLOSE_M, rows, -1)
+
+    def depths(self, joints: JointSample, camera: Camera, rays: Float64) -> Float64:
+        """[n] m along the optical axis of `rays` [n, 3] to the arm's capsules; 0 where a ray meets none."""
+        return _march(self._placed(joints), camera.T_base_cam[:3, 3], rays)
+
+    def _placed(self, joints: JointSample) -> PlacedCapsules:
+        return place_capsules(self._arm, forward_kinematics(self._arm, self._arm.ordered_positions(joints)))
+
     def bind(self, gaussians: Gaussians, joints: JointSample, masks: Sequence[Bool], cameras: Sequence[Camera]) -> None:
         """Makes STATIC Gaussians ROBOT that lie on the arm: within `SKIN_M` of a capsule and on a robot mask [H, W]."""
         rows = gaussians.static_rows
         points = gaussians.means[rows].cpu().double().numpy()
-        placed = place_capsules(self._arm, forward_kinematics(self._arm, self._arm.ordered_positions(joints)))
+        placed = self._placed(joints)
         distance = _distances(placed, points)
         shown = np.zeros(len(points), bool)
         for mask, camera in zip(masks, cameras, strict=True):
@@ -58,17 +74,21 @@ class RobotLinks:
 
 def arm_depth(arm: ArmModel, q: Float64, camera: Camera, mask: Bool) -> Float32:
     """[H, W] m along the optical axis to the arm's capsules inside `mask` [H, W]; 0 where a ray meets none."""
+    out = np.zeros(mask.shape, np.float32)
     placed = place_capsules(arm, forward_kinematics(arm, q))
-    rays = pixel_rays(camera)[mask]
+    out[mask] = _march(placed, camera.T_base_cam[:3, 3], pixel_rays(camera)[mask])
+    return out
+
+
+def _march(placed: PlacedCapsules, origin: Float64, rays: Float64) -> Float64:
+    """[n] m along `rays` [n, 3] of length one along the optical axis from `origin` to the capsules; 0: none is met."""
     length = np.linalg.norm(rays, axis=1)
     depth = np.full(len(rays), 0.05)
     gap = np.full(len(rays), np.inf)
     for _ in range(MARCH_STEPS):
-        gap = _distances(placed, camera.T_base_cam[:3, 3] + rays * depth[:, None]).min(1)
+        gap = _distances(placed, origin + rays * depth[:, None]).min(1)
         depth += np.maximum(gap, 0) / length
-    out = np.zeros(mask.shape, np.float32)
-    out[mask] = np.where(gap < 0.005, depth, 0)
-    return out
+    return np.where(gap < 0.005, depth, 0)
 
 
 def _distances(placed: PlacedCapsules, points: NDArray[np.floating]) -> Float64:

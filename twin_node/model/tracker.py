@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from twin_node.model.adoption import Members, adopt, adopt_points, as_newborns
 from twin_node.model.alignment import Twists, solve_twists
+from twin_node.model.arm_skin import ArmSkin
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import cells_of
@@ -32,7 +33,7 @@ from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
 from twin_node.model.unselected import fit_unselected
-from twin_node.scene import Bool, FrameSet, Tier
+from twin_node.scene import Bool, FrameSet, JointSample, Tier
 
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
@@ -58,6 +59,15 @@ class _Aligned:
     before: Tensor
 
 
+@dataclass(frozen=True)
+class _Due:
+    """A set that has been tracked, and how the arm stood."""
+
+    observed: Sequence[Observed]
+    joints: JointSample | None
+    robots: Sequence[Bool | None]
+
+
 class Tracker:
     """Keeps Gaussians and nodes up to date with the newest images; a set is `track`."""
 
@@ -77,6 +87,7 @@ class Tracker:
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
         self._links = links
+        self._skin = None if links is None else ArmSkin(links, gaussians, motion)
         most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
         self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
         self._bodies = Bodies(gaussians, motion.nodes)
@@ -84,7 +95,7 @@ class Tracker:
         self._decisions: Sequence[Decision] = ()
         self._turn = 0
         self._pace = 1.0
-        self._due: Sequence[Observed] | None = None
+        self._due: _Due | None = None
         """A set that has been tracked and that the mapper has not seen yet."""
 
     def track(
@@ -115,7 +126,7 @@ class Tracker:
         born = self._bear(observed, fitted.renderings or aligned.renderings)
         on_stage("bear")
         self._nodes.remember()
-        self._due = observed
+        self._due = _Due(observed, frames.joints, robots)
         return Tracked(born, self._pace if fitted.diverged else None, self._decisions)
 
     def refine(self, proceed: Proceed = unhurried) -> bool:
@@ -128,10 +139,16 @@ class Tracker:
             return True
         whole = True
         if self._parameters.map.steps:
-            with closing(self._mapper.refine(due, self._nodes.stamp)) as slices:
+            with closing(self._slices(due)) as slices:
                 whole = all(proceed() for _ in slices)
         self._backgrounds.keep_up(self._gaussians)
         return whole
+
+    def _slices(self, due: _Due) -> Generator[None]:
+        """A set's share of what can be let be, in slices."""
+        if self._skin is not None and due.joints is not None:
+            yield from self._skin.refine(due.observed, due.joints, due.robots)
+        yield from self._mapper.refine(due.observed, self._nodes.stamp)
 
     def leave(self) -> None:
         """Lets the mapper's share of the last set be."""

@@ -1,0 +1,59 @@
+"""The arm's own Gaussians learn the sides that it turns to the cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from model_scenes import camera, frames, with_joints
+
+from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.rays import back_project
+from twin_node.model.robot_links import arm_depth
+from twin_node.robot import robot_mask, ur_model
+from twin_node.scene import Bool, Float64, FrameSet, Tier
+
+ARM = ur_model("ur5e")
+Q = np.array([0.3, -1.2, 1.4, -1.6, -1.5, 0.0])
+HALF_ROUND = np.array([np.pi, 0, 0, 0, 0, 0])
+CAMERA = camera("cam", (1.5, 0.3, 1.0), (0.0, 0, 0.3))
+
+
+def chequered(index: int, q: Float64, depth: bool = True) -> tuple[FrameSet, Bool]:
+    """The table behind an arm with a pattern that turns with its first joint, and the arm's own pixels."""
+    bare = with_joints(frames(index, None, (CAMERA,), depth=True), ARM.joint_names, q)
+    view = bare.views[0]
+    reached = arm_depth(ARM, q, CAMERA, robot_mask(ARM, q, CAMERA, margin_m=0.0))
+    on_arm = reached > 0
+    points = back_project(CAMERA, reached)
+    ahead = points[..., 0] * np.cos(q[0]) + points[..., 1] * np.sin(q[0])
+    aside = points[..., 1] * np.cos(q[0]) - points[..., 0] * np.sin(q[0])
+    light = np.stack([np.where(ahead % 0.3 < 0.15, 220, 40), np.where(aside > 0, 230, 30), 128 + 0 * ahead], -1)
+    rgb = np.where(on_arm[..., None], light.astype(np.uint8), view.rgb)
+    assert view.depth is not None
+    measured = np.where(on_arm, reached, view.depth) if depth else None
+    return replace(bare, views=(replace(view, rgb=rgb, depth=measured),)), on_arm
+
+
+def missed_on_the_arm(steps: int, depth: bool) -> tuple[float, int]:
+    """Mean difference (0 to 1) on the arm when it has turned its back, and how many Gaussians it has."""
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20), map=MapParameters(steps=steps)), arm=ARM)
+    for index in range(16):
+        one, on_arm = chequered(index, Q if index < 2 else Q + HALF_ROUND, depth)
+        state = model.update(one)
+    off = np.abs(model.render(CAMERA).rgb - one.views[0].rgb / np.float32(255)).mean(-1)
+    return float(off[on_arm].mean()), int((state.gaussians.tiers == Tier.ROBOT).sum())
+
+
+def test_sides_of_the_arm_that_no_camera_had_seen_are_learnt_when_it_turns() -> None:
+    for depth in (True, False):
+        learnt, count = missed_on_the_arm(1, depth)
+        given, before = missed_on_the_arm(0, depth)
+        assert learnt < 0.6 * given
+        assert before < count < 4 * before
+
+
+def test_an_arm_that_looks_as_it_did_is_given_nothing_more() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=60)), arm=ARM)
+    counts = [int((model.update(chequered(i, Q)[0]).gaussians.tiers == Tier.ROBOT).sum()) for i in range(30)]
+    assert counts[-1] == counts[20]
