@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
+from twin_node.model.adam import Adam
 from twin_node.model.carriage import Bend, carry
 from twin_node.model.field import HexPlane
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians, Population, activated
@@ -26,10 +27,8 @@ class Motion:
     def __init__(self, nodes: Nodes, field: HexPlane) -> None:
         self.nodes = nodes
         self.field = field
-        decoder = [field.hidden, field.hidden_bias, field.out]
-        self._optimiser = torch.optim.Adam(
-            [{"params": [field.space, field.time], "lr": GRID_RATE}, {"params": decoder, "lr": DECODER_RATE}]
-        )
+        grids, decoder = (field.space, field.time), (field.hidden, field.hidden_bias, field.out)
+        self._adam = Adam([*((p, GRID_RATE) for p in grids), *((p, DECODER_RATE) for p in decoder)])
 
     @property
     def bends(self) -> bool:
@@ -89,5 +88,5 @@ class Motion:
         """One step on the field by the gradients that it holds; taken only where all of them are finite."""
         gradients = [p.grad for p in self.field.parameters() if p.grad is not None]
         if gradients and all(bool(torch.isfinite(g).all()) for g in gradients):
-            self._optimiser.step()
-        self._optimiser.zero_grad()
+            self._adam.step()
+        self._adam.forget_gradients()

@@ -1,0 +1,42 @@
+"""Adam takes the steps that torch's own takes, and a model that starts does not load torch's compiler for it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import torch
+
+from twin_node.model.adam import Adam
+
+
+def test_steps_are_those_of_torch() -> None:
+    generator = torch.Generator().manual_seed(3)
+    start = [torch.randn(4, 3, generator=generator), torch.randn(5, generator=generator)]
+    ours, theirs = ([tensor.clone().requires_grad_() for tensor in start] for _ in range(2))
+    adam = Adam([(ours[0], 1e-2), (ours[1], 1e-3)])
+    reference = torch.optim.Adam([{"params": [theirs[0]], "lr": 1e-2}, {"params": [theirs[1]], "lr": 1e-3}])
+    for _ in range(40):
+        for own, other in zip(ours, theirs, strict=True):
+            other.grad = torch.randn(own.shape, generator=generator)
+            own.grad = other.grad.clone()
+        adam.step()
+        reference.step()
+        adam.forget_gradients()
+    assert all(torch.allclose(own, other, atol=1e-6) for own, other in zip(ours, theirs, strict=True))
+    assert all(own.grad is None for own in ours)
+
+
+def test_the_live_model_loads_no_compiler() -> None:
+    program = """
+import sys, numpy as np
+from twin_node.model import WindowModel
+from twin_node.scene import Camera, FrameSet, View
+camera = Camera("cam", 32, 24, np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), np.eye(4))
+view = View(camera, 1, np.full((24, 32, 3), 90, np.uint8), np.full((24, 32), 1.5, np.float32))
+model = WindowModel()
+for stamp in (1, 2):
+    model.update(FrameSet(stamp, (view,), sequence=stamp))
+sys.exit("torch._dynamo" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=120).returncode == 0
