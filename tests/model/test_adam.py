@@ -39,4 +39,4 @@ for stamp in (1, 2):
     model.update(FrameSet(stamp, (view,), sequence=stamp))
 sys.exit("torch._dynamo" in sys.modules)
 """
-    assert subprocess.run([sys.executable, "-c", program], timeout=120).returncode == 0
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0
