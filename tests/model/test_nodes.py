@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
-from twin_node.model.nodes import MAX_SPEED, Nodes
-from twin_node.model.rotations import quat_from_vector, vector_from_quat
+from twin_node.model.adoption import nearest, nearest_plainly
+from twin_node.model.kernels import kernels
+from twin_node.model.nodes import MAX_SPEED, Nodes, advanced, advanced_plainly
+from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
 from twin_node.scene import Tier
 
 TICK_NS = 33_000_000
@@ -54,7 +57,8 @@ def test_measured_poses_teach_velocity_and_turn() -> None:
     for index in range(1, 40):
         nodes.predict(index * TICK_NS, 0.98)
         at = index * TICK_NS * 1e-9
-        nodes.correct(row, velocity * at, quat_from_vector(turn * at), nodes.extrapolated([0.0]), TICK_NS * 1e-9)
+        turned = quat_product(quat_from_vector(turn * at), conjugate(nodes.quats[row]))
+        nodes.correct(row, velocity * at - nodes.positions[row], vector_from_quat(turned), TICK_NS * 1e-9)
     assert torch.allclose(nodes.velocities[row], velocity, atol=0.05)
     assert torch.allclose(nodes.angular_velocities[row], turn, atol=0.15)
     assert torch.allclose(nodes.positions[row], velocity * at, atol=2e-3)
@@ -64,7 +68,7 @@ def test_a_wild_measurement_cannot_make_an_impossible_speed() -> None:
     nodes = Nodes(2, 4)
     row = torch.tensor([nodes.give_birth(torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))])
     far = torch.full((1, 3), 100.0, dtype=torch.float64)
-    nodes.correct(row, far, nodes.quats[row], nodes.extrapolated([0.0]), 0.033)
+    nodes.correct(row, far, torch.zeros_like(far), 0.033)
     assert nodes.velocities[row].norm() <= MAX_SPEED + 1e-9
 
 
@@ -102,3 +106,27 @@ def test_the_past_of_a_row_stays_with_the_node_that_had_it_then() -> None:
     assert nodes.poses_at(1000 + 6 * TICK_NS).positions[0, 0, 0] == pytest.approx(0.198)
     between = nodes.poses_at(1000 + 6 * TICK_NS + TICK_NS // 2)
     assert between.positions[0, 0].tolist() == pytest.approx([5.0, 5.0, 5.0])
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+def test_compiled_poses_are_those_in_torch() -> None:
+    draw = torch.Generator().manual_seed(3)
+    positions, velocities, turns = (torch.randn(20, 3, generator=draw, dtype=torch.float64) for _ in range(3))
+    turns[0], turns[1] = 0, 1e-7
+    quats = quat_from_vector(torch.randn(20, 3, generator=draw, dtype=torch.float64))
+    given = (positions, quats, velocities, turns, [0.0, -0.02, 0.2])
+    found, expected = advanced(*given), advanced_plainly(*given)
+    assert torch.allclose(found.positions, expected.positions, atol=1e-12)
+    assert torch.allclose(found.quats, expected.quats, atol=1e-12)
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize("width", [3, 6])
+@pytest.mark.parametrize("places", [0, 1, 50])
+@pytest.mark.parametrize("things", [0, 400])
+def test_the_nearest_by_kernel_are_those_by_tree(width: int, places: int, things: int) -> None:
+    draw = np.random.default_rng(5)
+    at, own = draw.uniform(0, 4, (places, width)), draw.uniform(0, 4, (things, width))
+    found = nearest(at, own)
+    assert np.array_equal(found, nearest_plainly(at, own))
+    assert not len(found) or not things or width == 6 or (found >= 0).any()

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from twin_node.model.births import Births
 from twin_node.model.gaussians import Newborns
+from twin_node.model.kernels import NearestRequest, kernels
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate
@@ -67,16 +68,27 @@ def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, 
             (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
         ):
             without = np.flatnonzero(carriers.nodes < 0)
-            nearest = _nearest(place[without], own)
-            kin, nearest = without[nearest >= 0], nearest[nearest >= 0]
-            carriers.nodes[kin], carriers.founders[kin] = members.nodes[nearest], members.founders[nearest]
+            closest = nearest(place[without], own)
+            kin, closest = without[closest >= 0], closest[closest >= 0]
+            carriers.nodes[kin], carriers.founders[kin] = members.nodes[closest], members.founders[closest]
     for looks in (_looks(points, rgb, parameters.node_radius_m), points / parameters.node_radius_m):
         _found_together(points, looks, carriers, members, nodes, parameters)
     return carriers
 
 
-def _nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
+def nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
     """[n] the row of `own` [m, d] nearest to each of `places` [n, d] that is within 1 of it; -1 without one."""
+    library = kernels()
+    if library is None:
+        return nearest_plainly(places, own)
+    at, things = np.ascontiguousarray(places), np.ascontiguousarray(own)
+    found = np.empty(len(at), np.int64)
+    library.nearest(NearestRequest(*at.shape[:1], *things.shape, at.ctypes.data, things.ctypes.data, found.ctypes.data))
+    return found
+
+
+def nearest_plainly(places: Float64, own: Float64) -> NDArray[np.int64]:
+    """The same by a tree: the reference of the compiled kernel."""
     if not len(places):
         return np.zeros(0, np.int64)
     around = np.flatnonzero(((own > places.min(0) - 1) & (own < places.max(0) + 1)).all(1))

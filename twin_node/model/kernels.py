@@ -81,6 +81,24 @@ class BirthRequest(ctypes.Structure):
     )
 
 
+class AdvanceRequest(ctypes.Structure):
+    """`model::AdvanceRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("times", "nodes")),
+        *((name, c_void_p) for name in ("seconds", "positions", "quats", "velocities", "turns", "advanced", "rotated")),
+    )
+
+
+class NearestRequest(ctypes.Structure):
+    """`model::NearestRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("places", "owns", "width")),
+        *((name, c_void_p) for name in ("at", "own", "found")),
+    )
+
+
 class Kernels:
     """One compiled variant. Safe from several threads; a forked child gets `ModelError`."""
 
@@ -92,6 +110,10 @@ class Kernels:
             raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
         self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
         self._dll.model_births.argtypes = [ctypes.POINTER(BirthRequest)]
+        self._dll.model_advance.argtypes = [ctypes.POINTER(AdvanceRequest)]
+        self._dll.model_advance.restype = None
+        self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
+        self._dll.model_nearest.restype = None
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
@@ -107,6 +129,14 @@ class Kernels:
         given = (BirthView * len(views))(*views)
         request = BirthRequest(len(views), torch.get_num_threads(), ctypes.pointer(rules), given)
         _check(self._dll.model_births(request))
+
+    def advance(self, request: AdvanceRequest) -> None:
+        """Moves nodes on; takes one thread."""
+        self._dll.model_advance(request)
+
+    def nearest(self, request: NearestRequest) -> None:
+        """Finds what is nearest; takes one thread."""
+        self._dll.model_nearest(request)
 
     def _mark_forked(self) -> None:
         self._forked = True

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.kernels import AdvanceRequest, kernels
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
 from twin_node.scene import Tier
 
@@ -86,25 +87,23 @@ class Nodes:
 
     def predict(self, stamp: int, damping: float) -> None:
         """Moves all poses on to `stamp` (ns) at constant velocity; velocities keep `damping` of themselves."""
-        dt = (stamp - self.stamp) * 1e-9
-        self.positions = self.positions + self.velocities * dt
-        self.quats = quat_product(quat_from_vector(self.angular_velocities * dt), self.quats)
+        ahead = self.extrapolated([(stamp - self.stamp) * 1e-9])
+        self.positions, self.quats = ahead.positions[0], ahead.quats[0]
         self.velocities = self.velocities * damping
         self.angular_velocities = self.angular_velocities * damping
         self.stamp = stamp
 
-    def correct(self, rows: Tensor, positions: Tensor, quats: Tensor, predicted: Poses, dt_s: float) -> None:
-        """Takes measured poses [m, 3], [m, 4] of `rows` at `stamp`; updates velocities by an alpha-beta filter.
+    def correct(self, rows: Tensor, shifts: Tensor, turns: Tensor, dt_s: float) -> None:
+        """Takes what the poses of `rows` were measured to be off by; updates velocities by an alpha-beta filter.
 
-        `predicted` holds the poses [1, M, ...] before measuring; `dt_s` the time since the set before.
+        `shifts` [m, 3] m and `turns` [m, 3] rad lead from the poses as they are to those measured; `dt_s` is the time
+        since the set before.
         """
-        shift = positions - predicted.positions[0, rows]
-        turn = vector_from_quat(quat_product(quats, conjugate(predicted.quats[0, rows])))
+        at = advanced(self.positions[rows], self.quats[rows], shifts, turns, [POSITION_GAIN])
+        self.positions[rows], self.quats[rows] = at.positions[0], at.quats[0]
         gain = VELOCITY_GAIN / max(dt_s, 1e-3)
-        self.positions[rows] = predicted.positions[0, rows] + POSITION_GAIN * shift
-        self.quats[rows] = quat_product(quat_from_vector(POSITION_GAIN * turn), predicted.quats[0, rows])
-        self.velocities[rows] = limited(self.velocities[rows] + gain * shift, MAX_SPEED)
-        self.angular_velocities[rows] = limited(self.angular_velocities[rows] + gain * turn, MAX_TURN)
+        self.velocities[rows] = limited(self.velocities[rows] + gain * shifts, MAX_SPEED)
+        self.angular_velocities[rows] = limited(self.angular_velocities[rows] + gain * turns, MAX_TURN)
 
     def drive(self, rows: Tensor, positions: Tensor, quats: Tensor, dt_s: float) -> None:
         """Sets poses that are known (arm links) and derives their velocities from the step of `dt_s`."""
@@ -152,9 +151,33 @@ class Nodes:
 
     def extrapolated(self, seconds: list[float]) -> Poses:
         """Poses [T, M, ...] at `stamp` plus each of `seconds`, at constant velocity."""
-        dt = torch.tensor(seconds, dtype=torch.float64)[:, None, None]
-        positions = self.positions + self.velocities * dt
-        return Poses(positions, quat_product(quat_from_vector(self.angular_velocities * dt), self.quats))
+        return advanced(self.positions, self.quats, self.velocities, self.angular_velocities, seconds)
+
+
+def advanced(positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor, seconds: list[float]) -> Poses:
+    """Poses of `positions` [M, 3] and `quats` [M, 4], float64, after each of `seconds`.
+
+    `velocities` [M, 3] m/s and `turns` [M, 3] rad/s (in `base_link`) stay as they are meanwhile.
+    """
+    library = kernels()
+    if library is None:
+        return advanced_plainly(positions, quats, velocities, turns, seconds)
+    given = [
+        torch.tensor(seconds, dtype=torch.float64),
+        *(t.contiguous() for t in (positions, quats, velocities, turns)),
+    ]
+    written = [positions.new_empty(len(seconds), len(positions), width) for width in (3, 4)]
+    pointers = (tensor.data_ptr() for tensor in (*given, *written))
+    library.advance(AdvanceRequest(len(seconds), len(positions), *pointers))
+    return Poses(*written)
+
+
+def advanced_plainly(
+    positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor, seconds: list[float]
+) -> Poses:
+    """The same in torch: the reference of the compiled kernel."""
+    dt = torch.tensor(seconds, dtype=torch.float64)[:, None, None]
+    return Poses(positions + velocities * dt, quat_product(quat_from_vector(turns * dt), quats.expand(len(dt), -1, -1)))
 
 
 def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:

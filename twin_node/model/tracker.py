@@ -30,7 +30,6 @@ from twin_node.model.parameters import ModelParameters
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
-from twin_node.model.rotations import quat_from_vector, quat_product
 from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
 from twin_node.model.unselected import fit_unselected
 from twin_node.scene import Bool, FrameSet, JointSample, Tier
@@ -186,10 +185,7 @@ class Tracker:
     def _steer(self, twists: Twists, dt_s: float) -> None:
         """The nodes whose motion is learned take their twists."""
         steered = self._nodes.rows[self._nodes.tiers[self._nodes.rows] != int(Tier.ROBOT)]
-        at = Poses(self._nodes.positions[None], self._nodes.quats[None])
-        positions = at.positions[0, steered] + twists.linear[steered]
-        quats = quat_product(quat_from_vector(twists.angular[steered]), at.quats[0, steered])
-        self._nodes.correct(steered, positions, quats, at, dt_s)
+        self._nodes.correct(steered, twists.linear[steered], twists.angular[steered], dt_s)
         self._nodes.sigmas[steered] = twists.sigmas[steered]
 
     def _weigh(self, fits: Fits) -> None:

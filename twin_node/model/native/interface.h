@@ -67,4 +67,19 @@ struct BirthRequest {
   const BirthView *views;  // [count]
 };
 
+// Nodes at some times from now.
+struct AdvanceRequest {
+  int64_t times, nodes;
+  const double *seconds;                              // [times]
+  const double *positions, *quats, *velocities, *turns;  // [nodes, 3], [nodes, 4], [nodes, 3] m/s, [nodes, 3] rad/s
+  double *advanced, *rotated;                         // [times, nodes, 3], [times, nodes, 4] written
+};
+
+// Places, and things of which the nearest is wanted.
+struct NearestRequest {
+  int64_t places, owns, width;
+  const double *at, *own;  // [places, width], [owns, width] in units of the distance that is too far
+  int64_t *found;          // [places] rows of `own`, -1 for none
+};
+
 }  // namespace model

@@ -6,6 +6,8 @@
 
 #include "births.h"
 #include "mask.h"
+#include "nearest.h"
+#include "poses.h"
 
 namespace {
 
@@ -36,6 +38,10 @@ int32_t model_interface_version() { return model::kInterfaceVersion; }
 int32_t model_mask(const model::MaskRequests *requests) {
   return side_by_side(requests->threads, requests->count, [&](int i) { model::MaskUpdate(requests->cameras[i]).run(); });
 }
+
+void model_advance(const model::AdvanceRequest *request) { model::advance(*request); }
+
+void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
 
 int32_t model_births(const model::BirthRequest *request) {
   return side_by_side(request->threads, request->count, [&](int i) { model::ViewBirths(*request, i).run(); });
