@@ -20,6 +20,7 @@ from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
+from twin_node.forecast.turning import whole_ways
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
@@ -75,7 +76,7 @@ class Forecaster:
         self._observer = Observer(grid, self.parameters.carving, self.parameters.static, arm)
         self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
-        self._predictor = Predictor(self.parameters.bound)
+        self._predictor = Predictor(self.parameters.bound, turns=True)
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._due: _Issued | None = None
@@ -120,7 +121,8 @@ class Forecaster:
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
         measured = any(view.depth is not None for view in state.frames.views)
         sigmas = evidence.motion.sigmas if measured else None
-        self._predictor.advance(self._tracks.history, succession, float(horizons[-1]), sigmas)
+        ahead_s, factor = float(horizons[-1]), self._control.factor
+        self._predictor.advance(self._tracks.history, succession, ahead_s, sigmas, factor)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
@@ -195,14 +197,27 @@ class Forecaster:
             self._warnings = (
                 f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
             )
-            self._tracks, self._predictor = Tracks(), Predictor(self.parameters.bound)
+            self._tracks, self._predictor = Tracks(), Predictor(self.parameters.bound, turns=True)
         self._radii = radii
         return found
 
+    def _may_turn(self, evidence: Evidence, prediction: Prediction) -> Bool:
+        """[M] parts held along all of their way: those that have turned of late, and those that leave the grid's space.
+
+        What leaves is outside already, where a wider bound blocks nothing, and what matters is that it may return.
+        """
+        here = evidence.parts.centers
+        left = (self.grid.indices(here) < 0) & (self.grid.indices(here + prediction.displacements[-1]) < 0)
+        may_turn: Bool = prediction.turning | left
+        return may_turn
+
     def _layers(self, evidence: Evidence, prediction: Prediction) -> tuple[OccupancyLayer, ...]:
-        """Every part moved on by the experts and widened by the bound, per horizon."""
-        shifts, reaches = shifts_of(self.grid, prediction.displacements), reach_of(self.grid, prediction.radii)
-        spreads = spread(self.grid, evidence.parts.points, shifts, reaches)
+        """Every part moved on by the experts, widened by the bound and held where it may turn back, per horizon."""
+        ways = whole_ways(
+            evidence.parts.points, prediction.displacements, prediction.radii, self._may_turn(evidence, prediction)
+        )
+        shifts, reaches = shifts_of(self.grid, ways.displacements), reach_of(self.grid, ways.radii)
+        spreads = spread(self.grid, ways.points, shifts, reaches)
         layers = []
         for horizon, reached in zip(HORIZONS_NS, spreads, strict=True):
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)

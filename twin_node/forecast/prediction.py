@@ -19,6 +19,7 @@ from twin_node.forecast.experts import (
     mix,
 )
 from twin_node.forecast.neighbours import Neighbours
+from twin_node.forecast.turning import NARROWER, off_the_way
 from twin_node.scene import Bool, Float64
 
 Rows = NDArray[np.int64]
@@ -42,6 +43,9 @@ class Prediction:
     """[H, M, 3] of the mixture, m."""
     radii: Float64
     """[H, M] bound about the displaced nodes, m."""
+    turning: Bool
+    """[M] nodes that have turned back of late: their bounds hold about all of their way, from as far behind where they
+    are now as ahead (`turning.whole_ways`)."""
 
 
 @dataclass
@@ -56,6 +60,8 @@ class _Records:
     """[M] s when the node was first known."""
     began: Float64 = field(default_factory=lambda: np.zeros(0))
     """[M] s when the record began: then, or when the node began something new."""
+    turned: Float64 = field(default_factory=lambda: np.zeros(0))
+    """[M] s when the node last turned back against its forecast; -inf if never."""
     judged: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
     """[M] forecasts in the record."""
 
@@ -66,12 +72,14 @@ class _Records:
             count = len(rows)
             squared = np.tile(_UNTRIED[:, None] ** 2, (1, count))
             born, began = np.full((2, count), time)
-            return _Records(squared, np.full(count, _UNTRIED[-1]), born, began, np.zeros(count, np.int64))
+            never = np.full(count, -np.inf)
+            return _Records(squared, np.full(count, _UNTRIED[-1]), born, began, never, np.zeros(count, np.int64))
         return _Records(
             np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
             np.where(new, _UNTRIED[-1], self.errors[rows]),
             np.where(new, time, self.born[rows]),
             np.where(new, time, self.began[rows]),
+            np.where(new, -np.inf, self.turned[rows]),
             np.where(new, 0, self.judged[rows]),
         )
 
@@ -115,6 +123,10 @@ class _Issued:
     """[M, C]."""
     radii: Float64
     """[M] at the horizon, m."""
+    turning: Bool
+    """[M] those that are held along all of their way."""
+    factor: float
+    """On the calibrated radii."""
     start: Float64
     """[M now, 3] places of the ancestors then, on the paths as they are known now, m."""
     due: int = 0
@@ -127,8 +139,11 @@ class Predictor:
     Used alike for parts of moving space and for the trajectories of `bench forecast`.
     """
 
-    def __init__(self, parameters: BoundParameters | None = None) -> None:
+    def __init__(self, parameters: BoundParameters | None = None, turns: bool = False) -> None:
+        """`turns`: nodes that turn back are told from others, and judged by all of their way (`Prediction.turning`)."""
         self.bound = Bound(parameters)
+        self._turns = turns
+        self._factor = 1.0
         self.autoregression = Autoregression()
         self._horizon_s = 0.2
         self._sigmas: Float64 | None = None
@@ -155,15 +170,20 @@ class Predictor:
         return np.where(self._newcomers, _STRAIGHT_ON, normalised)
 
     def advance(
-        self, history: History, succession: Succession, horizon_s: float, sigmas: Float64 | None = None
+        self,
+        history: History,
+        succession: Succession,
+        horizon_s: float,
+        sigmas: Float64 | None = None,
+        factor: float = 1.0,
     ) -> None:
         """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
 
         Earlier samples of the history are the paths of the nodes of now. What was forecast for the time since the last
         sample is judged. `sigmas` [M] (m/s): how well the velocities are known that the paths end with, if they are
-        measured.
+        measured. `factor`: on calibrated bounds.
         """
-        self._horizon_s, self._sigmas = horizon_s, sigmas
+        self._horizon_s, self._sigmas, self._factor = horizon_s, sigmas, factor
         self._history = history
         self._around = Neighbours(history.positions[-1])
         self._records = self._records.inherited(succession.records, history.times[-1])
@@ -189,8 +209,8 @@ class Predictor:
         self._records.began = np.where(foreseen, np.minimum(self._records.began, old), self._records.began)
 
     def unstartled_since(self, time: float) -> Bool:
-        """[M] nodes that began nothing new after `time` (s)."""
-        unstartled: Bool = self._records.began <= time
+        """[M] nodes that began nothing new after `time` (s), nor turned back."""
+        unstartled: Bool = (self._records.began <= time) & (self._records.turned <= time)
         return unstartled
 
     def predict(self, horizons: Float64, factor: float = 1.0) -> Prediction:
@@ -202,7 +222,7 @@ class Predictor:
         last = float(horizons[-1])
         radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
-        return Prediction(mixed, shares[:, None] * radii)
+        return Prediction(mixed, shares[:, None] * radii, self._turning)
 
     def _radii(self, horizon_s: float, factor: float = 1.0) -> Float64:
         """[M] m."""
@@ -219,6 +239,18 @@ class Predictor:
             return np.zeros(len(self._records.born), np.bool_)
         young: Bool = self._history.times[-1] - self._records.born < self._horizon_s
         return young & (self._ages < self._horizon_s)
+
+    @property
+    def _turning(self) -> Bool:
+        """[M] nodes that have turned so lately that another turn must be expected.
+
+        One turn spoils the forecasts of one horizon, and the target allows one horizon to be spoilt in so many.
+        """
+        if not self._turns:
+            return np.zeros(len(self._records.turned), np.bool_)
+        memory_s = self._horizon_s / (1 - self.bound.parameters.coverage)
+        turning: Bool = self._history.times[-1] - self._records.turned < memory_s
+        return turning
 
     @property
     def _ages(self) -> Float64:
@@ -239,8 +271,9 @@ class Predictor:
         time, count = float(self._history.times[-1]), len(mixed[0])
         radii = self._radii(self._horizon_s)
         here, rows = self._history.positions[-1], np.arange(count)
-        issued = _Issued(time, self._horizon_s, rows, self._features, single, mixed, self._cues, radii, here)
-        self._issued.append(issued)
+        turning, span = self._turning, self._horizon_s
+        forecast = (self._features, single, mixed, self._cues, radii, turning, self._factor)
+        self._issued.append(_Issued(time, span, rows, *forecast, here))
 
     def _judge(self) -> None:
         """Judges every forecast for a time since the last sample, and learns from it."""
@@ -262,19 +295,36 @@ class Predictor:
         self._learnt_at[knot] = valid_at
         some = slice(None, None, -(-len(rows) // _LEARNT_FROM) or 1)
         self.autoregression.learn(knot, issued.features[rows[some]], moved[some], elapsed)
-        wrong = np.linalg.norm(issued.mixed[knot, rows] - moved, axis=-1)
+        wrong = self._errors(issued, knot, known, moved, now)
         if len(wrong):
             kept = np.exp(-elapsed / self.bound.parameters.memory_s)
             self._profile[knot] = kept * self._profile[knot] + (1 - kept) * wrong.mean()
         single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
         self._weigh(known, single / KNOTS[knot], elapsed)
         expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
-        knew = issued.time >= self._records.began[known]
+        knew = issued.time >= np.maximum(self._records.began, self._records.turned)[known]
         startled = known[wrong > _STARTLED * expected]
         self._records.began[startled], self._records.judged[startled] = now, 0
         if knot == len(KNOTS) - 1:
             self._record(known[knew], wrong[knew], elapsed)
             self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed, knew)
+
+    def _errors(self, issued: _Issued, knot: int, known: Rows, moved: Float64, now: float) -> Float64:
+        """Errors [n] in metres of one time's forecasts by a knot: the nodes `known` [n] have `moved` [n, 3].
+
+        Takes note of those that have turned back; those that were held along all of their way err by their distance
+        from it, as a share of its radius.
+        """
+        rows = issued.rows[known]
+        ahead = issued.mixed[knot, rows]
+        wrong: Float64 = np.linalg.norm(ahead - moved, axis=-1)
+        if not self._turns:
+            return wrong
+        expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
+        aside = off_the_way(ahead, moved) / NARROWER
+        turned = ((moved * ahead).sum(axis=-1) < 0) & (wrong > issued.factor * expected) & (aside <= expected)
+        self._records.turned[known[turned]] = now
+        return np.where(issued.turning[rows], np.minimum(wrong, aside), wrong)
 
     def _weigh(self, known: Rows, single: Float64, elapsed_s: float) -> None:
         """Enters errors of the experts [E, n], as if at the horizon, in the records of the nodes `known` [n].
