@@ -138,12 +138,15 @@ def test_the_compiled_library_places_as_torch_does() -> None:
     store, motion = moving_world()
     store.board(torch.tensor([0, 1]), torch.zeros(2, dtype=torch.int64), motion.nodes)
     motion.nodes.quats[0] = quat_from_vector(torch.tensor([0.3, -1.2, 0.7], dtype=torch.float64))
-    some = store.population(torch.tensor([0, 2, 1, 3]), motion.nodes)
+    rows = torch.tensor([0, 2, 1, 3])
+    some = store.population(rows, motion.nodes)
     poses, stamps = motion.poses([0.0, -0.02]), motion.stamps([0.0, -0.02])
     with torch.no_grad():
-        compiled, plain = motion.place_population(some, poses, stamps), motion.place_plain(some, poses, stamps)
-    for name, values in vars(compiled).items():
-        assert torch.allclose(values, getattr(plain, name), atol=1e-5), name
+        plain, compiled = motion.place_plain(some, poses, stamps), motion.place_population(some, poses, stamps)
+        from_store = motion.place(store, rows, poses, stamps)
+    for name, values in vars(plain).items():
+        assert torch.allclose(getattr(compiled, name), values, atol=1e-5), name
+        assert torch.equal(getattr(from_store, name), getattr(compiled, name)), name
 
 
 def test_what_is_hidden_has_less_influence_than_what_shows() -> None:

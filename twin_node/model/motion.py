@@ -45,6 +45,9 @@ class Motion:
 
     def place(self, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]) -> Splats:
         """Gaussians `rows` [n] in `base_link` at each of T times."""
+        if not self.bends and not torch.is_grad_enabled() and splat.can_place(gaussians.values.device):
+            placed = splat.place(gaussians.values, gaussians.nodes, poses.positions, poses.quats, rows)
+            return Splats(*vars(placed).values())
         return self.place_population(gaussians.population(rows, self.nodes), poses, stamps)
 
     def place_population(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:

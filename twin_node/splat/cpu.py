@@ -39,6 +39,9 @@ def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semant
         require_finite("colors", g.colors)  # which the library then never reads
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
+    if not torch.is_grad_enabled():
+        given = (*tensors, _backgrounds(scene))
+        return call.render(_Inputs(*(None if t is None else t.contiguous() for t in given)))  # type: ignore[arg-type]
     renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene))  # type: ignore[no-untyped-call]
     return Rendered(renders, alphas, RasterMeta(radii, means2d, depths))
 

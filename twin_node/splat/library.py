@@ -14,7 +14,7 @@ import torch  # loads the OpenMP runtime that the library then shares
 from twin_node import native_build
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 6
+INTERFACE_VERSION = 7
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -80,7 +80,7 @@ class PlaceRequest(ctypes.Structure):
     _fields_ = (
         *((name, c_int64) for name in ("count", "times", "nodes")),
         ("threads", c_int32),
-        *((name, c_void_p) for name in ("values", "carriers", "positions", "rotations")),
+        *((name, c_void_p) for name in ("rows", "values", "carriers", "positions", "rotations")),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb")),
     )
 

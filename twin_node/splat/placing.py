@@ -31,16 +31,16 @@ def can_place(device: torch.device) -> bool:
     return device.type == "cpu" and native.native_library() is not None
 
 
-def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor) -> Placed:
+def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, rows: Tensor | None = None) -> Placed:
     """Carries Gaussians to where their nodes are at T times; nothing is differentiated.
 
     `values` [n, 14] float32: mean, quaternion, log scale, opacity logit and colour in the frames of the nodes,
     `carriers` [n] int64 rows of these, -1 for none, `positions` [T, M, 3] and `quats` [T, M, 4] float64 their poses.
-    On the CPU; see `can_place`.
+    With `rows` [n] int64 both are a store of more, of which those are wanted. On the CPU; see `can_place`.
     """
     library = native.native_library()
     assert library is not None
-    count, times = len(values), positions.shape[0]
+    count, times = len(values if rows is None else rows), positions.shape[0]
     placed = Placed(
         torch.empty(times, count, 3),
         torch.empty(times, count, 4),
@@ -51,5 +51,7 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor) ->
     given = [t.detach().contiguous() for t in (values.float(), carriers, positions.double(), quats.double())]
     tensors = (*given, *vars(placed).values())
     pointers = (tensor.data_ptr() for tensor in tensors)
-    library.place(native.PlaceRequest(count, times, positions.shape[1], native.thread_count(), *pointers))
+    chosen = None if rows is None else rows.contiguous()
+    row_pointer = None if chosen is None else chosen.data_ptr()
+    library.place(native.PlaceRequest(count, times, positions.shape[1], native.thread_count(), row_pointer, *pointers))
     return placed

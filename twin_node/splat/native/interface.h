@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 6;
+constexpr int32_t kInterfaceVersion = 7;
 
 enum Status : int32_t {
   kOk = 0,
@@ -100,8 +100,9 @@ struct DescentRequest {
 struct PlaceRequest {
   int64_t count, times, nodes;
   int32_t threads;
-  const float *values;                  // [count, 14] mean, quat, log scale, logit, rgb
-  const int64_t *carriers;              // [count] nodes, -1 for none
+  const int64_t *rows;                  // [count] of the store that the next two are; null: all of it, in order
+  const float *values;                  // [store, 14] mean, quat, log scale, logit, rgb
+  const int64_t *carriers;              // [store] nodes, -1 for none
   const double *positions, *rotations;  // [times, nodes, 3], [times, nodes, 4]
   float *means, *quats;                 // [times, count, 3], [times, count, 4]
   float *scales, *opacities, *rgb;      // [count, 3], [count], [count, 3]

@@ -33,13 +33,13 @@ inline void turn(const double *q, double *v) {
   for (int i = 0; i < 3; i++) v[i] = u[i];
 }
 
-// Row `i` at time `time`.
-inline void carry_row(const PlaceRequest &r, int64_t i, int64_t time) {
-  const float *value = r.values + kPlaceColumns * i;
+// Row `i` at time `time`, from `row` of the store.
+inline void carry_row(const PlaceRequest &r, int64_t i, int64_t row, int64_t time) {
+  const float *value = r.values + kPlaceColumns * row;
   double mean[3], quat[4], carried[4];
   for (int k = 0; k < 3; k++) mean[k] = value[k];
   for (int k = 0; k < 4; k++) quat[k] = value[3 + k];
-  const int64_t node = r.carriers[i];
+  const int64_t node = r.carriers[row];
   if (node >= 0) {
     const double *position = r.positions + 3 * (time * r.nodes + node), *by = r.rotations + 4 * (time * r.nodes + node);
     turn(by, mean);
@@ -57,8 +57,9 @@ inline void place(const PlaceRequest &r) {
   parallel_for(threads_for(r.threads, r.count, 4 * kPlacedPerTask), tasks, [&](int64_t task) {
     const int64_t begin = task * kPlacedPerTask, end = std::min(r.count, begin + kPlacedPerTask);
     for (int64_t i = begin; i < end; i++) {
-      const float *value = r.values + kPlaceColumns * i;
-      for (int64_t time = 0; time < r.times; time++) carry_row(r, i, time);
+      const int64_t row = r.rows == nullptr ? i : r.rows[i];
+      const float *value = r.values + kPlaceColumns * row;
+      for (int64_t time = 0; time < r.times; time++) carry_row(r, i, row, time);
       for (int k = 0; k < 3; k++) {
         r.scales[3 * i + k] = std::exp(value[7 + k]);
         r.rgb[3 * i + k] = value[11 + k];
