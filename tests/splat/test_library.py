@@ -20,7 +20,7 @@ from twin_node.splat import SplatError, can_descend, image_loss, rasterize, rast
 from twin_node.splat import library as native
 from twin_node.splat.library import NativeLibrary
 
-TINY = 'extern "C" __attribute__((visibility("default"))) int splat_interface_version() { return 7; }\n'
+TINY = 'extern "C" __attribute__((visibility("default"))) int splat_interface_version() { return 70; }\n'
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def test_a_cache_that_cannot_be_written_is_replaced(tiny: Kernels, monkeypatch: 
 
 def test_a_library_of_another_interface_is_refused(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(native_build, "SPLAT", tiny)
-    with pytest.raises(OSError, match=f"expected interface version {native.INTERFACE_VERSION}, found 7"):
+    with pytest.raises(OSError, match=f"expected interface version {native.INTERFACE_VERSION}, found 70"):
         native.load_variant("baseline")
 
 
