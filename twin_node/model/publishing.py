@@ -37,10 +37,13 @@ def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
         here = Poses(nodes.positions[None], nodes.quats[None])
         splats = motion.place(gaussians, rows, here, [nodes.stamp])
     means = splats.means[0].cpu()
-    row = carrier.clamp_min(0)
-    arm = means.double() - nodes.positions[row]
-    velocities = nodes.velocities[row] + torch.linalg.cross(nodes.angular_velocities[row], arm)
-    velocities = torch.where(carrier[:, None] >= 0, velocities, 0.0)
+    velocities = torch.zeros_like(means)
+    carried = torch.nonzero(carrier >= 0)[:, 0]
+    if len(carried):
+        row = carrier[carried]
+        arm = means[carried].double() - nodes.positions[row]
+        turned = torch.linalg.cross(nodes.angular_velocities[row], arm)
+        velocities[carried] = (nodes.velocities[row] + turned).float()
     position_of = torch.full((nodes.capacity + 1,), -1, dtype=torch.int64)
     published = learned_rows(nodes)
     position_of[published] = torch.arange(len(published))
@@ -50,7 +53,7 @@ def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
         splats.scales.cpu().numpy(),
         splats.opacities.cpu().numpy(),
         splats.rgb.clamp(0, 1).cpu().numpy(),
-        velocities.float().numpy(),
+        velocities.numpy(),
         gaussians.tiers[rows].cpu().numpy(),
         gaussians.ids[rows].cpu().numpy().astype(np.uint32),
         position_of[carrier].numpy().astype(np.int32),
