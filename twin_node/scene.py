@@ -243,13 +243,42 @@ class NodeStates:
 
 
 @dataclass(frozen=True)
+class Exposure:
+    """How a camera is exposed beside the light of the model's first set."""
+
+    gains: Float32
+    """[3] per colour, what a colour is multiplied by."""
+    offsets: Float32
+    """[3] what is added then, of colours from 0 to 1."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the camera shows colours as the model has them."""
+        return bool((self.gains == 1).all() and (self.offsets == 0).all())
+
+    @property
+    def brightness(self) -> float:
+        """The middle of the gains: 1 as bright as the model, 0.5 half as bright."""
+        return float(np.median(self.gains))
+
+    def of(self, rgb: Float32) -> Float32:
+        """[..., 3] what the camera shows of colours [..., 3] of the model, 0 to 1."""
+        shown: Float32 = np.clip(rgb * self.gains + self.offsets, 0, 1)
+        return shown
+
+
+PLAIN = Exposure(np.ones(3, np.float32), np.zeros(3, np.float32))
+"""The exposure of the model's first set."""
+
+
+@dataclass(frozen=True)
 class TwinState:
     """The model at the stamp of its evidence."""
 
     stamp: int
     """Evidence, ns."""
     frames: FrameSet
-    """The images that it was brought up to date with."""
+    """The images that it was brought up to date with, levelled to the light of the first set: see `exposures`."""
     gaussians: GaussianCloud
     nodes: NodeStates
     moving_masks: tuple[Bool, ...]
@@ -257,6 +286,13 @@ class TwinState:
     robot_masks: tuple[Bool | None, ...]
     """Per view: [H, W] True on the arm and its margin; None where the arm's joints are unknown."""
     warnings: tuple[str, ...] = ()
+    exposures: tuple[Exposure, ...] = ()
+    """Per view how its camera was exposed; empty: all as the model is."""
+
+    def exposure_of(self, camera: str) -> Exposure:
+        """How a camera was exposed; `PLAIN` where that is not known."""
+        known = zip(self.frames.views, self.exposures, strict=False)
+        return next((exposure for view, exposure in known if view.camera.name == camera), PLAIN)
 
 
 @dataclass(frozen=True)

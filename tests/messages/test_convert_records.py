@@ -231,6 +231,8 @@ def test_status_survives() -> None:
         coverage=0.97,
         coverage_target=0.95,
         psnr_db=25.0,
+        cameras=("front", "left"),
+        exposures=(1.0, 0.25),
         warnings=("camera front is silent", ""),
     )
     assert_same(c.status_from_message(sent(c.status_to_message(status))), status)

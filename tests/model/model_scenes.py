@@ -55,13 +55,17 @@ def block(x: float, y: float = 0.0) -> Splats:
 
 def frames(index: int, block_x: float | None, cameras: Sequence[Camera], depth: bool = False) -> FrameSet:
     """Set `index` of the scene with the block at `block_x` (None: no block)."""
-    splats = table() if block_x is None else joined(table(), block(block_x))
+    return seen(index, table() if block_x is None else joined(table(), block(block_x)), cameras, depth)
+
+
+def seen(index: int, splats: Splats, cameras: Sequence[Camera], depth: bool = False) -> FrameSet:
+    """Set `index` of a scene that is `splats` now."""
     stamp = 1_000_000_000 + index * TICK_NS
     views = []
     with torch.no_grad():
-        for one, seen in zip(cameras, render(splats, cameras), strict=True):
-            rgb = (seen.rgb.clamp(0, 1).numpy() * 255).round().astype(np.uint8)
-            solid = np.where(seen.alpha.numpy() > 0.5, seen.depth.numpy(), 0).astype(np.float32)
+        for one, image in zip(cameras, render(splats, cameras), strict=True):
+            rgb = (image.rgb.clamp(0, 1).numpy() * 255).round().astype(np.uint8)
+            solid = np.where(image.alpha.numpy() > 0.5, image.depth.numpy(), 0).astype(np.float32)
             views.append(View(one, stamp, rgb, solid if depth else None))
     return FrameSet(stamp, tuple(views), sequence=index)
 

@@ -128,7 +128,7 @@ def score_foresight(ticks: Iterable[Tick]) -> ForesightScore:
         while waiting and waiting[0].stamp + horizon <= tick.stamp:
             due = waiting.popleft()
         if due is not None and due.state is not None and tick.stamp - due.stamp < 1.5 * horizon:
-            for then, now in _pairs(due.frames, tick.frames):
+            for then, now in _pairs(due.state.frames, tick.frames if tick.state is None else tick.state.frames):
                 _score_pair(due.state.gaussians, due.stamp, then, now, forecast, present)
         if tick.state is not None:
             waiting.append(tick)

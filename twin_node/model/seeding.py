@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from twin_node.model.balance import balance
+from twin_node.model.exposure import levelled
 from twin_node.model.features import triangulate
 from twin_node.model.gaussians import Newborns
 from twin_node.model.parameters import SeedParameters
@@ -17,7 +19,7 @@ from twin_node.model.plane import Plane, dominant_plane, plane_through
 from twin_node.model.rays import back_project
 from twin_node.model.rotations import quat_between
 from twin_node.model.sweep import Surface, shell_around, sweep
-from twin_node.scene import Float32, Float64, Tier, View
+from twin_node.scene import Exposure, Float32, Float64, Tier, View
 
 PLANE_SAMPLES = 4000
 """Measured points that the dominant plane is fitted to."""
@@ -33,6 +35,8 @@ class Seeds:
     born: Newborns
     plane: Plane | None
     """The dominant plane, where the views agree on one."""
+    exposures: tuple[Exposure, ...]
+    """Of the views, beside what was made of them."""
 
 
 def seed(
@@ -48,6 +52,8 @@ def seed(
     """
     plane = find_plane(views)
     surfaces = find_surfaces(views, plane, parameters)
+    exposures = balance(views, surfaces)
+    views = [levelled(view, exposure) for view, exposure in zip(views, exposures, strict=True)]
     surfaces = [
         surface if arm is None or view.depth is not None else _measured(arm, surface)
         for view, surface, arm in zip(views, surfaces, arms, strict=True)
@@ -56,7 +62,7 @@ def seed(
     while True:
         born = _merged(_lift(views, surfaces, plane, stride))
         if len(born) <= capacity:
-            return Seeds(_as_newborns(born, plane, device), plane)
+            return Seeds(_as_newborns(born, plane, device), plane, exposures)
         stride += 1
 
 

@@ -9,6 +9,7 @@ import torch
 
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.decisions import Decision
+from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.field import HexPlane
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
@@ -62,6 +63,7 @@ class WindowModel:
         self._motion: Motion | None = None
         self._past: Past | None = None
         self._tracker: Tracker | None = None
+        self._exposures = Exposures()
         self._publisher = Publisher()
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
@@ -101,13 +103,14 @@ class WindowModel:
         """Brings the model up to date with a set; raises `ModelError` for one without views or older than the last."""
         self._check(frames)
         robots = self._robot_masks(frames)
+        is_first = self._tracker is None
+        levelled = self._begin(frames, robots) if is_first else self._exposures.level(frames, robots)
+        frames = levelled.frames
+        self.on_stage("level")
         moving = self._mask.update(frames, robots)
+        self._exposures.heed(frames, moving)
         self.on_stage("mask")
-        warnings: tuple[str, ...] = ()
-        if self._tracker is None:
-            self._begin(frames, robots)
-        else:
-            warnings = self._follow(frames, moving, robots)
+        warnings = () if is_first else self._follow(frames, moving, robots)
         assert self._motion is not None and self._past is not None
         self._past.remember(self._gaussians, self._nodes)
         state = TwinState(
@@ -117,7 +120,8 @@ class WindowModel:
             node_states_of(self._gaussians, self._nodes),
             moving,
             robots,
-            warnings,
+            warnings + levelled.warnings,
+            levelled.exposures,
         )
         self.on_stage("publish")
         return state
@@ -170,7 +174,8 @@ class WindowModel:
         q = self._arm.ordered_positions(frames.joints)
         return tuple(robot_mask(self._arm, q, view.camera, depth=view.depth) for view in frames.views)
 
-    def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> None:
+    def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> Levelled:
+        """The model of the first set; returns it in the light that the model has."""
         torch.manual_seed(self._seed)
         pixels = sum(view.camera.width * view.camera.height for view in frames.views)
         capacity = min(int(pixels * self.parameters.gaussians_per_pixel), self.parameters.most_gaussians)
@@ -178,7 +183,8 @@ class WindowModel:
         arms = self._arm_depths(frames, robots)
         seeds = seed(frames.views, arms, self.parameters.seed, int(SEED_SHARE * self._gaussians.capacity), self._device)
         self._gaussians.spawn(seeds.born, frames.stamp)
-        fit_all(self._gaussians, frames.views, self.parameters.seed.steps)
+        levelled = self._exposures.begin(frames, seeds.exposures)
+        fit_all(self._gaussians, levelled.frames.views, self.parameters.seed.steps)
         shell = shell_around([view.camera for view in frames.views], self.parameters.seed.shell_factor)
         backgrounds = Backgrounds(seeds.plane, shell)
         self._nodes.stamp = frames.stamp
@@ -192,6 +198,7 @@ class WindowModel:
         with torch.no_grad():
             self._frozen = motion.place(self._gaussians, rows, motion.poses([0.0]), [frames.stamp])
         self._bytes_per_frame = 4 * self.parameters_count
+        return levelled
 
     def _make_field(self, shell: Shell) -> HexPlane:
         """The field spans what the cameras stand around; beyond, it is clamped."""

@@ -90,6 +90,8 @@ class StatusNode(Node):
             latency_p99_ms=self._latency.percentile_ms(99),
             coverage=forecast.quality.coverage,
             coverage_target=forecast.quality.target,
+            cameras=tuple(view.camera.name for view in state.frames.views[: len(state.exposures)]),
+            exposures=tuple(exposure.brightness for exposure in state.exposures),
             warnings=(self._drift.warnings if self._drift else ()) + state.warnings + forecast.quality.warnings,
         )
         self.bus.publish(STATUS, convert.status_to_message(status))

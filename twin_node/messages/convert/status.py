@@ -39,6 +39,9 @@ class Status:
     """Share that the bound aims at, 0 to 1."""
     psnr_db: float = math.nan
     """Newest clouds against the images, all pixels, dB."""
+    cameras: tuple[str, ...] = ()
+    exposures: tuple[float, ...] = ()
+    """Per camera how bright it shows the scene beside the light that the model was begun in."""
     warnings: tuple[str, ...] = ()
     """What a reader must know before trusting the twin."""
 
@@ -60,6 +63,8 @@ def status_to_message(status: Status) -> Message:
         coverage=float(status.coverage),
         coverage_target=float(status.coverage_target),
         psnr_db=float(status.psnr_db),
+        cameras=list(status.cameras),
+        exposures=np.array(status.exposures, dtype=np.float64),
         warnings=list(status.warnings),
     )
 
@@ -79,6 +84,8 @@ def status_from_message(message: Message) -> Status:
         coverage=message.coverage,
         coverage_target=message.coverage_target,
         psnr_db=message.psnr_db,
+        cameras=tuple(message.cameras),
+        exposures=tuple(float(exposure) for exposure in message.exposures),
         warnings=tuple(message.warnings),
     )
 

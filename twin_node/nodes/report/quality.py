@@ -59,7 +59,7 @@ class Renderings:
     first: Image
     """The camera's first image."""
     ours: Image
-    """The newest cloud published by then, moved to the image's own stamp."""
+    """The newest cloud published by then, moved to the image's own stamp, exposed as its camera was."""
     frozen: Image
     previous: Image | None
     """The camera's image before this one."""
@@ -81,7 +81,8 @@ def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Imag
             image = unit(view)
             if name not in first:
                 first[name], still[name] = image, frozen(view.camera)
-            ours = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
+            seen = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
+            ours = state.exposure_of(name).of(seen)
             yield Renderings(tick.stamp, view, mask, image, first[name], ours, still[name], previous.get(name))
             previous[name] = image
 
