@@ -115,8 +115,9 @@ class Nodes:
         self.quats[rows] = quats
 
     def remember(self) -> None:
-        """Writes the present poses over the oldest of the window."""
-        self._slot = (self._slot + 1) % len(self.history_stamps)
+        """Writes the present poses over the oldest of the window, or over those of the same stamp."""
+        if self.history_stamps[self._slot] != self.stamp:
+            self._slot = (self._slot + 1) % len(self.history_stamps)
         self.history_stamps[self._slot] = self.stamp
         self._history_ids[self._slot] = self.ids
         self._history_positions[self._slot] = self.positions

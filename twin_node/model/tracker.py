@@ -60,9 +60,10 @@ class _Aligned:
 
 @dataclass(frozen=True)
 class _Due:
-    """A set that has been tracked, and how the arm stood."""
+    """A set that has been tracked, what the views saw of the model then, and how the arm stood."""
 
     observed: Sequence[Observed]
+    renderings: Sequence[Rendering]
     joints: JointSample | None
     robots: Sequence[Bool | None]
 
@@ -94,6 +95,7 @@ class Tracker:
         self._decisions: Sequence[Decision] = ()
         self._turn = 0
         self._pace = 1.0
+        self._born = 0
         self._due: _Due | None = None
         """A set that has been tracked and that the mapper has not seen yet."""
 
@@ -106,7 +108,8 @@ class Tracker:
         on_stage: OnStage = unwatched,
     ) -> Tracked:
         """Follows `frames`, taken `dt_s` after the set before."""
-        self.refine()
+        self.refine(on_stage=on_stage)
+        born, self._born = self._born, 0
         self._turn += 1
         backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
@@ -122,20 +125,22 @@ class Tracker:
         on_stage("judge")
         fitted = self._fit(observed, aligned.before)
         on_stage("fit")
-        born = self._bear(observed, fitted.renderings or aligned.renderings)
-        on_stage("bear")
         self._nodes.remember()
-        self._due = _Due(observed, frames.joints, robots)
+        self._due = _Due(observed, fitted.renderings or aligned.renderings, frames.joints, robots)
         return Tracked(born, self._pace if fitted.diverged else None, self._decisions)
 
-    def refine(self, proceed: Proceed = unhurried) -> bool:
-        """The mapper's share of the last set, where it has not been taken yet; whether all of it was.
+    def refine(self, proceed: Proceed = unhurried, on_stage: OnStage = unwatched) -> bool:
+        """What is left to do of the last set, where it has not been done yet; whether all of it was.
 
-        Brings the backgrounds up to date for the next set in any case.
+        What it shows anew is born, and the backgrounds are brought up to date, in any case. Births are guesses until
+        the next set has fitted them, so that the state that is published before them looks better without.
         """
         due, self._due = self._due, None
         if due is None:
             return True
+        self._born = self._bear(due.observed, due.renderings)
+        self._nodes.remember()
+        on_stage("bear")
         whole = True
         if self._parameters.map.steps:
             with closing(self._slices(due)) as slices:
@@ -150,8 +155,8 @@ class Tracker:
         yield from self._mapper.refine(due.observed, self._nodes.stamp)
 
     def leave(self) -> None:
-        """Lets the mapper's share of the last set be."""
-        self._due = None
+        """Does of the last set only what cannot be let be."""
+        self.refine(lambda: False)
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""

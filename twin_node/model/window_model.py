@@ -127,15 +127,16 @@ class WindowModel:
         return state
 
     def refine(self, proceed: Proceed = unhurried) -> bool:
-        """Refines what stands still on the last set; once per set, by the next `update` where nobody has called it.
+        """Lets be born what the last set shows, and refines what stands still; once per set, by the next `update`
+        where nobody has called it.
 
         A live node calls it when the state is published, so that it costs no latency, or `leave` where time is short.
-        It takes a few milliseconds; every one or two of them `proceed()` says whether it may go on, else the rest of
-        the set's share is left. Returns whether nothing was.
+        It takes a few milliseconds; every one or two of them `proceed()` says whether it may go on refining, else the
+        rest of the set's share is left. Returns whether nothing was.
         """
         if self._tracker is None:
             return True
-        whole = self._tracker.refine(proceed)
+        whole = self._tracker.refine(proceed, self.on_stage)
         self.on_stage("refine")
         return whole
 
