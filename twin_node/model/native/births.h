@@ -165,7 +165,8 @@ class ViewBirths {
     float *rgb = v_.colours + 3 * at;
     double ray[3], *point = v_.means + 3 * at;
     for (int k = 0; k < 3; k++) {
-      rgb[k] = (v_.rgb[3 * first + k] + v_.rgb[3 * first + 3 + k] + v_.rgb[3 * below + k] + v_.rgb[3 * last + k]) * 0.25f;
+      const float above = v_.rgb[3 * first + k] + v_.rgb[3 * first + 3 + k];
+      rgb[k] = (above + v_.rgb[3 * below + k] + v_.rgb[3 * last + k]) * 0.25f;
       ray[k] = (v_.rays[3 * first + k] + v_.rays[3 * last + k]) / 2;
     }
     const Depth depth = v_.measured != nullptr ? measured(first, far) : agreed(block, ray, far, rgb);

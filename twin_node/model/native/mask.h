@@ -53,14 +53,17 @@ class MaskUpdate {
         background_{request.background, pixels_},
         closing_(shifts_of(p_.kernel, p_.closing)),
         uncovered_(pixels_, 0),
-        difference_(pixels_) {}
+        difference_(pixels_),
+        plain_(3 * pixels_),
+        bin_(pixels_) {}
 
   void run() {
     unpack();
     gain_ = gain(background_, [&](int64_t at) { return r_.seen[at] && !r_.mask[at] && r_.known[at]; });
+    expose();
     meet();
     find_settled();
-    threshold_ = std::max(p_.change_levels, p_.change_sigmas * *r_.sigma);
+    threshold_ = static_cast<float>(std::max(p_.change_levels, p_.change_sigmas * *r_.sigma));
     compare();
     find_in_front();
     Mask mask = moving();
@@ -71,11 +74,25 @@ class MaskUpdate {
   }
 
  private:
-  float plain(int channel, int64_t at) const { return image_(channel, at) / gain_[channel]; }
+  // The image as it would be at the background's exposure.
+  float plain(int channel, int64_t at) const { return plain_[channel * pixels_ + at]; }
 
   void unpack() {
     for (int64_t at = 0; at < pixels_; at++) {
       for (int k = 0; k < 3; k++) r_.image[k * pixels_ + at] = r_.smooth[3 * at + k];
+    }
+  }
+
+  void expose() {
+    for (int k = 0; k < 3; k++) {
+      for (int64_t at = k * pixels_; at < (k + 1) * pixels_; at++) plain_[at] = r_.image[at] / gain_[k];
+    }
+    for (int64_t at = 0; at < pixels_; at++) {
+      int bin = 0;
+      for (int k = 0; k < 3; k++) {
+        bin = 16 * bin + static_cast<int>(std::min(std::max(plain(k, at), 0.f), 255.f) / 16.f);
+      }
+      bin_[at] = static_cast<uint16_t>(bin);
     }
   }
 
@@ -100,12 +117,12 @@ class MaskUpdate {
       if (r_.seen[at] && !r_.known[at]) fresh.push_back(at);
     }
     if (fresh.empty()) return;
-    const Padded around = dilated(r_.mask, r_.width, r_.height, closing_, p_.closing, 0);
+    const Mask around = dilated(r_.mask, r_.width, r_.height, closing_);
     for (const int64_t at : fresh) {
       r_.known[at] = 1;
       for (int k = 0; k < 3; k++) r_.background[k * pixels_ + at] = plain(k, at);
       if (r_.measured != nullptr && r_.depth != nullptr) r_.depth[at] = r_.measured[at];
-      if (!around.row(static_cast<int>(at / r_.width))[at % r_.width]) continue;
+      if (!around[at]) continue;
       r_.trusted[at] = 0;
       r_.mask[at] = 1;
     }
@@ -116,15 +133,20 @@ class MaskUpdate {
     const Planes reference{r_.reference, pixels_}, last{r_.last, pixels_};
     const auto free = [&](int64_t at) { return r_.seen[at] && !r_.mask[at]; };
     const Gains gains = gain(reference, free);
-    std::vector<float> sample;
+    const float quiet = static_cast<float>(kQuiet * p_.change_levels), settle_ns = static_cast<float>(p_.settle_ns);
     settled_.assign(pixels_, 0);
     for (int64_t at = 0; at < pixels_; at++) {
       const float change = difference(image_, reference, gains, at);
-      const bool is_sample = at / r_.width % kSampled == 0 && at % r_.width % kSampled == 0;
-      if (is_sample && free(at)) sample.push_back(change);
-      const bool quiet = difference(image_, last, {1.f, 1.f, 1.f}, at) < kQuiet * p_.change_levels;
-      r_.still_ns[at] = quiet ? r_.still_ns[at] + r_.elapsed_ns : 0.f;
-      settled_[at] = r_.still_ns[at] > p_.settle_ns && change < kQuiet * p_.change_levels;
+      const float still_ns = r_.still_ns[at] + r_.elapsed_ns;
+      r_.still_ns[at] = difference(image_, last, {1.f, 1.f, 1.f}, at) < quiet ? still_ns : 0.f;
+      settled_[at] = r_.still_ns[at] > settle_ns && change < quiet;
+    }
+    std::vector<float> sample;
+    for (int row = 0; row < r_.height; row += kSampled) {
+      for (int column = 0; column < r_.width; column += kSampled) {
+        const int64_t at = static_cast<int64_t>(row) * r_.width + column;
+        if (free(at)) sample.push_back(difference(image_, reference, gains, at));
+      }
     }
     if (sample.size() > kLeastSample) {
       *r_.sigma += kNoiseShare * (std::max(kLeastNoise, kSigmaOfMedian * middle(sample)) - *r_.sigma);
@@ -133,6 +155,9 @@ class MaskUpdate {
 
   // What differs from the background by more than a shadow or a glow.
   void compare() {
+    const float darkest = static_cast<float>(p_.shadow_darkest);
+    const float brightest = static_cast<float>(p_.reflection_brightest);
+    const float alike = static_cast<float>(kAlike * threshold_);
     for (int64_t at = 0; at < pixels_; at++) {
       float expected[3], both = 0.f, square = 0.f, residual = 0.f, apart = 0.f;
       for (int k = 0; k < 3; k++) {
@@ -143,8 +168,7 @@ class MaskUpdate {
       }
       const float ratio = both / std::max(square, 1.f);
       for (int k = 0; k < 3; k++) residual = std::max(residual, std::fabs(image_(k, at) - ratio * expected[k]));
-      const bool lit =
-          ratio > p_.shadow_darkest && ratio < p_.reflection_brightest && residual < kAlike * threshold_;
+      const bool lit = (ratio > darkest) & (ratio < brightest) & (residual < alike);
       difference_[at] = lit ? 0.f : apart;
     }
   }
@@ -160,23 +184,20 @@ class MaskUpdate {
       near[at] = r_.seen[at] && measured > 0 && depth > 0 &&
                  measured < depth * static_cast<float>(1 - p_.depth_levels) - static_cast<float>(kNearM);
     }
-    const Padded opened = dilated(eroded(near, r_.width, r_.height, cross).data(), r_.width, r_.height, cross, 1, 0);
-    for (int row = 0; row < r_.height; row++) {
-      std::copy_n(opened.row(row), r_.width, in_front_.data() + static_cast<int64_t>(row) * r_.width);
-    }
+    in_front_ = dilated(eroded(near, r_.width, r_.height, cross).data(), r_.width, r_.height, cross);
   }
 
   Mask moving() const {
     std::vector<float> evidence(pixels_);
     for (int64_t at = 0; at < pixels_; at++) evidence[at] = r_.trusted[at] && r_.seen[at] ? difference_[at] : 0.f;
-    const Mask strong = strong_regions(evidence, r_.width, r_.height, 0.5 * threshold_, threshold_,
+    const Mask strong = strong_regions(evidence, r_.width, r_.height, 0.5f * threshold_, threshold_,
                                        p_.smallest_area * static_cast<double>(pixels_));
-    Mask out = closed(strong.data(), r_.width, r_.height, closing_, p_.closing);
+    Mask out = closed(strong, r_.width, r_.height, closing_);
     for (int64_t at = 0; at < pixels_; at++) out[at] |= in_front_[at];
     return out;
   }
 
-  bool like_ground(int64_t at) const { return difference_[at] < 0.5 * threshold_; }
+  bool like_ground(int64_t at) const { return difference_[at] < 0.5f * threshold_; }
 
   // What moved stays, until it looks like ground, and so does ground that it encloses and that was never seen.
   void hold(Mask &mask) const {
@@ -186,14 +207,13 @@ class MaskUpdate {
     for (int64_t at = 0; at < pixels_; at++) ground[at] = r_.trusted[at] && like_ground(at);
     ground = eroded(ground, r_.width, r_.height, square);
     for (int64_t at = 0; at < pixels_; at++) mask[at] |= r_.mask[at] && !ground[at];
-    const Mask outline = closed(mask.data(), r_.width, r_.height, closing_, p_.closing);
+    const Mask outline = closed(mask, r_.width, r_.height, closing_);
     const Mask whole = filled(outline, r_.width, r_.height);
     Mask hole(pixels_);
     for (int64_t at = 0; at < pixels_; at++) hole[at] = whole[at] && !outline[at];
-    const Padded inside = dilated(hole.data(), r_.width, r_.height, closing_, p_.closing, 0);
+    const Mask inside = dilated(hole.data(), r_.width, r_.height, closing_);
     for (int64_t at = 0; at < pixels_; at++) {
-      const bool enclosed = inside.row(static_cast<int>(at / r_.width))[at % r_.width] && whole[at];
-      mask[at] = (mask[at] || (enclosed && !r_.confirmed[at])) && r_.seen[at];
+      mask[at] = (mask[at] | (inside[at] & whole[at] & !r_.confirmed[at])) & r_.seen[at];
     }
   }
 
@@ -202,14 +222,6 @@ class MaskUpdate {
     for (int64_t at = 0; at < pixels_; at++) {
       if (mask[at] && !r_.mask[at] && like_ground(at) && !in_front_[at]) r_.trusted[at] = 0;
     }
-  }
-
-  int bin(int64_t at) const {
-    int bin = 0;
-    for (int k = 0; k < 3; k++) {
-      bin = 16 * bin + static_cast<int>(std::min(std::max(plain(k, at), 0.f), 255.f) / 16.f);
-    }
-    return bin;
   }
 
   // How often each colour is what counts, spread over the bins around it.
@@ -228,16 +240,20 @@ class MaskUpdate {
     return from;
   }
 
-  // Counts the colours of free ground and of moving things; returns how likely each is ground, 0 while that is unknown.
-  std::vector<float> colours(const Mask &mask) const {
+  // Counts the colours of free ground and of moving things.
+  void count_colours(const Mask &mask) const {
     for (int i = 0; i < kBins; i++) {
       r_.ground[i] *= kFading;
       r_.moving[i] *= kFading;
     }
     for (int64_t at = 0; at < pixels_; at++) {
-      if (r_.seen[at] && !mask[at]) r_.ground[bin(at)] += 1;
-      if (r_.confirmed[at] && r_.trusted[at] && difference_[at] > threshold_) r_.moving[bin(at)] += 1;
+      if (r_.seen[at] && !mask[at]) r_.ground[bin_[at]] += 1;
+      if (r_.confirmed[at] && r_.trusted[at] && difference_[at] > threshold_) r_.moving[bin_[at]] += 1;
     }
+  }
+
+  // How likely each colour is ground; 0 until moving things have been seen.
+  std::vector<float> ground_shares() const {
     std::vector<float> share(kBins, 0.f);
     double sum = 0;
     for (int i = 0; i < kBins; i++) sum += r_.moving[i];
@@ -279,17 +295,19 @@ class MaskUpdate {
 
   // Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
   void uncover(const Mask &mask) {
-    const std::vector<float> share = colours(mask);
+    count_colours(mask);
     std::vector<int64_t> open, found;
     Mask known(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
       known[at] = r_.seen[at] && !mask[at];
       if (settled_[at] && mask[at] && !in_front_[at]) open.push_back(at);
     }
-    for (int ring = 0; ring < p_.rings && !open.empty(); ring++) {
+    if (open.empty()) return;
+    const std::vector<float> share = ground_shares();
+    for (int ring = 0; ring < p_.rings; ring++) {
       found.clear();
       std::vector<int64_t> left;
-      for (const int64_t at : open) (continues(at, known, share[bin(at)]) ? found : left).push_back(at);
+      for (const int64_t at : open) (continues(at, known, share[bin_[at]]) ? found : left).push_back(at);
       for (const int64_t at : found) {
         known[at] = 1;
         uncovered_[at] = difference_[at] > threshold_ || !r_.trusted[at];
@@ -300,20 +318,22 @@ class MaskUpdate {
 
   // Takes what has been found into what is remembered.
   void learn(const Mask &mask) {
-    const float rate = static_cast<float>(p_.learning_rate);
+    std::vector<float> rates(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
-      r_.confirmed[at] |= (r_.mask[at] && !mask[at]) || uncovered_[at];
+      r_.confirmed[at] |= (r_.mask[at] & !mask[at]) | uncovered_[at];
       r_.trusted[at] |= uncovered_[at];
-      r_.mask[at] = mask[at] && !uncovered_[at];
-      const bool free = r_.seen[at] && !r_.mask[at];
-      for (int k = 0; k < 3 && free; k++) {
-        float &value = r_.background[k * pixels_ + at];
-        value = uncovered_[at] ? plain(k, at) : value + rate * (plain(k, at) - value);
-      }
-      if (r_.measured == nullptr || r_.depth == nullptr) continue;
+      r_.mask[at] = mask[at] & !uncovered_[at];
+      const float learnt = uncovered_[at] ? 1.f : static_cast<float>(p_.learning_rate);
+      rates[at] = r_.seen[at] & !r_.mask[at] ? learnt : 0.f;
+    }
+    for (int k = 0; k < 3; k++) {
+      float *background = r_.background + k * pixels_;
+      for (int64_t at = 0; at < pixels_; at++) background[at] += rates[at] * (plain(k, at) - background[at]);
+    }
+    for (int64_t at = 0; at < pixels_ && r_.measured != nullptr && r_.depth != nullptr; at++) {
       const float measured = r_.measured[at];
       const bool deeper = measured > r_.depth[at] || r_.depth[at] == 0.f;
-      if ((free && measured > 0) || deeper) r_.depth[at] = measured;
+      if ((rates[at] > 0 && measured > 0) || deeper) r_.depth[at] = measured;
     }
   }
 
@@ -323,9 +343,10 @@ class MaskUpdate {
   const Planes image_, background_;
   const std::vector<Shift> closing_;
   Gains gain_{};
-  double threshold_ = 0;
+  float threshold_ = 0;
   Mask settled_, in_front_, uncovered_;
-  std::vector<float> difference_;
+  std::vector<float> difference_, plain_;
+  std::vector<uint16_t> bin_;  // of each pixel's colour
 };
 
 }  // namespace model

@@ -1,7 +1,9 @@
 // Regions of binary images: joined pixels, closed gaps, filled holes.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 namespace model {
@@ -22,124 +24,163 @@ inline std::vector<Shift> shifts_of(const uint8_t *kernel, int radius) {
   return shifts;
 }
 
-// A binary image with a margin of zeros, so that shifts of up to `margin` need no look at the edges.
-struct Padded {
-  int width, height, margin, stride;
-  Mask pixels;
-  Padded(int width, int height, int margin)
-      : width(width),
-        height(height),
-        margin(margin),
-        stride(width + 2 * margin),
-        pixels(static_cast<size_t>(stride) * (height + 2 * margin), 0) {}
-  uint8_t *row(int row) { return pixels.data() + static_cast<int64_t>(row + margin) * stride + margin; }
-  const uint8_t *row(int row) const { return pixels.data() + static_cast<int64_t>(row + margin) * stride + margin; }
+// A binary image, a bit per pixel, with a margin of zeros on all sides: shifting it needs no look at its edges.
+class Bits {
+ public:
+  static constexpr int kWord = 64, kMargin = 64;  // pixels
+
+  Bits(int width, int height)
+      : width_(width),
+        height_(height),
+        words_((width + 2 * kMargin + kWord - 1) / kWord),
+        bits_(static_cast<size_t>(words_) * (height + 2 * kMargin), 0) {}
+
+  // Of a mask [H, W] of zeros and ones.
+  Bits(const uint8_t *mask, int width, int height) : Bits(width, height) {
+    for (int y = 0; y < height; y++) {
+      uint64_t *to = row(y) + kMargin / kWord;
+      for (int x = 0; x < width; x++) to[x / kWord] |= uint64_t{mask[y * width + x]} << x % kWord;
+    }
+  }
+
+  Mask unpacked() const {
+    Mask out(static_cast<size_t>(width_) * height_);
+    for (int y = 0; y < height_; y++) {
+      const uint64_t *from = row(y) + kMargin / kWord;
+      for (int x = 0; x < width_; x++) out[y * width_ + x] = from[x / kWord] >> x % kWord & 1;
+    }
+    return out;
+  }
+
+  // With the pixels at `shifts`, of less than half the margin, from those that are set.
+  Bits dilated(const std::vector<Shift> &shifts) const {
+    Bits out(width_, height_);
+    for (const Shift &shift : shifts) {
+      for (int y = -kMargin / 2; y < height_ + kMargin / 2; y++) out.add(y + shift.row, row(y), shift.column);
+    }
+    return out;
+  }
+
+  // All pixels, those of the margin too, the other way round.
+  Bits inverted() const {
+    Bits out(*this);
+    for (uint64_t &word : out.bits_) word = ~word;
+    return out;
+  }
+
+ private:
+  uint64_t *row(int y) { return bits_.data() + static_cast<int64_t>(y + kMargin) * words_; }
+  const uint64_t *row(int y) const { return bits_.data() + static_cast<int64_t>(y + kMargin) * words_; }
+
+  // Sets in row `y` what is set in `from`, `by` columns on.
+  void add(int y, const uint64_t *from, int by) {
+    uint64_t *to = row(y);
+    if (by == 0) {
+      for (int i = 0; i < words_; i++) to[i] |= from[i];
+    } else if (by > 0) {
+      for (int i = 0; i < words_; i++) to[i] |= from[i] << by | (i > 0 ? from[i - 1] >> (kWord - by) : 0);
+    } else {
+      for (int i = 0; i < words_; i++) {
+        to[i] |= from[i] >> -by | (i + 1 < words_ ? from[i + 1] << (kWord + by) : 0);
+      }
+    }
+  }
+
+  int width_, height_, words_;
+  std::vector<uint64_t> bits_;
 };
 
-// `mask` [H, W] dilated by symmetric `shifts` of up to `radius`; the result reaches `margin` beyond the image.
-inline Padded dilated(const uint8_t *mask, int width, int height, const std::vector<Shift> &shifts, int radius,
-                      int margin) {
-  Padded out(width, height, margin + radius);
-  for (int row = 0; row < height; row++) {
-    for (int column = 0; column < width; column++) {
-      if (!mask[row * width + column]) continue;
-      for (const Shift &shift : shifts) out.row(row + shift.row)[column + shift.column] = 1;
-    }
-  }
-  return out;
+// `mask` [H, W] dilated by `shifts`.
+inline Mask dilated(const uint8_t *mask, int width, int height, const std::vector<Shift> &shifts) {
+  return Bits(mask, width, height).dilated(shifts).unpacked();
 }
 
-// `mask` [H, W] with gaps closed that are narrower than the kernel; it may be wider than the image.
-inline Mask closed(const uint8_t *mask, int width, int height, const std::vector<Shift> &shifts, int radius) {
-  const Padded wide = dilated(mask, width, height, shifts, radius, 0);
-  Mask out(static_cast<size_t>(width) * height);
-  for (int row = 0; row < height; row++) {
-    for (int column = 0; column < width; column++) {
-      uint8_t all = 1;
-      for (size_t i = 0; i < shifts.size() && all; i++) all = wide.row(row + shifts[i].row)[column + shifts[i].column];
-      out[row * width + column] = all;
-    }
-  }
-  return out;
+// `mask` [H, W] with gaps closed that are narrower than the kernel, of which `shifts` are symmetric.
+inline Mask closed(const Mask &mask, int width, int height, const std::vector<Shift> &shifts) {
+  return Bits(mask.data(), width, height).dilated(shifts).inverted().dilated(shifts).inverted().unpacked();
 }
 
-// Pixels of `mask` [H, W] whose neighbours (`shifts`) inside the image are all in it as well.
-inline Mask eroded(const Mask &mask, int width, int height, const std::vector<Shift> &shifts) {
-  Mask out(mask.size());
-  for (int row = 0; row < height; row++) {
-    for (int column = 0; column < width; column++) {
-      uint8_t all = 1;
-      for (size_t i = 0; i < shifts.size() && all; i++) {
-        const int y = row + shifts[i].row, x = column + shifts[i].column;
-        if (y >= 0 && y < height && x >= 0 && x < width) all = mask[y * width + x];
+// Pixels of `mask` [H, W] whose neighbours (symmetric `shifts`) inside the image are all in it as well.
+inline Mask eroded(Mask mask, int width, int height, const std::vector<Shift> &shifts) {
+  for (uint8_t &pixel : mask) pixel ^= 1;
+  mask = dilated(mask.data(), width, height, shifts);
+  for (uint8_t &pixel : mask) pixel ^= 1;
+  return mask;
+}
+
+// A stretch of pixels of one row that `Runs` hold.
+struct Run {
+  int row, begin, end, parent;
+};
+
+// The pixels of an image that are in(pixel), as stretches of rows that know which region they belong to.
+class Runs {
+ public:
+  // `reach`: 0 joins pixels at their edges, 1 at their corners as well.
+  template <class In>
+  Runs(int width, int height, int reach, const In &in) {
+    size_t above = 0;
+    for (int row = 0; row < height; row++) {
+      const size_t first = runs.size();
+      for (int x = 0; x < width; x++) {
+        if (!in(row * width + x)) continue;
+        const int begin = x;
+        while (x < width && in(row * width + x)) x++;
+        runs.push_back({row, begin, x, static_cast<int>(runs.size())});
       }
-      out[row * width + column] = all;
-    }
-  }
-  return out;
-}
-
-// Calls visit(pixel) for `start` and all that is joined to it through pixels that accept(pixel) takes, each once; accept
-// must refuse what has been visited.
-template <bool diagonal, class Accept, class Visit>
-inline void flood(int start, int width, int height, std::vector<int> &stack, const Accept &accept,
-                  const Visit &visit) {
-  stack.assign(1, start);
-  visit(start);
-  while (!stack.empty()) {
-    const int at = stack.back(), row = at / width, column = at % width;
-    stack.pop_back();
-    for (int y = row - 1; y <= row + 1; y++) {
-      for (int x = column - 1; x <= column + 1; x++) {
-        if (y < 0 || y >= height || x < 0 || x >= width) continue;
-        if (!diagonal && y != row && x != column) continue;
-        const int next = y * width + x;
-        if (!accept(next)) continue;
-        visit(next);
-        stack.push_back(next);
+      size_t other = above;
+      for (size_t i = first; i < runs.size(); i++) {
+        while (other < first && runs[other].end + reach <= runs[i].begin) other++;
+        for (size_t j = other; j < first && runs[j].begin < runs[i].end + reach; j++) {
+          join(static_cast<int>(i), static_cast<int>(j));
+        }
       }
+      above = first;
     }
+    for (size_t i = 0; i < runs.size(); i++) runs[i].parent = root(static_cast<int>(i));
   }
-}
+
+  std::vector<Run> runs;  // `parent` is the first of the region
+
+ private:
+  int root(int i) const {
+    while (runs[i].parent != i) i = runs[i].parent;
+    return i;
+  }
+  void join(int a, int b) {
+    a = root(a);
+    b = root(b);
+    runs[std::max(a, b)].parent = std::min(a, b);
+  }
+};
 
 // `mask` [H, W] with its holes filled: pixels that are not joined, edge to edge, to the image's border from outside.
 inline Mask filled(const Mask &mask, int width, int height) {
-  Mask out(mask.size(), 1);
-  std::vector<int> stack;
-  const auto open = [&](int at) { return out[at] && !mask[at]; };
-  const auto empty = [&](int at) { out[at] = 0; };
-  const auto from = [&](int at) {
-    if (open(at)) flood<false>(at, width, height, stack, open, empty);
-  };
-  for (int column = 0; column < width; column++) {
-    from(column);
-    from((height - 1) * width + column);
+  const Runs empty(width, height, 0, [&](int at) { return !mask[at]; });
+  Mask open(empty.runs.size(), 0), out(mask.size(), 1);
+  for (const Run &run : empty.runs) {
+    if (run.row == 0 || run.row == height - 1 || run.begin == 0 || run.end == width) open[run.parent] = 1;
   }
-  for (int row = 0; row < height; row++) {
-    from(row * width);
-    from(row * width + width - 1);
+  for (const Run &run : empty.runs) {
+    if (open[run.parent]) std::memset(&out[run.row * width + run.begin], 0, run.end - run.begin);
   }
   return out;
 }
 
 // Regions of pixels over `weak`, joined by edges or corners, that reach `strong` somewhere and have `least` pixels.
-inline Mask strong_regions(const std::vector<float> &evidence, int width, int height, double weak, double strong,
+inline Mask strong_regions(const std::vector<float> &evidence, int width, int height, float weak, float strong,
                            double least) {
-  Mask out(evidence.size(), 0), visited(evidence.size(), 0);
-  std::vector<int> stack, region;
-  for (int start = 0; start < width * height; start++) {
-    if (visited[start] || !(evidence[start] > weak)) continue;
-    bool reached = false;
-    region.clear();
-    flood<true>(
-        start, width, height, stack, [&](int at) { return !visited[at] && evidence[at] > weak; },
-        [&](int at) {
-          visited[at] = 1;
-          region.push_back(at);
-          reached = reached || evidence[at] > strong;
-        });
-    if (!reached || static_cast<double>(region.size()) < least) continue;
-    for (const int at : region) out[at] = 1;
+  const Runs found(width, height, 1, [&](int at) { return evidence[at] > weak; });
+  Mask reached(found.runs.size(), 0), out(evidence.size(), 0);
+  std::vector<int> sizes(found.runs.size(), 0);
+  for (const Run &run : found.runs) {
+    const float *pixels = evidence.data() + run.row * width;
+    sizes[run.parent] += run.end - run.begin;
+    for (int x = run.begin; x < run.end; x++) reached[run.parent] |= pixels[x] > strong;
+  }
+  for (const Run &run : found.runs) {
+    if (!reached[run.parent] || sizes[run.parent] < least) continue;
+    std::memset(&out[run.row * width + run.begin], 1, run.end - run.begin);
   }
   return out;
 }
