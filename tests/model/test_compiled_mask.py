@@ -79,3 +79,12 @@ def test_several_cameras_at_once_are_those_one_by_one() -> None:
         at_once = update_compiled(together, views, [None] * 3)
         one_by_one = [update_compiled([c], [v], [None])[0] for c, v in zip(alone, views, strict=True)]
         assert all(np.array_equal(a, b) for a, b in zip(at_once, one_by_one, strict=True))
+
+
+def test_images_too_large_for_the_kernels_are_left_to_numpy() -> None:
+    small, large = (np.zeros((height, 40, 3), np.uint8) for height in (90, 1200))
+    camera = Camera("cam", 2000, 1200, np.eye(3), np.eye(4))
+    wide = np.zeros((1200, 1300, 3), np.uint8)
+    rules = MovingMaskParameters()
+    assert can_compile([CameraMask(View(camera, 0, rgb), rules) for rgb in (small, large)])
+    assert not can_compile([CameraMask(View(camera, 0, rgb), rules) for rgb in (small, wide)])

@@ -74,7 +74,7 @@ class Backgrounds:
         self._shell = shell
         self._known: dict[str, Background] = {}
         self._age = 0
-        self._changed = self._outdated = self._kept_up = False
+        self._changed = self._outdated = False
         self._waiting: list[str] = []
         self._wanted: Sequence[Camera] = ()
         self.rows = torch.zeros(0, dtype=torch.int64)
@@ -93,16 +93,14 @@ class Backgrounds:
 
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera; called once per set."""
-        if not all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras):
+        known = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
+        if self._outdated or not known:
             self._renew(gaussians, cameras)
-        elif not self._kept_up:
-            self.keep_up(gaussians)
-        self._kept_up, self._wanted = False, cameras
+        self._wanted = cameras
         return [self._known[camera.name] for camera in cameras]
 
     def keep_up(self, gaussians: Gaussians) -> None:
-        """Brings the backgrounds up to date for the next set: after a set it costs that one no latency."""
-        self._kept_up = True
+        """Brings the backgrounds up to date for the next set, where there is time for it; they change slowly."""
         self._age += 1
         if self._outdated:
             self._renew(gaussians, self._wanted)

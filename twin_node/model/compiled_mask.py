@@ -13,10 +13,14 @@ from twin_node.model.camera_mask import CameraMask, MovingMaskParameters, seen_b
 from twin_node.model.kernels import MaskRequest, MaskRules, kernels
 from twin_node.scene import Bool, Float32, View
 
+LARGEST_CLOSING = 31
+"""Radius in pixels of the widest gaps that the kernels close, those of an image 1050 pixels high."""
 
-def can_compile() -> bool:
-    """Whether the compiled kernels are at hand."""
-    return kernels() is not None
+
+def can_compile(cameras: Sequence[CameraMask] = ()) -> bool:
+    """Whether the compiled kernels are at hand, and made for images as large as those of `cameras`."""
+    small = all(camera.closing.shape[0] // 2 <= LARGEST_CLOSING for camera in cameras)
+    return small and kernels() is not None
 
 
 def update_compiled(cameras: Sequence[CameraMask], views: Sequence[View], robots: Sequence[Bool | None]) -> list[Bool]:

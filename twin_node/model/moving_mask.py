@@ -26,7 +26,7 @@ class MovingMask:
         `robot_masks`: per view [H, W] True on the arm and its margin, or None where the arm's joints are unknown.
         """
         cameras = [self._camera_of(view) for view in frames.views]
-        if can_compile():
+        if can_compile(cameras):
             return tuple(update_compiled(cameras, frames.views, robot_masks))
         pairs = zip(cameras, frames.views, robot_masks, strict=True)
         return tuple(camera.update(view, robot) for camera, view, robot in pairs)

@@ -132,8 +132,8 @@ class Tracker:
     def refine(self, proceed: Proceed = unhurried, on_stage: OnStage = unwatched) -> bool:
         """What is left to do of the last set, where it has not been done yet; whether all of it was.
 
-        What it shows anew is born, and the backgrounds are brought up to date, in any case. Births are guesses until
-        the next set has fitted them, so that the state that is published before them looks better without.
+        What it shows anew is born in any case. Births are guesses until the next set has fitted them, so that the
+        state that is published before them looks better without.
         """
         due, self._due = self._due, None
         if due is None:
@@ -145,7 +145,8 @@ class Tracker:
         if self._parameters.map.steps:
             with closing(self._slices(due)) as slices:
                 whole = all(proceed() for _ in slices)
-        self._backgrounds.keep_up(self._gaussians)
+        if whole:
+            self._backgrounds.keep_up(self._gaussians)
         return whole
 
     def _slices(self, due: _Due) -> Generator[None]:
