@@ -75,15 +75,15 @@ def test_what_stands_closes_the_way() -> None:
     assert not found.reachable[inside].any() and found.maybe_full[inside].all()
 
 
-def test_what_goes_into_a_shadow_may_come_out_until_it_lies_still() -> None:
+def test_what_went_into_a_shadow_and_hangs_on_nothing_stays_there() -> None:
     watch = Watch()
     watch.see(NOTHING)
     ball = mask((slice(10, 13), slice(17, 20), slice(11, 14)))
     assert not watch.see(mask(SHADOW)).maybe_full.any()
     assert watch.see(mask(SHADOW), moving=ball).reachable[mask(SHADOW)].all()
-    for _ in range(20):
-        assert watch.see(mask(SHADOW)).reachable.any()
-    for _ in range(20):
+    for _ in range(8):
+        assert watch.see(mask(SHADOW)).reachable.any()  # whose arm it is may have been missed
+    for _ in range(4):
         found = watch.see(mask(SHADOW))
     assert not found.reachable.any()
     assert np.array_equal(found.maybe_full, mask(SHADOW))

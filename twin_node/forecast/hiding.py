@@ -19,8 +19,9 @@ Words = NDArray[np.uint64]
 
 HAND_M = 0.04
 """Thinnest thing that is looked for, m: a hand, as detection capability is told in ISO 13855."""
-COMES_TO_REST_S = 1.0
-"""What went out of sight and is attached to nothing lies still after this long, s: a ball rolls out of it sooner."""
+ATTACHED_S = 0.3
+"""What was attached to something that moves counts as attached for so long, s: three sets at 10 Hz in which the limb
+that it hangs on is not seen to move. What is still in there afterwards hangs on nobody."""
 LONGEST_GAP_S = 0.5
 """After a longer time without evidence nothing is known of space that is not seen, s."""
 _NEVER = np.float32(1e9)
@@ -47,9 +48,9 @@ class HidingPlaces:
 
     People are in one piece and larger than any shadow: an unseen hand hangs on an arm that is unseen as far as the
     grid's side, or until where it is seen to move. Unknown space is therefore reachable where a hand's width of unknown
-    or moving space leads to either. What is loose, such as a ball, gets in only where something was seen to move, and
-    rests soon after. All else keeps what it had when it was last seen. Nothing comes through the grid's bottom, which
-    is a table or a floor.
+    or moving space leads to either. What is loose, such as a ball, gets in only where something was seen to move. It
+    may lie there from then on; where it rolls out again, it is seen to move. All else keeps what it had when it was
+    last seen. Nothing comes through the grid's bottom, which is a table or a floor.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -106,7 +107,7 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bool:
     masks = [np.ascontiguousarray(mask) for mask in (seen.unknown, seen.moving, seen.standing)]
     addresses = [array.ctypes.data for array in (*masks, memory.ages_s, memory.maybe_full, reachable)]
     steps = (_hand(grid), _reach(grid, seen.elapsed_s))
-    compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, COMES_TO_REST_S, _NEVER, *addresses))
+    compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses))
     return reachable
 
 
@@ -115,7 +116,7 @@ def follow_plainly(grid: Grid, memory: Memory, seen: Seen) -> Bool:
     moving = _packed(grid, seen.moving)
     ways = _ways(grid, _packed(grid, seen.unknown), moving, _packed(grid, seen.standing))
     memory.ages_s[:] = _spread(grid, memory.ages_s + np.float32(seen.elapsed_s), seen.elapsed_s, ways, moving)
-    reached = _least_around(memory.ages_s, 1) <= COMES_TO_REST_S
+    reached = _least_around(memory.ages_s, 1) <= ATTACHED_S
     nx, ny, nz = grid.dims
     reachable: Bool = seen.unknown & reached.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:nx, :ny, :nz].reshape(-1)
     memory.maybe_full[:] = memory.maybe_full & seen.unknown | reachable
@@ -151,7 +152,7 @@ def _spread(grid: Grid, ages: Float32, elapsed_s: float, ways: Bool, moving: Wor
     labels, count = ndimage.label(ways, np.ones((3, 3, 3), np.bool_))
     newest = np.full(count + 1, _NEVER)
     np.minimum.at(newest, labels[ways], ages[ways])
-    newest[newest > COMES_TO_REST_S] = _NEVER
+    newest[newest > ATTACHED_S] = _NEVER
     return np.where(ways, newest[labels], _NEVER)
 
 
