@@ -161,7 +161,7 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     before = block(0.1)
     moving = Splats(before.means.expand(3, -1, -1), before.quats.expand(3, -1, -1), *list(vars(before).values())[2:])
     renderings = look_at(joined(table(), before))
-    flows = FlowSolver().flows(renderings, observed)
+    flows = FlowSolver().begin(renderings, observed).found()
     origins = torch.tensor([0.1, 0.0, 0.05], dtype=torch.float64).expand(3, 1, 3)
     own = torch.arange(before.means.shape[1])
     left = before.means[0, :, 0].numpy() < 0.1

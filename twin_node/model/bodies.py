@@ -17,7 +17,7 @@ from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, limited
 from twin_node.model.normal_equations import NormalEquations
 from twin_node.model.regrouping import regroup
 from twin_node.model.statements import PARAMETERS, Said
-from twin_node.scene import Tier
+from twin_node.scene import Float64, Tier
 
 SHORTEST_S = 1e-3
 """Sets nearer in time than this tell no velocity, s."""
@@ -43,13 +43,20 @@ class Bodies:
         learned = self._nodes.alive & (self._nodes.tiers != int(Tier.ROBOT))
         return {row: grounds for row, grounds in self._kinship.resting.items() if bool(learned[row])}
 
-    def hear(self, rows: Tensor, cells: Cells, said: NormalEquations, dt_s: float) -> None:
-        """Takes note of what the flow under the cells of Gaussians `rows` [m] says, before it has moved the nodes.
+    def moved(self, rows: Tensor, cells: Cells) -> Float64:
+        """[c, 6] m and rad that each cell of Gaussians `rows` [m] has moved since the set before, as is foretold.
 
-        `dt_s`: time since the set before.
+        Called once per set, before its nodes are corrected.
         """
         moved = self._nodes.moved.numpy()[cells.nodes]
         moved[:, :3] += self._drift.of(self._gaussians, rows, cells, self._nodes)
+        return moved
+
+    def hear(self, cells: Cells, moved: Float64, said: NormalEquations, dt_s: float) -> None:
+        """Takes note of what the flow under the cells, which have `moved`, says before it has moved the nodes.
+
+        `dt_s`: time since the set before.
+        """
         part, sums = slice(PARAMETERS), said.sums
         origins = self._nodes.positions.numpy()[cells.nodes]
         one = Said(sums.H[:, part, part], sums.g[:, part], sums.squares, said.count, origins, moved)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -27,19 +28,32 @@ class FlowSolver:
         self._engines = [_engine() for _ in range(THREADS)]
         self._pool = ThreadPoolExecutor(THREADS, "flow")
 
-    def flows(self, renderings: Sequence[Rendering], observed: Sequence[Observed]) -> list[Float32]:
-        """Per view [H, W, 2] pixels from where the rendering shows a thing to where the image does.
-
-        0 far from what moves.
-        """
+    def begin(self, renderings: Sequence[Rendering], observed: Sequence[Observed]) -> Seeking:
+        """Begins to seek the flow of every view, in threads of its own."""
         flows: list[Float32] = [np.zeros((0, 0, 2), np.float32)] * len(observed)
 
         def work(first: int) -> None:
             for index in range(first, len(observed), THREADS):
                 flows[index] = _flow(self._engines[first], renderings[index], observed[index])
 
-        list(self._pool.map(work, range(min(THREADS, len(observed)))))
-        return flows
+        return Seeking(flows, [self._pool.submit(work, first) for first in range(min(THREADS, len(observed)))])
+
+
+@dataclass(frozen=True)
+class Seeking:
+    """Flow that is being sought."""
+
+    _flows: list[Float32]
+    _work: Sequence[Future[None]]
+
+    def found(self) -> list[Float32]:
+        """Per view [H, W, 2] pixels from where the rendering shows a thing to where the image does, once it is known.
+
+        0 far from what moves.
+        """
+        for one in self._work:
+            one.result()
+        return self._flows
 
 
 def _engine() -> cv2.DISOpticalFlow:

@@ -163,25 +163,26 @@ class Tracker:
         """Node poses from the flow between the predicted rendering and the images."""
         self._decisions = ()
         poses = self._poses(observed)
-        splats = self._place(self._gaussians.moving_rows, observed, poses)
+        rows = self._gaussians.moving_rows
+        splats = self._place(rows, observed, poses)
         before = self._before(observed, splats)
         around = torch.cat([before, self._gaussians.robot_rows])
         renderings = self._look(observed, splats, self._place(around, observed, poses))
-        rows = self._gaussians.moving_rows
         carried = torch.nonzero(self._gaussians.nodes[rows] >= 0)[:, 0]
         for step in range(self._parameters.track.alignments if len(carried) else 0):
             if step:
                 poses = self._poses(observed)
-                splats = self._place(self._gaussians.moving_rows, observed, poses)
+                splats = self._place(rows, observed, poses)
                 renderings = self._look(observed, splats, self._place(around, observed, poses))
-            flows = self._flow.flows(renderings, observed)
+            seeking = self._flow.begin(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
             if step == 0:
                 cells = cells_of(self._gaussians, rows[carried], splats.means[0, carried], self._nodes)
-            own = carried.cpu()
+                moved = self._bodies.moved(rows[carried], cells)
+            own, flows = carried.cpu(), seeking.found()
             twists = solve_twists(observed, renderings, flows, splats, own, cells, poses.positions, dt_s, sigma_px)
             if step == 0:
-                self._bodies.hear(rows[carried], cells, twists.said, dt_s)
+                self._bodies.hear(cells, moved, twists.said, dt_s)
                 self._weigh(twists.fits)
             self._steer(twists, dt_s)
             if step == 0:
