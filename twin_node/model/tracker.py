@@ -141,16 +141,21 @@ class Tracker:
         self._born = self._bear(due.observed, due.renderings)
         self._nodes.remember()
         on_stage("bear")
-        whole = True
-        if self._parameters.map.steps:
-            with closing(self._slices(due)) as slices:
-                whole = all(proceed() for _ in slices)
-        if whole:
+        whole, begun = True, False
+        with closing(self._slices(due)) as slices:
+            for _ in slices:
+                whole = proceed()
+                if not whole:
+                    break
+                begun = True
+        if whole or begun:
             self._backgrounds.keep_up(self._gaussians)
         return whole
 
     def _slices(self, due: _Due) -> Generator[None]:
         """A set's share of what can be let be, in slices."""
+        if not self._parameters.map.steps:
+            return
         if self._skin is not None and due.joints is not None:
             yield from self._skin.refine(due.observed, due.joints, due.robots)
         yield from self._mapper.refine(due.observed, self._nodes.stamp)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
@@ -19,8 +20,10 @@ WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
 
 MOST_LEFT = 4
-"""What stands still is refined to the end, whoever waits, after so many sets that had to be left before: it changes
-slowly, but it must not be forgotten."""
+"""What stands still is refined, whoever waits, after so many sets that had to be left before: it changes slowly, but it
+must not be forgotten."""
+LEAST_SLICES = 2
+"""Slices of that which are done then: new Gaussians, and one step."""
 
 
 class ModelNode(Node):
@@ -69,5 +72,6 @@ class ModelNode(Node):
         update refines first. `proceed()` says whether no other set waits; in lockstep none does, so every set gets its
         share.
         """
-        is_due = self._left >= MOST_LEFT - 1
-        self._left = 0 if self.model.refine(unhurried if is_due else proceed) else self._left + 1
+        is_due, slices = self._left >= MOST_LEFT - 1, itertools.count()
+        whole = self.model.refine(lambda: (is_due and next(slices) < LEAST_SLICES) or proceed())
+        self._left = 0 if whole or is_due else self._left + 1
