@@ -58,6 +58,7 @@ class MotionExpert(IntEnum):
     DAMPED = 2
     CONSTANT_ACCELERATION = 3
     AUTOREGRESSION = 4
+    FREE_FALL = 5
     NO_EXPERT = 255
 
 

@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.forecast.experts import (
+    BOUNCE,
     EXPERT_NAMES,
     EXPERTS,
+    GRAVITY,
     KNOTS,
     LAGS,
     Autoregression,
@@ -18,6 +20,7 @@ from twin_node.forecast.experts import (
     constant_acceleration,
     constant_velocity,
     damped,
+    free_fall,
     mix,
     persistence,
     steps,
@@ -161,3 +164,16 @@ def test_mixture_prefers_the_expert_that_did_best() -> None:
     assert np.allclose(weights.sum(axis=0), 1)
     assert weights[0, 0] > 0.95
     assert weights[2, 1] > 0.95
+
+
+def test_free_fall_is_exact_for_what_falls_and_bounces_off_the_floor() -> None:
+    times, speed = np.arange(4) / 15, np.array([2.0, 0.5, 1.0])
+    ages = times - times[-1]
+    places = np.array([0.0, 0.0, 1.0]) + ages[:, None] * speed + ages[:, None] ** 2 / 2 * GRAVITY
+    history, horizons = History(times, places[:, None]), np.array([0.1, 0.3])
+    true = horizons[:, None] * speed + horizons[:, None] ** 2 / 2 * GRAVITY
+    assert np.allclose(free_fall(history, horizons)[:, 0], true)
+    low = 1.0 + float(true[1, 2]) + 0.1
+    bounced = free_fall(history, horizons, floor=low)[:, 0]
+    assert np.allclose(bounced[0], true[0])
+    assert np.isclose(1.0 + bounced[1, 2], low + 0.1 * BOUNCE)

@@ -22,7 +22,12 @@ def parts_of_ball(center: Float64, radius: float) -> Parts:
 
 
 def unknown(parts: Parts) -> Moving:
-    return Moving(np.zeros((parts.count, 3)), np.full(parts.count, UNKNOWN_SPEED))
+    return Moving.unknown(parts.count)
+
+
+def nothing() -> Parts:
+    """What is known of space in the set before, where only the images are to tell how things moved."""
+    return split(GRID, np.zeros(0, np.int64), np.zeros(0, np.bool_))
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0, 6.0])
@@ -35,7 +40,8 @@ def test_a_ball_is_as_fast_as_it_flies(speed: float) -> None:
         center = np.array([-0.2, -0.2, 0.55]) + number * PERIOD_S * speed * direction
         state = state_of(round(number * PERIOD_S * 1e9), center, radius=0.11, cameras=RIG)
         parts = parts_of_ball(center, 0.11)
-        expected = Moving(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma))
+        still = np.zeros(parts.count, np.bool_)
+        expected = Moving(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma), still)
         moving = velocities.update(state, parts, expected)
         mean, sigma = moving.velocities.mean(axis=0), float(moving.sigmas.mean())
     assert np.linalg.norm(mean - speed * direction) < 0.35 * speed
@@ -51,7 +57,7 @@ def test_two_images_with_depth_tell_how_fast_a_newcomer_comes_at_the_camera() ->
         for number in range(2):
             center = np.array([-0.1, 0.0, 0.5]) + number * PERIOD_S * velocity
             state = state_of(round(number * PERIOD_S * 1e9), center, cameras=(lone,), with_depth=with_depth)
-            parts = parts_of_ball(center, 0.12)
+            parts = parts_of_ball(center, 0.12) if number else nothing()
             followed[with_depth] = velocities.update(state, parts, unknown(parts))
     assert abs(np.median(followed[True].velocities[:, 0]) - 2.0) < 0.5
     assert followed[True].sigmas.min() < 0.6 * followed[False].sigmas.min()
@@ -69,7 +75,7 @@ def test_a_view_at_odds_with_three_others_loses_its_say() -> None:
 
     velocities = PartVelocities(RigTables(GRID))
     for number in range(2):
-        parts = parts_of_ball(np.array([0.0, -0.1, 0.5]) + number * PERIOD_S * velocity, 0.12)
+        parts = parts_of_ball(np.array([0.0, -0.1, 0.5]) + PERIOD_S * velocity, 0.12) if number else nothing()
         moving = velocities.update(seen(number), parts, unknown(parts))
     assert np.linalg.norm(np.median(moving.velocities, axis=0) - velocity) < 0.25
 
@@ -93,6 +99,6 @@ def test_a_thing_as_grey_as_what_stands_is_painted_is_followed() -> None:
         stamp, center = round(number * PERIOD_S * 1e9), np.array([-0.1, -0.2, 0.5]) + number * PERIOD_S * velocity
         state = state_of(stamp, center, radius=0.09)
         views = tuple(replace(view, rgb=np.full_like(view.rgb, 128)) for view in state.frames.views)
-        parts = parts_of_ball(center, 0.09)
+        parts = parts_of_ball(center, 0.09) if number else nothing()
         moving = velocities.update(replace(state, frames=replace(state.frames, views=views)), parts, unknown(parts))
     assert np.linalg.norm(np.median(moving.velocities, axis=0) - velocity) < 0.3 * np.linalg.norm(velocity)

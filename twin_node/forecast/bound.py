@@ -137,9 +137,13 @@ class Bound:
         """
         calibrated = factor * self._quantile * self.scales(now)
         spread = np.exp(now[:, 1]) - LEAST
-        reachable = self.parameters.acceleration * horizon_s**2 / 2 + spread
+        reachable = self.reachable(horizon_s) + spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
         return np.minimum(radii, self.parameters.largest_radius)
+
+    def reachable(self, horizon_s: float) -> float:
+        """How far the largest acceleration takes a node from where its velocity leads, m."""
+        return self.parameters.acceleration * horizon_s**2 / 2
 
     def reach(self, sigmas: Float64, spread: Float64, horizon_s: float) -> Float64:
         """Radii [M] in metres of nodes without any record about where they go at the velocity that was measured.
@@ -148,7 +152,7 @@ class Bound:
         [M] (m), and no faster than a person goes.
         """
         astray = np.minimum(_SIGMAS * sigmas, PERSON_SPEED) * horizon_s
-        radii: Float64 = self.parameters.acceleration * horizon_s**2 / 2 + np.minimum(astray, spread)
+        radii: Float64 = self.reachable(horizon_s) + np.minimum(astray, spread)
         return np.minimum(radii, self.parameters.largest_radius)
 
     def _fit(self, then: Float64, logs: Float64, elapsed_s: float) -> None:

@@ -13,7 +13,7 @@ from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
-from twin_node.forecast.part_velocities import UNKNOWN_SPEED, Moving, PartVelocities
+from twin_node.forecast.part_velocities import Moving, PartVelocities
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
@@ -78,7 +78,7 @@ class Observer:
         self._hiding = HidingPlaces(self.grid)
         self._standing: _Standing | None = None
         self._last_centers = np.zeros((0, 3))
-        self._last = Moving(np.zeros((0, 3)), np.zeros(0))
+        self._last = Moving.unknown(0)
         self._last_stamp = 0
 
     def observe(self, state: TwinState) -> Evidence:
@@ -122,13 +122,8 @@ class Observer:
         """How the parts move that were nearest before, as far as that still holds; nothing is known of others."""
         before = self._last.after((stamp - self._last_stamp) * 1e-9)
         if len(self._last_centers) == 0 or len(centers) == 0:
-            return Moving(np.zeros(centers.shape), np.full(len(centers), UNKNOWN_SPEED))
-        nearest = cKDTree(self._last_centers).query(centers, distance_upper_bound=NEAR)[1]
-        velocities, sigmas = (
-            np.append(before.velocities, np.zeros((1, 3)), axis=0),
-            np.append(before.sigmas, UNKNOWN_SPEED),
-        )
-        return Moving(velocities[nearest], sigmas[nearest])
+            return Moving.unknown(len(centers))
+        return before.of(cKDTree(self._last_centers).query(centers, distance_upper_bound=NEAR)[1])
 
 
 NEAR = 0.12

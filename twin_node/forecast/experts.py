@@ -46,16 +46,29 @@ class History:
         """[2, M, 3] velocities and halves of accelerations of the last `PARABOLA_S`, m/s and m/s^2."""
         return self._polynomial(2, PARABOLA_S)
 
+    @cached_property
+    def falling(self) -> Float64:
+        """[M, 3] velocities now, m/s, if all of the last `LINE_S` was free fall."""
+        ages = self.times - self.times[-1]
+        ages = ages[-self._used(1, LINE_S) :]
+        squares = float(ages @ ages)
+        # the line through half g t^2 falls behind by so much: its velocity is that of the middle of its span
+        behind = float((ages**3).sum()) / 2 / squares if squares > 0 else 0.0
+        velocities: Float64 = self.line[0] - behind * GRAVITY
+        return velocities
+
+    def _used(self, degree: int, span: float) -> int:
+        """Samples of the last `span` seconds, and one more where they fill less of it than `FILLED`."""
+        ages = self.times - self.times[-1]
+        used = min(max(int(np.count_nonzero(ages >= -span - 1e-6)), degree + 1), len(ages))
+        return used + 1 if used < len(ages) and -ages[-used] < FILLED * span else used
+
     def _polynomial(self, degree: int, span: float) -> Float64:
         """Coefficients [degree, M, 3] of the least-squares polynomial in time about the last position.
 
-        Of the samples of the last `span` seconds, and of one more where they fill less of it than `FILLED`; missing
-        coefficients of too few samples are 0.
+        Missing coefficients of too few samples are 0.
         """
-        ages = self.times - self.times[-1]
-        used = min(max(int(np.count_nonzero(ages >= -span - 1e-6)), degree + 1), len(ages))
-        if used < len(ages) and -ages[-used] < FILLED * span:
-            used += 1
+        ages, used = self.times - self.times[-1], self._used(degree, span)
         fitted = min(degree, used - 1)
         design = np.vander(ages[-used:], fitted + 1, increasing=True)[:, 1:]
         moved = self.positions[-used:] - self.positions[-1]
@@ -64,6 +77,10 @@ class History:
         return coefficients
 
 
+GRAVITY = np.array([0.0, 0.0, -9.81])
+"""m/s^2, in `base_link`, whose z points up."""
+BOUNCE = 0.5
+"""Share of its speed that a thing keeps when it bounces: 0.3 for a full carton, 0.8 for a tennis ball."""
 LINE_S, PARABOLA_S = 0.07, 0.15
 """Spans that velocities, and accelerations, are fitted to, s: two and four steps of a camera at 30 Hz."""
 FILLED = 0.85
@@ -96,9 +113,21 @@ def constant_acceleration(history: History, horizons: Float64) -> Float64:
     return curved
 
 
+def free_fall(history: History, horizons: Float64, floor: float = -np.inf) -> Float64:
+    """What was thrown or dropped: the velocity of the last `LINE_S` and gravity, no drag.
+
+    What comes down to the height `floor` (m) bounces back half as high above it as it would have got below.
+    """
+    time = np.asarray(horizons)[:, None, None]
+    fallen: Float64 = time * history.falling + time**2 / 2 * GRAVITY
+    above = np.maximum(history.positions[-1][:, 2] - floor, 0)
+    fallen[..., 2] = np.where(fallen[..., 2] < -above, -above - BOUNCE * (above + fallen[..., 2]), fallen[..., 2])
+    return fallen
+
+
 EXPERTS: tuple[Expert, ...] = (persistence, constant_velocity, damped, constant_acceleration)
-"""The experts without memory, in the order of their weights; the autoregression comes last."""
-EXPERT_NAMES = ("persistence", "constant_velocity", "damped", "constant_acceleration", "autoregression")
+"""The experts of motion by will that are without memory, in the order of their weights."""
+EXPERT_NAMES = ("persistence", "constant_velocity", "damped", "constant_acceleration", "autoregression", "free_fall")
 """All experts in the order of their weights."""
 
 

@@ -17,7 +17,7 @@ from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Held, Watch, held
 from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.parts import PART_SIZE
-from twin_node.forecast.prediction import Prediction, Predictor
+from twin_node.forecast.prediction import Measured, Prediction, Predictor
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
 from twin_node.forecast.turning import whole_ways
@@ -61,7 +61,7 @@ class ForecastQuality:
     factor: float
     """What the parts' scales are multiplied by to reach the target."""
     expert_weights: Float64
-    """[E] mean weights of persistence, constant velocity, damped, constant acceleration, autoregression."""
+    """[E] mean weights of persistence, constant velocity, damped, constant acceleration, autoregression, free fall."""
     warnings: tuple[str, ...] = ()
     """What went wrong with the last forecast and what was forecast instead, and what earlier ones turn out to miss."""
 
@@ -76,7 +76,7 @@ class Forecaster:
         self._observer = Observer(grid, self.parameters.carving, self.parameters.static, arm)
         self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
-        self._predictor = Predictor(self.parameters.bound, turns=True)
+        self._predictor = self._new_predictor()
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._due: _Issued | None = None
@@ -119,10 +119,10 @@ class Forecaster:
         self._hidden = evidence.hidden
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
-        measured = any(view.depth is not None for view in state.frames.views)
-        sigmas = evidence.motion.sigmas if measured else None
+        has_depth = any(view.depth is not None for view in state.frames.views)
+        measured = Measured(evidence.motion.sigmas, evidence.motion.flying) if has_depth else None
         ahead_s, factor = float(horizons[-1]), self._control.factor
-        self._predictor.advance(self._tracks.history, succession, ahead_s, sigmas, factor)
+        self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
@@ -142,6 +142,10 @@ class Forecaster:
             static=evidence.static,
             unknown_runs=evidence.unknown_runs,
         )
+
+    def _new_predictor(self) -> Predictor:
+        """Without any record. Nothing falls out of the grid: below it is a table or the floor."""
+        return Predictor(self.parameters.bound, turns=True, floor=float(self.grid.origin[2]) + PART_SIZE)
 
     def _mean_weights(self) -> Float64:
         weights = self._predictor.weights
@@ -197,7 +201,7 @@ class Forecaster:
             self._warnings = (
                 f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
             )
-            self._tracks, self._predictor = Tracks(), Predictor(self.parameters.bound, turns=True)
+            self._tracks, self._predictor = Tracks(), self._new_predictor()
         self._radii = radii
         return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from twin_node.forecast.image_motion import ImageMotion, Shifts, near
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.forecast.tables import CameraTable, RigTables
+from twin_node.forecast.things import Things, Whole
 from twin_node.geometry import transform
 from twin_node.scene import Bool, Camera, Float32, Float64, TwinState
 
@@ -24,29 +25,34 @@ class PartVelocities:
     def __init__(self, tables: RigTables) -> None:
         self._tables = tables
         self._motions: dict[str, ImageMotion] = {}
+        self._things = Things(tables.blocks.grid)
 
     def update(self, state: TwinState, parts: Parts, expected: Moving) -> Moving:
         """How parts move; `expected` is how those do that were where they are, with `UNKNOWN_SPEED` for new ones.
 
         Least squares over the views: the image velocity of a part is its velocity seen through the projection. A view
-        at odds with the others loses its say, and looks again from where they say that the thing has come.
+        at odds with the others loses its say, and looks again from where they say that the thing has come. Small things
+        that move by themselves are followed as wholes too.
         """
         looks = self._look(state, parts)
+        cameras = tuple(view.camera.name for view in state.frames.views)
+        whole = self._things.follow(state.stamp, cameras, parts)
         if parts.count == 0 or not looks:
             return expected
         found = [look.sighting(expected.velocities) for look in looks]
-        moving = _solve(found, expected)
+        moving = _solve(found, expected, whole)
         lost = [look.has_lost(sighting, moving.velocities) for look, sighting in zip(looks, found, strict=True)]
         if any(lost):
             found = [
                 look.sighting(moving.velocities) if is_lost else sighting
                 for look, sighting, is_lost in zip(looks, found, lost, strict=True)
             ]
-            moving = _solve(found, expected)
+            moving = _solve(found, expected, whole)
         shown = np.zeros(parts.count, np.bool_)
         for sighting in found:
             shown |= sighting.shown
-        return _filled(parts.centers, moving, shown)
+        filled = _filled(parts.centers, moving, shown)
+        return replace(filled, flying=whole.flying)
 
     def _look(self, state: TwinState, parts: Parts) -> list[_Look]:
         """Takes in the images; what each view that has an earlier one shows of some voxels of all parts."""
@@ -72,11 +78,27 @@ class Moving:
     """[M, 3] m/s."""
     sigmas: Float64
     """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
+    flying: Bool
+    """[M] parts of things that move by themselves, and faster than people."""
+
+    @classmethod
+    def unknown(cls, count: int) -> Moving:
+        """Of `count` parts of which nothing is known."""
+        return cls(np.zeros((count, 3)), np.full(count, UNKNOWN_SPEED), np.zeros(count, np.bool_))
 
     def after(self, elapsed_s: float) -> Moving:
         """What is known of it some time later."""
         sigmas = np.hypot(self.sigmas, _ACCELERATION * elapsed_s)
-        return Moving(self.velocities, np.minimum(sigmas, UNKNOWN_SPEED))
+        return replace(self, sigmas=np.minimum(sigmas, UNKNOWN_SPEED))
+
+    def of(self, rows: NDArray[np.int64]) -> Moving:
+        """How the parts in `rows` move; nothing is known of those of the row after the last."""
+        none = Moving.unknown(1)
+        return Moving(
+            np.append(self.velocities, none.velocities, axis=0)[rows],
+            np.append(self.sigmas, none.sigmas)[rows],
+            np.append(self.flying, none.flying)[rows],
+        )
 
 
 @dataclass(frozen=True)
@@ -173,8 +195,8 @@ class _Look:
         return np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), overall).astype(np.float32)
 
 
-def _solve(sightings: Sequence[_Sighting], expected: Moving) -> Moving:
-    """What the sightings and what is expected agree on best (Cauchy's loss by reweighting)."""
+def _solve(sightings: Sequence[_Sighting], expected: Moving, whole: Whole) -> Moving:
+    """What the sightings, the wholes and what is expected agree on best (Cauchy's loss by reweighting)."""
     prior = expected.velocities
     designs = [sighting.jacobian * sighting.elapsed_s for sighting in sightings]
     trusts = [1 / one.variances for one in sightings]
@@ -182,7 +204,9 @@ def _solve(sightings: Sequence[_Sighting], expected: Moving) -> Moving:
     velocities = prior
     for turn in range(_TURNS):
         own = 1 / (expected.sigmas**2 + ((velocities - prior) ** 2).sum(axis=1))
-        normal, right = own[:, None, None] * np.eye(3), own[:, None] * prior
+        seen = whole.trusts / (1 + whole.trusts * ((velocities - whole.velocities) ** 2).sum(axis=1) * (turn > 0))
+        normal = (own + seen)[:, None, None] * np.eye(3)
+        right = own[:, None] * prior + seen[:, None] * whole.velocities
         for one, design, trust, depth_trust in zip(sightings, designs, trusts, depth_trusts, strict=True):
             misfit = np.einsum("mki,mi->mk", design, velocities) - one.shifts
             doubted = trust / (1 + trust * (misfit**2).sum(axis=1)) if turn else trust
@@ -195,7 +219,8 @@ def _solve(sightings: Sequence[_Sighting], expected: Moving) -> Moving:
             right += (doubted * one.receded / one.elapsed_s)[:, None] * one.axis
         inverse = np.linalg.inv(normal)
         velocities = (inverse @ right[..., None])[..., 0]
-    return Moving(velocities, np.minimum(np.sqrt(np.einsum("mii->m", inverse) / 3), UNKNOWN_SPEED))
+    sigmas = np.minimum(np.sqrt(np.einsum("mii->m", inverse) / 3), UNKNOWN_SPEED)
+    return Moving(velocities, sigmas, whole.flying)
 
 
 def _recession_variance(sighting: _Sighting) -> Float64:
@@ -261,7 +286,7 @@ def _filled(centers: Float64, moving: Moving, measured: Bool) -> Moving:
     attached = np.isfinite(distances)
     source = np.arange(len(centers))
     source[hidden[attached]] = shown[rows[attached]]
-    return Moving(moving.velocities[source], moving.sigmas[source])
+    return moving.of(source)
 
 
 _BODY_M = 0.3

@@ -16,6 +16,7 @@ from twin_node.forecast.experts import (
     Autoregression,
     History,
     autoregression_features,
+    free_fall,
     mix,
 )
 from twin_node.forecast.neighbours import Neighbours
@@ -33,6 +34,16 @@ class Succession:
     """[M] whose path each continues."""
     records: Rows
     """[M] whose record of errors each takes over."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is known of measured velocities."""
+
+    sigmas: Float64
+    """[M] standard deviation of each component, m/s."""
+    flying: Bool
+    """[M] nodes of things that move by themselves, faster than people."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +84,10 @@ class _Records:
             squared = np.tile(_UNTRIED[:, None] ** 2, (1, count))
             born, began = np.full((2, count), time)
             never = np.full(count, -np.inf)
-            return _Records(squared, np.full(count, _UNTRIED[-1]), born, began, never, np.zeros(count, np.int64))
+            return _Records(squared, np.full(count, _USUAL_ERROR), born, began, never, np.zeros(count, np.int64))
         return _Records(
             np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
-            np.where(new, _UNTRIED[-1], self.errors[rows]),
+            np.where(new, _USUAL_ERROR, self.errors[rows]),
             np.where(new, time, self.born[rows]),
             np.where(new, time, self.began[rows]),
             np.where(new, -np.inf, self.turned[rows]),
@@ -84,10 +95,13 @@ class _Records:
         )
 
 
-_UNTRIED = np.array([0.17, 0.16, 0.13, 0.24, 0.12])
+_UNTRIED = np.array([0.17, 0.16, 0.13, 0.24, 0.12, 0.3])
 """Errors ascribed to experts before they are judged, m: theirs on human motion at 200 ms (`bench forecast`)."""
+_USUAL_ERROR = 0.12
+"""Error ascribed to their mixture, m: that of the best."""
 _STRAIGHT_ON = np.array([[name == "constant_velocity"] for name in EXPERT_NAMES], np.float64)
-"""[E, 1] weights of what is bounded by its reach alone."""
+_FALLING = np.array([[name == "free_fall"] for name in EXPERT_NAMES], np.float64)
+"""[E, 1] weights of what is bounded by its reach alone: of most things, and of what flies."""
 _RECORD_S = 0.65
 """Time constant of the experts' records, s."""
 _RISE_S, _FALL_S = 0.05, 0.6
@@ -97,6 +111,10 @@ _NOW_S = 0.002
 _STARTLED = 1.5
 """A node whose forecast is so many times further off than its bound at that time began something new: its record begins
 anew, and until there is one, the reachable set bounds it. What was forecast before says nothing of the motion since."""
+_TURN = 0.1
+"""What went less astray did not turn back, m: a part is as long, and velocities are noisy."""
+_WARY = 2.0
+"""What has turned back may do other things as well: for so many horizons it is bounded by what it can reach too."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
 """An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
 _LEARNT_FROM = 256
@@ -139,19 +157,22 @@ class Predictor:
     Used alike for parts of moving space and for the trajectories of `bench forecast`.
     """
 
-    def __init__(self, parameters: BoundParameters | None = None, turns: bool = False) -> None:
-        """`turns`: nodes that turn back are told from others, and judged by all of their way (`Prediction.turning`)."""
+    def __init__(self, parameters: BoundParameters | None = None, turns: bool = False, floor: float = -np.inf) -> None:
+        """`turns`: nodes that turn back are told from others, and judged by all of their way (`Prediction.turning`).
+
+        `floor`: height in metres below which nothing falls.
+        """
         self.bound = Bound(parameters)
-        self._turns = turns
+        self._turns, self._floor = turns, floor
         self._factor = 1.0
         self.autoregression = Autoregression()
         self._horizon_s = 0.2
-        self._sigmas: Float64 | None = None
+        self._measured: Measured | None = None
         self._records = _Records()
         self._trust = np.ones(len(EXPERT_NAMES))
         self._missed = np.zeros(len(EXPERT_NAMES))
         self._issued: deque[_Issued] = deque()
-        self._profile = np.array(KNOTS) * _UNTRIED[-1]
+        self._profile = np.array(KNOTS) * _USUAL_ERROR
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
         self._around = Neighbours(np.zeros((0, 3)))
         self._features = np.zeros((0, 3, 0))
@@ -162,28 +183,36 @@ class Predictor:
     def weights(self) -> Float64:
         """[E, M] of the experts, in the order of `EXPERT_NAMES`.
 
-        Where the velocity is measured, what has no record yet goes on at it.
+        Where the velocity is measured, what has no record yet goes on at it, or falls.
         """
+        if self._measured is None:
+            return self._recorded
+        first = np.where(self._measured.flying, _FALLING, _STRAIGHT_ON)
+        return np.where(self._newcomers, first, self._recorded)
+
+    @property
+    def _recorded(self) -> Float64:
+        """[E, M] weights by the records."""
         pooled = self._around.body(self._records.squared.T).T
         weights = mix((1 - _POOLED) * self._records.squared + _POOLED * pooled) * self._trust[:, None]
         normalised: Float64 = weights / weights.sum(axis=0)
-        return np.where(self._newcomers, _STRAIGHT_ON, normalised)
+        return normalised
 
     def advance(
         self,
         history: History,
         succession: Succession,
         horizon_s: float,
-        sigmas: Float64 | None = None,
+        measured: Measured | None = None,
         factor: float = 1.0,
     ) -> None:
         """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
 
         Earlier samples of the history are the paths of the nodes of now. What was forecast for the time since the last
-        sample is judged. `sigmas` [M] (m/s): how well the velocities are known that the paths end with, if they are
-        measured. `factor`: on calibrated bounds.
+        sample is judged. `measured`: what is known of the velocities that the paths end with, if they are. `factor`: on
+        calibrated bounds.
         """
-        self._horizon_s, self._sigmas, self._factor = horizon_s, sigmas, factor
+        self._horizon_s, self._measured, self._factor = horizon_s, measured, factor
         self._history = history
         self._around = Neighbours(history.positions[-1])
         self._records = self._records.inherited(succession.records, history.times[-1])
@@ -227,18 +256,25 @@ class Predictor:
     def _radii(self, horizon_s: float, factor: float = 1.0) -> Float64:
         """[M] m."""
         radii = self.bound.radii(self._cues, self._ages, horizon_s, factor)
-        if self._sigmas is not None:
+        wary = self._history.times[-1] - self._records.turned < _WARY * horizon_s
+        radii = np.where(wary, np.maximum(radii, self.bound.reachable(horizon_s)), radii)
+        if self._measured is not None:
             spread, new = np.exp(self._cues[:, 1]) - LEAST, self._newcomers
-            radii[new] = self.bound.reach(self._sigmas[new], spread[new], horizon_s)
+            radii[new] = self.bound.reach(self._measured.sigmas[new], spread[new], horizon_s)
         return radii
 
     @property
     def _newcomers(self) -> Bool:
-        """[M] nodes of which nothing has come true yet, and whose velocity is measured."""
-        if self._sigmas is None:
+        """[M] nodes whose velocity is measured, and of which nothing has come true yet, or only that they fall.
+
+        A flight is over before there is a record of it.
+        """
+        if self._measured is None:
             return np.zeros(len(self._records.born), np.bool_)
         young: Bool = self._history.times[-1] - self._records.born < self._horizon_s
-        return young & (self._ages < self._horizon_s)
+        falls = self._measured.flying & (self._recorded[EXPERT_NAMES.index("free_fall")] > 0.5)
+        newcomers: Bool = (young & (self._ages < self._horizon_s)) | falls
+        return newcomers
 
     @property
     def _turning(self) -> Bool:
@@ -260,7 +296,8 @@ class Predictor:
     def single(self, horizons: Float64) -> Float64:
         """[E, H, M, 3] displacements of every expert."""
         plain = [expert(self._history, horizons) for expert in EXPERTS]
-        return np.stack([*plain, self.autoregression.forecast(self._features, horizons / self._horizon_s)])
+        learnt = self.autoregression.forecast(self._features, horizons / self._horizon_s)
+        return np.stack([*plain, learnt, free_fall(self._history, horizons, self._floor)])
 
     def _issue(self) -> None:
         """Has every expert forecast the places at the knots."""
@@ -322,7 +359,11 @@ class Predictor:
             return wrong
         expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
         aside = off_the_way(ahead, moved) / NARROWER
-        turned = ((moved * ahead).sum(axis=-1) < 0) & (wrong > issued.factor * expected) & (aside <= expected)
+        turned = (
+            ((moved * ahead).sum(axis=-1) < 0)
+            & (wrong > np.maximum(issued.factor * expected, _TURN))
+            & (aside <= expected)
+        )
         self._records.turned[known[turned]] = now
         return np.where(issued.turning[rows], np.minimum(wrong, aside), wrong)
 
@@ -345,7 +386,8 @@ class Predictor:
 
 def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:
     """Cues [M, C] from the experts' displacements [E, M, 3], the mixture's [M, 3] and recent errors [M]."""
-    spread = np.median(np.linalg.norm(single - mixed, axis=-1), axis=0)
+    by_will = single[: EXPERT_NAMES.index("free_fall")]  # what falls is as far from all others whatever they err by
+    spread = np.median(np.linalg.norm(by_will - mixed, axis=-1), axis=0)
     by_name = dict(zip(EXPERT_NAMES, single, strict=True))
     way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
     acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)

@@ -1,0 +1,59 @@
+"""Small things are followed as wholes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from forecast_worlds import GRID, ball_voxels
+
+from twin_node.forecast.parts import Parts, split
+from twin_node.forecast.things import Things
+
+PERIOD_NS = 66_000_000
+CAMERAS = ("left", "right")
+
+
+def balls(*middles: tuple[float, float, float], radius: float = 0.09) -> Parts:
+    voxels = np.unique(np.concatenate([ball_voxels(np.array(middle), radius) for middle in middles]))
+    return split(GRID, voxels, np.ones(len(voxels), np.bool_))
+
+
+def test_a_ball_is_followed_however_far_it_flies_between_two_sets() -> None:
+    things = Things(GRID)
+    assert not things.follow(0, CAMERAS, balls((-0.4, 0.0, 0.5))).flying.any()
+    whole = things.follow(PERIOD_NS, CAMERAS, balls((-0.2, 0.0, 0.44)))
+    expected = np.array([0.2, 0.0, -0.06]) / (PERIOD_NS * 1e-9)
+    assert np.allclose(whole.velocities, expected, atol=0.35)
+    assert whole.flying.all()
+    assert (whole.trusts > 0).all()
+
+
+def test_two_balls_are_told_apart_by_where_they_were_going() -> None:
+    things = Things(GRID)
+    for number in range(3):
+        along = 0.12 * number
+        whole = things.follow(number * PERIOD_NS, CAMERAS, balls((-0.3 + along, -0.2, 0.5), (0.3 - along, 0.2, 0.5)))
+    forth = whole.velocities[:, 0] > 0
+    assert forth.any()
+    assert (~forth).any()
+    assert np.allclose(np.abs(whole.velocities[:, 0]), 0.12 / (PERIOD_NS * 1e-9), atol=0.4)
+
+
+@pytest.mark.parametrize("later", [balls((0.0, 0.0, 0.5), radius=0.15), balls((0.3, 0.0, 0.5), (0.42, 0.0, 0.5))])
+def test_what_looks_otherwise_is_not_the_same_thing(later: Parts) -> None:
+    things = Things(GRID)
+    things.follow(0, CAMERAS, balls((0.0, 0.0, 0.5)))
+    assert not things.follow(PERIOD_NS, CAMERAS, later).trusts.any()
+
+
+def test_what_is_large_or_cut_off_by_the_border_is_not_followed() -> None:
+    for middle, radius in (((0.0, 0.0, 0.5), 0.3), ((0.0, 0.0, float(GRID.origin[2]) + 0.02), 0.09)):
+        things = Things(GRID)
+        things.follow(0, CAMERAS, balls(middle, radius=radius))
+        assert not things.follow(PERIOD_NS, CAMERAS, balls(middle, radius=radius)).trusts.any()
+
+
+def test_sets_of_other_cameras_are_not_compared() -> None:
+    things = Things(GRID)
+    things.follow(0, CAMERAS, balls((0.0, 0.0, 0.5)))
+    assert not things.follow(PERIOD_NS, CAMERAS[:1], balls((0.1, 0.0, 0.5))).trusts.any()

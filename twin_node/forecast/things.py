@@ -1,0 +1,139 @@
+"""Small things that move by themselves: followed as wholes, in space, from set to set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.parts import PART_SIZE, Parts
+from twin_node.scene import Bool, Float64, Grid
+
+LARGEST = 0.45
+"""Longest side of what is followed as a whole, m: limbs bend, and what is larger is rarely seen as a whole."""
+_TOGETHER = 1.6
+"""Parts are of one thing if their middles are no further apart, parts: neighbours, also those across an edge."""
+_FEWEST = 4
+"""Voxels of the smallest thing."""
+_ALIKE = 1.6
+"""A thing is taken for another of at most so many times its volume."""
+_FASTEST = 15.0
+"""m/s: half as fast again as a throw overarm."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What following wholes tells of M parts."""
+
+    velocities: Float64
+    """[M, 3] m/s; 0 where nothing is told."""
+    trusts: Float64
+    """[M] s^2/m^2, the inverse of the variance of each component; 0 for parts of nothing that was followed."""
+
+    @property
+    def flying(self) -> Bool:
+        """[M] parts of what goes faster than people do."""
+        fast: Bool = np.linalg.norm(self.velocities, axis=1) > PERSON_SPEED
+        return fast
+
+
+class Things:
+    """Follows things, set by set."""
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+        self._before: _Seen | None = None
+
+    def follow(self, stamp: int, cameras: tuple[str, ...], parts: Parts) -> Whole:
+        """How the things move that the parts at `stamp` (ns) are of, by their places in the set before.
+
+        Only sets that came of the same `cameras` are compared: what another one sees of a thing has another middle.
+        """
+        labels = _things(parts)
+        now = _Seen.of(stamp, cameras, self._grid, parts, labels)
+        before, self._before = self._before, now
+        velocities, trusts = np.zeros((parts.count, 3)), np.zeros(parts.count)
+        if before is None or before.stamp >= stamp or before.cameras != cameras:
+            return Whole(velocities, trusts)
+        elapsed = (stamp - before.stamp) * 1e-9
+        for mine, other in _pairs(before, now, elapsed):
+            moved = (now.middles[mine] - before.middles[other]) / elapsed
+            changed = abs(now.volumes[mine] / before.volumes[other] - 1)
+            sigma = np.sqrt(2) * (self._grid.voxel_size / 2 + changed * now.sides[mine] / 4) / elapsed
+            now.velocities[mine] = moved
+            velocities[labels == mine], trusts[labels == mine] = moved, 1 / sigma**2
+        return Whole(velocities, trusts)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The things of one set."""
+
+    stamp: int
+    cameras: tuple[str, ...]
+    middles: Float64
+    """[T, 3] m, of the voxels that are occupied more likely than not."""
+    volumes: Float64
+    """[T] voxels of these."""
+    sides: Float64
+    """[T] m, the longest of each."""
+    chosen: Bool
+    """[T] small enough, and not cut off by the grid's border."""
+    velocities: Float64
+    """[T, 3] m/s."""
+
+    @classmethod
+    def of(cls, stamp: int, cameras: tuple[str, ...], grid: Grid, parts: Parts, labels: NDArray[np.int64]) -> _Seen:
+        """By the thing `labels` [M] of parts."""
+        count = int(labels.max(initial=-1)) + 1
+        likely = labels[parts.labels[parts.likely]]
+        places = np.stack(np.unravel_index(parts.indices[parts.likely], grid.dims), axis=1)
+        lowest, highest = np.full((count, 3), max(grid.dims)), np.full((count, 3), -1)
+        np.minimum.at(lowest, likely, places)
+        np.maximum.at(highest, likely, places)
+        volumes = np.bincount(likely, minlength=count).astype(np.float64)
+        sums = [np.bincount(likely, axis, count) for axis in places.T]
+        middles = np.stack(sums, axis=1) / np.maximum(volumes, 1)[:, None] + 0.5
+        sides = (highest - lowest + 1).max(axis=1, initial=0) * grid.voxel_size
+        whole = (lowest > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
+        chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
+        return cls(
+            stamp, cameras, grid.origin + middles * grid.voxel_size, volumes, sides, chosen, np.zeros((count, 3))
+        )
+
+
+def _things(parts: Parts) -> NDArray[np.int64]:
+    """Thing [M] of each part: parts that hang together. Rims hang on the nearest part that is more than a rim."""
+    solid = np.flatnonzero(np.bincount(parts.labels[parts.likely], minlength=parts.count))
+    labels = np.full(parts.count, -1, np.int64)
+    if len(solid) == 0:
+        return labels
+    tree = cKDTree(parts.centers[solid])
+    pairs = tree.query_pairs(_TOGETHER * PART_SIZE, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(solid), len(solid)))
+    mine = np.append(connected_components(links, directed=False)[1], -1)
+    labels[:] = mine[tree.query(parts.centers, distance_upper_bound=_TOGETHER * PART_SIZE)[1]]
+    return labels
+
+
+def _pairs(before: _Seen, now: _Seen, elapsed_s: float) -> list[tuple[int, int]]:
+    """Things of now and of before that are each other's nearest, where their velocities led."""
+    mine, others = np.flatnonzero(now.chosen), np.flatnonzero(before.chosen)
+    if len(mine) == 0 or len(others) == 0:
+        return []
+    led = before.middles[others] + before.velocities[others] * elapsed_s
+    ways = np.linalg.norm(now.middles[mine][:, None] - led, axis=2)
+    steps = np.linalg.norm(now.middles[mine][:, None] - before.middles[others], axis=2)
+    ratios = now.volumes[mine][:, None] / before.volumes[others]
+    ways = np.where((np.maximum(ratios, 1 / ratios) < _ALIKE) & (steps < _FASTEST * elapsed_s), ways, np.inf)
+    nearest = ways.argmin(axis=1)
+    return [
+        (int(mine[row]), int(others[other]))
+        for row, other in enumerate(nearest.tolist())
+        if np.isfinite(ways[row, other]) and ways[:, other].argmin() == row
+    ]
