@@ -97,6 +97,22 @@ def test_extrapolation_keeps_speed_and_limits() -> None:
     assert (ahead.positions[:, 5] == 7.0).all()  # already beyond its range: it can only stay or come back
 
 
+@given(
+    start=st.floats(-6.2, 6.2), velocity=st.floats(-20.0, 20.0), age_ms=st.integers(0, 3_000), joint=st.integers(0, 5)
+)
+@settings(deadline=None)
+def test_an_old_sample_leads_nowhere_that_the_arm_cannot_go(
+    start: float, velocity: float, age_ms: int, joint: int
+) -> None:
+    model, at, speeds = ur_model("ur5e"), np.zeros(6), np.zeros(6)
+    at[joint], speeds[joint] = np.clip(start, model.lower[joint], model.upper[joint]), velocity
+    path = path_from_sample(model, JointSample(0, model.joint_names, at, speeds), age_ms * 1_000_000)
+    assert (path.positions >= model.lower).all()
+    assert (path.positions <= model.upper).all()
+    seconds = path.stamps[:, None] * 1e-9
+    assert (np.abs(path.positions - at) <= model.max_velocity * seconds + 1e-9).all()
+
+
 def test_extrapolation_starts_from_the_samples_own_time_and_order() -> None:
     model = ur_model("ur5e")
     sample = JointSample(1_000, model.joint_names[::-1], np.zeros(6), np.arange(6.0) / 10)

@@ -104,20 +104,32 @@ def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floatin
     joints stop at the ends of their range. Raises `RobotError` for a wrong count or values that are not finite.
     """
     start = model.check_positions(q)
-    velocity = np.clip(model.check_positions(qd), -model.max_velocity, model.max_velocity)
     offsets = ahead_offsets()
-    positions = start + velocity * (offsets[:, None] * 1e-9)
-    inside = np.clip(positions, np.minimum(model.lower, start), np.maximum(model.upper, start))
-    return JointPath(model.joint_names, stamp + offsets, inside)
+    positions = _kept_up(model, start, model.check_positions(qd), offsets * 1e-9)
+    return JointPath(model.joint_names, stamp + offsets, positions)
 
 
 def path_from_sample(model: ArmModel, sample: JointSample, stamp: int) -> JointPath:
     """The next 200 ms from a time on (ns) of an arm that has kept, and keeps, the velocities of a sample.
 
-    The sample's joints may be in any order. Raises `RobotError` where one is missing or a value is not finite.
+    The sample's joints may be in any order; limits hold since the sample as `extrapolate` has them. Raises `RobotError`
+    where a joint is missing or a value is not finite.
     """
     q, qd = model.order(sample.names, sample.positions), model.order(sample.names, sample.velocities)
-    return extrapolate(model, q + qd * max(stamp - sample.stamp, 0) * 1e-9, qd, stamp)
+    age_s = max(stamp - sample.stamp, 0) * 1e-9
+    now = _kept_up(model, model.check_positions(q), model.check_positions(qd), np.array([age_s]))[0]
+    return extrapolate(model, now, qd, stamp)
+
+
+def _kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:
+    """Angles [T, J] (rad) after times [T] of joints that keep their velocities [J] (rad/s), within the arm's limits.
+
+    A joint that is beyond its range already comes no further.
+    """
+    limited = np.clip(velocities, -model.max_velocity, model.max_velocity)
+    lower, upper = np.minimum(model.lower, start), np.maximum(model.upper, start)
+    kept: Float64 = np.clip(start + limited * seconds[:, None], lower, upper)
+    return kept
 
 
 def default_path(
