@@ -105,7 +105,7 @@ def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floatin
     """
     start = model.check_positions(q)
     offsets = ahead_offsets()
-    positions = _kept_up(model, start, model.check_positions(qd), offsets * 1e-9)
+    positions = _kept_up(model, start, model.check_positions(qd), offsets * np.float64(1e-9))
     return JointPath(model.joint_names, stamp + offsets, positions)
 
 
