@@ -14,7 +14,7 @@ from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import find_births_plainly
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_births import find_births
-from twin_node.model.deaths import judge_static, refuted_moving
+from twin_node.model.deaths import Shapes, judge_static, refuted_moving
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import SKIRT_PX, held_pixels
 from twin_node.model.flow import FlowSolver
@@ -72,6 +72,11 @@ def look_at(splats: Splats) -> list[Rendering]:
         return render(splats, CAMERAS)
 
 
+def balls(points: np.ndarray, radius: float) -> Shapes:
+    """Round Gaussians of `radius` (m) at points [n, 3]."""
+    return Shapes.of(points, np.tile([1.0, 0, 0, 0], (len(points), 1)), np.full((len(points), 3), radius))
+
+
 def test_unexplained_pixels_become_gaussians_inside_the_block() -> None:
     births = find_births(observe(table(), 0.1), look_at(table()), THRESHOLD, BirthParameters())
     free = births.means[~births.on_background]
@@ -84,7 +89,7 @@ def test_nothing_is_born_where_a_camera_sees_through_it() -> None:
     observed = observe(table(), 0.1, blind=1)
     births = find_births(observed, look_at(table()), THRESHOLD, BirthParameters())
     seen = births.means[~births.on_background]
-    assert not refuted_moving(observed, [seen] * 3, np.zeros(len(seen)), np.ones(len(seen), bool)).any()
+    assert not refuted_moving(observed, [balls(seen, 0.0)] * 3, np.ones(len(seen), bool)).any()
 
 
 def test_measured_depth_places_births_on_the_surface() -> None:
@@ -123,8 +128,19 @@ def test_an_explained_image_bears_nothing() -> None:
 def test_what_a_view_sees_through_is_refuted() -> None:
     observed = observe(table(), 0.1)
     points = np.array([[0.1, 0.0, 0.06], [-0.3, 0.2, 0.1]])
-    gone = refuted_moving(observed, [points] * 3, np.zeros(2), np.ones(2, bool))
+    gone = refuted_moving(observed, [balls(points, 0.0)] * 3, np.ones(2, bool))
     assert gone.tolist() == [False, True]
+
+
+def test_a_needle_that_sticks_out_of_what_moves_is_refuted_and_one_inside_is_not() -> None:
+    observed = observe(table(), 0.1)
+    middle, straight = np.array([[0.1, 0.0, 0.06]]), np.array([[1.0, 0, 0, 0]])
+    long, short = np.array([[0.1, 0.002, 0.002]]), np.array([[0.02, 0.002, 0.002]])
+    for scales, expected in ((long, True), (short, False)):
+        gone = refuted_moving(observed, [Shapes.of(middle, straight, scales)] * 3, np.ones(1, bool))
+        assert gone.tolist() == [expected]
+    round_ones = [balls(middle, float(long.mean()))] * 3  # as long on average
+    assert not refuted_moving(observed, round_ones, np.ones(1, bool)).any()
 
 
 def test_what_reaches_in_from_beyond_the_edge_is_refuted_too() -> None:
@@ -133,7 +149,7 @@ def test_what_reaches_in_from_beyond_the_edge_is_refuted_too() -> None:
     right = camera.T_base_cam[:3, :3] @ np.array([(camera.width / 2 + 4) / camera.K[0, 0], 0, 1])
     beyond = (camera.T_base_cam[:3, 3] + 0.8 * right)[None]
     seeing = replace(seeing, background=replace(seeing.background, depth=np.full_like(seeing.background.depth, 9.0)))
-    reaching = [refuted_moving([seeing], [beyond], np.array([radius]), np.ones(1, bool)) for radius in (0.01, 0.05)]
+    reaching = [refuted_moving([seeing], [balls(beyond, radius)], np.ones(1, bool)) for radius in (0.01, 0.05)]
     assert [bool(one[0]) for one in reaching] == [False, True]
 
 

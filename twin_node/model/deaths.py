@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from twin_node.geometry import rotation_from_quat
 from twin_node.model.backgrounds import OCCLUSION, on_surface, pixels_reached
 from twin_node.model.observation import Observed
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
-from twin_node.scene import Bool, Float64
+from twin_node.scene import Bool, Camera, Float64
 
 SEEN_THROUGH = 0.05
 """Share of its depth by which a measured surface must lie behind a Gaussian to refute it."""
@@ -19,36 +21,72 @@ SEEN_THROUGH = 0.05
 REACH = 2.2
 """Sigmas from its centre at which a tenth of a Gaussian is left."""
 RIM = REACH * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Where a Gaussian is looked for, in sigmas along the image's axes: its centre and its rim."""
+"""Where a Gaussian is looked for, in sigmas along the axes of its ellipse in the image: its centre and its rim."""
+NEAREST_M = 0.02
+"""Depth under which nothing is in front of a camera, m."""
 
 
-def refuted_moving(observed: Sequence[Observed], means: Sequence[Float64], radii: Float64, carried: Bool) -> Bool:
+@dataclass(frozen=True)
+class Shapes:
+    """n Gaussians where one view sees them, at its time."""
+
+    means: Float64
+    """[n, 3] m."""
+    axes: Float64
+    """[n, 3, 3] m in `base_link`, of 1 sigma: the columns are the axes of each."""
+
+    @classmethod
+    def of(cls, means: NDArray[np.floating], quats: NDArray[np.floating], scales: NDArray[np.floating]) -> Shapes:
+        """From means [n, 3] m, quaternions [n, 4] w x y z and sizes [n, 3] m."""
+        return cls(np.asarray(means, np.float64), rotation_from_quat(quats) * scales[:, None, :])
+
+    @property
+    def radii(self) -> Float64:
+        """[n] m, 1 sigma, mean over the axes."""
+        return np.asarray(np.linalg.norm(self.axes, axis=1).mean(-1), np.float64)
+
+
+def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
-    `means` holds [n, 3] per view, at its time; `radii` [n] 1 sigma in m. `carried` [n] says which have a node: a view
-    that shows nothing moving where they reach speaks against them; against others, one that shows the background. That
-    holds at the image's edge too, for what reaches in from beyond.
+    `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where they
+    reach speaks against them; against others, one that shows the background. That holds at the image's edge too, for
+    what reaches in from beyond.
     """
     refuted = np.zeros(len(carried), bool)
-    for one, at in zip(observed, means, strict=True):
-        seen = look(one.view.camera, at)
-        reach_px = radii * one.view.camera.K[0, 0] / np.maximum(seen.depth, 0.02)
+    for one, shape in zip(observed, shapes, strict=True):
+        seen = look(one.view.camera, shape.means)
         surface = (one.background.depth * (1 + OCCLUSION)).ravel()
         empty = np.concatenate([one.usable & ~one.active, one.usable & ~one.near_moving]).ravel()
         own = surface.size * carried
-        rim = _around(seen, reach_px, one.usable.shape)
+        rim = _around(seen, _half_axes(one.view.camera, shape), one.usable.shape)
         at_rim = rim.rows * one.usable.shape[1] + rim.columns
         refuted |= (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
-        looms = ~seen.inside & (pixels_reached(one.view.camera, seen, at, REACH * radii) > 1)
+        looms = ~seen.inside & (pixels_reached(one.view.camera, seen, shape.means, REACH * shape.radii) > 1)
         at_edge = seen.rows * one.usable.shape[1] + seen.columns
         refuted |= looms & ~(seen.depth > surface.take(at_edge)) & empty.take(at_edge + own)
         refuted |= _seen_through(one, seen)
     return refuted
 
 
-def _around(seen: Seen, reach_px: Float64, shape: tuple[int, ...]) -> Seen:
-    """[5, n] the pixels on the rims, of 1 sigma `reach_px` [n], of what is where points fall, at the same depth."""
-    shifts = np.rint(np.clip(RIM[..., None] * reach_px, -1e6, 1e6)).astype(np.int64)
+def _half_axes(camera: Camera, shape: Shapes) -> Float64:
+    """[2, 2, n] pixels: the long and the short half axis of 1 sigma, (u, v), of the ellipses that a camera sees."""
+    R = camera.viewmat[:3, :3]
+    x, y, z = R @ shape.means.T + camera.viewmat[:3, 3:]
+    z = np.maximum(z, NEAREST_M)
+    axes = np.einsum("ij,njk->ikn", R, shape.axes, optimize=True)
+    u, v = (camera.K[k, k] / z * (axes[k] - at / z * axes[2]) for k, at in ((0, x), (1, y)))
+    uu, uv, vv = (u * u).sum(0), (u * v).sum(0), (v * v).sum(0)
+    middle, apart = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)
+    turn = np.arctan2(2 * uv, uu - vv) / 2
+    way, across = np.stack([np.cos(turn), np.sin(turn)]), np.stack([-np.sin(turn), np.cos(turn)])
+    return np.stack([np.sqrt(middle + apart) * way, np.sqrt(np.maximum(middle - apart, 0)) * across])
+
+
+def _around(seen: Seen, half_axes: Float64, shape: tuple[int, ...]) -> Seen:
+    """[5, n] the pixels at the middles and on the rims of what is seen, of `half_axes` [2, 2, n] px, at one depth."""
+    offsets = np.einsum("ra,acn->rcn", RIM, half_axes)
+    shifts = np.rint(np.clip(offsets, -1e6, 1e6)).astype(np.int64)
     columns, rows = seen.columns + shifts[:, 0], seen.rows + shifts[:, 1]
     inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
     clipped = np.clip(columns, 0, shape[1] - 1), np.clip(rows, 0, shape[0] - 1)

@@ -16,7 +16,7 @@ from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import cells_of
 from twin_node.model.compiled_births import find_births
-from twin_node.model.deaths import judge_static, refuted_moving
+from twin_node.model.deaths import Shapes, judge_static, refuted_moving
 from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving, held_pixels
@@ -284,10 +284,10 @@ class Tracker:
         g = self._gaussians
         rows = g.moving_rows
         splats = self._place(rows, observed, self._poses(observed))
-        radii = splats.scales.mean(-1).cpu().numpy()
-        carried = (g.nodes[rows] >= 0).cpu().numpy()
-        gone = refuted_moving(observed, list(splats.means.cpu().numpy()), radii, carried)
-        gone |= self._backgrounds.beneath(splats.means[0].cpu().double().numpy(), radii)
+        means, quats, scales = (of.cpu().numpy() for of in (splats.means, splats.quats, splats.scales))
+        shapes = [Shapes.of(*of_view, scales) for of_view in zip(means, quats, strict=True)]
+        gone = refuted_moving(observed, shapes, (g.nodes[rows] >= 0).cpu().numpy())
+        gone |= self._backgrounds.beneath(shapes[0].means, shapes[0].radii)
         g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
