@@ -57,3 +57,12 @@ def test_sets_of_other_cameras_are_not_compared() -> None:
     things = Things(GRID)
     things.follow(0, CAMERAS, balls((0.0, 0.0, 0.5)))
     assert not things.follow(PERIOD_NS, CAMERAS[:1], balls((0.1, 0.0, 0.5))).trusts.any()
+
+
+def test_nothing_at_all_is_followed_by_nothing() -> None:
+    things, none = Things(GRID), split(GRID, np.zeros(0, np.int64), np.zeros(0, np.bool_))
+    rims = split(
+        GRID, ball_voxels(np.array([0.0, 0.0, 0.5])), np.zeros(len(ball_voxels(np.array([0.0, 0.0, 0.5]))), np.bool_)
+    )
+    for number, parts in enumerate((none, rims, balls((0.0, 0.0, 0.5)))):
+        assert not things.follow(number * PERIOD_NS, CAMERAS, parts).trusts.any()

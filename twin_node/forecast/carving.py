@@ -179,9 +179,12 @@ def _surface(
 
 def _without_specks(mask: Bool) -> Bool:
     """A mask [H, W] without its blobs of fewer than `_SPECK` pixels."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    whole = stats[:, cv2.CC_STAT_AREA] >= _SPECK
-    kept: Bool = mask & whole[labels]
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    window = slice(top, top + height), slice(left, left + width)
+    kept = np.zeros_like(mask)
+    if width:
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask[window].astype(np.uint8))
+        kept[window] = mask[window] & (stats[:, cv2.CC_STAT_AREA] >= _SPECK)[labels]
     return kept
 
 

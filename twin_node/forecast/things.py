@@ -92,14 +92,13 @@ class _Seen:
         """By the thing `labels` [M] of parts."""
         count = int(labels.max(initial=-1)) + 1
         likely = labels[parts.labels[parts.likely]]
-        places = np.stack(np.unravel_index(parts.indices[parts.likely], grid.dims), axis=1)
-        lowest, highest = np.full((count, 3), max(grid.dims)), np.full((count, 3), -1)
-        np.minimum.at(lowest, likely, places)
-        np.maximum.at(highest, likely, places)
+        order = np.argsort(likely, kind="stable")
+        places = np.stack(np.unravel_index(parts.indices[parts.likely][order], grid.dims), axis=1)
         volumes = np.bincount(likely, minlength=count).astype(np.float64)
-        sums = [np.bincount(likely, axis, count) for axis in places.T]
-        middles = np.stack(sums, axis=1) / np.maximum(volumes, 1)[:, None] + 0.5
-        sides = (highest - lowest + 1).max(axis=1, initial=0) * grid.voxel_size
+        firsts = (np.cumsum(volumes) - volumes).astype(np.int64)
+        lowest, highest, sums = (by.reduceat(places, firsts) for by in (np.minimum, np.maximum, np.add))
+        middles = sums / volumes[:, None] + 0.5
+        sides = (highest - lowest + 1).max(axis=1) * grid.voxel_size
         whole = (lowest > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
         chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
         return cls(
