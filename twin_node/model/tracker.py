@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -284,8 +284,9 @@ class Tracker:
         g = self._gaussians
         rows = g.moving_rows
         splats = self._place(rows, observed, self._poses(observed))
-        means, quats, scales = (of.cpu().numpy() for of in (splats.means, splats.quats, splats.scales))
-        shapes = [Shapes.of(*of_view, scales) for of_view in zip(means, quats, strict=True)]
+        first, *others = splats.means.cpu().double().numpy()
+        own = Shapes.of(first, splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy())
+        shapes = [own, *(replace(own, means=means) for means in others)]  # none turns much between two views
         gone = refuted_moving(observed, shapes, (g.nodes[rows] >= 0).cpu().numpy())
         gone |= self._backgrounds.beneath(shapes[0].means, shapes[0].radii)
         g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
