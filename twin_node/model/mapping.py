@@ -23,6 +23,7 @@ from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.least_squares import AtRest
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import MapParameters
+from twin_node.model.pruning import Pruner
 from twin_node.model.rays import look
 from twin_node.model.rendering import by_size
 from twin_node.model.rest import Rest
@@ -79,6 +80,7 @@ class Mapper:
         self._gaussians = gaussians
         self._backgrounds = backgrounds
         self._rests: dict[str, Rest] = {}
+        self._pruner = Pruner(gaussians, backgrounds)
         self._turn = 0
 
     def refine(self, observed: Sequence[Observed], stamp: int) -> Generator[None]:
@@ -91,6 +93,8 @@ class Mapper:
         self._fill(views, index, stamp)
         for chosen in by_size([view.camera for view in views]):
             yield from self._learn([views[index] for index in chosen])
+        yield
+        self._pruner.watch([view.camera for view in views])
 
     def _rest_of(self, one: Observed) -> Rest:
         """What a view's camera sees at rest."""
