@@ -176,6 +176,14 @@ def test_a_node_whose_cells_move_two_ways_parts_along_the_cut_and_one_body_never
     assert partings[0].leaving.tolist() == [False] * 4 + [True] * 2
 
 
+def test_a_kind_that_two_nodes_carry_is_judged_in_each_by_what_is_there() -> None:
+    cells = row_of(6, [0, 0, 0, 1, 1, 1])
+    shared = replace(cells, founders=np.array([0, 0, 9, 9, 9, 1]))
+    velocities = np.zeros((6, 6))
+    velocities[:, 0], velocities[3:, 1] = 0.1, 0.2
+    assert all(isinstance(one, Parting | Merger) for one in decided(shared, velocities))
+
+
 def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_velocity() -> None:
     rng = np.random.default_rng(2)
     velocity, origin = np.array([[0.2, -0.1, 0.05, 0.3, 0.6, -0.4]]), np.array([[0.5, 0.2, 0.3]])

@@ -220,8 +220,8 @@ class Kinship:
             self._estranged = {}
             return []
         nodes = cells.nodes[first[mixed]]
-        own = self._said.summed(of, len(kinds)).of(mixed)
-        rest = Statements(*(getattr(of_nodes, name)[nodes] - getattr(own, name) for name in vars(own)))
+        in_node, of_kind = cells.nodes == nodes[:, None], of == mixed[:, None]
+        own, rest = self._said.gathered(in_node & of_kind), self._said.gathered(in_node & ~of_kind)
         misfit = self._misfits[nodes]
         judged = judge(stacked(of_nodes.of(nodes), own, rest), np.tile(middles[nodes], (3, 1)), np.tile(misfit, 3))
         one, *each = judged.evidence.reshape(3, -1)

@@ -94,9 +94,7 @@ def _errors(own: Statements, second: Bool) -> Float64:
 
 def _parts(own: Statements, second: Bool) -> Statements:
     """[2 t] what was said of the first and of the second parts of each try [t, c]."""
-    belongs = np.concatenate([~second, second]).astype(np.float64)
-    H = (belongs @ own.H.reshape(len(own), -1)).reshape(-1, PARAMETERS, PARAMETERS)
-    return Statements(H, belongs @ own.g, belongs @ own.squares, belongs @ own.counts)
+    return own.gathered(np.concatenate([~second, second]))
 
 
 def _median(values: Float64, weight: Float64) -> float:

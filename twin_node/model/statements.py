@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.scene import Float64
+from twin_node.scene import Bool, Float64
 
 SPEED, TURN = 0.3, 1.0
 """m/s and rad/s (1 sigma) that a body is expected to move at: a reaching hand's and a turning wrist's."""
@@ -52,6 +52,12 @@ class Statements:
             for name, values in vars(total).items():
                 values[owners[starts]] = np.add.reduceat(vars(self)[name][order], starts)
         return total
+
+    def gathered(self, belongs: Bool) -> Statements:
+        """Those of k bodies, of which each of the n is a part where `belongs` [k, n] says so."""
+        share = belongs.astype(np.float64)
+        H = (share @ self.H.reshape(len(self), -1)).reshape(-1, PARAMETERS, PARAMETERS)
+        return Statements(H, share @ self.g, share @ self.squares, share @ self.counts)
 
     def about(self, points: Float64) -> Statements:
         """The same with the velocities of the points [n, 3] (m) as unknowns."""
