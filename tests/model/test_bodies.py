@@ -63,7 +63,7 @@ def test_a_block_that_turns_and_slides_ends_carried_by_one_rigid_node_with_its_m
     assert members[biggest] >= 0.9 * members.sum()
     assert (state.gaussians.tiers[state.gaussians.nodes == biggest] == Tier.RIGID).all()
     expected = np.array([0.0, 0.0, STEP_RAD / DT_S])
-    assert state.nodes.angular_velocities[biggest] == pytest.approx(expected, abs=0.5 * expected[2])
+    assert state.nodes.angular_velocities[biggest] == pytest.approx(expected, abs=0.35 * expected[2])
     assert state.nodes.velocities[biggest] == pytest.approx([STEP_M / DT_S, 0.0, 0.0], abs=0.3 * STEP_M / DT_S)
 
 

@@ -11,6 +11,9 @@ from twin_node.scene import Bool, Float64
 
 SPEED, TURN = 0.3, 1.0
 """m/s and rad/s (1 sigma) that a body is expected to move at: a reaching hand's and a turning wrist's."""
+LOOSE_TURN = 2.0
+"""rad/s (1 sigma) that turns are held to where they are measured: a body of a hand's size tells little of its turning,
+and the usual turn draws what it does tell to rest."""
 CORRELATED = 4.0
 """Observations of a node that say the same: the flow is sought in patches of 8 pixels."""
 PARAMETERS = 6
@@ -141,7 +144,7 @@ def judge(said: Statements, points: Float64, misfit: Float64) -> Judged:
 def velocities_of(said: Statements, points: Float64) -> Float64:
     """[n, 6] the most likely velocities of bodies about `points` [n, 3] m: m/s and rad/s."""
     own = said.about(points)
-    scale = np.array([SPEED] * 3 + [TURN] * 3)
+    scale = np.array([SPEED] * 3 + [LOOSE_TURN] * 3)
     return np.asarray(np.linalg.solve(own.H + np.diag(1 / scale**2), own.g[..., None])[..., 0], np.float64)
 
 
