@@ -12,6 +12,7 @@ import numpy as np
 from twin_node.bench.errors import BenchError
 from twin_node.bench.track_runs import Followed, follow, follow_live, start, to_and_fro
 from twin_node.bench.track_scores import ForesightScore, LookingBack, TrackScores, score_foresight, score_renderings
+from twin_node.bench.visual_hull import HullScore, HullTally
 from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, without
@@ -65,6 +66,8 @@ class TrackBench:
     """What memory has grown by since the second pass, or after the first fifth of the run."""
     afterwards_db: float | None = None
     """PSNR of sets half a window back as the model renders them now, less what they had live; in lockstep only."""
+    hulls: Mapping[str, HullScore] = field(default_factory=dict)
+    """Per camera that the model did not see: ours beside the visual hull."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
@@ -92,7 +95,12 @@ class TrackBench:
             "forecast_gain_db": None if forecast is None or present is None else forecast - present,
             "afterwards_less_live_db": self.afterwards_db,
             "left_out": {
-                name: {**asdict(one.methods["ours"]), "gain_db": gains(one)} for name, one in self.left_out.items()
+                name: {
+                    **asdict(one.methods["ours"]),
+                    "gain_db": gains(one),
+                    "visual_hull": {**asdict(self.hulls[name]), "gain_db": self.hulls[name].gain_db},
+                }
+                for name, one in self.left_out.items()
             },
             "tiers": {tier.name.lower(): int(tiers[-1, tier]) for tier in Tier},
             "moving_share": float((moving / tiers.sum(1).clip(1)).mean()),
@@ -127,11 +135,15 @@ def run(log: Path, parameters: TrackBenchParameters | None = None, progress: Pro
             bench = _bounce(list(source), parameters, log, progress)
         else:
             bench = _once(session, source, parameters, log, progress)
+        hulls = {name: HullTally() for name in hidden}
         left_out = {
-            name: score_renderings(without(name, _told(source, session, progress), make_model(parameters.chain)))
-            for name in hidden
+            name: score_renderings(
+                tally.watch(without(name, _told(source, session, progress), make_model(parameters.chain)))
+            )
+            for name, tally in hulls.items()
         }
-    return TrackBench(**{**vars(bench), "left_out": left_out})
+    scores = {name: tally.score for name, tally in hulls.items()}
+    return TrackBench(**{**vars(bench), "left_out": left_out, "hulls": scores})
 
 
 def _once(

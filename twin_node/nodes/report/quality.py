@@ -63,6 +63,8 @@ class Renderings:
     frozen: Image
     previous: Image | None
     """The camera's image before this one."""
+    state: TwinState | None = None
+    """What a model that never saw this camera made of the set; None where it did."""
 
 
 def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Image]) -> Iterator[Renderings]:
@@ -155,7 +157,7 @@ def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator
         if first is None or still is None:
             first, still = image, model.render_frozen(hidden.camera).rgb
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
-        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, previous)
+        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, previous, state)
         previous = image
 
 
