@@ -33,17 +33,16 @@ class Shapes:
     means: Float64
     """[n, 3] m."""
     axes: Float64
-    """[n, 3, 3] m in `base_link`, of 1 sigma: the columns are the axes of each."""
+    """[3, 3, n] m, of 1 sigma: coordinates in `base_link` of the three axes of each."""
+    radii: Float64
+    """[n] m, 1 sigma, mean over the axes."""
 
     @classmethod
     def of(cls, means: NDArray[np.floating], quats: NDArray[np.floating], scales: NDArray[np.floating]) -> Shapes:
         """From means [n, 3] m, quaternions [n, 4] w x y z and sizes [n, 3] m."""
-        return cls(np.asarray(means, np.float64), rotation_from_quat(quats) * scales[:, None, :])
-
-    @property
-    def radii(self) -> Float64:
-        """[n] m, 1 sigma, mean over the axes."""
-        return np.asarray(np.linalg.norm(self.axes, axis=1).mean(-1), np.float64)
+        axes = rotation_from_quat(quats) * scales[:, None, :]
+        radii = np.asarray(scales, np.float64).mean(-1)
+        return cls(np.asarray(means, np.float64), np.ascontiguousarray(np.moveaxis(axes, 0, -1)), radii)
 
 
 def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
@@ -74,7 +73,7 @@ def _half_axes(camera: Camera, shape: Shapes) -> Float64:
     R = camera.viewmat[:3, :3]
     x, y, z = R @ shape.means.T + camera.viewmat[:3, 3:]
     z = np.maximum(z, NEAREST_M)
-    axes = np.einsum("ij,njk->ikn", R, shape.axes, optimize=True)
+    axes = (R @ shape.axes.reshape(3, -1)).reshape(shape.axes.shape)
     u, v = (camera.K[k, k] / z * (axes[k] - at / z * axes[2]) for k, at in ((0, x), (1, y)))
     uu, uv, vv = (u * u).sum(0), (u * v).sum(0), (v * v).sum(0)
     middle, apart = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)
@@ -85,7 +84,7 @@ def _half_axes(camera: Camera, shape: Shapes) -> Float64:
 
 def _around(seen: Seen, half_axes: Float64, shape: tuple[int, ...]) -> Seen:
     """[5, n] the pixels at the middles and on the rims of what is seen, of `half_axes` [2, 2, n] px, at one depth."""
-    offsets = np.einsum("ra,acn->rcn", RIM, half_axes)
+    offsets = (RIM @ half_axes.reshape(2, -1)).reshape(len(RIM), *half_axes.shape[1:])
     shifts = np.rint(np.clip(offsets, -1e6, 1e6)).astype(np.int64)
     columns, rows = seen.columns + shifts[:, 0], seen.rows + shifts[:, 1]
     inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
