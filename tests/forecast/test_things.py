@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, ball_voxels
+from forecast_worlds import GRID, ball_voxels, state_of
 
+from twin_node.forecast import Forecaster
+from twin_node.forecast.experts import GRAVITY
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.things import Things
+from twin_node.scene import HORIZONS_NS
 
 PERIOD_NS = 66_000_000
 CAMERAS = ("left", "right")
@@ -66,3 +69,23 @@ def test_nothing_at_all_is_followed_by_nothing() -> None:
     )
     for number, parts in enumerate((none, rims, balls((0.0, 0.0, 0.5)))):
         assert not things.follow(number * PERIOD_NS, CAMERAS, parts).trusts.any()
+
+
+def test_what_is_thrown_is_expected_to_fall() -> None:
+    """A ball seen for 0.2 s: its fall within 233 ms is three times its width."""
+    forecaster, speed = Forecaster(GRID), np.array([2.0, 0.0, 1.0])
+
+    def place(stamp: int) -> np.ndarray:
+        seconds = stamp * 1e-9
+        path: np.ndarray = np.array([-0.6, 0.0, 0.6]) + seconds * speed + seconds**2 / 2 * GRAVITY
+        return path
+
+    for number in range(4):
+        stamp = number * PERIOD_NS
+        state = state_of(stamp, place(stamp), radius=0.09, with_depth=True)
+        occupancy = forecaster.update(state, stamp + 33_000_000)
+    there = ball_voxels(place(occupancy.publish_stamp + HORIZONS_NS[-1]), 0.09)
+    assert len(there) > 0
+    assert np.isin(there, occupancy.layers[-1].indices).all()
+    reached = np.linalg.norm(GRID.centers(np.arange(GRID.size)) - place(stamp), axis=1) < 0.09 + 0.233 * 2.5
+    assert len(occupancy.layers[-1].indices) < 0.8 * np.count_nonzero(reached)
