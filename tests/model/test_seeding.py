@@ -16,7 +16,6 @@ from twin_node.model.features import triangulate
 from twin_node.model.parameters import SeedParameters
 from twin_node.model.plane import Plane, correlation, dominant_plane, plane_through
 from twin_node.model.rays import back_project, look, pixel_rays
-from twin_node.model.rendering import Splats, render
 from twin_node.model.seeding import find_plane, find_surfaces, seed
 from twin_node.model.sweep import shell_around
 
@@ -124,18 +123,3 @@ def test_a_pixel_s_ray_falls_back_into_the_pixel(column: int, row: int, depth: f
     assert project(one.K, one.viewmat, point[None])[0] == pytest.approx([column + 0.5, row + 0.5, depth], abs=1e-6)
     seen = look(one, point[None])
     assert (seen.columns[0], seen.rows[0], bool(seen.inside[0])) == (column, row, True)
-
-
-def test_what_is_even_is_seeded_with_fewer() -> None:
-    first = frames(0, None, rig(), depth=True)
-    coarse = [replace(view, rgb=np.full_like(view.rgb, 120)) for view in first.views]
-    rng = np.random.default_rng(0)
-    busy = [replace(view, rgb=rng.integers(0, 256, view.rgb.shape).astype(np.uint8)) for view in first.views]
-    plain, textured = (
-        seed(views, [None] * 3, SeedParameters(), 10_000, torch.device("cpu")).born for views in (coarse, busy)
-    )
-    assert len(plain.means) < 0.8 * len(textured.means)
-    splats = Splats(plain.means[None], plain.quats[None], plain.scales, plain.opacities, plain.rgb)
-    for view, seen in zip(coarse, render(splats, [view.camera for view in coarse]), strict=True):
-        assert view.depth is not None
-        assert float((seen.alpha[torch.from_numpy(view.depth > 0)] > 0.5).float().mean()) > 0.95

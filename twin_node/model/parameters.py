@@ -18,8 +18,7 @@ class SeedParameters:
     steps: int = 300
     """Optimisation steps on the first set."""
     stride_px: int = 2
-    """One Gaussian per block of this many pixels squared and camera, of more where a surface is even, before those of
-    the same place are merged."""
+    """One Gaussian per block of this many pixels squared and camera, before those of the same place are merged."""
     levels: int = 40
     """Offsets from the dominant plane that the sweep tries."""
     shell_factor: float = 2.5

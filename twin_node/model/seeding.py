@@ -19,20 +19,13 @@ from twin_node.model.plane import Plane, dominant_plane, plane_through
 from twin_node.model.rays import back_project
 from twin_node.model.rotations import quat_between
 from twin_node.model.sweep import Surface, shell_around, sweep
-from twin_node.scene import Bool, Exposure, Float32, Float64, Tier, View
+from twin_node.scene import Exposure, Float32, Float64, Tier, View
 
 PLANE_SAMPLES = 4000
 """Measured points that the dominant plane is fitted to."""
 FLATNESS = 0.2
 """Thickness of a Gaussian on the dominant plane in units of its radius."""
 SEED_OPACITY = 0.7
-COARSER = 2
-"""How often the side of a block may be doubled."""
-EVEN = 0.05
-"""Span of each colour (0 to 1) up to which a surface is even, so that one Gaussian shows it as well as many: the
-first sets of real cells are seen as well with a tenth fewer."""
-EVEN_DEPTH = 0.02
-"""Share of its depth that an even surface may span, unless it lies on the dominant plane."""
 
 
 @dataclass(frozen=True)
@@ -120,55 +113,25 @@ class _Blocks:
 
 
 def _lift(views: Sequence[View], surfaces: Sequence[Surface], plane: Plane | None, stride: int) -> _Blocks:
-    """Blocks of `stride` pixels squared of all views, and of as many times that as a surface is even over."""
     parts: list[_Blocks] = []
     for view, surface in zip(views, surfaces, strict=True):
-        left = np.ones(surface.on_plane.shape, bool) if view.valid is None else view.valid.copy()
-        for size in (stride * 2**level for level in reversed(range(COARSER + 1))):
-            rows = np.arange(size // 2, view.camera.height, size)
-            columns = np.arange(size // 2, view.camera.width, size)
-            chosen = left[np.ix_(rows, columns)]
-            if size > stride:
-                chosen &= _even(view, surface, size)[np.ix_(rows, columns)]
-            taken = np.kron(chosen, np.ones((size, size), bool))[: left.shape[0], : left.shape[1]]
-            left[: taken.shape[0], : taken.shape[1]] &= ~taken
-            parts.append(_blocks(view, surface, size, chosen, plane is not None))
+        camera = view.camera
+        rows, columns = np.arange(stride // 2, camera.height, stride), np.arange(stride // 2, camera.width, stride)
+        grid = np.ix_(rows, columns)
+        points = back_project(camera, surface.depth)[grid]
+        size = (camera.width // stride + 1, camera.height // stride + 1)
+        padded = cv2.copyMakeBorder(view.rgb, 0, stride, 0, stride, cv2.BORDER_REPLICATE)
+        padded = padded[: size[1] * stride, : size[0] * stride]
+        rgb = cv2.resize(padded, size, interpolation=cv2.INTER_AREA)[: len(rows), : len(columns)] / 255
+        radii = 0.5 * stride * surface.depth[grid] / camera.K[0, 0]
+        flat = surface.on_plane[grid] & (plane is not None)
+        known = np.ones(flat.shape, bool) if view.valid is None else view.valid[grid]
+        parts.append(_Blocks(points[known], radii[known], rgb[known], flat[known]))
     return _Blocks(
         np.concatenate([part.means for part in parts]),
         np.concatenate([part.radii for part in parts]),
         np.concatenate([part.rgb for part in parts]),
         np.concatenate([part.flat for part in parts]),
-    )
-
-
-def _even(view: View, surface: Surface, size: int) -> Bool:
-    """[H, W] where the `size` pixels squared around show one colour and one plane, and are whole in the image."""
-    around = np.ones((size, size), np.uint8)
-    smooth = cv2.blur(view.rgb, (3, 3))  # an image's noise is no texture
-    span = cv2.subtract(cv2.dilate(smooth, around), cv2.erode(smooth, around)).max(-1)
-    far, near = cv2.dilate(surface.depth, around), cv2.erode(surface.depth, around)
-    level = (far < (1 + EVEN_DEPTH) * near) | (cv2.erode(surface.on_plane.astype(np.uint8), around) > 0)
-    even: Bool = (span < 255 * EVEN) & level
-    if view.valid is not None:
-        even &= cv2.erode(view.valid.astype(np.uint8), around) > 0
-    even[-size:], even[:, -size:] = False, False
-    return even
-
-
-def _blocks(view: View, surface: Surface, size: int, chosen: Bool, has_plane: bool) -> _Blocks:
-    """Those `chosen` [h, w] of a view's blocks of `size` pixels squared."""
-    camera = view.camera
-    rows, columns = np.arange(size // 2, camera.height, size), np.arange(size // 2, camera.width, size)
-    grid = np.ix_(rows, columns)
-    whole = (camera.width // size + 1, camera.height // size + 1)
-    padded = cv2.copyMakeBorder(view.rgb, 0, size, 0, size, cv2.BORDER_REPLICATE)
-    padded = padded[: whole[1] * size, : whole[0] * size]
-    rgb = cv2.resize(padded, whole, interpolation=cv2.INTER_AREA)[: len(rows), : len(columns)] / 255
-    return _Blocks(
-        back_project(camera, surface.depth)[grid][chosen],
-        (0.5 * size * surface.depth[grid] / camera.K[0, 0])[chosen],
-        rgb[chosen],
-        surface.on_plane[grid][chosen] & has_plane,
     )
 
 
