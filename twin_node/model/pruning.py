@@ -20,7 +20,7 @@ EVERY_SETS = 8
 """Sets between two looks, each through one camera: what stands changes slowly."""
 LEAST_PX = 0.1
 """Blend weight, summed over the pixels of a camera, under which a Gaussian does not show. Of three times as much a
-recorded cell holds no more than 2 %, and misses them by 0.07 dB."""
+recorded cell holds no more than 2 %, and misses them by 0.1 dB."""
 ROUNDS = 2
 """Rounds in a row in which a Gaussian does not show before it goes."""
 
