@@ -37,20 +37,10 @@ def test_the_arm_stands_until_the_first_forecast() -> None:
 def test_down_at_once_and_up_slowly() -> None:
     limiter = at_full_speed()
     assert limiter.tick(NOW).speed_fraction == 1.0
-    for at_ms in range(30, 600, 30):
-        down = limiter.decide(decision(0.1, at_ms), NOW + at_ms * MS)
-        assert (down.speed_fraction, down.obstacle_id, down.reason) == (0.1, 3, "clear of MOVING")
-    up = limiter.decide(decision(1.0, 600), NOW + 600 * MS)
-    assert up.speed_fraction == pytest.approx(0.1 + LimiterParameters().rise_per_s * 0.03)
-
-
-def test_after_a_short_stop_the_speed_rises_from_where_the_arm_still_moves() -> None:
-    limiter, limits = at_full_speed(), LimiterParameters()
-    assert limiter.decide(decision(0.0, 30), NOW + 30 * MS).speed_fraction == 0.0
-    assert limiter.decide(decision(0.0, 60), NOW + 60 * MS).speed_fraction == 0.0
-    still_moves = 1 - 0.06 * limits.fall_per_s
-    again = limiter.decide(decision(1.0, 90), NOW + 90 * MS)
-    assert again.speed_fraction == pytest.approx(still_moves + 0.03 * limits.rise_per_s)
+    down = limiter.decide(decision(0.1, 30), NOW + 30 * MS)
+    assert (down.speed_fraction, down.obstacle_id, down.reason) == (0.1, 3, "clear of MOVING")
+    up = limiter.decide(decision(1.0, 60), NOW + 60 * MS)
+    assert up.speed_fraction == pytest.approx(0.1 + 0.5 * 0.03)
 
 
 def test_silence_slows_within_one_deadline_and_stops_within_two() -> None:
@@ -63,7 +53,7 @@ def test_silence_slows_within_one_deadline_and_stops_within_two() -> None:
     assert stopped.speed_fraction == 0.0
     assert stopped.reason == "stopped: no forecast for 200 ms"
     assert limiter.tick(NOW + 9_000 * MS).speed_fraction == 0.0
-    assert 0 < limiter.decide(decision(1.0, 9_010), NOW + 9_010 * MS).speed_fraction < 0.02
+    assert 0 < limiter.decide(decision(1.0, 9_010), NOW + 9_010 * MS).speed_fraction < 0.01
 
 
 def test_old_evidence_is_silence_however_often_it_is_sent() -> None:
@@ -95,12 +85,10 @@ def test_a_stop_stays_a_stop_when_the_forecast_is_late() -> None:
 
 @given(steps=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 300)), min_size=1, max_size=30))
 def test_never_above_the_decision_and_never_rising_too_fast(steps: list[tuple[float, int]]) -> None:
-    limits, now_ms, before, moving = LimiterParameters(), 0, 0.0, 0.0
-    limiter = SpeedLimiter(limits)
+    limiter, now_ms, before = SpeedLimiter(), 0, 0.0
     for fraction, wait_ms in steps:
         now_ms += wait_ms
         told = limiter.decide(decision(fraction, now_ms), NOW + now_ms * MS).speed_fraction
         assert 0 <= told <= fraction
-        moving = max(before, moving - limits.fall_per_s * 1e-3 * wait_ms)  # an arm does not stop faster than that
-        assert told <= moving + limits.rise_per_s * 1e-3 * wait_ms + 1e-9
-        before, moving = told, max(told, moving)
+        assert told <= before + 0.5e-3 * wait_ms + 1e-9
+        before = told

@@ -1,4 +1,4 @@
-"""Makes a speed out of decisions over time: down at once, up from where the arm is, to a stop without forecasts."""
+"""Makes a speed out of decisions over time: down at once, up slowly, and to a stop when no forecast comes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,8 @@ class LimiterParameters:
     """Time without a forecast after which the arm is slow; after twice as long it stands. Three images at 30 Hz."""
     slow_fraction: float = 0.2
     """Largest speed between one and two deadlines."""
-    rise_per_s: float = 1.33
-    """How fast the speed may rise: from rest to full in 0.75 s, as a UR's moveJ does by default (1.4 rad/s^2 to 1.05
-    rad/s). A matter of the arm's load and of calm: the law itself allows each decision's speed at once."""
-    fall_per_s: float = 3.0
-    """How fast an arm may brake: from full speed to rest in a third of a second, as a UR5e at 2 rad/s by its stopping
-    table. After a short stop the speed rises from where the arm still moves, not from rest."""
+    rise_per_s: float = 0.5
+    """How fast the speed may rise: from rest to full in two seconds."""
     evidence_latency_s: float = 0.2
     """Age that evidence may have when its forecast arrives; older evidence counts as a late forecast."""
 
@@ -34,7 +30,6 @@ class SpeedLimiter:
         self._decision: Separation | None = None
         self._arrival = 0
         self._fraction = 0.0
-        self._moving = 0.0
         self._stamp: int | None = None
 
     def decide(self, separation: Separation, now: int) -> Separation:
@@ -59,9 +54,8 @@ class SpeedLimiter:
         elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
             limit, reason = self.parameters.slow_fraction, f"slow: no forecast for {age_s * 1e3:.0f} ms"
         elapsed_s = 0.0 if self._stamp is None else max(now - self._stamp, 0) * 1e-9
-        moving = max(self._fraction, self._moving - self.parameters.fall_per_s * elapsed_s)
-        self._fraction = min(limit, moving + self.parameters.rise_per_s * elapsed_s)
-        self._moving, self._stamp = max(self._fraction, moving), now
+        self._fraction = min(limit, self._fraction + self.parameters.rise_per_s * elapsed_s)
+        self._stamp = now
         return replace(self._decision, stamp=now, speed_fraction=self._fraction, reason=reason)
 
     def silence_s(self, now: int) -> float:
