@@ -111,6 +111,17 @@ def test_retreat_is_not_slowed(ur5e_checker: ArmCollisionChecker) -> None:
     assert decided(ur5e_checker, close, velocity=np.zeros(6)).speed_fraction == 1.0
 
 
+def test_an_arm_that_leaves_stands_for_what_may_touch_it(ur5e_checker: ArmCollisionChecker) -> None:
+    for velocity in (-TURNING, 0.05 * -TURNING):
+        overtaken = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.06), velocity=velocity)
+        assert overtaken.speed_fraction == 0.0
+        assert overtaken.reason == "stopped for MOVING"
+        assert decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.1), velocity=velocity).speed_fraction == 1.0
+    for kind in (ObstacleKind.STATIC, ObstacleKind.UNKNOWN):  # nothing comes out of the one; an arm has its own shadow
+        beside = beside_the_tool(ur5e_checker, 0.06, kind=kind)
+        assert decided(ur5e_checker, beside, velocity=-TURNING).speed_fraction == 1.0
+
+
 def test_furniture_gets_plain_clearance(ur5e_checker: ArmCollisionChecker) -> None:
     table = beside_the_tool(ur5e_checker, 0.2, kind=ObstacleKind.STATIC)
     person = replace(table, kind=ObstacleKind.MOVING)

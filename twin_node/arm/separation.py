@@ -42,7 +42,7 @@ class SeparationParameters:
     intrusion_m: float = 0.2
     """C: how far a body reaches past what the sensors detect, m."""
     clearance_m: float = 0.03
-    """Kept from what stands still, m: about one voxel."""
+    """Kept from what stands still, m: about one voxel. What moves and may come nearer stops an arm that leaves, too."""
     position_error_m: float = 0.005
     """Z: error of the arm's position, m: DH parameters without factory calibration are off by millimetres.
 
@@ -98,6 +98,8 @@ class Hazards:
     """[n] False where it is out of date or left out by the policy."""
     keeps_still: Bool
     """[n] True where plain clearance is enough."""
+    moves: Bool
+    """[n] True where something was seen to move, or may by then."""
     speeds: Float64
     """[n] v_h, m/s."""
     valid_from: NDArray[np.int64]
@@ -125,6 +127,7 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,
+        moves=np.asarray(kinds == ObstacleKind.MOVING),
         speeds=np.maximum(np.linalg.norm(source.velocities, axis=1), parameters.human_speed),
         valid_from=source.valid_from,
         valid_to=np.where(in_last_layer, source.valid_to, np.iinfo(np.int64).max),
@@ -165,12 +168,19 @@ class Encounter:
     def shortfall(self, share: float) -> Float64:
         """By how much [p] distances fall short of the protective ones at a share of the speed, m; negative: enough.
 
-        Minus infinity for pairs that are not closing, and for obstacles that come after the arm would have stopped.
+        Minus infinity for obstacles that come after the arm would have stopped, and for pairs that the arm does not
+        close, unless something that moves may touch it: whoever overtakes an arm that leaves is to find it standing.
         """
         stop = self.motion.stop(share)
         in_time = self.hazards.valid_from[self.rows] <= self.motion.standstill(stop)
-        concerned = (self.closing > self.parameters.closing_speed) & in_time
+        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch)
+        concerned = ((self.closing > self.parameters.closing_speed) | touching) & in_time
         return np.where(concerned, self._terms(share, stop).required - self.distances, -np.inf)
+
+    @property
+    def _within_touch(self) -> float:
+        """Distance at which something may touch the arm, m."""
+        return self.parameters.clearance_m + self.parameters.position_error_m
 
     def largest_share(self) -> float:
         """Largest share (0 to 1) of the arm's speed at which no pair falls short.
