@@ -11,11 +11,11 @@ from model_scenes import TICK_NS, block, joined, rig, table
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.cells import Cells
-from twin_node.model.decisions import Decision, Grounds, Kind, Stir
-from twin_node.model.kinship import MERGE, SPLIT, Kinship, Merger, Parting
+from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
+from twin_node.model.merge_split import MERGE, SPLIT, Merge, MergeSplit, Split
 from twin_node.model.rendering import Splats, render
 from twin_node.model.rotations import quat_from_vector, quat_product, rotate
-from twin_node.model.statements import PARAMETERS, Said, Statements, velocities_of
+from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, velocities_of
 from twin_node.scene import FrameSet, Tier, TwinState, View
 
 CAMERAS = rig(120, 90)
@@ -98,7 +98,7 @@ def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> No
         model.refine()
         resting[index] = int((model._gaussians.rested >= 0).sum())
         kinds += [(index, one.kind) for one in model.decisions if one.kind in (Kind.SETTLED, Kind.WOKEN)]
-        assert all(isinstance(one.grounds, Grounds | Stir) for one in model.decisions)
+        assert all(isinstance(one.grounds, LogEvidence | ChangedView) for one in model.decisions)
     settled = [index for index, kind in kinds if kind is Kind.SETTLED]
     woken = [index for index, kind in kinds if kind is Kind.WOKEN]
     assert settled and 16 < settled[0] < 64
@@ -112,7 +112,7 @@ def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> No
 def assert_reasoned(decisions: list[Decision]) -> None:
     """Every decision carries the terms that it rests on."""
     for one in decisions:
-        if isinstance(one.grounds, Stir) or one.kind is Kind.SETTLED:
+        if isinstance(one.grounds, ChangedView) or one.kind is Kind.SETTLED:
             continue
         gain = one.grounds.one - one.grounds.two
         assert gain > MERGE if one.kind is Kind.MERGED else gain < -SPLIT
@@ -120,7 +120,7 @@ def assert_reasoned(decisions: list[Decision]) -> None:
         assert one.node != one.other
 
 
-def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float = 0.2) -> Statements:
+def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float = 0.2) -> VelocityEquations:
     """What points about `centres` [c, 3] of bodies with `velocities` [c, 6] about the origin would say in one set."""
     rng = np.random.default_rng(seed)
     points = centres[:, None] + rng.uniform(-0.03, 0.03, (len(centres), 40, 3))
@@ -132,7 +132,7 @@ def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float = 
     error = (J @ velocities[..., None])[..., 0] + noise * rng.standard_normal(J.shape[:2])
     turned_J = np.swapaxes(J, 1, 2)
     g = (turned_J @ error[..., None])[..., 0]
-    return Statements(turned_J @ J, g, (error**2).sum(1), np.full(len(centres), 120.0))
+    return VelocityEquations(turned_J @ J, g, (error**2).sum(1), np.full(len(centres), 120.0))
 
 
 def row_of(count: int, nodes: list[int]) -> Cells:
@@ -142,13 +142,13 @@ def row_of(count: int, nodes: list[int]) -> Cells:
     return Cells(keys, of_nodes, of_nodes, keys, centres)
 
 
-def decided(cells: Cells, velocities: np.ndarray, sets: int = 12) -> list[Merger | Parting]:
+def decided(cells: Cells, velocities: np.ndarray, sets: int = 12) -> list[Merge | Split]:
     """All decisions about bodies whose cells go on moving alike."""
-    kinship, ids = Kinship(), np.arange(8)
-    out: list[Merger | Parting] = []
+    merge_split, ids = MergeSplit(), np.arange(8)
+    out: list[Merge | Split] = []
     for index in range(sets):
-        kinship.hear(cells, told(velocities, cells.centres, index), DT_S)
-        out += kinship.decide(ids, DT_S)
+        merge_split.accumulate(cells, told(velocities, cells.centres, index), DT_S)
+        out += merge_split.decide(ids, DT_S)
     return out
 
 
@@ -156,7 +156,7 @@ def test_neighbours_that_turn_about_one_axis_are_one_body_and_others_are_not() -
     cells = row_of(6, [0, 0, 0, 1, 1, 1])
     about_one = np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
     merged = decided(cells, about_one)
-    assert merged and all(isinstance(one, Merger) and {one.kept, one.ended} == {0, 1} for one in merged)
+    assert merged and all(isinstance(one, Merge) and {one.kept, one.ended} == {0, 1} for one in merged)
     two = about_one.copy()
     two[3:, 1] += 0.05
     assert not decided(cells, two)
@@ -172,8 +172,8 @@ def test_a_node_whose_cells_move_two_ways_parts_along_the_cut_and_one_body_never
     assert not decided(cells, alike, 30)
     two = alike.copy()
     two[4:, 1] -= 0.1
-    partings = [one for one in decided(cells, two, 30) if isinstance(one, Parting)]
-    assert partings[0].leaving.tolist() == [False] * 4 + [True] * 2
+    splits = [one for one in decided(cells, two, 30) if isinstance(one, Split)]
+    assert splits[0].leaving.tolist() == [False] * 4 + [True] * 2
 
 
 def test_a_kind_that_two_nodes_carry_is_judged_in_each_by_what_is_there() -> None:
@@ -181,7 +181,7 @@ def test_a_kind_that_two_nodes_carry_is_judged_in_each_by_what_is_there() -> Non
     shared = replace(cells, founders=np.array([0, 0, 9, 9, 9, 1]))
     velocities = np.zeros((6, 6))
     velocities[:, 0], velocities[3:, 1] = 0.1, 0.2
-    assert all(isinstance(one, Parting | Merger) for one in decided(shared, velocities))
+    assert all(isinstance(one, Split | Merge) for one in decided(shared, velocities))
 
 
 def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_velocity() -> None:
@@ -195,5 +195,5 @@ def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_veloci
     predicted = 0.7 * velocity * DT_S
     error = (J @ (velocity * DT_S - predicted)[..., None])[..., 0]
     g = (np.swapaxes(J, 1, 2) @ error[..., None])[..., 0]
-    said = Said(np.swapaxes(J, 1, 2) @ J, g, (error**2).sum(1), np.array([60.0]), origin, predicted)
-    assert velocities_of(said.statements(DT_S), origin) == pytest.approx(velocity, abs=1e-3)
+    said = PoseEquations(np.swapaxes(J, 1, 2) @ J, g, (error**2).sum(1), np.array([60.0]), origin, predicted)
+    assert velocities_of(said.velocity_equations(DT_S), origin) == pytest.approx(velocity, abs=1e-3)

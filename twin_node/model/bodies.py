@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from twin_node.model.cells import Cells
-from twin_node.model.decisions import Decision, Grounds
+from twin_node.model.decisions import Decision, LogEvidence
 from twin_node.model.drift import Drift
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.kinship import Kinship
+from twin_node.model.merge_split import MergeSplit
 from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, limited
 from twin_node.model.normal_equations import NormalEquations
 from twin_node.model.regrouping import regroup
-from twin_node.model.statements import PARAMETERS, Said
+from twin_node.model.velocity_equations import PARAMETERS, PoseEquations
 from twin_node.scene import Float64, Tier
 
 SHORTEST_S = 1e-3
@@ -31,17 +31,17 @@ class Bodies:
     def __init__(self, gaussians: Gaussians, nodes: Nodes) -> None:
         self._gaussians = gaussians
         self._nodes = nodes
-        self._kinship = Kinship()
+        self._merge_split = MergeSplit()
         self._drift = Drift(gaussians.capacity)
         self._undecided_s = 0.0
         self.decided_s = 0.0
         """Time that the last `regroup` has decided about, s; 0 where it has put decisions off."""
 
     @property
-    def resting(self) -> Mapping[int, Grounds]:
+    def resting(self) -> Mapping[int, LogEvidence]:
         """By row, the nodes that did not move in the time that was decided about last."""
         learned = self._nodes.alive & (self._nodes.tiers != int(Tier.ROBOT))
-        return {row: grounds for row, grounds in self._kinship.resting.items() if bool(learned[row])}
+        return {row: grounds for row, grounds in self._merge_split.resting.items() if bool(learned[row])}
 
     def moved(self, rows: Tensor, cells: Cells) -> Float64:
         """[c, 6] m and rad that each cell of Gaussians `rows` [m] has moved since the set before, as is foretold.
@@ -52,15 +52,15 @@ class Bodies:
         moved[:, :3] += self._drift.of(self._gaussians, rows, cells, self._nodes)
         return moved
 
-    def hear(self, cells: Cells, moved: Float64, said: NormalEquations, dt_s: float) -> None:
+    def accumulate(self, cells: Cells, moved: Float64, said: NormalEquations, dt_s: float) -> None:
         """Takes note of what the flow under the cells, which have `moved`, says before it has moved the nodes.
 
         `dt_s`: time since the set before.
         """
         part, sums = slice(PARAMETERS), said.sums
         origins = self._nodes.positions.numpy()[cells.nodes]
-        one = Said(sums.H[:, part, part], sums.g[:, part], sums.squares, said.count, origins, moved)
-        self._kinship.hear(cells, one.statements(max(dt_s, SHORTEST_S)), dt_s)
+        one = PoseEquations(sums.H[:, part, part], sums.g[:, part], sums.squares, said.count, origins, moved)
+        self._merge_split.accumulate(cells, one.velocity_equations(max(dt_s, SHORTEST_S)), dt_s)
 
     def regroup(self, rows: Tensor, cells: Cells, dt_s: float) -> Sequence[Decision]:
         """Takes over the velocities that were heard of, and, where that is due, merges and splits nodes.
@@ -70,7 +70,7 @@ class Bodies:
         nodes = self._nodes
         learned = nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)].numpy()
         known = torch.from_numpy(learned[np.isin(learned, cells.nodes)])
-        velocities = torch.from_numpy(self._kinship.velocities(known.numpy(), nodes.positions[known].numpy()))
+        velocities = torch.from_numpy(self._merge_split.velocities(known.numpy(), nodes.positions[known].numpy()))
         nodes.velocities[known] = limited(velocities[:, :3], MAX_SPEED)
         nodes.angular_velocities[known] = limited(velocities[:, 3:], MAX_TURN)
         self._undecided_s += dt_s
@@ -78,4 +78,4 @@ class Bodies:
         if self._undecided_s < DECIDED_S:
             return []
         self.decided_s, self._undecided_s = self._undecided_s, 0.0
-        return regroup(self._gaussians, rows, cells, nodes, self._kinship, self.decided_s)
+        return regroup(self._gaussians, rows, cells, nodes, self._merge_split, self.decided_s)

@@ -7,7 +7,7 @@ from enum import Enum
 
 
 @dataclass(frozen=True)
-class Grounds:
+class LogEvidence:
     """What speaks for a decision, as logarithms of probabilities, nats."""
 
     one: float
@@ -21,7 +21,7 @@ class Grounds:
 
 
 @dataclass(frozen=True)
-class Stir:
+class ChangedView:
     """What of a thing at rest looks otherwise than it did."""
 
     visible: int
@@ -50,4 +50,4 @@ class Decision:
     """Id of the node that goes on, has come to rest, or had come to rest."""
     other: int
     """Id of the node that has ended, or begun; `node` itself where it settles."""
-    grounds: Grounds | Stir
+    grounds: LogEvidence | ChangedView

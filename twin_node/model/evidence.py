@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from twin_node.model.statements import CORRELATED
+from twin_node.model.velocity_equations import CORRELATED
 
 LEAST = 1e-9
 """Keeps ratios of squares finite."""

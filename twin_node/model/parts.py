@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin_node.model.statements import PARAMETERS, Statements, judge, velocities_of
+from twin_node.model.velocity_equations import PARAMETERS, VelocityEquations, judge, velocities_of
 from twin_node.scene import Bool, Float64
 
 LEAST = PARAMETERS
@@ -16,7 +16,7 @@ ROUNDS = 3
 """Times that cells are dealt out again between two parts."""
 
 
-def halves_of(said: Statements, centres: Float64, misfit: float) -> Bool | None:
+def halves_of(said: VelocityEquations, centres: Float64, misfit: float) -> Bool | None:
     """[c] which of c cells at `centres` [c, 3] m are the smaller of the two bodies that explain best what was said.
 
     None where there are not enough observations. Cells are dealt out along the axes of the body and by their own
@@ -43,7 +43,7 @@ def halves_of(said: Statements, centres: Float64, misfit: float) -> Bool | None:
     return smaller
 
 
-def redealt(said: Statements, centres: Float64, second: Bool, misfit: float) -> Bool:
+def redealt(said: VelocityEquations, centres: Float64, second: Bool, misfit: float) -> Bool:
     """[c] the cells of two parts dealt out once more, each to the part that explains it better.
 
     `second` [c] says which are the second part's so far. Cells that say little go where the nearest that say enough do.
@@ -60,7 +60,7 @@ def redealt(said: Statements, centres: Float64, second: Bool, misfit: float) -> 
     return dealt
 
 
-def _dealt(own: Statements, arms: Float64, weight: Float64) -> Bool:
+def _dealt(own: VelocityEquations, arms: Float64, weight: Float64) -> Bool:
     """[4, c] first guesses: either side of the middle along each of the body's axes, and along its cells' motions."""
     axes = np.linalg.svd(arms * np.sqrt(weight)[:, None], full_matrices=False)[2]
     whole = own.summed(np.zeros(len(own), np.int64), 1)
@@ -73,14 +73,14 @@ def _dealt(own: Statements, arms: Float64, weight: Float64) -> Bool:
     return guesses
 
 
-def _dealt_again(own: Statements, second: Bool) -> Bool:
+def _dealt_again(own: VelocityEquations, second: Bool) -> Bool:
     """[t, c] each cell to the part whose velocity leaves the smaller error."""
     errors = _errors(own, second)
     dealt: Bool = errors[1] < errors[0]
     return dealt
 
 
-def _errors(own: Statements, second: Bool) -> Float64:
+def _errors(own: VelocityEquations, second: Bool) -> Float64:
     """[2, t, c] squared errors of each cell by the velocity of the first and of the second part of each try [t, c].
 
     Less those of a cell that does not move.
@@ -92,7 +92,7 @@ def _errors(own: Statements, second: Bool) -> Float64:
     return errors
 
 
-def _parts(own: Statements, second: Bool) -> Statements:
+def _parts(own: VelocityEquations, second: Bool) -> VelocityEquations:
     """[2 t] what was said of the first and of the second parts of each try [t, c]."""
     return own.gathered(np.concatenate([~second, second]))
 

@@ -9,32 +9,34 @@ from torch import Tensor
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import Decision, Kind
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.kinship import Kinship, Merger, Parting
+from twin_node.model.merge_split import Merge, MergeSplit, Split
 from twin_node.model.nodes import Nodes
 from twin_node.scene import Tier
 
 
 def regroup(
-    gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, kinship: Kinship, dt_s: float
+    gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, merge_split: MergeSplit, dt_s: float
 ) -> list[Decision]:
-    """Does what `kinship` decides about the last `dt_s`; `rows` [m] are the Gaussians that `cells` hold."""
+    """Does what `merge_split` decides about the last `dt_s`; `rows` [m] are the Gaussians that `cells` hold."""
     done = []
-    for one in kinship.decide(nodes.ids.numpy(), dt_s):
-        if isinstance(one, Merger):
+    for one in merge_split.decide(nodes.ids.numpy(), dt_s):
+        if isinstance(one, Merge):
             done.append(_merge(gaussians, nodes, one))
         elif nodes.free:
-            done.append(_split(gaussians, rows, cells, nodes, kinship, one))
+            done.append(_split(gaussians, rows, cells, nodes, merge_split, one))
     return done
 
 
-def _merge(gaussians: Gaussians, nodes: Nodes, one: Merger) -> Decision:
+def _merge(gaussians: Gaussians, nodes: Nodes, one: Merge) -> Decision:
     members = torch.nonzero(gaussians.alive & (gaussians.nodes == one.ended))[:, 0]
     gaussians.transfer(members, torch.full((len(members),), one.kept), nodes)
     nodes.retire(torch.tensor([one.ended]))
     return Decision(Kind.MERGED, nodes.stamp, int(nodes.ids[one.kept]), int(nodes.ids[one.ended]), one.grounds)
 
 
-def _split(gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, kinship: Kinship, one: Parting) -> Decision:
+def _split(
+    gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, merge_split: MergeSplit, one: Split
+) -> Decision:
     staying = ~one.leaving & (cells.nodes == one.node)
     leavers = rows[torch.from_numpy(one.leaving[cells.of]).to(rows.device)]
     place = torch.from_numpy(cells.centres[one.leaving].mean(0))
@@ -45,7 +47,7 @@ def _split(gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, kinsh
     of_both = leavers[torch.isin(gaussians.founders[leavers], divided.to(leavers.device))]
     gaussians.founders[of_both] = int(nodes.ids[begun])
     for node, part in ((one.node, staying), (begun, one.leaving)):
-        velocity = torch.from_numpy(kinship.velocity_of(part, nodes.positions[node].numpy()))
+        velocity = torch.from_numpy(merge_split.velocity_of(part, nodes.positions[node].numpy()))
         nodes.velocities[node], nodes.angular_velocities[node] = velocity[:3], velocity[3:]
     gaussians.tiers[torch.nonzero(gaussians.alive & (gaussians.nodes == one.node))[:, 0]] = int(Tier.RIGID)
     nodes.tiers[one.node] = int(Tier.RIGID)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.backgrounds import OCCLUSION, Backgrounds
-from twin_node.model.decisions import Decision, Grounds, Kind, Stir
+from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed, largest_channel
@@ -39,7 +39,7 @@ class Resting:
         self._rested_s: dict[int, float] = {}
         """Seconds for which each node, by its id, has rested."""
 
-    def settle(self, resting: Mapping[int, Grounds], dt_s: float) -> Sequence[Decision]:
+    def settle(self, resting: Mapping[int, LogEvidence], dt_s: float) -> Sequence[Decision]:
         """Takes in which nodes, by row, have rested in the last `dt_s`; those that have for long end."""
         g, nodes = self._gaussians, self._nodes
         ids = {int(nodes.ids[row]): row for row in resting}
@@ -75,7 +75,7 @@ class Resting:
             visible, stirred = int((seen & own).sum()), int((changed & own).sum())
             if stirred >= max(LEAST_STIRRED, STIRRED * visible) and self._nodes.free:
                 node = self._begin(torch.nonzero(g.alive & (g.rested == group))[:, 0])
-                begun.append(Decision(Kind.WOKEN, self._nodes.stamp, group, node, Stir(visible, stirred)))
+                begun.append(Decision(Kind.WOKEN, self._nodes.stamp, group, node, ChangedView(visible, stirred)))
         if begun:
             self._backgrounds.renew()
         return begun

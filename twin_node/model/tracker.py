@@ -187,7 +187,7 @@ class Tracker:
             own, flows = carried.cpu(), seeking.found()
             twists = solve_twists(observed, renderings, flows, splats, own, cells, poses.positions, dt_s, sigma_px)
             if step == 0:
-                self._bodies.hear(cells, moved, twists.said, dt_s)
+                self._bodies.accumulate(cells, moved, twists.said, dt_s)
                 self._weigh(twists.fits)
             self._steer(twists, dt_s)
             if step == 0:

@@ -21,7 +21,7 @@ PARAMETERS = 6
 
 
 @dataclass(frozen=True)
-class Statements:
+class VelocityEquations:
     """Of n bodies: squared errors as a quadratic in their velocity, of the point at the origin of `base_link`."""
 
     H: Float64
@@ -36,18 +36,20 @@ class Statements:
     def __len__(self) -> int:
         return len(self.squares)
 
-    def of(self, rows: NDArray[np.int64]) -> Statements:
+    def of(self, rows: NDArray[np.int64]) -> VelocityEquations:
         """Those in `rows` [k]."""
-        return Statements(self.H[rows], self.g[rows], self.squares[rows], self.counts[rows])
+        return VelocityEquations(self.H[rows], self.g[rows], self.squares[rows], self.counts[rows])
 
-    def plus(self, other: Statements) -> Statements:
+    def plus(self, other: VelocityEquations) -> VelocityEquations:
         """Each with the other's in its row, as if both were one body."""
-        return Statements(self.H + other.H, self.g + other.g, self.squares + other.squares, self.counts + other.counts)
+        return VelocityEquations(
+            self.H + other.H, self.g + other.g, self.squares + other.squares, self.counts + other.counts
+        )
 
-    def summed(self, bodies: NDArray[np.int64], count: int) -> Statements:
+    def summed(self, bodies: NDArray[np.int64], count: int) -> VelocityEquations:
         """Those of `count` bodies, of which each of the n is one of a part of: `bodies` [n]."""
         shape = (count, PARAMETERS, PARAMETERS)
-        total = Statements(np.zeros(shape), np.zeros((count, PARAMETERS)), np.zeros(count), np.zeros(count))
+        total = VelocityEquations(np.zeros(shape), np.zeros((count, PARAMETERS)), np.zeros(count), np.zeros(count))
         if len(bodies):
             order = np.argsort(bodies, kind="stable")
             owners = bodies[order]
@@ -56,33 +58,35 @@ class Statements:
                 values[owners[starts]] = np.add.reduceat(vars(self)[name][order], starts)
         return total
 
-    def gathered(self, belongs: Bool) -> Statements:
+    def gathered(self, belongs: Bool) -> VelocityEquations:
         """Those of k bodies, of which each of the n is a part where `belongs` [k, n] says so."""
         share = belongs.astype(np.float64)
         H = (share @ self.H.reshape(len(self), -1)).reshape(-1, PARAMETERS, PARAMETERS)
-        return Statements(H, share @ self.g, share @ self.squares, share @ self.counts)
+        return VelocityEquations(H, share @ self.g, share @ self.squares, share @ self.counts)
 
-    def about(self, points: Float64) -> Statements:
+    def about(self, points: Float64) -> VelocityEquations:
         """The same with the velocities of the points [n, 3] (m) as unknowns."""
         shift = _shift(-points)
         turned = np.swapaxes(shift, 1, 2)
-        return Statements(turned @ self.H @ shift, (turned @ self.g[..., None])[..., 0], self.squares, self.counts)
+        return VelocityEquations(
+            turned @ self.H @ shift, (turned @ self.g[..., None])[..., 0], self.squares, self.counts
+        )
 
 
-def stacked(*some: Statements) -> Statements:
+def stacked(*some: VelocityEquations) -> VelocityEquations:
     """Those of several groups of bodies, one group after another."""
-    return Statements(*(np.concatenate([vars(one)[name] for one in some]) for name in vars(some[0])))
+    return VelocityEquations(*(np.concatenate([vars(one)[name] for one in some]) for name in vars(some[0])))
 
 
-def nothing(count: int) -> Statements:
+def nothing(count: int) -> VelocityEquations:
     """What nobody has said of `count` bodies."""
-    return Statements(
+    return VelocityEquations(
         np.zeros((count, PARAMETERS, PARAMETERS)), np.zeros((count, PARAMETERS)), np.zeros(count), np.zeros(count)
     )
 
 
 @dataclass(frozen=True)
-class Said:
+class PoseEquations:
     """One set's normal equations of n bodies in corrections to their predicted poses."""
 
     H: Float64
@@ -98,13 +102,13 @@ class Said:
     moved: Float64
     """[n, 6] m and rad, from the poses of the set before to the predicted ones."""
 
-    def statements(self, dt_s: float) -> Statements:
+    def velocity_equations(self, dt_s: float) -> VelocityEquations:
         """The same in velocities over the `dt_s` since the set before."""
         Hu = (self.H @ self.moved[..., None])[..., 0]
         g = self.g + Hu
         squares = self.squares + ((self.g + g) * self.moved).sum(-1)
-        own = Statements(dt_s**2 * self.H, dt_s * g, squares, self.counts / CORRELATED)
-        scaled = Statements(own.H / CORRELATED, own.g / CORRELATED, own.squares / CORRELATED, own.counts)
+        own = VelocityEquations(dt_s**2 * self.H, dt_s * g, squares, self.counts / CORRELATED)
+        scaled = VelocityEquations(own.H / CORRELATED, own.g / CORRELATED, own.squares / CORRELATED, own.counts)
         return scaled.about(-self.origins)
 
 
@@ -128,7 +132,7 @@ class Judged:
     """[n] parameters that the observations tell, 0 to 6."""
 
 
-def judge(said: Statements, points: Float64, misfit: Float64) -> Judged:
+def judge(said: VelocityEquations, points: Float64, misfit: Float64) -> Judged:
     """Judges bodies about `points` [n, 3] m, their middles; `misfit` [n] is the variance of the errors, at least 1."""
     own = said.about(points)
     scale = np.array([SPEED] * 3 + [TURN] * 3) / np.sqrt(misfit)[:, None]
@@ -141,7 +145,7 @@ def judge(said: Statements, points: Float64, misfit: Float64) -> Judged:
     return Judged(evidence, at_rest, at_rest + explained / 2, own.squares - misfit * explained, told)
 
 
-def velocities_of(said: Statements, points: Float64) -> Float64:
+def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
     """[n, 6] the most likely velocities of bodies about `points` [n, 3] m: m/s and rad/s."""
     own = said.about(points)
     scale = np.array([SPEED] * 3 + [LOOSE_TURN] * 3)

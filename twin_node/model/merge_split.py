@@ -1,4 +1,4 @@
-"""Which of the bodies that nodes carry are one and which are two: both ways to put it are weighed by the flow."""
+"""The merge and split tests: which of the bodies that nodes carry are one and which are two, weighed by the flow."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.model.cells import Cells
-from twin_node.model.decisions import Grounds
+from twin_node.model.decisions import LogEvidence
 from twin_node.model.parts import halves_of, redealt
-from twin_node.model.statements import PARAMETERS, Statements, judge, nothing, stacked, velocities_of
+from twin_node.model.velocity_equations import PARAMETERS, VelocityEquations, judge, nothing, stacked, velocities_of
 from twin_node.scene import Bool, Float64
 
 MEMORY_S, RECENT_S = 0.2, 0.05
@@ -39,25 +39,25 @@ SHARED_OBSERVATIONS = 20.0
 
 
 @dataclass(frozen=True)
-class Merger:
+class Merge:
     """Two nodes are one body."""
 
     kept: int
     """Row of the node that goes on: the one more is known of."""
     ended: int
     """Row of the node whose Gaussians it takes over."""
-    grounds: Grounds
+    grounds: LogEvidence
 
 
 @dataclass(frozen=True)
-class Parting:
+class Split:
     """One node is two bodies."""
 
     node: int
     """Its row."""
     leaving: Bool
     """[c] which of the cells of the set leave it."""
-    grounds: Grounds
+    grounds: LogEvidence
 
 
 @dataclass
@@ -72,7 +72,7 @@ class _Suspicion:
     """Evidence that there are two."""
 
 
-class Kinship:
+class MergeSplit:
     """Remembers what was said of cells, and finds nodes to be merged or split.
 
     A split is judged prequentially: the parts are found in what was said before, and what comes then tells whether two
@@ -81,7 +81,7 @@ class Kinship:
 
     def __init__(self) -> None:
         self._said = nothing(0)
-        self.resting: dict[int, Grounds] = {}
+        self.resting: dict[int, LogEvidence] = {}
         """By row, the nodes that were seen when it was decided last, and seen not to move."""
         self._before = nothing(0)
         """What had been said when it was decided last, as it has faded since."""
@@ -93,7 +93,7 @@ class Kinship:
         self._estranged: dict[int, float] = {}
         self._turn = 0
 
-    def hear(self, cells: Cells, said: Statements, dt_s: float) -> None:
+    def accumulate(self, cells: Cells, said: VelocityEquations, dt_s: float) -> None:
         """Takes in what a set said of `cells`, `dt_s` after the one before; cells that are gone are forgotten."""
         at = cells.found_in(self._cells)
         self._before = _faded(self._before, at, dt_s / MEMORY_S)
@@ -101,7 +101,7 @@ class Kinship:
         self._recent = _faded(self._recent, at, dt_s / RECENT_S).plus(said)
         self._cells = cells
 
-    def decide(self, ids: NDArray[np.int64], dt_s: float) -> Sequence[Merger | Parting]:
+    def decide(self, ids: NDArray[np.int64], dt_s: float) -> Sequence[Merge | Split]:
         """What to merge and to split by what was said in the `dt_s` since the last decision; `ids` [M] of the nodes.
 
         No node is in two of the decisions.
@@ -114,16 +114,16 @@ class Kinship:
         self._misfits = _misfits(said, middles)
         judged = judge(said, middles, self._misfits)
         self.resting = {
-            int(row): Grounds(
+            int(row): LogEvidence(
                 float(judged.evidence[row]), -np.inf, float(judged.at_rest[row]), float(self._misfits[row])
             )
             for row in np.flatnonzero(judged.at_rest > judged.evidence)
         }
-        partings = [*self._partings(ids, middles), *self._strangers(said, middles, ids, dt_s)]
-        taken = {one.node for one in partings}
-        decided: list[Merger | Parting] = [*partings]
+        splits = [*self._splits(ids, middles), *self._strangers(said, middles, ids, dt_s)]
+        taken = {one.node for one in splits}
+        decided: list[Merge | Split] = [*splits]
         agreed: dict[tuple[int, int], float] = {}
-        for one in self._mergers(said, middles):
+        for one in self._merges(said, middles):
             key = (int(ids[min(one.kept, one.ended)]), int(ids[max(one.kept, one.ended)]))
             agreed[key] = self._agreed.get(key, 0.0) + dt_s
             if agreed[key] > AGREED_S and taken.isdisjoint((one.kept, one.ended)):
@@ -146,7 +146,7 @@ class Kinship:
         count = int(max(self._cells.nodes.max(initial=-1), rows.max(initial=-1))) + 1
         return velocities_of(self._recent.summed(self._cells.nodes, count).of(rows), points)
 
-    def _mergers(self, said: Statements, middles: Float64) -> list[Merger]:
+    def _merges(self, said: VelocityEquations, middles: Float64) -> list[Merge]:
         """Pairs of neighbours that one motion explains better than two, the surest first."""
         pairs = _neighbours(self._cells)
         if not len(pairs):
@@ -163,15 +163,15 @@ class Kinship:
         order = np.flatnonzero(good)[np.argsort(-(one - two)[good], kind="stable")]
         kept = np.where(a.counts >= b.counts, pairs[:, 0], pairs[:, 1])
         return [
-            Merger(
+            Merge(
                 int(kept[i]),
                 int(pairs[i].sum() - kept[i]),
-                Grounds(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i])),
+                LogEvidence(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i])),
             )
             for i in order
         ]
 
-    def _partings(self, ids: NDArray[np.int64], middles: Float64) -> list[Parting]:
+    def _splits(self, ids: NDArray[np.int64], middles: Float64) -> list[Split]:
         """Nodes that two motions have foretold better than one."""
         cells, count = self._cells, len(middles)
         rows = [int(row) for row in np.unique(cells.nodes) if int(ids[row]) in self._suspicions]
@@ -196,8 +196,8 @@ class Kinship:
             suspicion.two += float(now_first[i] + now_second[i] - then_first[i] - then_second[i])
             suspicion.one += float(now[i] - then[i])
             if suspicion.two - suspicion.one > SPLIT:
-                grounds = Grounds(suspicion.one, suspicion.two, float(at_rest[i]), float(self._misfits[row]))
-                found.append(Parting(row, self._cut(row, second), grounds))
+                grounds = LogEvidence(suspicion.one, suspicion.two, float(at_rest[i]), float(self._misfits[row]))
+                found.append(Split(row, self._cut(row, second), grounds))
         for one in found:
             del suspicions[int(ids[one.node])]
         self._suspicions = suspicions
@@ -210,7 +210,9 @@ class Kinship:
         leaving[own] = redealt(self._said.of(own), self._cells.centres[own], second[own], float(self._misfits[row]))
         return leaving
 
-    def _strangers(self, of_nodes: Statements, middles: Float64, ids: NDArray[np.int64], dt_s: float) -> list[Parting]:
+    def _strangers(
+        self, of_nodes: VelocityEquations, middles: Float64, ids: NDArray[np.int64], dt_s: float
+    ) -> list[Split]:
         """Nodes that are better explained without those of their Gaussians that another node founded."""
         cells = self._cells
         kinds, first, of = np.unique(cells.founders, return_index=True, return_inverse=True)
@@ -228,12 +230,12 @@ class Kinship:
         two, at_rest = each[0] + each[1], judged.at_rest[: len(mixed)]
         strange = (two - one > SPLIT) & (rest.counts > PARAMETERS) & (own.counts > PARAMETERS)
         agreed: dict[int, float] = {}
-        found: dict[int, Parting] = {}
+        found: dict[int, Split] = {}
         for i in np.flatnonzero(strange)[np.argsort(-(two - one)[strange], kind="stable")]:
             agreed[int(kinds[mixed[i]])] = self._estranged.get(int(kinds[mixed[i]]), 0.0) + dt_s
             if agreed[int(kinds[mixed[i]])] > AGREED_S and int(nodes[i]) not in found:
-                grounds = Grounds(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i]))
-                found[int(nodes[i])] = Parting(int(nodes[i]), self._cut(int(nodes[i]), of == mixed[i]), grounds)
+                grounds = LogEvidence(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i]))
+                found[int(nodes[i])] = Split(int(nodes[i]), self._cut(int(nodes[i]), of == mixed[i]), grounds)
         self._estranged = agreed
         return list(found.values())
 
@@ -255,7 +257,7 @@ class Kinship:
         return suspicion is not None and suspicion.two - suspicion.one > DOUBT
 
 
-def _misfits(said: Statements, middles: Float64) -> Float64:
+def _misfits(said: VelocityEquations, middles: Float64) -> Float64:
     """[n] variance of the errors of bodies, in units of what the flow claims: their own, and that of all."""
     judged = judge(said, middles, np.ones(len(said)))
     free = np.maximum(said.counts - judged.told, 0.0)
@@ -265,12 +267,12 @@ def _misfits(said: Statements, middles: Float64) -> Float64:
     return floored
 
 
-def _faded(said: Statements, at: NDArray[np.int64], ages: float) -> Statements:
+def _faded(said: VelocityEquations, at: NDArray[np.int64], ages: float) -> VelocityEquations:
     """[n] what was said of the bodies `at` [n] (-1: nothing), `ages` time constants ago."""
     if not len(said):
         return nothing(len(at))
     share = np.where(at >= 0, np.exp(-ages), 0.0)
-    return Statements(
+    return VelocityEquations(
         share[:, None, None] * said.H[at],
         share[:, None] * said.g[at],
         share * said.squares[at],
