@@ -40,7 +40,7 @@ def test_down_at_once_and_up_slowly() -> None:
     down = limiter.decide(decision(0.1, 30), NOW + 30 * MS)
     assert (down.speed_fraction, down.obstacle_id, down.reason) == (0.1, 3, "clear of MOVING")
     up = limiter.decide(decision(1.0, 60), NOW + 60 * MS)
-    assert up.speed_fraction == pytest.approx(0.1 + 0.5 * 0.03)
+    assert up.speed_fraction == pytest.approx(0.1 + LimiterParameters().rise_per_s * 0.03)
 
 
 def test_silence_slows_within_one_deadline_and_stops_within_two() -> None:

@@ -16,8 +16,9 @@ class LimiterParameters:
     """Time without a forecast after which the arm is slow; after twice as long it stands. Three images at 30 Hz."""
     slow_fraction: float = 0.2
     """Largest speed between one and two deadlines."""
-    rise_per_s: float = 0.5
-    """How fast the speed may rise: from rest to full in two seconds."""
+    rise_per_s: float = 1.33
+    """How fast the speed may rise: from rest to full in 0.75 s, as a UR's moveJ does by default (1.4 rad/s^2 to 1.05
+    rad/s). A matter of the arm's load and of calm: the law itself allows each decision's speed at once."""
     evidence_latency_s: float = 0.2
     """Age that evidence may have when its forecast arrives; older evidence counts as a late forecast."""
 
