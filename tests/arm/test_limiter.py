@@ -91,5 +91,5 @@ def test_never_above_the_decision_and_never_rising_too_fast(steps: list[tuple[fl
         now_ms += wait_ms
         told = limiter.decide(decision(fraction, now_ms), NOW + now_ms * MS).speed_fraction
         assert 0 <= told <= fraction
-        assert told <= before + 0.5e-3 * wait_ms + 1e-9
+        assert told <= before + 1e-3 * limiter.parameters.rise_per_s * wait_ms + 1e-9
         before = told
