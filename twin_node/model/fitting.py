@@ -128,7 +128,8 @@ def _detached(carriage: Carriage) -> Carriage:
 def _learn_field(motion: Motion, bend: Bend, values: Tensor, of_means: Tensor, of_quats: Tensor) -> None:
     """One step of the field, from the gradients [T, n, ...] with respect to bent means and quaternions."""
     turned = quat_product(bend.turns, values[bend.chosen, QUAT])
-    torch.autograd.backward([bend.offsets, turned], [of_means[:, bend.chosen], of_quats[:, bend.chosen]])
+    pulled = (bend.offsets * of_means[:, bend.chosen]).sum() + (turned * of_quats[:, bend.chosen]).sum()
+    torch.autograd.backward(pulled)  # not as two gradients: see `least_squares`
     torch.autograd.backward(REGULARITY * motion.field.regularity())
     motion.descend()
 
