@@ -24,7 +24,7 @@ from twin_node.forecast.growth import (
     spread_plainly,
 )
 from twin_node.forecast.kernels import kernels
-from twin_node.native_build import CompileError, Kernels, find_compiler
+from twin_node.native_build import Kernels
 from twin_node.scene import Grid, UInt8
 
 compiled = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -118,15 +118,6 @@ def test_a_mask_grows_by_its_balls() -> None:
     mask = np.zeros(grid.size, np.bool_)
     mask[grid.indices(np.array([[0.45, 0.45, 0.45]]))] = True
     assert grown(grid, mask, 1.5).sum() == 19  # the middle, 6 faces, 12 edges
-
-
-def test_where_there_is_a_compiler_there_are_kernels() -> None:
-    """Else every comparison with the plain versions would be skipped, and nobody would know."""
-    try:
-        find_compiler()
-    except CompileError as error:
-        pytest.skip(str(error))
-    assert kernels() is not None
 
 
 def test_without_a_compiler_the_plain_version_takes_over_with_one_warning(

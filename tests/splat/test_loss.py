@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from twin_node.splat import image_loss, image_loss_plain
-from twin_node.splat.library import NativeLibrary
+from twin_node.splat.library import SplatLibrary
 
 
 def images(count: int, height: int, width: int, channels: int = 3) -> tuple[Tensor, Tensor]:
@@ -39,7 +39,7 @@ def patches(height: int, width: int) -> Tensor:
 @pytest.mark.parametrize("size", [(40, 64), (33, 47), (5, 3), (1, 1), (12, 200)])
 @pytest.mark.parametrize("channels", [3, 4])
 @pytest.mark.parametrize("weighted", [False, True])
-def test_agrees_with_the_plain_loss(size: tuple[int, int], channels: int, weighted: bool, library: NativeLibrary):
+def test_agrees_with_the_plain_loss(size: tuple[int, int], channels: int, weighted: bool, library: SplatLibrary):
     height, width = size
     render, target = images(2, height, width, channels)
     options: dict[str, Any] = {}
@@ -68,7 +68,7 @@ def test_numeric_gradient():
     assert torch.autograd.gradcheck(loss, render.double().requires_grad_())
 
 
-def test_the_terms_are_what_they_are_called(library: NativeLibrary):
+def test_the_terms_are_what_they_are_called(library: SplatLibrary):
     render, target = images(1, 30, 40)
     same = image_loss(target, target)
     assert float(same) == pytest.approx(0.0, abs=1e-6)
@@ -82,7 +82,7 @@ def test_the_terms_are_what_they_are_called(library: NativeLibrary):
     assert float(unlike) == pytest.approx(1 - (2 * 0.25 * 0.5 + c1) / (0.25**2 + 0.5**2 + c1), rel=1e-3)
 
 
-def test_pixels_outside_the_mask_do_not_matter(library: NativeLibrary):
+def test_pixels_outside_the_mask_do_not_matter(library: SplatLibrary):
     render, target = images(2, 40, 64)
     mask = patches(40, 64) > 0
     value, gradient = gradient_of(image_loss, render, target, weights=mask)
@@ -101,7 +101,7 @@ def test_no_pixel_counts(loss: Any):
     assert not bool(gradient.any())
 
 
-def test_depth_may_come_apart(library: NativeLibrary):
+def test_depth_may_come_apart(library: SplatLibrary):
     render, target = images(2, 20, 24, 4)
     depth = torch.rand(2, 20, 24)
     options = {"target_depth": depth[..., None], "depth_weight": 0.2}
@@ -114,7 +114,7 @@ def test_depth_may_come_apart(library: NativeLibrary):
     assert torch.equal(z.grad, gradient[..., 3])
 
 
-def test_same_bits_for_any_number_of_threads(library: NativeLibrary):
+def test_same_bits_for_any_number_of_threads(library: SplatLibrary):
     render, target = images(3, 45, 70)
     before = torch.get_num_threads()
     try:
@@ -127,7 +127,7 @@ def test_same_bits_for_any_number_of_threads(library: NativeLibrary):
     assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(other, results[0], strict=True))
 
 
-def test_leading_dimensions_do_not_matter(library: NativeLibrary):
+def test_leading_dimensions_do_not_matter(library: SplatLibrary):
     render, target = images(4, 16, 18)
     value = image_loss(render, target)
     grouped = image_loss(render.view(2, 2, 16, 18, 3), target.view(2, 2, 16, 18, 3))

@@ -12,7 +12,7 @@ from splat_scenes import Case, assert_close, differentiate, make_case
 from twin_node import native_build
 from twin_node.splat import library as native
 from twin_node.splat import rasterize, rasterize_plain
-from twin_node.splat.library import NativeLibrary
+from twin_node.splat.library import SplatLibrary
 
 
 def parity_cases() -> dict[str, Case]:
@@ -49,7 +49,7 @@ CASES = parity_cases()
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_agrees_with_the_plain_version(name: str, library: NativeLibrary):
+def test_agrees_with_the_plain_version(name: str, library: SplatLibrary):
     expected = differentiate(rasterize_plain, CASES[name].to(torch.float64))
     found = differentiate(rasterize, CASES[name])
     assert float(expected.alphas.max()) > 0.005
@@ -79,7 +79,7 @@ def stack_moments(case: Case, shift: float = 0.05) -> Case:
     return replace(case, means=moved, viewmats=case.viewmats[:, None], Ks=case.Ks[:, None])
 
 
-def test_means_per_camera_share_the_rest(library: NativeLibrary):
+def test_means_per_camera_share_the_rest(library: SplatLibrary):
     case = stack_moments(make_case(sh_degree=1, cameras=3))
     found = differentiate(rasterize, case)
     assert found.renders.shape == (3, 1, 32, 48, 3)
@@ -105,14 +105,14 @@ def test_means_per_camera_share_the_rest(library: NativeLibrary):
 
 
 @pytest.mark.parametrize("channels", [3, None])
-def test_colors_per_camera(channels: int | None, library: NativeLibrary):
+def test_colors_per_camera(channels: int | None, library: SplatLibrary):
     case = make_case(channels=channels, sh_degree=1, cameras=2)
     colors = torch.stack([case.colors, 1 - case.colors])
     case = replace(case, colors=colors)
     assert_close(differentiate(rasterize, case), differentiate(rasterize_plain, case.to(torch.float64)))
 
 
-def test_gradient_of_the_backgrounds(library: NativeLibrary):
+def test_gradient_of_the_backgrounds(library: SplatLibrary):
     backgrounds = torch.rand(2, 3)
     case = make_case(sh_degree=0, render_mode="RGB+D", pixel_mask=torch.rand(2, 32, 48) > 0.3)
     gradients = []
@@ -124,7 +124,7 @@ def test_gradient_of_the_backgrounds(library: NativeLibrary):
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-4)
 
 
-def test_mask_selects_pixels_of_the_whole_image(library: NativeLibrary):
+def test_mask_selects_pixels_of_the_whole_image(library: SplatLibrary):
     case = make_case(count=500, width=60, height=45, sh_degree=1, backgrounds=torch.rand(2, 3))
     mask = torch.rand(2, 45, 60, generator=torch.Generator().manual_seed(2)) > 0.9
     mask[1, :, 20:] = False
@@ -137,14 +137,14 @@ def test_mask_selects_pixels_of_the_whole_image(library: NativeLibrary):
     assert not bool(part_alphas[~mask].any())
 
 
-def test_an_empty_mask_renders_nothing(library: NativeLibrary):
+def test_an_empty_mask_renders_nothing(library: SplatLibrary):
     case = make_case(channels=3, pixel_mask=torch.zeros(2, 32, 48, dtype=torch.bool))
     result = differentiate(rasterize, case)
     assert not bool(result.renders.any())
     assert not any(bool(gradient.any()) for gradient in result.gradients.values())
 
 
-def test_same_bits_for_any_number_of_threads(library: NativeLibrary):
+def test_same_bits_for_any_number_of_threads(library: SplatLibrary):
     case = make_case(count=3000, width=90, height=70, cameras=3, sh_degree=2, render_mode="RGB+ED")
     before = torch.get_num_threads()
     try:
@@ -160,7 +160,7 @@ def test_same_bits_for_any_number_of_threads(library: NativeLibrary):
             assert torch.equal(other.gradients[name], gradient), name
 
 
-def test_concurrent_calls_do_not_mix(library: NativeLibrary):
+def test_concurrent_calls_do_not_mix(library: SplatLibrary):
     cases = [make_case(count=400 + 50 * seed, sh_degree=1, seed=seed) for seed in range(3)]
     expected = [differentiate(rasterize, case) for case in cases]
     mistakes: list[str] = []
@@ -181,7 +181,7 @@ def test_concurrent_calls_do_not_mix(library: NativeLibrary):
     assert mistakes == []
 
 
-def test_several_images_may_wait_for_their_backward_pass(library: NativeLibrary):
+def test_several_images_may_wait_for_their_backward_pass(library: SplatLibrary):
     case = make_case(sh_degree=0)
     means = case.means.clone().requires_grad_()
     shifts = (0.0, 0.1, 0.2)
@@ -194,7 +194,7 @@ def test_several_images_may_wait_for_their_backward_pass(library: NativeLibrary)
     torch.testing.assert_close(together, apart)
 
 
-def test_backward_twice_gives_the_same_gradient(library: NativeLibrary):
+def test_backward_twice_gives_the_same_gradient(library: SplatLibrary):
     case = make_case(channels=12)
     means = case.means.clone().requires_grad_()
     loss = replace(case, means=means).render(rasterize)[0].square().sum()
@@ -202,7 +202,7 @@ def test_backward_twice_gives_the_same_gradient(library: NativeLibrary):
     assert torch.equal(torch.autograd.grad(loss, means)[0], first)
 
 
-def test_overflowing_projections_are_culled(library: NativeLibrary):
+def test_overflowing_projections_are_culled(library: SplatLibrary):
     """Values are finite, what they project to is not."""
     case = make_case(count=40, channels=3)
     means, scales = case.means.clone(), case.scales.clone()
@@ -214,12 +214,12 @@ def test_overflowing_projections_are_culled(library: NativeLibrary):
     assert bool(torch.isfinite(result.gradients["means"][15:]).all())
 
 
-def test_gaussians_without_a_size_are_drawn_as_the_blur(library: NativeLibrary):
+def test_gaussians_without_a_size_are_drawn_as_the_blur(library: SplatLibrary):
     case = replace(make_case(channels=3), scales=torch.zeros(300, 3))
     assert_close(differentiate(rasterize, case), differentiate(rasterize_plain, case.to(torch.float64)))
 
 
-def test_equal_depths_keep_the_gaussians_order(library: NativeLibrary):
+def test_equal_depths_keep_the_gaussians_order(library: SplatLibrary):
     case = make_case(count=64, cameras=1, channels=3)
     flat = case.means.clone()
     flat[:, 2] = 1.5

@@ -16,7 +16,7 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from twin_node.splat import library as native
-library = native.NativeLibrary(Path(sys.argv[1]))
+library = native.SplatLibrary(Path(sys.argv[1]))
 native.native_library = lambda: library
 import test_loss, test_native
 from splat_scenes import differentiate

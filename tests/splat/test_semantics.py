@@ -9,7 +9,7 @@ from splat_scenes import Case, Result, assert_close, make_case
 from twin_node.splat import semantics
 from twin_node.splat.arguments import Gaussians, Options, Rendered, Views, check_shapes
 from twin_node.splat.cpu import render_native
-from twin_node.splat.library import NativeLibrary
+from twin_node.splat.library import SplatLibrary
 from twin_node.splat.plain import render_plain
 
 
@@ -28,7 +28,7 @@ def opaque_case() -> Case:
     return Case(**{**vars(case), "opacities": torch.full((200,), 1.0)})
 
 
-def test_backends_follow_the_same_constants(library: NativeLibrary):
+def test_backends_follow_the_same_constants(library: SplatLibrary):
     def images(case: Case, constants: semantics.Semantics) -> Rendered:
         gaussians = Gaussians(case.means, case.quats, case.scales, case.opacities, case.colors)
         views = Views(case.viewmats, case.Ks, case.width, case.height, None, None)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import warnings
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
+from twin_node.native_library import NativeLibrary, best_or_none
 
 INTERFACE_VERSION = 7
 
@@ -118,15 +117,14 @@ class TakeRequest(ctypes.Structure):
     )
 
 
-class Kernels:
+class Kernels(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `ForecastError`."""
+
+    KERNELS, VERSION, ERROR = native_build.FORECAST, INTERFACE_VERSION, ForecastError
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
-        self._dll = ctypes.CDLL(str(path))
-        version = self._dll.forecast_interface_version()
-        if version != INTERFACE_VERSION:
-            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
+        super().__init__(path)
         self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
         self._dll.forecast_list.restype = None
@@ -140,8 +138,6 @@ class Kernels:
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
         self._dll.forecast_take.restype = None
-        self._forked = False
-        os.register_at_fork(after_in_child=self._mark_forked)
 
     def grow(self, request: GrowRequest) -> None:
         """Unites balls about moved voxels, layer by layer. Raises `MemoryError`."""
@@ -181,16 +177,6 @@ class Kernels:
         """Marks the voxels within capsules; takes one thread."""
         self._dll.forecast_take(request)
 
-    def _mark_forked(self) -> None:
-        self._forked = True
-
-    def _require_not_forked(self) -> None:
-        if self._forked:
-            raise ForecastError(
-                "forecast: called in a process forked from one that had loaded its kernels, where OpenMP would hang; "
-                "start the process with the `spawn` method instead"
-            )
-
 
 def _check(status: int) -> None:
     if status:
@@ -205,8 +191,4 @@ def load_variant(variant: str) -> Kernels:
 @cache
 def kernels() -> Kernels | None:
     """The best kernels for this processor; None, with one warning, where there are none."""
-    try:
-        return load_variant(native_build.supported_variants()[0])
-    except (native_build.CompileError, OSError) as error:
-        warnings.warn(f"the forecast runs in plain NumPy, about ten times slower: {error}", stacklevel=2)
-        return None
+    return best_or_none(load_variant, "the forecast runs in plain NumPy, about ten times slower")

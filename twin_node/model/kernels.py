@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import warnings
 from collections.abc import Sequence
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
@@ -14,6 +12,7 @@ import torch
 
 from twin_node import native_build
 from twin_node.model.parameters import ModelError
+from twin_node.native_library import NativeLibrary, best_or_none
 
 INTERFACE_VERSION = 1
 
@@ -99,23 +98,20 @@ class NearestRequest(ctypes.Structure):
     )
 
 
-class Kernels:
+class Kernels(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `ModelError`."""
+
+    KERNELS, VERSION, ERROR = native_build.MODEL, INTERFACE_VERSION, ModelError
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
-        self._dll = ctypes.CDLL(str(path))
-        version = self._dll.model_interface_version()
-        if version != INTERFACE_VERSION:
-            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
+        super().__init__(path)
         self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
         self._dll.model_births.argtypes = [ctypes.POINTER(BirthRequest)]
         self._dll.model_advance.argtypes = [ctypes.POINTER(AdvanceRequest)]
         self._dll.model_advance.restype = None
         self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.model_nearest.restype = None
-        self._forked = False
-        os.register_at_fork(after_in_child=self._mark_forked)
 
     def mask(self, requests: Sequence[MaskRequest]) -> None:
         """Brings the moving masks of some cameras up to date. Raises `MemoryError`."""
@@ -138,16 +134,6 @@ class Kernels:
         """Finds what is nearest; takes one thread."""
         self._dll.model_nearest(request)
 
-    def _mark_forked(self) -> None:
-        self._forked = True
-
-    def _require_not_forked(self) -> None:
-        if self._forked:
-            raise ModelError(
-                "model: called in a process forked from one that had loaded its kernels, where OpenMP would hang; "
-                "start the process with the `spawn` method instead"
-            )
-
 
 def _check(status: int) -> None:
     if status:
@@ -162,8 +148,4 @@ def load_variant(variant: str) -> Kernels:
 @cache
 def kernels() -> Kernels | None:
     """The best kernels for this processor; None, with one warning, where there are none."""
-    try:
-        return load_variant(native_build.supported_variants()[0])
-    except (native_build.CompileError, OSError) as error:
-        warnings.warn(f"the model finds what moves in plain NumPy, ten times slower: {error}", stacklevel=2)
-        return None
+    return best_or_none(load_variant, "the model finds what moves in plain NumPy, ten times slower")

@@ -31,8 +31,13 @@ class _Inputs:
     backgrounds: Tensor | None
     """[..., C, channels]."""
 
+    @classmethod
+    def of(cls, *given: Tensor | None) -> _Inputs:
+        """Of tensors that need not be contiguous, in this order."""
+        return cls(*(None if t is None else t.contiguous() for t in given))  # type: ignore[arg-type]
 
-def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semantics | None = None) -> Rendered:
+
+def render_native(scene: Scene, library: native.SplatLibrary, semantics: Semantics | None = None) -> Rendered:
     """Renders float32 CPU tensors with the compiled library. Raises `ValueError` naming what is not finite."""
     g, views = scene.gaussians, scene.views
     if not scene.options.with_color:
@@ -40,8 +45,7 @@ def render_native(scene: Scene, library: native.NativeLibrary, semantics: Semant
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
     if not torch.is_grad_enabled():
-        given = (*tensors, _backgrounds(scene))
-        return call.render(_Inputs(*(None if t is None else t.contiguous() for t in given)))  # type: ignore[arg-type]
+        return call.render(_Inputs.of(*tensors, _backgrounds(scene)))
     renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene))  # type: ignore[no-untyped-call]
     return Rendered(renders, alphas, RasterMeta(radii, means2d, depths))
 
@@ -57,7 +61,7 @@ def _backgrounds(scene: Scene) -> Tensor | None:
 class _Call:
     """One call on its way through autograd."""
 
-    def __init__(self, scene: Scene, library: native.NativeLibrary, semantics: Semantics) -> None:
+    def __init__(self, scene: Scene, library: native.SplatLibrary, semantics: Semantics) -> None:
         self.scene = scene
         self.library = library
         self.semantics = semantics
@@ -149,7 +153,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: Tensor | None) -> tuple[Tensor, ...]:
-        inputs = _Inputs(*(None if t is None else t.contiguous() for t in tensors))  # type: ignore[arg-type]
+        inputs = _Inputs.of(*tensors)
         rendered = call.render(inputs)
         meta = rendered.meta
         if any(ctx.needs_input_grad):

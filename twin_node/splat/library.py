@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import warnings
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import torch  # loads the OpenMP runtime that the library then shares
 
 from twin_node import native_build
+from twin_node.native_library import NativeLibrary, best_or_none
 from twin_node.splat.errors import SplatError
 
 INTERFACE_VERSION = 7
@@ -119,7 +118,7 @@ class NonFiniteError(Exception):
 class Workspace:
     """What a forward pass leaves for its backward pass; goes back to the library's pool when it is dropped."""
 
-    def __init__(self, library: NativeLibrary) -> None:
+    def __init__(self, library: SplatLibrary) -> None:
         self._library = library
         self.handle = library.acquire()
 
@@ -128,15 +127,14 @@ class Workspace:
             self._library.release(self.handle)
 
 
-class NativeLibrary:
+class SplatLibrary(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `SplatError`."""
+
+    KERNELS, VERSION, ERROR = native_build.SPLAT, INTERFACE_VERSION, SplatError
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
-        self._dll = ctypes.CDLL(str(path))
-        version = self._dll.splat_interface_version()
-        if version != INTERFACE_VERSION:
-            raise OSError(f"{path}: expected interface version {INTERFACE_VERSION}, found {version}")
+        super().__init__(path)
         self._dll.splat_acquire.restype = c_void_p
         self._dll.splat_release.argtypes = [c_void_p]
         self._dll.splat_release.restype = None
@@ -150,8 +148,6 @@ class NativeLibrary:
         self._dll.splat_look.restype = None
         self._dll.splat_gather_motion.argtypes = [ctypes.POINTER(MotionRequest)]
         self._dll.splat_gather_motion.restype = None
-        self._forked = False
-        os.register_at_fork(after_in_child=self._mark_forked)
 
     def acquire(self) -> int:
         """A workspace's handle. Raises `MemoryError`."""
@@ -199,16 +195,6 @@ class NativeLibrary:
         """Adds to the normal equations of nodes; takes one thread."""
         self._dll.splat_gather_motion(request)
 
-    def _mark_forked(self) -> None:
-        self._forked = True
-
-    def _require_not_forked(self) -> None:
-        if self._forked:
-            raise SplatError(
-                "rasteriser: called in a process forked from one that had loaded it, where OpenMP would hang; "
-                "start the process with the `spawn` method instead"
-            )
-
 
 def _check(status: int) -> None:
     if status == STATUS_OK:
@@ -226,22 +212,18 @@ def _check(status: int) -> None:
     raise MemoryError("no memory for the rasteriser's lists")
 
 
-def load_variant(variant: str) -> NativeLibrary:
+def load_variant(variant: str) -> SplatLibrary:
     """The library of one instruction set: as shipped with the package, else compiled into the user's cache.
 
     Raises `native_build.CompileError` or `OSError`.
     """
-    return NativeLibrary(native_build.SPLAT.best_library(variant))
+    return SplatLibrary(native_build.SPLAT.best_library(variant))
 
 
 @cache
-def native_library() -> NativeLibrary | None:
+def native_library() -> SplatLibrary | None:
     """The best library for this processor; None, with one warning, where there is none."""
-    try:
-        return load_variant(native_build.supported_variants()[0])
-    except (native_build.CompileError, OSError) as error:
-        warnings.warn(f"the CPU rasteriser runs in plain torch, about 20 times slower: {error}", stacklevel=2)
-        return None
+    return best_or_none(load_variant, "the CPU rasteriser runs in plain torch, about 20 times slower")
 
 
 def thread_count() -> int:

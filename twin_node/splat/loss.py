@@ -146,7 +146,7 @@ class _FusedLoss(torch.autograd.Function):
     """The library's loss; the gradient is made with the value and waits for the backward pass."""
 
     @staticmethod
-    def forward(ctx: Any, render: Tensor, call: _Loss, library: native.NativeLibrary) -> Tensor:
+    def forward(ctx: Any, render: Tensor, call: _Loss, library: native.SplatLibrary) -> Tensor:
         inputs = [render.contiguous(), call.target.contiguous()]
         inputs += [torch.empty(0) if t is None else t.contiguous() for t in (call.weights, call.target_depth)]
         gradient = torch.zeros_like(inputs[0])
