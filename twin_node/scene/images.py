@@ -1,0 +1,143 @@
+"""What comes in: cameras, their images, and the arm's joints beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.geometry import inverse_pose
+from twin_node.scene.arrays import Bool, Float32, Float64, UInt8
+
+
+@dataclass(frozen=True)
+class RigCamera:
+    """One camera of a rig as calibrated: the raw, distorted image and where its pixels come from."""
+
+    name: str
+    width: int
+    """Width in pixels of the image that `K` belongs to."""
+    height: int
+    K: Float64
+    """[3, 3] intrinsics in pixels, OpenCV convention (centre of the top-left pixel at 0, 0)."""
+    T_base_cam: Float64
+    """[4, 4] maps optical-frame coordinates (x right, y down, z forward) to `base_link`."""
+    distortion_model: str = "plumb_bob"
+    """ROS name: plumb_bob, rational_polynomial or equidistant."""
+    D: Float64 = field(default_factory=lambda: np.zeros(5))
+    """Distortion coefficients in the model's own order."""
+    sigma_m: float = 0.0
+    """Error of the extrinsics seen at the working distance, 1 sigma, metres; 0 where unknown."""
+    time_offset_ns: int = 0
+    """Added to the camera's stamps to give the rig's clock, at `time_reference_ns`."""
+    time_rate_ppm: float = 0.0
+    """How fast the offset grows, parts per million of the camera's own time."""
+    time_reference_ns: int = 0
+    """Stamp of the camera at which the offset is `time_offset_ns`; of no matter where the rate is 0."""
+
+    def rig_time(self, stamp: int) -> int:
+        """The rig's time, ns, of a stamp of the camera's own clock, ns."""
+        grown = self.time_rate_ppm * 1e-6 * (stamp - self.time_reference_ns) if self.time_rate_ppm else 0.0
+        return stamp + self.time_offset_ns + round(grown)
+
+    def own_time(self, rig_time: int) -> int:
+        """The camera's own stamp, ns, of a time of the rig, ns: undoes `rig_time`."""
+        stamp = rig_time - self.time_offset_ns
+        rate = self.time_rate_ppm * 1e-6
+        return stamp - round(rate / (1 + rate) * (stamp - self.time_reference_ns)) if rate else stamp
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A calibrated set of cameras."""
+
+    cameras: tuple[RigCamera, ...]
+    workspace: Float64 | None = None
+    """[2, 3] lower and upper corner of the volume to model, metres; None: derived from the cameras."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera: what an undistorted image, at working resolution, was seen by."""
+
+    name: str
+    width: int
+    height: int
+    K: Float64
+    """[3, 3] intrinsics in pixels, gsplat's convention (centre of the top-left pixel at 0.5, 0.5)."""
+    T_base_cam: Float64
+    """[4, 4] maps optical-frame coordinates to `base_link`."""
+    sigma_m: float = 0.0
+    """Error of the extrinsics seen at the working distance, 1 sigma, metres."""
+
+    @cached_property
+    def viewmat(self) -> Float64:
+        """[4, 4] maps `base_link` to the optical frame."""
+        return inverse_pose(self.T_base_cam)
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera's undistorted image at its own time."""
+
+    camera: Camera
+    stamp: int
+    """Mid-exposure, ns."""
+    rgb: UInt8
+    """[H, W, 3]."""
+    depth: Float32 | None = None
+    """[H, W] metres along the optical axis; 0 where unknown (never NaN)."""
+    valid: Bool | None = None
+    """[H, W] False where undistortion found no pixel; None: all valid."""
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """The arm's joints at one time."""
+
+    stamp: int
+    names: tuple[str, ...]
+    positions: Float64
+    """[J] rad."""
+    velocities: Float64
+    """[J] rad/s."""
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Where the arm means to be: joint positions over absolute time."""
+
+    names: tuple[str, ...]
+    stamps: NDArray[np.int64]
+    """[T] ns, strictly increasing."""
+    positions: Float64
+    """[T, J] rad."""
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """Images that belong together; each keeps its own stamp."""
+
+    stamp: int
+    """The newest view's stamp, ns: the time that the evidence reaches up to."""
+    views: tuple[View, ...]
+    """One per live camera, in the rig's order; a silent camera is missing."""
+    joints: JointSample | None = None
+    """The arm's joints nearest to `stamp`, where the source has them."""
+    sequence: int = 0
+    """Counts sets from the source, the dropped ones too."""
+
+
+class FrameSource(Protocol):
+    """Anything that yields synchronised images: logs, cameras, the simulated rig, data sets."""
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """All cameras of the source, in the order of every set's views."""
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        """Sets in rising order of stamps."""
