@@ -43,7 +43,7 @@ def shown(ours: float, image: float, first: float, stamp: int) -> Renderings:
     """Even images of one camera."""
     planes = [np.full((12, 16, 3), value, np.float32) for value in (image, first, ours)]
     view = View(CAMERA, stamp, (planes[0] * 255).astype(np.uint8))
-    return Renderings(stamp, view, None, *planes, planes[1], None)
+    return Renderings(stamp, view, None, None, *planes, planes[1], None)
 
 
 def test_kinds_of_pixels_and_flicker_are_told_apart() -> None:

@@ -75,7 +75,7 @@ def test_ours_is_scored_beside_the_hull_on_what_moves() -> None:
     for view in (first, image):
         frozen = unit(first)
         ours = unit(view) + np.float32(0.1)
-        list(tally.watch([Renderings(view.stamp, view, None, unit(view), unit(first), ours, frozen, None, now)]))
+        list(tally.watch([Renderings(view.stamp, view, None, None, unit(view), unit(first), ours, frozen, None, now)]))
     assert tally.score.ours == pytest.approx(20.0, abs=0.1)
     assert tally.score.visual_hull is not None and tally.score.visual_hull > 21
     assert tally.score.gain_db == pytest.approx(tally.score.ours - tally.score.visual_hull)

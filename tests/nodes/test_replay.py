@@ -92,6 +92,7 @@ def test_the_report_holds_every_figure_by_its_name(lockstep: Path) -> None:
     quality = figures["quality"]
     assert quality["psnr_db"] > 15
     assert quality["psnr_moving_db"] > quality["frozen_psnr_moving_db"]
+    assert quality["psnr_arm_db"] > quality["frozen_psnr_arm_db"]
     assert set(quality["left_out"]) == {"cam_back", "cam_front", "cam_left"}
     assert set(figures["tiers"]) == {tier.name.lower() for tier in Tier}
     forecast = figures["forecast"]

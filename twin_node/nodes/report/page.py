@@ -213,6 +213,8 @@ def _quality_rows(quality: Mapping[str, Any]) -> list[dict[str, str]]:
         ),
         ("unchanged pixels", quality["psnr_unchanged_db"], quality["frozen_psnr_unchanged_db"], None),
     ]
+    if quality["psnr_arm_db"] is not None:
+        rows.append(("the arm", quality["psnr_arm_db"], quality["frozen_psnr_arm_db"], None))
     rows += [
         (f"moving pixels of {name}, left out", scores["psnr_moving_db"], scores["frozen_psnr_moving_db"], None)
         for name, scores in quality["left_out"].items()

@@ -44,6 +44,9 @@ class Quality:
     """The same of the camera's previous image."""
     psnr_unchanged_db: float | None = None
     frozen_psnr_unchanged_db: float | None = None
+    psnr_arm_db: float | None = None
+    """On the arm and its margin, in the images of sets that went through the twin; None without joints."""
+    frozen_psnr_arm_db: float | None = None
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ class Renderings:
     view: View
     mask: Bool | None
     """[H, W] the moving mask, where the set went through the twin."""
+    arm: Bool | None
+    """[H, W] the arm and its margin, where the set went through the twin and came with joints."""
     image: Image
     first: Image
     """The camera's first image."""
@@ -77,15 +82,16 @@ def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Imag
         state = tick.state or state
         if state is None:
             continue
-        masks = tick.state.moving_masks if tick.state else (None,) * len(tick.frames.views)
-        for view, mask in zip(tick.frames.views, masks, strict=True):
+        nothing = (None,) * len(tick.frames.views)
+        masks, arms = (tick.state.moving_masks, tick.state.robot_masks) if tick.state else (nothing, nothing)
+        for view, mask, arm in zip(tick.frames.views, masks, arms, strict=True):
             name = view.camera.name
             image = unit(view)
             if name not in first:
                 first[name], still[name] = image, frozen(view.camera)
             seen = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
             ours = state.exposure_of(name).of(seen)
-            yield Renderings(tick.stamp, view, mask, image, first[name], ours, still[name], previous.get(name))
+            yield Renderings(tick.stamp, view, mask, arm, image, first[name], ours, still[name], previous.get(name))
             previous[name] = image
 
 
@@ -110,22 +116,21 @@ def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> 
 
 
 def score(renderings: Iterable[Renderings]) -> Quality:
-    """Mean PSNR over all images, for all pixels, moving ones and unchanged ones."""
+    """Mean PSNR over all images, for all pixels, moving ones, unchanged ones and the arm's."""
     totals = {field.name: _Mean() for field in dataclasses.fields(Quality)}
     for shown in renderings:
         error = squared_error(shown.ours, shown.image)
         frozen_error = squared_error(shown.frozen, shown.image)
         moving = moving_pixels(shown.image, shown.first)
+        kinds = {"moving": moving, "unchanged": ~moving, "arm": shown.arm}
         totals["psnr_db"].add(psnr(float(error.mean())))
-        if moving.sum() >= FEWEST_PIXELS:
-            totals["psnr_moving_db"].add(psnr(float(error[moving].mean())))
-            totals["frozen_psnr_moving_db"].add(psnr(float(frozen_error[moving].mean())))
-            if shown.previous is not None:
-                previous_error = squared_error(shown.previous, shown.image)
-                totals["previous_psnr_moving_db"].add(psnr(float(previous_error[moving].mean())))
-        if (~moving).sum() >= FEWEST_PIXELS:
-            totals["psnr_unchanged_db"].add(psnr(float(error[~moving].mean())))
-            totals["frozen_psnr_unchanged_db"].add(psnr(float(frozen_error[~moving].mean())))
+        for kind, pixels in kinds.items():
+            if pixels is not None and pixels.sum() >= FEWEST_PIXELS:
+                totals[f"psnr_{kind}_db"].add(psnr(float(error[pixels].mean())))
+                totals[f"frozen_psnr_{kind}_db"].add(psnr(float(frozen_error[pixels].mean())))
+        if shown.previous is not None and moving.sum() >= FEWEST_PIXELS:
+            previous_error = squared_error(shown.previous, shown.image)
+            totals["previous_psnr_moving_db"].add(psnr(float(previous_error[moving].mean())))
     return Quality(**{name: total.value for name, total in totals.items()})
 
 
@@ -157,7 +162,7 @@ def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator
         if first is None or still is None:
             first, still = image, model.render_frozen(hidden.camera).rgb
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
-        yield Renderings(frames.stamp, hidden, None, image, first, ours, still, previous, state)
+        yield Renderings(frames.stamp, hidden, None, None, image, first, ours, still, previous, state)
         previous = image
 
 
