@@ -10,7 +10,7 @@ import pytest
 
 from twin_node.bench.occupancy import OccupancyBenchParameters
 from twin_node.bench.seeds import run_seeds, table
-from twin_node.bench.truth import SeenThings
+from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.cli import main
 from twin_node.forecast import default_grid
@@ -28,13 +28,14 @@ def scenario() -> Scenario:
 def test_things_are_asked_for_once_seen_and_the_horizon_later(scenario: Scenario) -> None:
     source = CellSource(scenario)
     grid = default_grid(np.array(scenario.workspace))
-    truth = SeenThings(source.simulated, grid, AHEAD_NS)
+    sightings = Sightings(source.simulated, grid)
+    truth = SeenThings(sightings, AHEAD_NS)
     first = next(iter(source))
     later = first.stamp + AHEAD_NS
     unseen = truth.points(later)
-    truth.look(first)
+    sightings.look(first)
     seen, occupied, too_early = truth.points(later), truth.occupied(later), truth.points(later - 1)
-    assert seen is not None and unseen is not None and too_early is not None
+    assert seen is not None and unseen is not None and too_early is not None and occupied is not None
     assert len(unseen) == len(too_early) == 0
     assert np.array_equal(seen, occupied)
     litres = truth.volume_l(later)
@@ -43,6 +44,24 @@ def test_things_are_asked_for_once_seen_and_the_horizon_later(scenario: Scenario
     assert (
         0.3 * parcel_l < litres < 4 * parcel_l
     )  # it comes in from the grid's side, and voxels are touched, not filled
+
+
+def test_what_was_in_view_is_asked_for_where_it_has_come_once_it_had_moved(scenario: Scenario) -> None:
+    source = CellSource(scenario)
+    grid = default_grid(np.array(scenario.workspace))
+    sightings = Sightings(source.simulated, grid)
+    truth, whole = SeenSurfaces(sightings, AHEAD_NS), SeenThings(sightings, AHEAD_NS)
+    sets = list(source)
+    for frames in sets:
+        sightings.look(frames)
+    at_first, later = sets[0].stamp + AHEAD_NS, sets[-1].stamp + AHEAD_NS
+    standing, shown, all_of_it = truth.points(at_first), truth.points(later), whole.points(later)
+    assert standing is not None and shown is not None and all_of_it is not None
+    assert len(standing) == 0  # nobody could tell yet that it moves
+    assert 0 < len(shown) < len(all_of_it)
+    assert {tuple(point) for point in shown} <= {tuple(point) for point in all_of_it}
+    bottom = all_of_it[:, 2].min()
+    assert np.count_nonzero(shown[:, 2] > bottom) > 0.8 * len(shown)  # no camera looks at it from below
 
 
 def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
@@ -55,7 +74,9 @@ def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
     assert 0 < figures["ours"]["recall"] <= 1
     assert figures["ours"]["moving_volume_l"] > 0
     assert figures["unseen_not_free"] is None or figures["unseen_not_free"] <= 1
-    assert set(figures["persistence_equal_recall"]) == {"volume_l"}
+    assert set(figures["persistence_equal_recall"]) == {"volume_l", "reached_in"}
+    assert 0 < figures["whole_things"]["ours"]["recall"] <= 1
+    assert figures["whole_things"]["ours"]["moving_volume_l"] == figures["ours"]["moving_volume_l"]
 
 
 def test_a_scenario_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

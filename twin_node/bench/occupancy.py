@@ -8,14 +8,15 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.bench.body import BodyScore, BodyTally
 from twin_node.bench.equal_recall import EqualRecall, PersistenceGrowth
 from twin_node.bench.errors import BenchError
 from twin_node.bench.space import SpaceScore, SpaceTally
-from twin_node.bench.truth import ColourOf, Markers, PixelTruth, SeenThings
+from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
-from twin_node.forecast.comparison import Comparison, Score
+from twin_node.forecast.comparison import Comparison, Score, Truth
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.nodes.chain import ChainParameters, make_model
 from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
@@ -23,7 +24,7 @@ from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.robot import ur_model
-from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, TwinState
+from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, Occupancy, TwinState
 
 OURS = "ours"
 
@@ -53,6 +54,16 @@ class OccupancyBenchParameters:
 
 
 @dataclass(frozen=True)
+class WholeThings:
+    """The scores of the same forecasts against whole things, once any of them had been seen."""
+
+    scores: Mapping[str, Score]
+    """By name."""
+    persistence_equal_recall: EqualRecall | None
+    """As that of `OccupancyBench`."""
+
+
+@dataclass(frozen=True)
 class OccupancyBench:
     """The scores of one log."""
 
@@ -74,6 +85,8 @@ class OccupancyBench:
     """Median time of one forecast, without its evidence being scored."""
     body: BodyScore | None = None
     """The node that carries the thing of the colour; None without a colour."""
+    whole_things: WholeThings | None = None
+    """None but in a simulated cell."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
@@ -115,20 +128,48 @@ def run(
     return bench
 
 
-AnyTruth = Markers | VoxelTruth | SeenThings | PixelTruth | LaterTruth
+class _Tally:
+    """Forecasts against one truth."""
+
+    def __init__(self, grid: Grid, truth: Truth) -> None:
+        self._comparison, self._growth = Comparison(truth, "persistence"), PersistenceGrowth(grid, truth)
+
+    def add(self, state: TwinState, forecasts: Mapping[str, Occupancy], places: NDArray[np.int32]) -> None:
+        """Takes in the forecasts of a state, none to settle only, and the voxels `places` [3, n] seen to move."""
+        self._comparison.add(state, forecasts)
+        if forecasts:
+            self._growth.add(places, forecasts[OURS].publish_stamp + HORIZONS_NS[-1])
+
+    @property
+    def scores(self) -> Mapping[str, Score]:
+        """By name."""
+        return self._comparison.scores()
+
+    @property
+    def equal_recall(self) -> EqualRecall | None:
+        """Persistence grown until it finds as much as ours."""
+        recall = self.scores[OURS].recall if OURS in self.scores else None
+        return None if recall is None else self._growth.grown_to(recall)
 
 
 def score_states(
-    states: Iterable[TwinState], grid: Grid, truth: AnyTruth, parameters: OccupancyBenchParameters
+    states: Iterable[TwinState],
+    grid: Grid,
+    truth: Truth,
+    parameters: OccupancyBenchParameters,
+    whole: Truth | None = None,
 ) -> OccupancyBench:
-    """Forecasts states in rising order of stamps, ours and the baselines, and scores them against the truth."""
+    """Forecasts states in rising order of stamps, ours and the baselines, and scores them against the truth.
+
+    `whole`: a second truth, that of whole things.
+    """
     chosen = parameters.chain.forecast
     arm = ur_model(parameters.chain.arm.model)
     forecaster = Forecaster(grid, chosen, arm)
     baselines = BaselineForecaster(grid, chosen.carving, chosen.static, arm)
-    comparison = Comparison(truth, "persistence")
-    growth, space, spent = PersistenceGrowth(grid, truth), SpaceTally(grid), []
-    sets, begin = 0, None
+    tallies = [_Tally(grid, one) for one in (truth, whole) if one is not None]
+    space, spent = SpaceTally(grid), []
+    sets, begin, is_exact = 0, None, False
     for state in states:
         begin = state.stamp if begin is None else begin
         publish = state.stamp + round(parameters.latency_ms * 1e6)
@@ -139,31 +180,24 @@ def score_states(
         if isinstance(truth, LaterTruth):
             _observe(truth, state, grid, others.persistence.layers[0].indices.astype(np.int64))
         sets += 1
-        forecasts = {
-            OURS: ours,
-            "persistence": others.persistence,
-            "constant_velocity": others.constant_velocity,
-            "worst_case": others.worst_case,
-        }
-        warm = state.stamp - begin >= parameters.warm_up_s * 1e9
-        comparison.add(state, forecasts if warm else {})
-        if warm:
-            growth.add(baselines.places, publish + HORIZONS_NS[-1])
-        if isinstance(truth, VoxelTruth | SeenThings):
-            space.add(state, ours, truth.occupied(state.stamp))
+        is_warm = state.stamp - begin >= parameters.warm_up_s * 1e9
+        forecasts = {OURS: ours, **vars(others)} if is_warm else {}
+        for tally in tallies:
+            tally.add(state, forecasts, baselines.places)
+        occupied = truth.occupied(state.stamp)
+        is_exact = is_exact or occupied is not None
+        space.add(state, ours, occupied)
     quality = forecaster.quality
-    coverage = quality.coverage if np.isfinite(quality.coverage) else None
-    scores = comparison.scores()
-    recall = scores[OURS].recall if OURS in scores else None
     return OccupancyBench(
         truth=truth.source,
         sets=sets,
-        coverage=coverage,
+        coverage=quality.coverage if np.isfinite(quality.coverage) else None,
         target=quality.target,
-        scores=scores,
-        persistence_equal_recall=None if recall is None else growth.grown_to(recall),
-        space=space.score() if isinstance(truth, VoxelTruth | SeenThings) else None,
+        scores=tallies[0].scores,
+        persistence_equal_recall=tallies[0].equal_recall,
+        space=space.score() if is_exact else None,
         update_ms=1e3 * float(np.median(spent)) if spent else None,
+        whole_things=None if whole is None else WholeThings(tallies[1].scores, tallies[1].equal_recall),
     )
 
 
@@ -174,7 +208,7 @@ def _observe(truth: LaterTruth, state: TwinState, grid: Grid, indices: np.ndarra
         truth.observe_mask(view, mask)
 
 
-def _truth_of(session: LogSession, markers: Path | None, colour: ColourOf | None) -> AnyTruth:
+def _truth_of(session: LogSession, markers: Path | None, colour: ColourOf | None) -> Truth:
     if markers is not None:
         return Markers(markers, session.span.start_ns)
     if colour is not None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from twin_node.bench.equal_recall import EqualRecall
 from twin_node.bench.occupancy import OURS, OccupancyBench, OccupancyBenchParameters, score_states
-from twin_node.bench.truth import SeenThings
+from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
+from twin_node.forecast.comparison import Score
 from twin_node.nodes.chain import make_model
 from twin_node.scene import HORIZONS_NS, TwinState
 
@@ -28,54 +30,109 @@ class SeedsBench:
     """One per seed, counted from 1."""
 
     def as_json(self) -> dict[str, object]:
-        """The stable names that `--json` prints: means over the seeds, and the least recalls of ours."""
-        names = self.runs[0].scores
-        ours = [run.scores[OURS] for run in self.runs if OURS in run.scores]
+        """The stable names that `--json` prints: means over the seeds, and the least recalls of ours.
+
+        They are those of what cameras saw (`seen.SeenSurfaces`); `whole_things` are the same of `seen.SeenThings`.
+        """
         space = [asdict(run.space) for run in self.runs if run.space is not None]
         return {
             "scenario": self.scenario,
             "seeds": len(self.runs),
-            **{name: _means([asdict(run.scores[name]) for run in self.runs if name in run.scores]) for name in names},
-            "least": {
-                "recall": min((score.recall for score in ours if score.recall is not None), default=None),
-                "recall_new": min((score.recall_new for score in ours if score.recall_new is not None), default=None),
-            },
-            "persistence_equal_recall": {"volume_l": self._equal_recall_l},
-            "volume_ratio": self.volume_ratio,
+            **self.seen.as_json(),
+            "whole_things": self.whole.as_json(),
             **_means(space),
             **_means([{"coverage": run.coverage, "update_ms": run.update_ms} for run in self.runs]),
             "target": self.runs[0].target,
         }
 
     @property
-    def volume_ratio(self) -> float | None:
-        """Our moving volume over that of all that moves grown alike to the same recall; None where nothing was."""
-        ours = [run.scores[OURS].moving_volume_l for run in self.runs if run.persistence_equal_recall is not None]
-        known = [volume for volume in ours if volume is not None]
-        return float(np.mean(known)) / self._equal_recall_l if known and self._equal_recall_l else None
+    def seen(self) -> SeedScores:
+        """Against what cameras saw."""
+        runs = [run for run in self.runs if run.scores]
+        return SeedScores([run.scores for run in runs], [run.persistence_equal_recall for run in runs])
+
+    @property
+    def whole(self) -> SeedScores:
+        """Against whole things."""
+        runs = [run.whole_things for run in self.runs if run.whole_things is not None and run.whole_things.scores]
+        return SeedScores([run.scores for run in runs], [run.persistence_equal_recall for run in runs])
 
     @property
     def row(self) -> tuple[str, ...]:
         """Its line of the table, in the order of `HEADINGS`."""
-        means = _means([asdict(run.scores[OURS]) for run in self.runs if OURS in run.scores])
         space = _means([asdict(run.space) for run in self.runs if run.space is not None])
-        shares = (means.get("recall"), means.get("recall_new"))
+        litres = self.seen.ours.get("moving_volume_l")
         return (
             self.scenario,
-            *("" if share is None else f"{100 * share:.1f} %" for share in shares),
-            *("" if litres is None else f"{litres:.0f} l" for litres in (means.get("moving_volume_l"),)),
-            "" if self.volume_ratio is None else f"{self.volume_ratio:.2f}",
+            *self.seen.cells,
+            "" if litres is None else f"{litres:.0f} l",
+            *self.whole.cells,
             *("" if late is None else f"{late:.0f} ms" for late in (space.get("vacated_free_ms_p95"),)),
-            *("" if share is None else f"{100 * share:.1f} %" for share in (space.get("unseen_not_free"),)),
+            _percent(space.get("unseen_not_free")),
         )
+
+
+@dataclass(frozen=True)
+class SeedScores:
+    """Scores of several seeds against one kind of truth."""
+
+    runs: Sequence[Mapping[str, Score]]
+    """By name, run by run."""
+    equal: Sequence[EqualRecall | None]
+    """Persistence grown to the recall of ours, run by run."""
+
+    def as_json(self) -> dict[str, object]:
+        """Means over the runs, and the least recalls of ours."""
+        ours = [run[OURS] for run in self.runs]
+        return {
+            **{name: self._mean(name) for name in (self.runs[0] if self.runs else ())},
+            "least": {
+                "recall": min((score.recall for score in ours if score.recall is not None), default=None),
+                "recall_new": min((score.recall_new for score in ours if score.recall_new is not None), default=None),
+            },
+            "persistence_equal_recall": {
+                "volume_l": self._equal_recall_l,
+                "reached_in": sum(one is not None for one in self.equal),
+            },
+            "volume_ratio": self.volume_ratio,
+        }
+
+    @property
+    def ours(self) -> dict[str, float | None]:
+        """Means of our scores."""
+        return self._mean(OURS)
+
+    @property
+    def volume_ratio(self) -> float | None:
+        """Our moving volume over that of all that moves grown alike to the same recall, of the runs in which some
+        growth reaches it; None where there is none."""
+        ours = [run[OURS].moving_volume_l for run, one in zip(self.runs, self.equal, strict=True) if one is not None]
+        known = [volume for volume in ours if volume is not None]
+        return float(np.mean(known)) / self._equal_recall_l if known and self._equal_recall_l else None
+
+    @property
+    def cells(self) -> tuple[str, str, str]:
+        """Recall, recall of new space and volume ratio for the table."""
+        ratio = "" if self.volume_ratio is None else f"{self.volume_ratio:.2f}"
+        return _percent(self.ours.get("recall")), _percent(self.ours.get("recall_new")), ratio
 
     @property
     def _equal_recall_l(self) -> float | None:
-        equal = [run.persistence_equal_recall.volume_l for run in self.runs if run.persistence_equal_recall is not None]
-        return float(np.mean(equal)) if equal else None
+        known = [one.volume_l for one in self.equal if one is not None]
+        return float(np.mean(known)) if known else None
+
+    def _mean(self, name: str) -> dict[str, float | None]:
+        return _means([asdict(run[name]) for run in self.runs])
 
 
-HEADINGS = ("scenario", "recall", "of new space", "moving", "of equal recall", "vacated free, p95", "unseen not free")
+HEADINGS = (
+    *("scenario", "recall", "of new space", "of equal recall", "moving"),
+    *("whole things: recall", "of new space", "of equal recall", "vacated free, p95", "unseen not free"),
+)
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
 
 
 def table(benches: Iterable[SeedsBench]) -> str:
@@ -116,15 +173,16 @@ def _scored(scenario: Scenario, parameters: OccupancyBenchParameters) -> Occupan
     source = CellSource(scenario)
     grid = default_grid(np.array(scenario.workspace), parameters.chain.grid.voxel_size)
     ahead_ns = round(parameters.latency_ms * 1e6) + HORIZONS_NS[-1]
-    truth = SeenThings(source.simulated, grid, ahead_ns)
+    sightings = Sightings(source.simulated, grid)
     model = make_model(parameters.chain)
 
     def states() -> Iterator[TwinState]:
         for frames in source:
-            truth.look(frames)
+            sightings.look(frames)
             yield model.update(frames)
 
-    return score_states(states(), grid, truth, parameters)
+    seen, whole = SeenSurfaces(sightings, ahead_ns), SeenThings(sightings, ahead_ns)
+    return score_states(states(), grid, seen, parameters, whole)
 
 
 def _means(rows: list[dict[str, float | None]]) -> dict[str, float | None]:

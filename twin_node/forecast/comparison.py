@@ -23,8 +23,15 @@ from twin_node.scene import Bool, Float64, Occupancy, TwinState, UInt32, View
 class Truth(Protocol):
     """What a recording knows about its scene besides what the twin was given."""
 
+    @property
+    def source(self) -> str:
+        """Where it comes from, in words."""
+
     def points(self, stamp: int) -> Float64 | None:
         """Points [n, 3] in metres that are occupied at a stamp (ns); None where nothing is known."""
+
+    def occupied(self, stamp: int) -> Float64 | None:
+        """Points [n, 3] in metres of all that moving things occupy at a stamp; None where that is not known exactly."""
 
     def volume_l(self, stamp: int) -> float | None:
         """Volume in litres of all that is occupied by moving things at a stamp; None where unknown."""
@@ -42,7 +49,8 @@ class Score:
     recall_now: float | None
     """Share that lay inside the layer for the time of publication."""
     recall_new: float | None
-    """As `recall`, of points whose voxel was not seen to be occupied when the forecast was made."""
+    """As `recall`, of points whose voxel was not occupied when the forecast's evidence was taken: truly, or, where the
+    truth does not know, as the reference forecast had seen."""
     volume_l: float | None
     """Mean volume that the forecast blocks at 200 ms: moving and unknown voxels, litres."""
     moving_volume_l: float | None
@@ -60,7 +68,8 @@ class Comparison:
     """Forecasts by name, scored at their last horizon when their time has come."""
 
     def __init__(self, truth: Truth, reference: str) -> None:
-        """`reference` names the forecast whose first layer tells what was seen to be occupied (persistence)."""
+        """`reference` names the forecast whose first layer tells what was seen to be occupied (persistence), where
+        the truth does not know what was."""
         self._truth = truth
         self._reference = reference
         self._pending: deque[_Pending] = deque()
@@ -81,7 +90,7 @@ class Comparison:
 
     def _settle(self, pending: _Pending, state: TwinState) -> None:
         """Scores forecasts for about the time of `state`, the first one not before it."""
-        before = pending.forecasts[self._reference].layers[0].indices
+        before = self._occupied_before(pending)
         for name, forecast in pending.forecasts.items():
             tally = self._tallies.setdefault(name, _Tally())
             tally.add_volume(forecast, self._truth.volume_l(pending.valid_at))
@@ -91,6 +100,15 @@ class Comparison:
                 pixels = self._truth.pixels(view)
                 if pixels is not None and abs(view.stamp - pending.valid_at) <= NEAR_NS:
                     tally.add_pixels(forecast, view, pixels)
+
+    def _occupied_before(self, pending: _Pending) -> UInt32:
+        """Flat indices of what was occupied when the forecasts' evidence was taken."""
+        reference = pending.forecasts[self._reference]
+        points = self._truth.occupied(reference.stamp)
+        if points is None:
+            return reference.layers[0].indices
+        indices = reference.grid.indices(points)
+        return indices[indices >= 0].astype(np.uint32)
 
 
 NEAR_NS = 20_000_000

@@ -86,6 +86,10 @@ class LaterTruth:
         row = self._row(stamp)
         return None if row is None else self._points[row]
 
+    def occupied(self, stamp: int) -> Float64 | None:
+        """What is occupied is not known exactly."""
+        return None
+
     def volume_l(self, stamp: int) -> float | None:
         """Litres of the voxels seen to move nearest in time."""
         row = self._row(stamp)
