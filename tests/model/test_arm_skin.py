@@ -8,7 +8,7 @@ import numpy as np
 from model_scenes import camera, frames, with_joints
 
 from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.rays import back_project
+from twin_node.model.rays import back_project, look
 from twin_node.model.robot_links import arm_depth
 from twin_node.robot import robot_mask, ur_model
 from twin_node.scene import Bool, Float64, FrameSet, Tier
@@ -57,3 +57,19 @@ def test_an_arm_that_looks_as_it_did_is_given_nothing_more() -> None:
     model = WindowModel(ModelParameters(seed=SeedParameters(steps=60)), arm=ARM)
     counts = [int((model.update(chequered(i, Q)[0]).gaussians.tiers == Tier.ROBOT).sum()) for i in range(30)]
     assert counts[-1] == counts[20]
+
+
+def test_what_is_learnt_lies_beneath_the_surface_so_that_it_does_not_stand_out_over_the_outline() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)), arm=ARM)
+    first = model.update(chequered(0, Q)[0]).gaussians.ids
+    for index in range(1, 16):
+        one, on_arm = chequered(index, Q + HALF_ROUND)
+        cloud = model.update(one).gaussians
+    learnt = cloud.only((cloud.tiers == Tier.ROBOT) & ~np.isin(cloud.ids, first))
+    seen = look(CAMERA, learnt.means)
+    depth = one.views[0].depth
+    assert depth is not None
+    shown = seen.inside & on_arm[seen.rows, seen.columns]
+    beneath = (seen.depth - depth[seen.rows, seen.columns])[shown]
+    assert shown.sum() > 15
+    assert np.median(beneath / learnt.scales[shown].mean(1)) > 0.5

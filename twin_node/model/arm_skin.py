@@ -117,7 +117,11 @@ class ArmSkin:
         self._gaussians.values[chosen, RGB] = rgb.clamp(0, 1)
 
     def _bear(self, one: Observed, placed: Splats, shown: Rendering, skin: _Skin, poses: Poses) -> None:
-        """New Gaussians where the arm looks otherwise than its Gaussians do and none of them is near."""
+        """New Gaussians where the arm looks otherwise than its Gaussians do and none of them is near.
+
+        They lie a radius behind what is seen: on the surface itself half of each would stand out over the arm's
+        outline as other cameras see it.
+        """
         if not len(skin.rows):
             return
         at = (skin.rows, skin.columns)
@@ -125,17 +129,21 @@ class ArmSkin:
         worst = np.argsort(-error, kind="stable")[:MOST_BORN]
         worst = worst[error[worst] > WRONG]
         radii = SPREAD * BLOCK * skin.depth[worst] / one.view.camera.K[0, 0]
-        apart = torch.cdist(torch.from_numpy(skin.points[worst]), placed.means[0].cpu().double())
-        lonely = apart.amin(1).numpy() > radii
-        worst, radii = worst[lonely], radii[lonely]
-        if len(worst):
-            self._gaussians.spawn(self._newborns(one, skin, worst, radii, poses), one.view.stamp)
+        rays = skin.points[worst] - one.view.camera.T_base_cam[:3, 3]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        points = skin.points[worst] + rays * radii[:, None]
+        lonely = torch.cdist(torch.from_numpy(points), placed.means[0].cpu().double()).amin(1).numpy() > radii
+        if lonely.any():
+            born = self._newborns(one, skin, worst[lonely], points[lonely], radii[lonely], poses)
+            self._gaussians.spawn(born, one.view.stamp)
 
-    def _newborns(self, one: Observed, skin: _Skin, chosen: NDArray[np.intp], radii: Float64, poses: Poses) -> Newborns:
+    def _newborns(
+        self, one: Observed, skin: _Skin, chosen: NDArray[np.intp], points: Float64, radii: Float64, poses: Poses
+    ) -> Newborns:
         device = self._gaussians.values.device
         carriers = torch.from_numpy(skin.links[chosen])
         turn = conjugate(poses.quats[0, carriers])
-        means = rotate(turn, torch.from_numpy(skin.points[chosen]) - poses.positions[0, carriers])
+        means = rotate(turn, torch.from_numpy(points) - poses.positions[0, carriers])
         rgb: Float32 = one.rgb[skin.rows[chosen], skin.columns[chosen]]
         return Newborns(
             means.float().to(device),
