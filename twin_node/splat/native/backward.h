@@ -5,6 +5,8 @@
 
 namespace splat {
 
+constexpr int kRowsPerShare = 128;  // Gaussians whose gradients one task adds up; fixed, as `kGaussiansPerTask`
+
 inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, const Pass &pass) {
   over_tiles(r, w, [&](int i, int index) {
     Image &image = *w.images[i];
@@ -18,11 +20,10 @@ inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, c
 }
 
 // True where a splat has a gradient at all.
-inline bool has_gradient(const Image &image, int row, int stride) {
+inline bool has_gradient(const Image &image, int row) {
   if (row < 0) return false;
-  const float *slots = image.slot_gradient.data();
-  return std::any_of(slots + static_cast<size_t>(image.slot_begin[row]) * stride,
-                     slots + static_cast<size_t>(image.slot_begin[row + 1]) * stride, [](float v) { return v != 0.f; });
+  const uint8_t *used = image.slot_used.data();
+  return std::any_of(used + image.slot_begin[row], used + image.slot_begin[row + 1], [](uint8_t u) { return u != 0; });
 }
 
 // Sums of a vector of Gaussians' slots over the tiles of one image, [value][lane].
@@ -39,16 +40,24 @@ class SlotTotals {
     std::fill(totals_.begin(), totals_.end(), 0.f);
     for (; found; found &= found - 1) {
       const int lane = __builtin_ctz(found), row = image.row_of[rows.id[lane]];
-      for (int slot = image.slot_begin[row]; slot < image.slot_begin[row + 1]; slot++) {
-        const float *from = &image.slot_gradient[static_cast<size_t>(slot) * stride_];
-        for (int i = 0; i < values_; i++) totals_[static_cast<size_t>(i) * kLanes + lane] += from[i];
-      }
+      for (int first = 0; first < values_; first += kLanes) collect_lane(image, row, first, lane);
     }
     return true;
   }
   Vec operator[](int value) const { return load(&totals_[static_cast<size_t>(value) * kLanes]); }
 
  private:
+  // Values [first, first + kLanes) of the splat in `row`; the last slot is followed by room for a vector.
+  void collect_lane(const Image &image, int row, int first, int lane) {
+    Vec sums{};
+    for (int slot = image.slot_begin[row]; slot < image.slot_begin[row + 1]; slot++) {
+      if (image.slot_used[slot]) sums += load(&image.slot_gradient[static_cast<size_t>(slot) * stride_ + first]);
+    }
+    for (int i = first; i < std::min(first + kLanes, values_); i++) {
+      totals_[static_cast<size_t>(i) * kLanes + lane] = sums[i - first];
+    }
+  }
+
   int values_, stride_;
   std::vector<float> totals_;
 };
@@ -169,17 +178,14 @@ inline void shape_vjp(const Request &r, const Gradients &g, Workspace &w, int ba
   add_column(g.v_opacities + batch * r.opacities_stride, 1, 0, rows, v.opacity);
 }
 
-// Lists a task's Gaussians that any camera of the batch has a gradient for; the number of them.
-inline int find_touched(const Request &r, const Workspace &w, int batch, int task, int stride, int first_row,
-                        int32_t *ids) {
-  const int begin = std::max(task * kGaussiansPerTask, first_row);
-  const int end = std::min(r.gaussians, (task + 1) * kGaussiansPerTask);
+// Lists those of the Gaussians [begin, end) that any camera of the batch has a gradient for; the number of them.
+inline int find_touched(const Request &r, const Workspace &w, int batch, int begin, int end, int32_t *ids) {
   int count = 0;
   for (int id = begin; id < end; id++) {
     bool touched = false;
     for (int camera = 0; camera < r.cameras && !touched; camera++) {
       const Image &image = *w.images[batch * r.cameras + camera];
-      touched = has_gradient(image, image.row_of[id], stride);
+      touched = has_gradient(image, image.row_of[id]);
     }
     if (touched) ids[count++] = id;
   }
@@ -219,10 +225,11 @@ inline void write_camera_gradients(const Request &r, const Gradients &g, const W
 
 inline Status backward(Workspace &w, const Request &r, const Gradients &g) {
   const std::lock_guard<std::mutex> lock(w.in_use);
-  const int images = images_of(r), tasks = w.images[0]->tasks(r.gaussians);
+  const int images = images_of(r), tasks = (r.gaussians - g.first_row + kRowsPerShare - 1) / kRowsPerShare;
   const int stride = make_pass(r, 0).slot_stride;
   for (int i = 0; i < images; i++) {
     w.images[i]->slot_gradient.reserve(static_cast<size_t>(w.images[i]->intersections) * stride);
+    w.images[i]->slot_used.reserve(w.images[i]->intersections);
   }
   const size_t camera_floats = static_cast<size_t>(tasks) * images * kCameraSums;
   std::fill_n(w.camera_sums.reserve(camera_floats), camera_floats, 0.f);
@@ -238,10 +245,12 @@ inline Status backward(Workspace &w, const Request &r, const Gradients &g) {
   for (int i = 0; i < images; i++) intersections += w.images[i]->intersections;
   parallel_for(threads_for(r.threads, intersections, kGrain), tasks, [&](int64_t task) {
     SlotTotals totals(kGeometrySums + channels_of(r), stride);
+    const int begin = g.first_row + static_cast<int>(task) * kRowsPerShare;
+    const int end = std::min(r.gaussians, begin + kRowsPerShare);
     for (int batch = 0; batch < r.batches; batch++) {
       float *sums = &w.camera_sums[(static_cast<size_t>(task) * images + batch * r.cameras) * kCameraSums];
-      int32_t ids[kGaussiansPerTask];
-      const int count = find_touched(r, w, batch, static_cast<int>(task), stride, g.first_row, ids);
+      int32_t ids[kRowsPerShare];
+      const int count = find_touched(r, w, batch, begin, end, ids);
       for (int i = 0; i < count; i += kLanes) shape_vjp(r, g, w, batch, Rows(ids + i, count - i), totals, sums);
     }
   });

@@ -268,8 +268,11 @@ struct SlotSums {
   }
 };
 
-inline void clear_slot(const Pass &pass, float *slot) {
-  if (pass.first == 0) std::fill_n(slot, kGeometrySums, 0.f);
+inline void clear_slot(const Pass &pass, float *slot, uint8_t &used) {
+  if (pass.first == 0) {
+    std::fill_n(slot, kGeometrySums, 0.f);
+    used = 0;
+  }
   std::fill_n(slot + kGeometrySums + pass.first, pass.count, 0.f);
 }
 
@@ -286,9 +289,10 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
   const int seen = image.tile_end[tile.index], end = image.tile_begin[tile.index + 1];
   for (int at = image.tile_begin[tile.index]; at < end; at++) {
     float *slot = &image.slot_gradient[static_cast<size_t>(image.tile_slot[at]) * pass.slot_stride];
+    uint8_t &used = image.slot_used[image.tile_slot[at]];
     BlockSet left = at < seen ? blocks_of_cells(image.tile_cells[at]) & alive : 0;
     if (left == 0) {
-      clear_slot(pass, slot);
+      clear_slot(pass, slot, used);
       continue;
     }
     const Splat &splat = image.splats[image.tile_splat[at]];
@@ -320,8 +324,9 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
     }
     if (touched) {
       sums.write(pass, slot);
+      used = 1;
     } else {
-      clear_slot(pass, slot);
+      clear_slot(pass, slot, used);
     }
   }
 }

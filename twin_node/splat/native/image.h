@@ -78,6 +78,7 @@ struct Image {
   Buffer<int32_t> tile_slot;    // [intersections] the same one's number, counted splat by splat
   Buffer<uint16_t> tile_cells;  // [intersections] cells of the tile that it reaches, a bit each
   Buffer<float> slot_gradient;  // [intersections, slot stride]
+  Buffer<uint8_t> slot_used;    // [intersections] whether its gradient is other than zero
   Buffer<float> transmittance;  // [height, width] what is left behind the last splat
 
   int tiles() const { return tile_columns * tile_rows; }
