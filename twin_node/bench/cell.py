@@ -30,7 +30,8 @@ class CellBenchParameters:
 
     scenarios: tuple[str, ...] = SUITE
     seeds: int = 20
-    """Seeds 1 to so many of each scenario."""
+    """So many of each scenario, from `first_seed` on."""
+    first_seed: int = 1
     latency_ms: float = 33.0
     """From the images to the obstacles, for perfect perception: the twin's own assumption in lockstep."""
     twin: bool = False
@@ -120,7 +121,8 @@ def run(
     parameters = parameters or CellBenchParameters()
     for name in parameters.scenarios:
         _ = CellCase(load_scenario(name), parameters.latency_ms, parameters.loop).world  # reads motion files too
-    jobs = [Job(name, seed, parameters) for seed in range(1, parameters.seeds + 1) for name in parameters.scenarios]
+    seeds = range(parameters.first_seed, parameters.first_seed + parameters.seeds)
+    jobs = [Job(name, seed, parameters) for seed in seeds for name in parameters.scenarios]
     return list(progress(_results(jobs, min(parameters.processes, len(jobs))), len(jobs)))
 
 

@@ -37,6 +37,7 @@ def add_bench_cell(benches: Any) -> None:
         "scenarios", nargs="+", metavar="SCENARIO", help="scenario files or names below sim/; 'all' for the whole suite"
     )
     cell.add_argument("--seeds", type=whole, default=20, metavar="N", help="seeds per scenario (default 20)")
+    cell.add_argument("--first-seed", type=whole, default=1, metavar="K", help="the first of them (default 1)")
     cell.add_argument("--twin", action="store_true", help="the real chain as 'ours', as slow as it is here (slow!)")
     cell.add_argument(
         "--latency", type=not_negative, metavar="MS", help="from images to obstacles (default 33; the twin's: measured)"
@@ -68,6 +69,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
     parameters = cell.CellBenchParameters(
         scenarios=tuple(dict.fromkeys(names)),
         seeds=options.seeds,
+        first_seed=options.first_seed,
         twin=options.twin,
         twin_latency_ms=options.latency,
         processes=options.processes,
