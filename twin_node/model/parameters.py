@@ -19,8 +19,8 @@ class SeedParameters:
     """Optimisation steps on the first set."""
     stride_px: int = 2
     """One Gaussian per block of this many pixels squared and camera, before those of the same place are merged."""
-    levels: int = 40
-    """Offsets from the dominant plane that the sweep tries."""
+    levels: int = 96
+    """Depths that are tried per pixel where none is measured."""
     shell_factor: float = 2.5
     """Radius of the background shell in units of the farthest camera's distance from what the rig looks at."""
 

@@ -1,31 +1,37 @@
-"""Depth of a first set of colour images: every pixel tries planes parallel to the dominant one, and a far shell."""
+"""Depth of a first set of colour images: every pixel tries depths along its ray, and what all views see decides."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from twin_node.model.plane import Plane, correlation
-from twin_node.model.rays import back_project, look, pixel_rays
+from twin_node.model.matching import Match, Sight, match
+from twin_node.model.plane import Plane
+from twin_node.model.rays import pixel_rays
+from twin_node.model.semi_global import smoothed
 from twin_node.scene import Bool, Camera, Float32, Float64, View
 
-CORRELATION_WEIGHT, COLOUR_WEIGHT = 0.5, 4.0
-"""A perfect correlation outweighs a colour difference of 1/8 of the range: what gloss makes between views."""
-PLANE_BONUS, HEIGHT_PENALTY = 0.4, 0.4
-"""What a pixel must gain to leave the dominant plane, and to stand as high as the lowest camera."""
-SHELL_SCORE = -0.35
-"""Score of the shell, which nothing can disprove: what a colour difference of 0.09 without correlation scores."""
-SMOOTH_PX = 7
-"""Side of the window over which scores are averaged before the best is taken."""
-
-DISPUTED = 0.2
-"""Mean channel difference (0 to 1) from every other view at which a pixel cannot be part of the plane: more than gloss
-and exposure make of one surface."""
-RAY_SAMPLES = 32
-"""Depths tried for a pixel that stands before the plane."""
+NEAREST, FARTHEST = 0.2, 1.25
+"""Shares of the depth of plane or shell between which depths are tried, evenly in their inverse, as disparities are."""
+PLANE_BONUS = 0.5
+"""How much likelier, in log, a pixel shows the plane than any other one depth."""
+NEARNESS_COST = 0.6
+"""What it costs to stand e times as near as plane or shell."""
+SEEN_THROUGH_COST = 1.0
+"""What it costs a point that another view's surface lies behind it: no more than a mismatch, that may be wrong too."""
+SAME_SURFACE = 0.03
+"""Share of its depth by which a point may lie off another view's surface and still be on it."""
+ROUNDS = 3
+"""Times that depths are chosen; from the second on each view heeds what the others have chosen."""
+PARTNERS = 4
+"""Other views, the nearest in direction, that a view is compared with."""
+MOST_PIXELS = 40_000
+"""Of an image as it is matched, larger ones are made smaller first: a pixel takes 8 bytes per depth and partner."""
+SMOOTHING_PX = 0.7
+"""1 sigma that images are smoothed by before they are compared."""
 
 
 @dataclass(frozen=True)
@@ -68,105 +74,98 @@ def shell_around(cameras: Sequence[Camera], factor: float) -> Shell:
 
 
 def sweep(views: Sequence[View], plane: Plane, shell: Shell, levels: int) -> list[Surface]:
-    """Depth of each view from the other views' agreement; needs no texture where a pixel's surroundings decide."""
-    lowest = min(float(plane.height(view.camera.T_base_cam[:3, 3])) for view in views)
-    heights = np.unique(np.append(np.linspace(-0.1, 0.9, levels) * lowest, 0.0))
-    surfaces = [_sweep_view(views, index, plane, heights, shell) for index in range(len(views))]
-    closed = _close_plane(views, surfaces, plane, shell)
-    return [_raise_disputed(views, index, surface) for index, surface in enumerate(closed)]
+    """Depth of each of two views or more, from `levels` depths per pixel.
 
-
-def _sweep_view(views: Sequence[View], index: int, plane: Plane, heights: Float64, shell: Shell) -> Surface:
-    view = views[index]
-    best = np.full((view.camera.height, view.camera.width), SHELL_SCORE, np.float32)
-    depth = shell.depth(view.camera)
-    on_plane = np.zeros(best.shape, dtype=bool)
-    for height in heights:
-        level = plane.shifted(float(height))
-        candidate = level.depth(view.camera)
-        score = _score(view, [other for i, other in enumerate(views) if i != index], level, candidate)
-        score += PLANE_BONUS if height == 0.0 else -HEIGHT_PENALTY * abs(height) / heights[-1]
-        better = (score > best) & (candidate > 0.05) & (candidate < shell.depth(view.camera))
-        best = np.where(better, score, best)
-        depth = np.where(better, candidate, depth)
-        on_plane = np.where(better, height == 0.0, on_plane)
-    return Surface(depth, on_plane)
-
-
-def _close_plane(views: Sequence[View], surfaces: list[Surface], plane: Plane, shell: Shell) -> list[Surface]:
-    """Pixels left to the shell although the plane's own extent stands before it show the plane or something on it."""
-    flat = [
-        back_project(view.camera, surface.depth)[surface.on_plane]
-        for view, surface in zip(views, surfaces, strict=True)
-    ]
-    first = np.cross(plane.normal, [1.0, 0.0, 0.0] if abs(plane.normal[0]) < 0.9 else [0.0, 1.0, 0.0])
-    axes = np.stack([first, np.cross(plane.normal, first)]).T
-    points = np.concatenate(flat) @ axes
-    if len(points) < 3:
-        return surfaces
-    hull = cv2.convexHull(points.astype(np.float32))
-    closed = []
-    for view, surface in zip(views, surfaces, strict=True):
-        depth = plane.depth(view.camera)
-        far = np.isfinite(depth) & (depth > 0.05) & (surface.depth >= 0.999 * shell.depth(view.camera))
-        hits = (back_project(view.camera, np.where(far, depth, 1.0))[far] @ axes).astype(np.float32)
-        far[far] = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) > 0 for x, y in hits]
-        closed.append(Surface(np.where(far, depth, surface.depth), surface.on_plane | far))
-    return closed
-
-
-def _raise_disputed(views: Sequence[View], index: int, surface: Surface) -> Surface:
-    """Pixels on the plane whose colour no other view sees there stand before it, at the depth where colours agree best.
-
-    Where no depth agrees, a depth that no other view sees is taken before one that another view contradicts.
+    Each depth costs what the colours there in the other views say against it (`matching`); neighbours are made to agree
+    (`semi_global`). Then all views choose again: what lies behind another view's surface is hidden there and that view
+    has no say, what lies before it is seen through (visibility as in Kang, Szeliski and Chai 2001).
     """
-    camera, image = views[index].camera, views[index].rgb
-    others = [view for i, view in enumerate(views) if i != index]
-    rows, columns = np.nonzero(surface.on_plane)
-    rgb = image[rows, columns].astype(np.float32)
-    points = back_project(camera, surface.depth)[rows, columns]
-    nearest = np.min([_colour_difference(other, points, rgb, slack=1) for other in others], axis=0)
-    strong = np.zeros(surface.on_plane.shape, np.uint8)
-    strong[rows, columns] = np.isfinite(nearest) & (nearest > DISPUTED)
-    disputed = cv2.medianBlur(strong, 5)[rows, columns] > 0
-    rows, columns, rgb = rows[disputed], columns[disputed], rgb[disputed]
-    shares = np.linspace(0.95, 0.2, RAY_SAMPLES)
-    cost = np.empty((RAY_SAMPLES, len(rows)))
-    for step, share in enumerate(shares):
-        points = back_project(camera, surface.depth * share)[rows, columns]
-        differences = np.stack([_colour_difference(other, points, rgb, slack=0) for other in others])
-        worst = np.where(np.isfinite(differences), differences, -1.0).max(0)
-        cost[step] = np.where(worst < 0, DISPUTED, worst)
-    depth, on_plane = surface.depth.copy(), surface.on_plane.copy()
-    if len(rows):
-        depth[rows, columns] *= shares[cost.argmin(0)]
-        on_plane[rows, columns] = False
-    return Surface(depth, on_plane)
+    sights = [_sight(view, plane, shell) for view in views]
+    shares = _shares(levels)
+    prior = (NEARNESS_COST * np.maximum(-np.log(shares), 0) - PLANE_BONUS * (shares == 1.0)).astype(np.float32)
+    matches = [_matches(sights, index, shares) for index in range(len(sights))]
+    chosen: list[Float64] = []
+    for _ in range(ROUNDS):
+        chosen = [
+            _chosen(sight, _costs(found, shares, chosen) + prior, shares)
+            for sight, found in zip(sights, matches, strict=True)
+        ]
+    return [_surface(view, share, plane, shell) for view, share in zip(views, _shares_of(sights, chosen), strict=True)]
 
 
-def _colour_difference(other: View, points: Float64, rgb: Float32, slack: int) -> Float64:
-    """[n] mean channel difference (0 to 1) to the best pixel within `slack`; infinite where the view sees no point."""
-    seen = look(other.camera, points)
-    best = np.full(len(points), np.inf)
-    for down in range(-slack, slack + 1):
-        for right in range(-slack, slack + 1):
-            row = np.clip(seen.rows + down, 0, other.camera.height - 1)
-            column = np.clip(seen.columns + right, 0, other.camera.width - 1)
-            difference = np.abs(other.rgb[row, column].astype(np.float32) - rgb).mean(-1) / 255
-            best = np.minimum(best, difference)
-    return np.where(seen.inside, best, np.inf)
+def _shares(levels: int) -> Float64:
+    """[K] shares of the base depth, the base itself among them."""
+    shares = 1 / np.linspace(1 / NEAREST, 1 / FARTHEST, levels)
+    shares[np.abs(shares - 1).argmin()] = 1.0
+    return shares
 
 
-def _score(view: View, others: Sequence[View], level: Plane, depth: Float64) -> Float32:
-    """[H, W] how well the best of the other views agrees; -inf where none shares the pixel."""
-    points = back_project(view.camera, np.where(np.isfinite(depth), depth, 1.0)).reshape(-1, 3)
-    best = np.full(depth.shape, -10.0, np.float32)
-    for other in others:
-        seen = look(other.camera, points)
-        difference = np.abs(other.rgb[seen.rows, seen.columns].astype(np.float32) - view.rgb.reshape(-1, 3)).mean(-1)
-        shared = (seen.inside & np.isfinite(depth.ravel())).reshape(depth.shape)
-        score = CORRELATION_WEIGHT * np.nan_to_num(correlation(view, other, level), nan=-1.0)
-        score -= COLOUR_WEIGHT / 255 * difference.reshape(depth.shape)
-        best = np.maximum(best, np.where(shared, score, -10.0))
-    smooth: Float32 = cv2.blur(best, (SMOOTH_PX, SMOOTH_PX)).astype(np.float32)
-    return smooth
+def _sight(view: View, plane: Plane, shell: Shell) -> Sight:
+    """The view, no larger than is matched."""
+    camera, rgb = view.camera, view.rgb
+    valid = np.ones(rgb.shape[:2], bool) if view.valid is None else view.valid
+    factor = min(1.0, float(np.sqrt(MOST_PIXELS / (camera.width * camera.height))))
+    if factor < 1:
+        width, height = max(round(camera.width * factor), 1), max(round(camera.height * factor), 1)
+        K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
+        camera = replace(camera, width=width, height=height, K=K)
+        rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+        valid = cv2.resize(valid.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    unit = cv2.GaussianBlur(rgb.astype(np.float32) / np.float32(255), (3, 3), SMOOTHING_PX)
+    return Sight(camera, unit.astype(np.float32), valid, pixel_rays(camera), _base(camera, plane, shell))
+
+
+def _base(camera: Camera, plane: Plane, shell: Shell) -> Float64:
+    """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
+    far = shell.depth(camera)
+    return np.where(_meets(plane, camera, far), plane.depth(camera), far)
+
+
+def _meets(plane: Plane, camera: Camera, far: Float64) -> Bool:
+    """[H, W] whether rays meet the plane before they are `far` [H, W] m deep."""
+    hit = plane.depth(camera)
+    return (hit > 0.05) & (hit < far)
+
+
+def _matches(sights: Sequence[Sight], index: int, shares: Float64) -> list[Match]:
+    """The view number `index` beside those that look most nearly the same way."""
+    one = sights[index]
+    others = [number for number in range(len(sights)) if number != index]
+    others.sort(key=lambda number: -float(one.camera.T_base_cam[:3, 2] @ sights[number].camera.T_base_cam[:3, 2]))
+    return [match(one, sights[number], number, shares) for number in others[:PARTNERS]]
+
+
+def _costs(matches: Sequence[Match], shares: Float64, chosen: Sequence[Float64]) -> Float32:
+    """[H, W, K] what the other views say against each depth; the better half of them, as long as none has `chosen`."""
+    if not chosen:
+        terms = np.sort(np.stack([found.costs for found in matches]), axis=0)
+        said: Float32 = terms[: (len(terms) + 1) // 2].sum(0)
+        return said
+    total = np.zeros_like(matches[0].costs)
+    for found in matches:
+        depths = found.near[..., None] + found.slope[..., None] * shares.astype(np.float32)
+        theirs = chosen[found.other].astype(np.float32).ravel()[found.pixels]
+        seen = found.pixels >= 0
+        total += np.where(seen & (depths > theirs * (1 + SAME_SURFACE)), 0, found.costs)
+        total += np.float32(SEEN_THROUGH_COST) * (seen & (depths < theirs * (1 - SAME_SURFACE)))
+    return total
+
+
+def _chosen(sight: Sight, costs: Float32, shares: Float64) -> Float64:
+    """[H, W] m: the cheapest depth of every pixel."""
+    depth: Float64 = sight.base * shares[smoothed(costs, sight.rgb).argmin(-1)]
+    return depth
+
+
+def _shares_of(sights: Sequence[Sight], depths: Sequence[Float64]) -> list[Float64]:
+    """[H, W] per view: depths in units of plane and shell."""
+    return [depth / sight.base for sight, depth in zip(sights, depths, strict=True)]
+
+
+def _surface(view: View, share: Float64, plane: Plane, shell: Shell) -> Surface:
+    """The view's own pixels at `share` [h, w] of plane and shell."""
+    camera = view.camera
+    own = cv2.resize(share, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
+    far = shell.depth(camera)
+    on_plane = _meets(plane, camera, far) & (own == 1.0)
+    return Surface(np.minimum(own * _base(camera, plane, shell), far), on_plane)
