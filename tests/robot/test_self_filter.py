@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.model.robot_links import arm_depth
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, robot_mask, ur_model
-from twin_node.scene import Camera
+from twin_node.scene import Camera, Float32
 
 MODEL = ur_model("ur5e")
 
@@ -91,16 +92,19 @@ def test_joints_that_are_not_finite_are_refused() -> None:
         robot_mask(MODEL, np.full(6, np.nan), camera_at(np.array([2.0, 0.0, 1.0]), np.zeros(3)))
 
 
+def seen_by_depth(camera: Camera, q: NDArray[np.float64], wall_m: float) -> tuple[NDArray[np.bool_], Float32]:
+    """The arm's grown mask, and the depth of the arm before a wall that is only measured there."""
+    mask = robot_mask(MODEL, q, camera)
+    surface = arm_depth(MODEL, q, camera, mask)
+    return mask, np.where(surface > 0, surface, np.where(mask, wall_m, 0)).astype(np.float32)
+
+
 def test_what_depth_shows_in_front_of_the_arm_is_not_the_arm() -> None:
     camera = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))
     q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
-    mask = robot_mask(MODEL, q, camera)
-    surface = arm_depth(MODEL, q, camera, mask)
-    surface = np.where(surface > 0, surface, np.where(mask, 3.0, 0)).astype(np.float32)  # about the arm, the wall
-    for error in (-0.02, 0.0, 0.02):
-        measured = np.where(surface > 0, surface + np.float32(error), 0)
-        np.testing.assert_array_equal(robot_mask(MODEL, q, camera, depth=measured), mask)
-    rows, columns = np.nonzero(surface < 2.9)
+    _, surface = seen_by_depth(camera, q, wall_m=0.0)
+    mask = robot_mask(MODEL, q, camera, depth=surface)
+    rows, columns = np.nonzero(surface)
     middle = np.hypot(rows - np.median(rows), columns - np.median(columns)).argmin()
     hand = np.s_[rows[middle] - 2 : rows[middle] + 3, columns[middle] - 2 : columns[middle] + 3]
     held_up = surface.copy()
@@ -108,3 +112,17 @@ def test_what_depth_shows_in_front_of_the_arm_is_not_the_arm() -> None:
     expected = mask.copy()
     expected[hand] = False
     np.testing.assert_array_equal(robot_mask(MODEL, q, camera, depth=held_up), expected)
+
+
+def test_what_depth_shows_past_the_arm_is_not_the_arm_but_for_its_edge() -> None:
+    camera = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]), focal=110.0)
+    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
+    grown, surface = seen_by_depth(camera, q, wall_m=3.0)
+    arm = (surface > 0) & (surface < 2.9)
+    edge = cv2.dilate(arm.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    for error in (-0.02, 0.0, 0.02):
+        mask = robot_mask(MODEL, q, camera, depth=np.where(surface > 0, surface + np.float32(error), 0))
+        assert (mask & edge)[grown].sum() == (edge & grown).sum(), "the arm and its edge stay its own"
+        assert not (mask & grown & ~edge).any(), "the wall beside it is seen"
+    unmeasured = robot_mask(MODEL, q, camera, depth=np.where(arm, surface, 0))
+    np.testing.assert_array_equal(unmeasured, grown)

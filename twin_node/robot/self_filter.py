@@ -17,7 +17,9 @@ _SIGMAS = 2.0
 _PIXEL_MARGIN = 0.5
 """Pixels added around a polygon, because OpenCV fills to the nearest pixel and rounds corners."""
 _CLEAR_M, _DEPTH_SHARE = 0.03, 0.01
-"""What is measured so far in front of the grown arm is not the arm, m and as a share of the depth: errors of depth."""
+"""What is measured so far off the grown arm is not the arm, m and as a share of the depth: errors of depth."""
+_AROUND = np.ones((3, 3), np.uint8)
+"""A pixel and its neighbours: at edges depth cameras measure what is nowhere, and images blend two colours."""
 _WIDEST = 0.999
 """Sine of the largest half angle of an end's cone of rays: a camera that nearly touches an end sees it up to here."""
 _SUBPIXEL_BITS = 4
@@ -33,8 +35,8 @@ def robot_mask(
 
     Every capsule is grown by `margin_m` plus twice the camera's calibration error `sigma_m`. Its outline is the convex
     hull of those of its two end spheres; every pixel whose centre is inside counts, unless `depth` [H, W] (m, 0 where
-    it is not measured) shows something in front of the arm there. Raises `RobotError` for joint angles that are not
-    usable.
+    it is not measured) shows something in front of the arm or past it there. Raises `RobotError` for joint angles that
+    are not usable.
     """
     placed = place_capsules(model, forward_kinematics(model, q))
     ends = placed.ends @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -48,14 +50,14 @@ def robot_mask(
     for index in np.flatnonzero(~in_front & ~behind):
         mask |= _ray_hits(camera, ends[index], float(radii[index]))
     covered = mask.astype(np.bool_)
-    return covered if depth is None else covered & ~_hidden(covered, depth, camera, ends, radii)
+    return covered if depth is None else covered & ~_others(covered, depth, camera, ends, radii)
 
 
-def _hidden(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii: Float64) -> Bool:
-    """[H, W] those pixels of `covered` [H, W] that show something in front of capsules `ends` [C, 2, 3], radii [C].
+def _others(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii: Float64) -> Bool:
+    """[H, W] those pixels of `covered` [H, W] that show something else than capsules `ends` [C, 2, 3], radii [C].
 
-    A point well off every capsule, and nearer to the camera than the place on an axis that is nearest to it. Single
-    pixels do not count: at edges depth cameras measure what is nowhere.
+    A point well off every capsule. In front of the arm, nearer to the camera than the place on an axis that is nearest
+    to it, single pixels do not count; past it, where the arm was only grown to, all neighbours must be past it too.
     """
     rows, columns = np.nonzero(covered & (depth > 0))
     z, K = depth[rows, columns].astype(np.float64), camera.K
@@ -68,9 +70,13 @@ def _hidden(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii:
         gap = np.sqrt(np.einsum("nc,nc->n", apart, apart)) - radius
         closer = gap < off
         off, nearer = np.where(closer, gap, off), np.where(closer, apart[:, 2] < 0, nearer)
-    hidden = np.zeros(covered.shape, np.uint8)
-    hidden[rows, columns] = nearer & (off > _CLEAR_M + _DEPTH_SHARE * z)
-    return cv2.morphologyEx(hidden, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    clear = off > _CLEAR_M + _DEPTH_SHARE * z
+    before, past = np.zeros(covered.shape, np.uint8), (~covered).astype(np.uint8)
+    before[rows, columns] = clear & nearer
+    past[rows, columns] = clear & ~nearer
+    before = cv2.morphologyEx(before, cv2.MORPH_OPEN, _AROUND)
+    past = cv2.erode(past, _AROUND, borderType=cv2.BORDER_REPLICATE)
+    return (before > 0) | (past > 0)
 
 
 def _rims(ends: Float64, radii: Float64) -> Float64:
