@@ -16,11 +16,12 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.methods.made_up import MadeUpParameters, make_up
 from twin_node.bench.methods.protocol import QUICK as QUICK_BUDGET
 from twin_node.bench.pareto import ablations, costs
-from twin_node.bench.pareto.chart import draw, markdown, text
+from twin_node.bench.pareto.chart import draw
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane, said
 from twin_node.bench.pareto.measure import Job, Point, measure
 from twin_node.bench.pareto.suite import Pareto, ParetoParameters, run
+from twin_node.bench.pareto.tables import markdown, text
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.sizes import SIZES
 

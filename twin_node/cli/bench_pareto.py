@@ -32,9 +32,10 @@ def add_bench_pareto(benches: Any) -> None:
 
 
 def _bench_pareto(options: argparse.Namespace) -> None:
-    from twin_node.bench.pareto import chart
+    from twin_node.bench.pareto.chart import draw
     from twin_node.bench.pareto.choosing import front_text
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
+    from twin_node.bench.pareto.tables import markdown, text
     from twin_node.bench.results_folder import prepared, save_figures
     from twin_node.nodes.chain import load_parameters
 
@@ -52,10 +53,10 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     found = run(parameters, lambda names, total: tqdm(names, total=total, unit="method", disable=None))
     figures = found.as_json()
     if options.out is not None:
-        chart.draw(found, options.out)
-        save_figures(options.out, "pareto", figures, chart.markdown(found))
+        draw(found, options.out)
+        save_figures(options.out, "pareto", figures, markdown(found))
         (options.out / "sizes.yaml").write_text(front_text(found.points))
-    print(json.dumps(figures) if options.json else chart.text(found))
+    print(json.dumps(figures) if options.json else text(found))
     if options.check:
         found.check()
 

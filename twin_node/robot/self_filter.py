@@ -74,9 +74,8 @@ def _others(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii:
     before, past = np.zeros(covered.shape, np.uint8), (~covered).astype(np.uint8)
     before[rows, columns] = clear & nearer
     past[rows, columns] = clear & ~nearer
-    before = cv2.morphologyEx(before, cv2.MORPH_OPEN, _AROUND)
-    past = cv2.erode(past, _AROUND, borderType=cv2.BORDER_REPLICATE)
-    return (before > 0) | (past > 0)
+    opened = cv2.morphologyEx(before, cv2.MORPH_OPEN, _AROUND)
+    return (opened > 0) | (cv2.erode(past, _AROUND, borderType=cv2.BORDER_REPLICATE) > 0)
 
 
 def _rims(ends: Float64, radii: Float64) -> Float64:

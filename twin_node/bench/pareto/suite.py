@@ -96,6 +96,11 @@ class Pareto:
                     f"pareto: expected nobody to dominate ours, found {point.name} on {point.data}: {sizes[0]}"
                 )
 
+    def by_data(self) -> dict[str, list[Point]]:
+        """The points of every data set by its name."""
+        names = dict.fromkeys(point.data for point in self.points)
+        return {name: [point for point in self.points if point.data == name] for name in names}
+
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
         return {
