@@ -44,7 +44,7 @@ def decide(
     picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))
     pairs = checker.approaches(positions[picked], _reach(checker, positions, seconds, found, motion, law))
     closing = _closing(pairs, seconds[picked])
-    encounter = Encounter(found, pairs.obstacles, pairs.distances[0], closing, motion, law)
+    encounter = Encounter(found, pairs.capsules, pairs.obstacles, pairs.distances[0], closing, motion, law)
     return _settle(checker, closest, pairs, encounter)
 
 
@@ -127,6 +127,6 @@ def _reach(
     fastest = float((steps / np.diff(seconds)).max(initial=0.0))
     rows = np.arange(len(found.counts))
     nothing = np.zeros(len(rows))
-    bound = Encounter(found, rows, nothing, np.full(len(rows), fastest), motion, law)
+    bound = Encounter(found, rows, rows, nothing, np.full(len(rows), fastest), motion, law)
     in_time = found.valid_from <= motion.standstill(motion.stop(1.0))
     return np.where(found.counts & in_time, bound.terms(1.0).required, -1.0)

@@ -106,13 +106,15 @@ class Hazards:
     """[n] ns."""
     valid_to: NDArray[np.int64]
     """[n] ns; for ever where a later layer takes over."""
+    as_seen: Bool
+    """[n] True for what moved where it was seen, beside a forecast of it: the second proof."""
 
 
 def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters) -> Hazards:
     """How the law looks at obstacles at a time (ns).
 
     What stands still is valid for ever. Another obstacle ends with its validity, unless it belongs to the last layer of
-    its kind's forecast: that one goes on, and grows.
+    its kind's forecast: that one goes on, and grows. So does, from the evidence on, what was seen.
     """
     source, kinds = obstacles.source, obstacles.kinds
     unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
@@ -122,7 +124,8 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         last = obstacles.last_valid(kind)
         if last is not None:
             in_last_layer |= (kinds == kind) & (source.valid_to > last - _SAME_LAYER_NS)
-    counts = (source.valid_to >= stamp) | in_last_layer
+    as_seen = source.as_seen & ~in_last_layer
+    counts = (source.valid_to >= stamp) | in_last_layer | as_seen
     counts &= ~(unknown & (parameters.unknown is UnknownPolicy.IGNORE))
     return Hazards(
         counts=np.asarray(counts),
@@ -130,7 +133,8 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         moves=np.asarray(kinds == ObstacleKind.MOVING),
         speeds=np.maximum(np.linalg.norm(source.velocities, axis=1), parameters.human_speed),
         valid_from=source.valid_from,
-        valid_to=np.where(in_last_layer, source.valid_to, np.iinfo(np.int64).max),
+        valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
+        as_seen=as_seen,
     )
 
 
@@ -139,6 +143,8 @@ class Encounter:
     """Pairs of capsules and obstacles, and the motion that the law is applied to."""
 
     hazards: Hazards
+    capsules: NDArray[np.int64]
+    """[p] each pair's capsule."""
     rows: NDArray[np.int64]
     """[p] row of each pair's obstacle."""
     distances: Float64
@@ -168,14 +174,34 @@ class Encounter:
     def shortfall(self, share: float) -> Float64:
         """By how much [p] distances fall short of the protective ones at a share of the speed, m; negative: enough.
 
+        Minus infinity for pairs that need not be looked at: the law holds for a capsule where it holds against the
+        forecast of what moves, or against what was seen to move and may have gone anywhere since at the law's speed.
+        Either proves that nothing that moves touches it; the one that leaves more counts.
+        """
+        alone = self._alone(share)
+        if not self.hazards.as_seen.any():
+            return alone
+        as_seen = self.hazards.as_seen[self.rows]
+        forecast = self.hazards.moves[self.rows] & ~as_seen
+        worst = np.full((2, int(self.capsules.max(initial=0)) + 1), -np.inf)
+        for proof, pairs in zip(worst, (forecast, as_seen), strict=True):
+            np.maximum.at(proof, self.capsules[pairs], alone[pairs])
+        by_sight = (worst[1] < worst[0])[self.capsules]
+        return np.where(np.where(by_sight, forecast, as_seen), -np.inf, alone)
+
+    def _alone(self, share: float) -> Float64:
+        """Shortfalls [p] of the pairs, each by itself, m.
+
         Minus infinity for obstacles that come after the arm would have stopped, and for pairs that the arm does not
         close, unless something that moves may touch it: whoever overtakes an arm that leaves is to find it standing.
         """
         stop = self.motion.stop(share)
         in_time = self.hazards.valid_from[self.rows] <= self.motion.standstill(stop)
-        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch)
+        terms = self._terms(share, stop)
+        gone = np.where(self.hazards.as_seen[self.rows], terms.human, 0.0)
+        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch + gone)
         concerned = ((self.closing > self.parameters.closing_speed) | touching) & in_time
-        return np.where(concerned, self._terms(share, stop).required - self.distances, -np.inf)
+        return np.where(concerned, terms.required - self.distances, -np.inf)
 
     @property
     def _within_touch(self) -> float:
@@ -185,7 +211,7 @@ class Encounter:
     def largest_share(self) -> float:
         """Largest share (0 to 1) of the arm's speed at which no pair falls short.
 
-        Every term rises with the share, so bisection finds it.
+        Every term rises with the share, and so does the lesser of two proofs, so bisection finds it.
         """
         if not (self.shortfall(1.0) > 0).any():
             return 1.0

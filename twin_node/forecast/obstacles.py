@@ -53,12 +53,23 @@ class Motion:
     """[M] values of `MotionExpert`: which has the most weight; None where nobody says."""
 
 
+@dataclass(frozen=True)
+class Sighted:
+    """What was seen to move, where it was seen."""
+
+    grid: Grid
+    """That of the forecast and a rim about it."""
+    indices: NDArray[np.int64]
+    """[n] flat indices in this grid."""
+
+
 def cover(
     occupancy: Occupancy,
     previous: Obstacles | None = None,
     parameters: CoverParameters | None = None,
     motion: Motion | None = None,
     hidden: Hidden | None = None,
+    sighted: Sighted | None = None,
 ) -> Obstacles:
     """Obstacles that hold every occupied voxel of `occupancy`, whole, for as long as it is occupied.
 
@@ -67,7 +78,8 @@ def cover(
     space; ids name kind, interval and cell, so they stay while things move within cells. `previous` keeps the cover
     from flickering between two that are equally good; `motion` gives velocities and bounds, zero without it.
     Unknown space is UNKNOWN where something may come out of it, STATIC where it may be full, and no obstacle where it
-    is known to be empty: as `hidden` tells, all of it UNKNOWN without.
+    is known to be empty: as `hidden` tells, all of it UNKNOWN without. `sighted` adds, to a forecast of anything,
+    MOVING obstacles that hold what it is a forecast of, valid at the evidence alone (`Obstacles.as_seen`).
 
     Raises `ForecastError` for a cap below 1.
     """
@@ -80,14 +92,19 @@ def cover(
         hidden = Hidden(reachable=unknown, maybe_full=np.zeros(grid.size, np.bool_))
     batches = []
 
-    def hold(boxes: Boxes, most: int, kind: ObstacleKind, interval: int, valid: tuple[int, int]) -> None:
-        few = fitted(grid, boxes, most, _before(previous, kind, interval))
-        batches.append(_batch(grid, few, kind, interval, *valid))
+    def hold(
+        boxes: Boxes, most: int, kind: ObstacleKind, interval: int, valid: tuple[int, int], within: Grid = grid
+    ) -> None:
+        few = fitted(within, boxes, most, _before(previous, kind, interval))
+        batches.append(_batch(within, few, kind, interval, *valid))
 
     layers = [layer.indices for layer in occupancy.layers]
     for interval, valid in enumerate(itertools.pairwise(stamps)):
         both = smallest_boxes(grid, np.concatenate(layers[interval : interval + 2]))
         hold(both, parameters.most_moving, ObstacleKind.MOVING, interval, valid)
+    if sighted is not None and any(len(indices) for indices in layers):
+        seen, at = smallest_boxes(sighted.grid, sighted.indices), (occupancy.stamp, occupancy.stamp)
+        hold(seen, parameters.most_moving, ObstacleKind.MOVING, _AS_SEEN, at, sighted.grid)
     throughout = stamps[0], stamps[-1]
     standing = smallest_boxes(grid, occupancy.static.indices)
     hold(standing, parameters.most_static, ObstacleKind.STATIC, 0, throughout)
@@ -96,6 +113,10 @@ def cover(
     reachable = mostly_full(grid, hidden.reachable, parameters.unknown_share)
     hold(reachable, parameters.most_unknown, ObstacleKind.UNKNOWN, 0, throughout)
     return _obstacles(occupancy.stamp, batches, motion)
+
+
+_AS_SEEN = 7
+"""Stands for an interval in the ids of what was seen: the last that they have room for."""
 
 
 @dataclass(frozen=True)

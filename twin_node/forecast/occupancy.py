@@ -15,7 +15,7 @@ from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Held, Watch, held
-from twin_node.forecast.obstacles import Motion
+from twin_node.forecast.obstacles import Motion, Sighted
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Measured, Prediction, Predictor
 from twin_node.forecast.static import StaticParameters
@@ -33,6 +33,8 @@ _NEIGHBOURS = 8
 """Forecast places that are looked at about a part: those nearest to it."""
 JUDGED_EVERY_NS = 50_000_000
 """Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
+JITTER_NS = 10_000_000
+"""A forecast is due so long before its time: stamps jitter, and the next set would be a whole one late."""
 
 MOTION_SHOWS_NS = 150_000_000
 """After so long it shows what moved when the first images came; forecasts made before could not know, ns."""
@@ -85,11 +87,17 @@ class Forecaster:
         self._sees_motion_from = 0
         self._warnings: tuple[str, ...] = ()
         self._hidden: Hidden | None = None
+        self._sighted: Sighted | None = None
 
     @property
     def hidden(self) -> Hidden | None:
         """What may be in the unknown space of the last update; None before the first."""
         return self._hidden
+
+    @property
+    def sighted(self) -> Sighted | None:
+        """What was seen to move at the last update; None before the first."""
+        return self._sighted
 
     @property
     def quality(self) -> ForecastQuality:
@@ -117,6 +125,7 @@ class Forecaster:
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
+        self._sighted = Sighted(self._observer.grid, evidence.parts.indices)
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
         has_depth = any(view.depth is not None for view in state.frames.views)
@@ -154,7 +163,7 @@ class Forecaster:
     def _judge(self, state: TwinState, evidence: Evidence) -> None:
         """Scores the forecast made for now; parts that nobody saw when it was made are left out."""
         due = None
-        while self._issued and self._issued[0].valid_at <= state.stamp:
+        while self._issued and self._issued[0].valid_at <= state.stamp + JITTER_NS:
             due = self._due = self._issued.popleft()
         if due is None or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return

@@ -119,7 +119,7 @@ class ArmNode(Node):
         now = self.clock.now()
         obstacles = convert.obstacles_from_message(message)
         self._checker.update(obstacles)
-        stamp = max(now, int(obstacles.valid_from.min(initial=obstacles.stamp)))
+        stamp = max(now, obstacles.begins)
         decision = decide(
             self._checker, self._path_from(stamp), stamp, self._reaction_s(now), self._parameters.separation
         )

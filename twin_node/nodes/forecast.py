@@ -42,7 +42,12 @@ class ForecastNode(Node):
         occupancy = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
         forecaster = self._forecaster
         self._obstacles = cover(
-            occupancy, self._obstacles, self._cover_parameters, forecaster.motion, forecaster.hidden
+            occupancy,
+            self._obstacles,
+            self._cover_parameters,
+            forecaster.motion,
+            forecaster.hidden,
+            forecaster.sighted,
         )
         self.bus.publish(FORECAST, Forecast(occupancy, self._obstacles, self._forecaster.quality))
         self.bus.publish(OCCUPANCY, convert.occupancy_to_message(occupancy))

@@ -264,7 +264,7 @@ def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
     """
     if obstacles is None or not len(obstacles.ids):
         return _NO_OBSTACLES
-    at = max(stamp, int(obstacles.valid_from.min()))
+    at = max(stamp, obstacles.begins)
     chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
     columns: dict[str, Any] = {
         name: None if values is None else values[chosen] for name, values in vars(obstacles).items() if name != "stamp"

@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.scene.arrays import Float64, UInt8, UInt32
+from twin_node.scene.arrays import Bool, Float64, UInt8, UInt32
 
 HORIZONS_NS = (0, 50_000_000, 100_000_000, 150_000_000, 200_000_000)
 """The forecast's horizons after evidence stamp + latency, ns."""
@@ -127,6 +127,17 @@ class Obstacles:
     """[n] ns."""
     experts: UInt8 | None = None
     """[n] values of `MotionExpert`: which had the most weight in the forecast; None where nobody says."""
+
+    @property
+    def as_seen(self) -> Bool:
+        """[n] what moved where it was seen: valid at the evidence alone; a forecast of the same things follows it."""
+        return np.asarray((self.valid_to <= self.stamp) & (self.kinds == ObstacleKind.MOVING))
+
+    @property
+    def begins(self) -> int:
+        """When the first forecast begins, ns: that of the evidence where there is none."""
+        forecast = self.valid_from[~self.as_seen]
+        return int(forecast.min()) if len(forecast) else self.stamp
 
 
 @dataclass(frozen=True)
