@@ -26,6 +26,9 @@ PLANE_SAMPLES = 4000
 FLATNESS = 0.2
 """Thickness of a Gaussian on the dominant plane in units of its radius."""
 SEED_OPACITY = 0.7
+CELL = 1.4
+"""Side of the cells in which blocks of several views are merged, in radii of a block, which is two wide: what two views
+show of one place they show of different halves of it."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,7 @@ def _merged(blocks: _Blocks) -> _Blocks:
     """One block per cell of its own size: the finest where several views show the same place."""
     order = np.argsort(blocks.radii, kind="stable")
     level = np.round(np.log2(blocks.radii[order]))
-    cell = np.floor(blocks.means[order] / (2.0 * np.exp2(level))[:, None])
+    cell = np.floor(blocks.means[order] / (CELL * np.exp2(level))[:, None])
     _, first = np.unique(np.column_stack([level, cell]), axis=0, return_index=True)
     kept = order[np.sort(first)]
     return _Blocks(blocks.means[kept], blocks.radii[kept], blocks.rgb[kept], blocks.flat[kept])
