@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 from model_scenes import rig, table
+from torch import Tensor
 
-from twin_node.model import least_squares
 from twin_node.model.gaussians import RGB, Gaussians, Newborns
-from twin_node.model.least_squares import AtRest
+from twin_node.model.least_squares import AtRest, Step
 from twin_node.model.rendering import render
 from twin_node.scene import Tier
 
@@ -46,19 +46,27 @@ def missed(store: Gaussians, views: list[AtRest]) -> float:
     return float(np.mean([np.square(one.rgb.numpy() - view.rgb).mean() for one, view in zip(seen, views, strict=True)]))
 
 
+def step(store: Gaussians, rows: Tensor, learners: Tensor, views: list[AtRest]) -> None:
+    """One step towards all views."""
+    taken = Step(store, rows, learners)
+    for view in views:
+        taken.look(view)
+    taken.take()
+
+
 @pytest.mark.parametrize("with_depth", [False, True])
 def test_steps_lead_back_to_what_is_seen_and_stop_there(with_depth: bool) -> None:
     store = stored()
     views = at_rest(store, with_depth)
     rows, everybody = store.static_rows, torch.ones(len(store.static_rows), dtype=torch.bool)
     right = store.values.clone()
-    least_squares.step(store, rows, everybody, views)
+    step(store, rows, everybody, views)
     assert (store.values - right).abs().max() < (1e-4 if not with_depth else 2e-2)
     store.values[:, RGB] = (right[:, RGB] + 0.1).clamp(0, 1)
     store.values[:, 7:10] -= 0.1
     errors = [missed(store, views)]
     for _ in range(20):
-        least_squares.step(store, rows, everybody, views)
+        step(store, rows, everybody, views)
         errors.append(missed(store, views))
     assert errors[-1] < 0.05 * errors[0]
     assert max(np.diff(errors)) < 0.05 * errors[0]
@@ -72,7 +80,25 @@ def test_who_does_not_learn_or_is_not_counted_stays_to_the_bit() -> None:
     store.values[:, RGB] *= 0.8
     before, rows = store.values.clone(), store.static_rows
     learners = torch.arange(len(rows)) % 2 == 0
-    least_squares.step(store, rows, learners, [replace(view, counted=left) for view in views[:1]])
+    step(store, rows, learners, [replace(view, counted=left) for view in views[:1]])
     changed = (store.values != before).any(1)
     assert 20 < int(changed.sum()) < int(learners.sum())
     assert not bool((changed[rows] & ~learners).any())
+
+
+def test_what_leaves_or_begins_to_move_while_views_are_looked_through_takes_no_step() -> None:
+    store = stored()
+    views = at_rest(store)
+    store.values[:, RGB] *= 0.8
+    rows, everybody = store.static_rows, torch.ones(len(store.static_rows), dtype=torch.bool)
+    taken = Step(store, rows, everybody)
+    for view in views:
+        taken.look(view)
+    left, moves = rows[::3], rows[1::3]
+    store.retire(left)
+    store.tiers[moves] = int(Tier.TRANSIENT)
+    before = store.values.clone()
+    taken.take()
+    changed = (store.values != before).any(1)
+    assert not bool(changed[left].any()) and not bool(changed[moves].any())
+    assert int(changed[rows[2::3]].sum()) > 20

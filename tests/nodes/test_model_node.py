@@ -1,4 +1,4 @@
-"""The model node refines what stands still after it has published, and where time is short only now and then."""
+"""The model node refines what stands still after it has published, and passes on how much time there is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.stages import Proceed, unhurried
-from twin_node.nodes.model import MOST_LEFT, ModelNode
+from twin_node.nodes.model import ModelNode
 from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -35,10 +35,7 @@ class Watched(WindowModel):
         return whole
 
 
-@pytest.mark.parametrize(
-    ("waits", "expected"),
-    [(False, ["refine"] * 8), (True, (["leave"] * (MOST_LEFT - 1) + ["refine"]) * 2)],
-)
+@pytest.mark.parametrize(("waits", "expected"), [(False, ["refine"] * 8), (True, ["leave"] * 8)])
 def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: list[str]) -> None:
     bus, model = LocalBus(), Watched()
     node = ModelNode(bus, SteppedClock(), model)

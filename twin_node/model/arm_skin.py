@@ -63,7 +63,6 @@ class ArmSkin:
         self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None]
     ) -> Generator[None]:
         """Looks at the arm through one camera after another, one per set; `robots` are the arm's masks [H, W]."""
-        yield
         self._turn += 1
         index = self._turn % len(observed)
         one, mask = observed[index], robots[index]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -15,7 +15,7 @@ from twin_node.geometry import project
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look, pixel_rays
-from twin_node.model.rendering import render
+from twin_node.model.rendering import Rendering, render
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64
 
@@ -79,6 +79,21 @@ class Backgrounds:
         self._wanted: Sequence[Camera] = ()
         self.rows = torch.zeros(0, dtype=torch.int64)
 
+    @property
+    def are_outdated(self) -> bool:
+        """Whether what stands has become something else since they were rendered."""
+        return self._outdated
+
+    @property
+    def are_behind(self) -> bool:
+        """Whether `keep_up` has anything to do."""
+        return self._outdated or self._changed or bool(self._waiting)
+
+    def place(self, background: Background) -> bool:
+        """Whether `background` holds the places of the present `rows`."""
+        known = self._known.get(background.camera.name)
+        return known is not None and known.static is background.static
+
     def mark(self) -> None:
         """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
         self._changed = True
@@ -97,23 +112,26 @@ class Backgrounds:
         if self._outdated or not known:
             self._renew(gaussians, cameras)
         self._wanted = cameras
+        self._age += 1
         return [self._known[camera.name] for camera in cameras]
 
-    def keep_up(self, gaussians: Gaussians) -> None:
+    def keep_up(self, gaussians: Gaussians) -> Generator[None]:
         """Brings the backgrounds up to date for the next set, where there is time for it; they change slowly."""
-        self._age += 1
         if self._outdated:
             self._renew(gaussians, self._wanted)
         elif self._changed and self._age >= REFRESH_SETS:
             self._survey(gaussians, self._wanted, self._known)
             self._waiting += [name for name in self._known if name not in self._waiting]
+            yield
         if self._waiting:
             name = self._waiting.pop(0)
-            self._known[name] = replace(self._known[name], **vars(self._render(gaussians, self._known[name].camera)))
+            (shown,) = self._render(gaussians, [self._known[name].camera])
+            self._known[name] = replace(self._known[name], **vars(shown))
 
     def _renew(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
         """Finds and renders all there is, for `cameras` and no other."""
-        self._survey(gaussians, cameras, {camera.name: self._render(gaussians, camera) for camera in cameras})
+        shown = self._render(gaussians, cameras)
+        self._survey(gaussians, cameras, {camera.name: one for camera, one in zip(cameras, shown, strict=True)})
 
     def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
         """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`; absent cameras are forgotten."""
@@ -132,13 +150,17 @@ class Backgrounds:
         self._changed = self._outdated = False
         self._age = 0
 
-    def _render(self, gaussians: Gaussians, camera: Camera) -> _Shown:
+    def _render(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[_Shown]:
+        """What each of `cameras` sees."""
+        with torch.no_grad():
+            seen = render(gaussians.standing(gaussians.values[gaussians.static_rows]), cameras)
+        return [self._shown(camera, one) for camera, one in zip(cameras, seen, strict=True)]
+
+    def _shown(self, camera: Camera, seen: Rendering) -> _Shown:
         known = self._known.get(camera.name)
         same = known is not None and known.camera is camera
         surface = known.surface if known is not None and same else self._surface(camera)
         rays = known.rays if known is not None and same else pixel_rays(camera)
-        with torch.no_grad():
-            seen = render(gaussians.standing(gaussians.values[gaussians.static_rows]), [camera])[0]
         depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
         backdrop = torch.cat([seen.rgb, torch.from_numpy(depth).to(seen.rgb)[..., None]], -1)
         return _Shown(seen.rgb.cpu().numpy(), depth, seen.alpha.cpu().numpy(), backdrop, surface, rays)

@@ -25,7 +25,6 @@ from twin_node.model.observation import Observed
 from twin_node.model.parameters import MapParameters
 from twin_node.model.pruning import Pruner
 from twin_node.model.rays import look
-from twin_node.model.rendering import by_size
 from twin_node.model.rest import Rest
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 
@@ -84,16 +83,13 @@ class Mapper:
         self._turn = 0
 
     def refine(self, observed: Sequence[Observed], stamp: int) -> Generator[None]:
-        """Takes the share of the set at `stamp` (ns), slice by slice: before any of them what is left can be let be."""
-        yield
+        """Takes the share of the set at `stamp` (ns), slice by slice; see `stages.Sliced`."""
         self._turn += 1
         views = [_Wanting(one.background, self._rest_of(one)) for one in observed]
         index = self._turn % len(observed)
         views[index].rest.see(observed[index], self._parameters)
         self._fill(views, index, stamp)
-        for chosen in by_size([view.camera for view in views]):
-            yield from self._learn([views[index] for index in chosen])
-        yield
+        yield from self._learn(views)
         self._pruner.watch([view.camera for view in views])
 
     def _rest_of(self, one: Observed) -> Rest:
@@ -150,18 +146,23 @@ class Mapper:
         )
 
     def _learn(self, views: Sequence[_Wanting]) -> Generator[None]:
-        """A few steps for the Gaussians that show at wrong pixels of `views`, cameras of one size."""
+        """A few steps for the Gaussians that show at wrong pixels of `views`."""
         chosen = self._backgrounds.rows[torch.from_numpy(self._chosen(views)).to(self._backgrounds.rows.device)]
         if not len(chosen):
             return
         learns = torch.zeros_like(self._gaussians.alive)
         learns[chosen] = True
         goals = [view.goal() for view in views]
+        yield
         for _ in range(self._parameters.steps):
-            yield
             rows = self._gaussians.static_rows
-            least_squares.step(self._gaussians, rows, learns[rows], goals)
+            step = least_squares.Step(self._gaussians, rows, learns[rows])
+            for goal in goals:
+                step.look(goal)
+                yield
+            step.take()
             self._backgrounds.repaint()
+            yield
 
     def _chosen(self, views: Sequence[_Wanting]) -> Bool:
         """[n] which of the background's rows show at a wrong pixel of some view, while no other view comes to rest."""

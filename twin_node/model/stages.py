@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 OnStage = Callable[[str], None]
 """Called with the name of each stage of an update when that stage has ended."""
@@ -19,3 +19,26 @@ def unwatched(_: str) -> None:
 def unhurried() -> bool:
     """There always is."""
     return True
+
+
+def granted(slices: int) -> Proceed:
+    """There is time for so many."""
+    left = iter(range(slices))
+    return lambda: next(left, None) is not None
+
+
+class Sliced:
+    """Work that can be let be after any of its slices, and gone on with later."""
+
+    def __init__(self, slices: Iterator[None]) -> None:
+        """`slices` does one more whenever it is asked for the next."""
+        self._slices = slices
+        self.has_begun = False
+        self.is_done = False
+
+    def go_on(self, proceed: Proceed) -> bool:
+        """Goes on for as long as `proceed` says so before every slice; whether all is done."""
+        while not self.is_done and proceed():
+            self.has_begun = True
+            self.is_done = next(self._slices, self) is self
+        return self.is_done

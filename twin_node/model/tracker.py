@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 
 import torch
@@ -30,10 +29,12 @@ from twin_node.model.parameters import ModelParameters
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
-from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
+from twin_node.model.stages import OnStage, Proceed, Sliced, granted, unhurried, unwatched
 from twin_node.model.unselected import fit_unselected
 from twin_node.scene import Bool, FrameSet, JointSample, Tier
 
+HURRIED = 2
+"""Slices of refining what stands that take as long as births."""
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
@@ -98,6 +99,12 @@ class Tracker:
         self._born = 0
         self._due: _Due | None = None
         """A set that has been tracked and that the mapper has not seen yet."""
+        self._learning: Sliced | None = None
+        """What the mapper has begun to make of a set and was not left the time to end."""
+        self._is_hurried = False
+        """Whether nothing was born of the last set, for want of time."""
+        self._is_behind = False
+        """Whether what stands still has not been drawn anew when it was due."""
 
     def track(
         self,
@@ -130,27 +137,45 @@ class Tracker:
         return Tracked(born, self._pace if fitted.diverged else None, self._decisions)
 
     def refine(self, proceed: Proceed = unhurried, on_stage: OnStage = unwatched) -> bool:
-        """What is left to do of the last set, where it has not been done yet; whether all of it was.
+        """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
-        What it shows anew is born in any case. Births are guesses until the next set has fitted them, so that the
-        state that is published before them looks better without.
+        Births are guesses until the next set has fitted them, so that the state that is published before them looks
+        better without. Where `proceed` leaves no time, births and two slices of the rest take turns: what is not born
+        now is with the next set. So do learning what stands and drawing it anew, which go on where they were.
         """
         due, self._due = self._due, None
         if due is None:
             return True
-        self._born = self._bear(due.observed, due.renderings)
-        self._nodes.remember()
-        on_stage("bear")
-        whole, begun = True, False
-        with closing(self._slices(due)) as slices:
-            for _ in slices:
-                whole = proceed()
-                if not whole:
-                    break
-                begun = True
-        if whole or begun:
-            self._backgrounds.keep_up(self._gaussians)
-        return whole
+        if proceed() or self._is_hurried:
+            self._is_hurried = False
+            self._born = self._bear(due.observed, due.renderings)
+            self._nodes.remember()
+            on_stage("bear")
+        else:
+            self._is_hurried, proceed = True, granted(HURRIED)
+        drawn = (self._is_behind or self._backgrounds.are_outdated) and self._draw(proceed)
+        learnt = self._learn(due, proceed)
+        drawn = drawn or self._draw(proceed)
+        self._is_behind = not drawn
+        return learnt and drawn
+
+    def _learn(self, due: _Due, proceed: Proceed) -> bool:
+        """Goes on with what has been begun to be learnt of what stands, else begins; whether it came to its end.
+
+        A set that was observed before another background than there is now teaches nothing.
+        """
+        if self._learning is None or not self._learning.has_begun:
+            if not all(self._backgrounds.place(one.background) for one in due.observed):
+                return False
+            self._learning = Sliced(self._slices(due))
+        learnt = self._learning.go_on(proceed)
+        if learnt:
+            self._learning = None
+        return learnt
+
+    def _draw(self, proceed: Proceed) -> bool:
+        """What stands still is drawn anew, for the next set; whether all that is due of it."""
+        return not self._backgrounds.are_behind or Sliced(self._backgrounds.keep_up(self._gaussians)).go_on(proceed)
 
     def _slices(self, due: _Due) -> Generator[None]:
         """A set's share of what can be let be, in slices."""
@@ -158,11 +183,8 @@ class Tracker:
             return
         if self._skin is not None and due.joints is not None:
             yield from self._skin.refine(due.observed, due.joints, due.robots)
+            yield
         yield from self._mapper.refine(due.observed, self._nodes.stamp)
-
-    def leave(self) -> None:
-        """Does of the last set only what cannot be let be."""
-        self.refine(lambda: False)
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""

@@ -130,20 +130,15 @@ class WindowModel:
         """Lets be born what the last set shows, and refines what stands still; once per set, by the next `update`
         where nobody has called it.
 
-        A live node calls it when the state is published, so that it costs no latency, or `leave` where time is short.
-        It takes a few milliseconds; every one or two of them `proceed()` says whether it may go on refining, else the
-        rest of the set's share is left. Returns whether nothing was.
+        A live node calls it when the state is published, so that it costs no latency. It takes some milliseconds; every
+        one or two of them `proceed()` says whether there is time for more, else it goes on after the next set where it
+        was. Returns whether nothing was left.
         """
         if self._tracker is None:
             return True
         whole = self._tracker.refine(proceed, self.on_stage)
         self.on_stage("refine")
         return whole
-
-    def leave(self) -> None:
-        """Leaves what stands still as it is on the last set."""
-        if self._tracker is not None:
-            self._tracker.leave()
 
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
         """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import itertools
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
@@ -19,12 +18,6 @@ from twin_node.scene import FrameSet, Tier
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
 
-MOST_LEFT = 4
-"""What stands still is refined, whoever waits, after so many sets that had to be left before: it changes slowly, but it
-must not be forgotten."""
-LEAST_SLICES = 2
-"""Slices of that which are done then: new Gaussians, and one step."""
-
 
 class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set."""
@@ -37,7 +30,6 @@ class ModelNode(Node):
         self._narrower: Narrower | None = None
         self._next_whole = 0
         self._is_first = True
-        self._left = 0
 
     def on_configure(self) -> None:
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
@@ -66,12 +58,10 @@ class ModelNode(Node):
             self._trial, self._narrower, self.model = None, sized.narrower, sized.model
 
     def rest(self, proceed: Proceed = unhurried) -> None:
-        """Uses the time between two sets to refine what stands still, where the last one has left some.
+        """Uses the time between two sets for what they show anew and to refine what stands still.
 
         Called by whoever runs the node once everything that came of a set is delivered; where nobody calls it the next
-        update refines first. `proceed()` says whether no other set waits; in lockstep none does, so every set gets its
-        share.
+        update refines first. `proceed()` says whether no other set waits, see `WindowModel.refine`; in lockstep none
+        does, so every set gets its share.
         """
-        is_due, slices = self._left >= MOST_LEFT - 1, itertools.count()
-        whole = self.model.refine(lambda: (is_due and next(slices) < LEAST_SLICES) or proceed())
-        self._left = 0 if whole or is_due else self._left + 1
+        self.model.refine(proceed)
