@@ -14,7 +14,8 @@ from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import find_births_plainly
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_births import find_births
-from twin_node.model.deaths import Shapes, judge_static, refuted_moving
+from twin_node.model.compiled_deaths import judge_static, refuted_moving
+from twin_node.model.deaths import Shapes, judge_static_plainly, refuted_moving_plainly
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import SKIRT_PX, held_pixels
 from twin_node.model.flow import FlowSolver
@@ -163,6 +164,30 @@ def test_static_gaussians_of_a_thing_that_left_are_told_from_the_rest(depth: boo
     assert evidence.left[~of_block].mean() < 0.03
 
 
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize("depth", [False, True])
+def test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth: bool) -> None:
+    noise = np.random.default_rng(6)
+    static = joined(table(), block(-0.2))
+    observed = []
+    for one in observe(static, 0.25, depth):
+        usable, moving = (noise.random(one.usable.shape) < share for share in (0.95, 0.1))
+        surprise = one.surprise + noise.uniform(0, 0.1, one.surprise.shape).astype(np.float32)
+        observed.append(replace(one, usable=one.usable & usable, moving=one.moving | moving, surprise=surprise))
+    count = 2000
+    points = noise.uniform([-0.8, -0.8, -0.3], [0.8, 0.8, 1.4], (count, 3))
+    shapes = Shapes.of(points, noise.normal(size=(count, 4)), noise.uniform(0.001, 0.2, (count, 3)))
+    seen = [replace(shapes, means=points + noise.normal(0, 0.01, points.shape)) for _ in observed]
+    carried = noise.random(count) < 0.5
+    found, expected = refuted_moving(observed, seen, carried), refuted_moving_plainly(observed, seen, carried)
+    assert 0.1 < expected.mean() < 0.95
+    assert np.count_nonzero(found != expected) <= 1  # a pixel may be the next one by rounding
+    shown = look_at(joined(table(), block(0.25)))
+    judged, plainly = judge_static(observed, shown, THRESHOLD), judge_static_plainly(observed, shown, THRESHOLD)
+    assert plainly.left.any() and plainly.moving.any()
+    assert np.array_equal(judged.left, plainly.left) and np.array_equal(judged.moving, plainly.moving)
+
+
 @pytest.mark.parametrize("depth", [False, True])
 def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) -> None:
     shift = np.array([0.02, 0.01, 0.0])
@@ -181,9 +206,8 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     origins = torch.tensor([0.1, 0.0, 0.05], dtype=torch.float64).expand(3, 1, 3)
     own = torch.arange(before.means.shape[1])
     left = before.means[0, :, 0].numpy() < 0.1
-    cells = Cells(
-        np.array([1, 2]), np.zeros(2, np.int64), np.zeros(2, np.int64), left.astype(np.int64), np.zeros((2, 3))
-    )
+    nowhere, one = np.zeros((2, 3)), np.zeros(2, np.int64)
+    cells = Cells(np.array([1, 2]), one, one, left.astype(np.int64), nowhere, nowhere)
     twists = solve_twists(observed, renderings, flows, moving, own, cells, origins, 0.05, 0.5)
     assert twists.linear[0].numpy() == pytest.approx(shift, abs=0.008)
     assert twists.angular[0].norm() < 0.12

@@ -81,9 +81,9 @@ def nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
     library = kernels()
     if library is None:
         return nearest_plainly(places, own)
-    at, things = np.ascontiguousarray(places), np.ascontiguousarray(own)
+    at, columns = np.ascontiguousarray(places), np.ascontiguousarray(own.T)
     found = np.empty(len(at), np.int64)
-    library.nearest(NearestRequest(*at.shape[:1], *things.shape, at.ctypes.data, things.ctypes.data, found.ctypes.data))
+    library.nearest(NearestRequest(len(at), *own.shape, at.ctypes.data, columns.ctypes.data, found.ctypes.data))
     return found
 
 

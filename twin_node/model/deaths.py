@@ -45,12 +45,12 @@ class Shapes:
         return cls(np.asarray(means, np.float64), np.ascontiguousarray(np.moveaxis(axes, 0, -1)), radii)
 
 
-def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
+def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
     `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where they
     reach speaks against them; against others, one that shows the background. That holds at the image's edge too, for
-    what reaches in from beyond.
+    what reaches in from beyond. In NumPy: the reference of `compiled_deaths.refuted_moving`.
     """
     refuted = np.zeros(len(carried), bool)
     for one, shape in zip(observed, shapes, strict=True):
@@ -102,11 +102,14 @@ class StaticEvidence:
     """[n] every view that should show them shows something that moves there, and two views or more do."""
 
 
-def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> StaticEvidence:
+def judge_static_plainly(
+    observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float
+) -> StaticEvidence:
     """Which STATIC Gaussians have left their place, and which are part of something that moves.
 
     `renderings` is what the whole model looks like: what stands behind something moving is covered, not gone. What lies
-    on the plane or the shell moves never, whatever it looks like, and leaves only by measured depth.
+    on the plane or the shell moves never, whatever it looks like, and leaves only by measured depth. In NumPy: the
+    reference of `compiled_deaths.judge_static`.
     """
     count = len(observed[0].background.static.rows)
     shown, gone, moving = (np.zeros(count, np.int64) for _ in range(3))

@@ -14,7 +14,7 @@ from twin_node import native_build
 from twin_node.model.parameters import ModelError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 1
+INTERFACE_VERSION = 2
 
 
 class MaskRules(ctypes.Structure):
@@ -98,6 +98,46 @@ class NearestRequest(ctypes.Structure):
     )
 
 
+class DeathRules(ctypes.Structure):
+    """`model::DeathRules`."""
+
+    _fields_ = tuple((name, c_double) for name in ("occlusion", "seen_through", "reach", "nearest_m", "threshold"))
+
+
+class DeathView(ctypes.Structure):
+    """`model::DeathView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("viewmat", "K", "far", "surface", "usable", "active", "near_moving", "moving")),
+        *((name, c_void_p) for name in ("surprise", "nearest", "shown", "columns", "rows", "depths", "inside")),
+    )
+
+
+class RefutedRequest(ctypes.Structure):
+    """`model::RefutedRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("view_count", "threads")),
+        ("rules", ctypes.POINTER(DeathRules)),
+        ("views", ctypes.POINTER(DeathView)),
+        *((name, c_void_p) for name in ("means", "axes", "radii", "carried", "refuted")),
+    )
+
+
+class StaticRequest(ctypes.Structure):
+    """`model::StaticRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("view_count", "threads")),
+        ("rules", ctypes.POINTER(DeathRules)),
+        ("views", ctypes.POINTER(DeathView)),
+        *((name, c_void_p) for name in ("left", "moving")),
+    )
+
+
 class Kernels(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `ModelError`."""
 
@@ -108,6 +148,8 @@ class Kernels(NativeLibrary):
         super().__init__(path)
         self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
         self._dll.model_births.argtypes = [ctypes.POINTER(BirthRequest)]
+        self._dll.model_refute.argtypes = [ctypes.POINTER(RefutedRequest)]
+        self._dll.model_judge.argtypes = [ctypes.POINTER(StaticRequest)]
         self._dll.model_advance.argtypes = [ctypes.POINTER(AdvanceRequest)]
         self._dll.model_advance.restype = None
         self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
@@ -125,6 +167,16 @@ class Kernels(NativeLibrary):
         given = (BirthView * len(views))(*views)
         request = BirthRequest(len(views), torch.get_num_threads(), ctypes.pointer(rules), given)
         _check(self._dll.model_births(request))
+
+    def refute(self, request: RefutedRequest) -> None:
+        """Finds which moving Gaussians views see through. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.model_refute(request))
+
+    def judge(self, request: StaticRequest) -> None:
+        """Finds which STATIC Gaussians have left, or are part of something that moves. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.model_judge(request))
 
     def advance(self, request: AdvanceRequest) -> None:
         """Moves nodes on; takes one thread."""

@@ -15,7 +15,8 @@ from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import cells_of
 from twin_node.model.compiled_births import find_births
-from twin_node.model.deaths import Shapes, judge_static, refuted_moving
+from twin_node.model.compiled_deaths import judge_static, refuted_moving
+from twin_node.model.deaths import Shapes
 from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving, held_pixels

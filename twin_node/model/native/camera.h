@@ -25,11 +25,22 @@ class Pinhole {
 
   double focal() const { return K_[0]; }
 
+  // A direction of the world in the camera's axes.
+  void turn(const double *direction, double *out) const {
+    for (int i = 0; i < 3; i++) {
+      out[i] = m_[4 * i] * direction[0] + m_[4 * i + 1] * direction[1] + m_[4 * i + 2] * direction[2];
+    }
+  }
+
+  void to_camera(const double *point, double *out) const {
+    for (int i = 0; i < 3; i++) {
+      out[i] = m_[4 * i] * point[0] + m_[4 * i + 1] * point[1] + m_[4 * i + 2] * point[2] + m_[4 * i + 3];
+    }
+  }
+
   Found find(const double *point) const {
     double x[3];
-    for (int i = 0; i < 3; i++) {
-      x[i] = m_[4 * i] * point[0] + m_[4 * i + 1] * point[1] + m_[4 * i + 2] * point[2] + m_[4 * i + 3];
-    }
+    to_camera(point, x);
     const double z = std::fabs(x[2]) < kSmallestDepth ? kSmallestDepth : x[2];
     const int64_t u = whole(K_[0] * x[0] / z + K_[2]), v = whole(K_[4] * x[1] / z + K_[5]);
     const bool inside = u >= 0 && u < width_ && v >= 0 && v < height_ && x[2] > kNearestSeen;

@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 1;
+constexpr int32_t kInterfaceVersion = 2;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -78,8 +78,46 @@ struct AdvanceRequest {
 // Places, and things of which the nearest is wanted.
 struct NearestRequest {
   int64_t places, owns, width;
-  const double *at, *own;  // [places, width], [owns, width] in units of the distance that is too far
+  const double *at, *own;  // [places, width], [width, owns] in units of the distance that is too far
   int64_t *found;          // [places] rows of `own`, -1 for none
+};
+
+// What refutes a Gaussian; see `deaths.py`.
+struct DeathRules {
+  double occlusion, seen_through, reach, nearest_m, threshold;
+};
+
+// One view of what is there, and of the STATIC Gaussians.
+struct DeathView {
+  int32_t width, height;
+  const double *viewmat, *K;                              // [4, 4], [3, 3]
+  const double *far, *surface;                            // [H, W] m: the background's depth, the plane's or the shell's
+  const uint8_t *usable, *active, *near_moving, *moving;  // [H, W]
+  const float *surprise;                                  // [H, W]
+  const float *nearest;                                   // [H, W] m, or null
+  const float *shown;                                     // [H, W, 4] rendered colour and depth, or null
+  const int64_t *columns, *rows;                          // [count] of `StaticRequest`, as the next two
+  const double *depths;                                   // m
+  const uint8_t *inside;
+};
+
+// Moving Gaussians at each view's time.
+struct RefutedRequest {
+  int64_t count;
+  int32_t view_count, threads;
+  const DeathRules *rules;
+  const DeathView *views;              // [view_count]
+  const double *means, *axes, *radii;  // [view_count, count, 3] m, [3, 3, count] coordinates of the axes, [count] m
+  const uint8_t *carried;              // [count]
+  uint8_t *refuted;                    // [count] written
+};
+
+struct StaticRequest {
+  int64_t count;
+  int32_t view_count, threads;
+  const DeathRules *rules;
+  const DeathView *views;  // [view_count]
+  uint8_t *left, *moving;  // [count] written
 };
 
 }  // namespace model

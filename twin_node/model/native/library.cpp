@@ -5,6 +5,7 @@
 #include <new>
 
 #include "births.h"
+#include "deaths.h"
 #include "mask.h"
 #include "nearest.h"
 #include "poses.h"
@@ -42,6 +43,14 @@ int32_t model_mask(const model::MaskRequests *requests) {
 void model_advance(const model::AdvanceRequest *request) { model::advance(*request); }
 
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
+
+int32_t model_refute(const model::RefutedRequest *request) {
+  return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::refute(*request, i); });
+}
+
+int32_t model_judge(const model::StaticRequest *request) {
+  return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::judge(*request, i); });
+}
 
 int32_t model_births(const model::BirthRequest *request) {
   return side_by_side(request->threads, request->count, [&](int i) { model::ViewBirths(*request, i).run(); });

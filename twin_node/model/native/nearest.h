@@ -1,9 +1,25 @@
 // What of few things is nearest to each of few others: no tree pays for itself.
 #pragma once
 
+#include <algorithm>
+#include <limits>
+
 #include "interface.h"
 
 namespace model {
+
+constexpr int kThingsAtOnce = 256;  // whose distances stay in the nearest cache
+constexpr int kLanes = 8;           // that are compared at once
+
+// The least of `count` values, a multiple of the lanes.
+inline double least_of(const double *values, int count) {
+  double least[kLanes];
+  std::copy_n(values, kLanes, least);
+  for (int first = kLanes; first < count; first += kLanes) {
+    for (int k = 0; k < kLanes; k++) least[k] = values[first + k] < least[k] ? values[first + k] : least[k];
+  }
+  return *std::min_element(least, least + kLanes);
+}
 
 // The row of `own` nearest to each place and nearer than 1; -1 without one. Of equally near ones the first.
 inline void nearest(const NearestRequest &r) {
@@ -11,13 +27,19 @@ inline void nearest(const NearestRequest &r) {
     const double *place = r.at + i * r.width;
     double least = 1;
     r.found[i] = -1;
-    for (int64_t j = 0; j < r.owns; j++) {
-      const double *own = r.own + j * r.width;
-      double apart = 0;
-      for (int64_t k = 0; k < r.width && apart < least; k++) apart += (place[k] - own[k]) * (place[k] - own[k]);
-      if (apart >= least) continue;
-      least = apart;
-      r.found[i] = j;
+    for (int64_t first = 0; first < r.owns; first += kThingsAtOnce) {
+      const int count = static_cast<int>(std::min<int64_t>(kThingsAtOnce, r.owns - first));
+      double apart[kThingsAtOnce];
+      std::fill_n(apart, count, 0.);
+      std::fill(apart + count, apart + kThingsAtOnce, std::numeric_limits<double>::infinity());
+      for (int64_t k = 0; k < r.width; k++) {
+        const double *own = r.own + k * r.owns + first;
+        for (int j = 0; j < count; j++) apart[j] += (place[k] - own[j]) * (place[k] - own[j]);
+      }
+      const double nearest = least_of(apart, kThingsAtOnce);
+      if (!(nearest < least)) continue;
+      least = nearest;
+      r.found[i] = first + (std::find(apart, apart + count, nearest) - apart);
     }
   }
 }

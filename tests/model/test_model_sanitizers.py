@@ -1,0 +1,33 @@
+"""The model's kernels under the address and undefined-behaviour sanitizers, over cases of the other tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sanitizers import assert_clean
+
+from twin_node import native_build
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from twin_node import native_build
+found = native_build.Kernels.best_library
+given = Path(sys.argv[1])
+native_build.Kernels.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
+import test_compiled_mask, test_nodes, test_steps
+test_compiled_mask.test_several_cameras_at_once_are_those_one_by_one()
+test_nodes.test_compiled_poses_are_those_in_torch()
+for things in (0, 400):
+    test_nodes.test_the_nearest_by_kernel_are_those_by_tree(6, 50, things)
+for depth in (False, True):
+    test_steps.test_compiled_births_are_those_found_in_numpy(depth, None, 0.05)
+    test_steps.test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth)
+from twin_node.model.kernels import kernels
+assert kernels() is not None
+print("clean")
+"""
+
+
+def test_the_models_kernels_are_clean(tmp_path: Path) -> None:
+    assert_clean(native_build.MODEL, PROGRAM, Path(__file__).parent, tmp_path)

@@ -1,0 +1,95 @@
+"""Which Gaussians the images refute, by the compiled kernels."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from twin_node.model.backgrounds import OCCLUSION
+from twin_node.model.deaths import (
+    NEAREST_M,
+    REACH,
+    SEEN_THROUGH,
+    Shapes,
+    StaticEvidence,
+    judge_static_plainly,
+    refuted_moving_plainly,
+)
+from twin_node.model.kernels import DeathRules, DeathView, RefutedRequest, StaticRequest, kernels
+from twin_node.model.observation import Observed
+from twin_node.model.rendering import Rendering
+from twin_node.scene import Bool
+
+
+def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
+    """[n] moving Gaussians that some view sees through.
+
+    `shapes` holds them for each view, with the axes of the first: nothing turns much between two views. `carried` [n]
+    says which have a node: a view that shows nothing moving where they reach speaks against them; against others, one
+    that shows the background. That holds at the image's edge too, for what reaches in from beyond.
+    """
+    library = kernels()
+    if library is None:
+        return refuted_moving_plainly(observed, shapes, carried)
+    views = _Views(observed, None)
+    means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
+    held = (means, np.ascontiguousarray(shapes[0].axes), np.ascontiguousarray(shapes[0].radii), carried, refuted)
+    pointers = (array.ctypes.data for array in held)
+    counts = (len(carried), len(observed), torch.get_num_threads())
+    library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *pointers))
+    return refuted
+
+
+def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> StaticEvidence:
+    """Which STATIC Gaussians have left their place, and which are part of something that moves.
+
+    `renderings` is what the whole model looks like: what stands behind something moving is covered, not gone. What lies
+    on the plane or the shell moves never, whatever it looks like, and leaves only by measured depth.
+    """
+    library = kernels()
+    if library is None:
+        return judge_static_plainly(observed, renderings, threshold)
+    views, count = _Views(observed, renderings), len(observed[0].background.static.rows)
+    evidence = StaticEvidence(np.empty(count, bool), np.empty(count, bool))
+    counts = (count, len(observed), torch.get_num_threads())
+    pointers = (evidence.left.ctypes.data, evidence.moving.ctypes.data)
+    library.judge(StaticRequest(*counts, ctypes.pointer(_rules(threshold)), views.array, *pointers))
+    return evidence
+
+
+def _rules(threshold: float) -> DeathRules:
+    return DeathRules(OCCLUSION, SEEN_THROUGH, REACH, NEAREST_M, threshold)
+
+
+class _Views:
+    """What the kernels are told of each view, and the arrays that it points to."""
+
+    def __init__(self, observed: Sequence[Observed], renderings: Sequence[Rendering] | None) -> None:
+        self._held = [_given(one, None if renderings is None else renderings[i]) for i, one in enumerate(observed)]
+        views = (
+            DeathView(
+                one.view.camera.width,
+                one.view.camera.height,
+                *(None if array is None else array.ctypes.data for array in given),
+            )
+            for one, given in zip(observed, self._held, strict=True)
+        )
+        self.array = (DeathView * len(observed))(*views)
+
+
+def _given(one: Observed, rendering: Rendering | None) -> list[NDArray[np.generic] | None]:
+    camera, background, static = one.view.camera, one.background, one.background.static
+    shown = None if rendering is None else rendering.rgbd.detach().cpu().numpy()
+    return [
+        None if array is None else np.ascontiguousarray(array, dtype)
+        for array, dtype in (
+            *((matrix, np.float64) for matrix in (camera.viewmat, camera.K, background.depth, background.surface)),
+            *((mask, bool) for mask in (one.usable, one.active, one.near_moving, one.moving)),
+            *((image, np.float32) for image in (one.surprise, one.nearest, shown)),
+            *((static.columns, np.int64), (static.rows, np.int64), (static.depth, np.float64), (static.inside, bool)),
+        )
+    ]
