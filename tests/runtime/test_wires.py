@@ -74,8 +74,9 @@ def test_threads_of_a_process_share_messages_by_reference() -> None:
     for _ in range(3):
         talker.bus.publish("/record", object())
     talker.bus.publish("/record", record)
+    assert listener.bus.is_waiting("/record") and not listener.bus.is_waiting("/other")
     assert listener.wait() is record
-    assert listener.bus.dropped("/record") == 3
+    assert listener.bus.dropped("/record") == 3 and not listener.bus.is_waiting("/record")
 
 
 def test_renamed_topics_meet_under_the_name_on_the_wire_and_keep_their_kind() -> None:

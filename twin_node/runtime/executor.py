@@ -116,6 +116,11 @@ class Inbox:
         self._waiting.append(message)
         return not replaced
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a message waits; from any thread."""
+        return bool(self._waiting)
+
     def worth_waiting_s(self, now: float) -> float:
         """How long to leave what waits for a newer message, at most, s."""
         return self._arrivals.worth_waiting_s(now)

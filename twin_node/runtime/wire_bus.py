@@ -110,6 +110,10 @@ class WireBus:
         """Messages on `topic` that newer ones replaced before a callback of this bus had time for them."""
         return sum(inbox.dropped for subscription, inbox in self._subscriptions if subscription.topic == topic)
 
+    def is_waiting(self, topic: str) -> bool:
+        """Whether a message on `topic` waits for a callback of this bus."""
+        return any(inbox.is_waiting for subscription, inbox in self._subscriptions if subscription.topic == topic)
+
     @property
     def traffic(self) -> tuple[Traffic, ...]:
         """What became of the messages of every subscription."""

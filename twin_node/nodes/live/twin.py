@@ -11,7 +11,7 @@ from twin_node.nodes.live.rig_source import RigSource, read_rig
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.log_source import workspace_for
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FORECAST, FRAMES
+from twin_node.nodes.topics import FORECAST, FRAMES, TRUSTED_FRAMES
 from twin_node.rig import FrameAssembler
 from twin_node.runtime.node import Node
 from twin_node.scene import Float64
@@ -52,7 +52,9 @@ class TwinNode(Node):
         chain = Chain(
             bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES), False, setup.say
         )
+        self._chain = chain
         self._nodes: Sequence[Node] = chain.nodes
+        self._bus = bus
 
     def on_configure(self) -> None:
         for node in reversed(self._nodes):
@@ -72,4 +74,6 @@ class TwinNode(Node):
             node.cleanup()
 
     def _on_forecast(self, _: Any) -> None:
+        """All that comes of a set is out: what is left of its time is the model's."""
         self._latency.start()
+        self._chain.rest(lambda: not any(self._bus.is_waiting(topic) for topic in (FRAMES, TRUSTED_FRAMES)))
