@@ -12,7 +12,8 @@ from model_scenes import TICK_NS, block, joined, rig, table
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
-from twin_node.model.merge_split import MERGE, SPLIT, Merge, MergeSplit, Split
+from twin_node.model.merge_split import LOOKS, MERGE, SPLIT, Merge, MergeSplit, Regrouping, Split
+from twin_node.model.passing import Passing
 from twin_node.model.rendering import Splats, render
 from twin_node.model.rotations import quat_from_vector, quat_product, rotate
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, velocities_of
@@ -115,12 +116,15 @@ def assert_reasoned(decisions: list[Decision]) -> None:
         if isinstance(one.grounds, ChangedView) or one.kind is Kind.SETTLED:
             continue
         gain = one.grounds.one - one.grounds.two
-        assert gain > MERGE if one.kind is Kind.MERGED else gain < -SPLIT
+        if one.kind is Kind.PASSED:
+            assert gain < 0
+        else:
+            assert gain > MERGE - LOOKS if one.kind is Kind.MERGED else gain < -SPLIT
         assert one.grounds.misfit > 0
         assert one.node != one.other
 
 
-def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float = 0.2) -> VelocityEquations:
+def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float | np.ndarray = 0.2) -> VelocityEquations:
     """What points about `centres` [c, 3] of bodies with `velocities` [c, 6] about the origin would say in one set."""
     rng = np.random.default_rng(seed)
     points = centres[:, None] + rng.uniform(-0.03, 0.03, (len(centres), 40, 3))
@@ -129,25 +133,29 @@ def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float = 
     crossed = np.stack([o, z, -y, -z, o, x, y, -x, o], -1).reshape(*x.shape, 3, 3)
     J = np.concatenate([np.broadcast_to(np.eye(3), crossed.shape), crossed], -1).reshape(len(centres), -1, PARAMETERS)
     J = 200 * DT_S * J
-    error = (J @ velocities[..., None])[..., 0] + noise * rng.standard_normal(J.shape[:2])
+    error = (J @ velocities[..., None])[..., 0] + np.reshape(noise, (-1, 1)) * rng.standard_normal(J.shape[:2])
     turned_J = np.swapaxes(J, 1, 2)
     g = (turned_J @ error[..., None])[..., 0]
     return VelocityEquations(turned_J @ J, g, (error**2).sum(1), np.full(len(centres), 120.0))
 
 
-def row_of(count: int, nodes: list[int]) -> Cells:
-    """Cells in a row along x, 6 cm apart, of the nodes given."""
+ORANGE, WHITE = (0.9, 0.4, 0.2), (0.7, 0.6, 0.6)
+
+
+def row_of(count: int, nodes: list[int], colours: dict[int, tuple[float, float, float]] | None = None) -> Cells:
+    """Cells in a row along x, 6 cm apart, of the nodes given: white ones, if `colours` by cell do not say otherwise."""
+    rgb = np.array([(colours or {}).get(cell, WHITE) for cell in range(count)])
     centres = np.stack([0.06 * np.arange(count), np.zeros(count), np.zeros(count)], 1)
     keys, of_nodes = np.arange(count, dtype=np.int64), np.array(nodes, np.int64)
-    return Cells(keys, of_nodes, of_nodes, keys, centres)
+    return Cells(keys, of_nodes, of_nodes, keys, centres, rgb)
 
 
-def decided(cells: Cells, velocities: np.ndarray, sets: int = 12) -> list[Merge | Split]:
+def decided(cells: Cells, velocities: np.ndarray, sets: int = 12, noise: float | np.ndarray = 0.2) -> list[Regrouping]:
     """All decisions about bodies whose cells go on moving alike."""
     merge_split, ids = MergeSplit(), np.arange(8)
-    out: list[Merge | Split] = []
+    out: list[Regrouping] = []
     for index in range(sets):
-        merge_split.accumulate(cells, told(velocities, cells.centres, index), DT_S)
+        merge_split.accumulate(cells, told(velocities, cells.centres, index, noise), DT_S)
         out += merge_split.decide(ids, DT_S)
     return out
 
@@ -162,8 +170,36 @@ def test_neighbours_that_turn_about_one_axis_are_one_body_and_others_are_not() -
     assert not decided(cells, two)
 
 
-def test_what_rests_together_says_nothing() -> None:
-    assert not decided(row_of(6, [0, 0, 0, 1, 1, 1]), np.zeros((6, 6)))
+def test_what_rests_together_is_one_body_only_where_it_looks_alike() -> None:
+    rest, orange = np.zeros((6, 6)), dict.fromkeys((3, 4, 5), ORANGE)
+    assert not decided(row_of(6, [0, 0, 0, 1, 1, 1], orange), rest)
+    merged = decided(row_of(6, [0, 0, 0, 1, 1, 1]), rest)
+    assert merged and all(isinstance(one, Merge) for one in merged)
+    shaded = {cell: (0.5 * r, 0.5 * g, 0.5 * b) for cell, (r, g, b) in {4: WHITE, 5: WHITE, 3: WHITE}.items()}
+    assert decided(row_of(6, [0, 0, 0, 1, 1, 1], shaded), rest), "shade is no other colour"
+
+
+def test_what_a_precise_part_says_is_not_drowned_by_what_errs_beside_it() -> None:
+    """A textured block that a loosely seen arm pushes against, and leaves behind."""
+    velocities = np.zeros((6, 6))
+    velocities[:3, 1] = 0.12
+    noise = np.array([3.0] * 3 + [0.2] * 3)
+    orange = dict.fromkeys((3, 4, 5), ORANGE)
+    assert not decided(row_of(6, [0, 0, 0, 1, 1, 1], orange), velocities, noise=noise)
+    splits = [one for one in decided(row_of(6, [0] * 6, orange), velocities, 30, noise) if isinstance(one, Split)]
+    assert splits and splits[0].leaving.tolist() in ([True] * 3 + [False] * 3, [False] * 3 + [True] * 3)
+
+
+def test_a_part_that_looks_like_a_neighbour_and_moves_with_it_goes_over_to_it() -> None:
+    cells = row_of(7, [0, 0, 0, 0, 0, 1, 1], dict.fromkeys((3, 4, 5, 6), ORANGE))
+    velocities = np.zeros((7, 6))
+    velocities[:3, 1] = 0.12
+    passed = [one for one in decided(cells, velocities, 2) if isinstance(one, Passing)]
+    assert passed[0].node == 0 and passed[0].to == 1
+    assert passed[0].leaving.tolist() == [False] * 4 + [True] + [False] * 2, "what touches the neighbour"
+    as_the_arm = np.tile([0.0, 0.12, 0.0, 0.0, 0.0, 0.0], (7, 1))
+    as_the_arm[5:] = 0.0
+    assert not [one for one in decided(cells, as_the_arm, 2) if isinstance(one, Passing)], "it moves with its own"
 
 
 def test_a_node_whose_cells_move_two_ways_parts_along_the_cut_and_one_body_never_does() -> None:
@@ -174,14 +210,6 @@ def test_a_node_whose_cells_move_two_ways_parts_along_the_cut_and_one_body_never
     two[4:, 1] -= 0.1
     splits = [one for one in decided(cells, two, 30) if isinstance(one, Split)]
     assert splits[0].leaving.tolist() == [False] * 4 + [True] * 2
-
-
-def test_a_kind_that_two_nodes_carry_is_judged_in_each_by_what_is_there() -> None:
-    cells = row_of(6, [0, 0, 0, 1, 1, 1])
-    shared = replace(cells, founders=np.array([0, 0, 9, 9, 9, 1]))
-    velocities = np.zeros((6, 6))
-    velocities[:, 0], velocities[3:, 1] = 0.1, 0.2
-    assert all(isinstance(one, Split | Merge) for one in decided(shared, velocities))
 
 
 def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_velocity() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.nodes import Nodes
 from twin_node.scene import Float64
 
@@ -32,6 +32,8 @@ class Cells:
     """[m] the cell, 0 to c - 1, of each Gaussian."""
     centres: Float64
     """[c, 3] m, mean place of the Gaussians of each in `base_link`."""
+    rgb: Float64
+    """[c, 3] mean colour of the Gaussians of each, 0 to 1."""
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -40,7 +42,7 @@ class Cells:
     def none(cls) -> Cells:
         """No cells at all."""
         nobody = np.zeros(0, np.int64)
-        return cls(nobody, nobody, nobody, nobody, np.zeros((0, 3)))
+        return cls(nobody, nobody, nobody, nobody, np.zeros((0, 3)), np.zeros((0, 3)))
 
     def found_in(self, others: Cells) -> NDArray[np.int64]:
         """[c] where each of these is among `others`; -1 where it is not."""
@@ -66,5 +68,7 @@ def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor, nodes: Nodes) ->
     found, first, of = np.unique(keys, return_index=True, return_inverse=True)
     of = of.reshape(-1)
     count = np.bincount(of, minlength=len(found))
-    centres = np.stack([np.bincount(of, weights=here[:, axis], minlength=len(found)) for axis in range(3)], 1)
-    return Cells(found, carriers[first], found >> 3 * AXIS_BITS, of, centres / np.maximum(count, 1)[:, None])
+    shown: Float64 = np.concatenate([here, gaussians.values[rows, RGB].cpu().numpy()], 1)
+    own: Float64 = np.stack([np.bincount(of, weights=column, minlength=len(found)) for column in shown.T], 1)
+    own /= np.maximum(count, 1)[:, None]
+    return Cells(found, carriers[first], found >> 3 * AXIS_BITS, of, own[:, :3], own[:, 3:])

@@ -35,6 +35,8 @@ class Kind(Enum):
 
     MERGED = "merged"
     SPLIT = "split"
+    PASSED = "passed"
+    """Part of a node has gone over to another."""
     SETTLED = "settled"
     WOKEN = "woken"
 
@@ -47,7 +49,7 @@ class Decision:
     stamp: int
     """ns."""
     node: int
-    """Id of the node that goes on, has come to rest, or had come to rest."""
+    """Id of the node that goes on, loses a part, has come to rest, or had come to rest."""
     other: int
-    """Id of the node that has ended, or begun; `node` itself where it settles."""
+    """Id of the node that has ended, begun, or gained the part; `node` itself where it settles."""
     grounds: LogEvidence | ChangedView

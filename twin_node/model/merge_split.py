@@ -1,4 +1,7 @@
-"""The merge and split tests: which of the bodies that nodes carry are one and which are two, weighed by the flow."""
+"""The merge and split tests: which of the bodies that nodes carry are one and which are two, weighed by the flow.
+
+Two touching parts that look alike are one body until their motion says otherwise; of others motion has to say so.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,18 @@ from scipy.spatial import cKDTree
 
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import LogEvidence
+from twin_node.model.looks import LIKE, mean_hues
 from twin_node.model.parts import halves_of, redealt
-from twin_node.model.velocity_equations import PARAMETERS, VelocityEquations, judge, nothing, stacked, velocities_of
+from twin_node.model.passing import Passing, passings
+from twin_node.model.velocity_equations import (
+    VelocityEquations,
+    judge,
+    misfits,
+    nothing,
+    stacked,
+    usual_misfit,
+    velocities_of,
+)
 from twin_node.scene import Bool, Float64
 
 MEMORY_S, RECENT_S = 0.2, 0.05
@@ -21,21 +34,21 @@ how fast they are, where every set more is a delay."""
 MERGE, SPLIT = 2.0, 12.0
 """Nats by which one body, and by which two, must explain what was said better; apart, so that nodes do not flicker."""
 MOVES = 10.0
-"""Nats by which moving together must explain it better than resting: what rests together says nothing."""
+"""Nats by which moving together must explain it better than resting, of what looks unlike: what rests together says
+nothing of that."""
+LOOKS = 3.0
+"""Nats for one body where both look alike: twenty to one."""
 STRAINED = 6.0
 """Nats by which one body may fit worse than two, parameters left aside: noise alone gives 3 for 6 of them."""
 AGREED_S = 0.1
 """For how long two nodes must be found to be one before they are merged."""
-DOUBT = -6.0
-"""Nats by which one body must explain it better before another way to see it as two is looked for."""
+DOUBT, PACE = -6.0, 1.0
+"""Nats that speak for two bodies under which another way to see them is looked for: at first, and more per decision, so
+that a cut which tells nothing, nor is refuted, does not stand in the way of a better one."""
 NEAR_M = 0.08
 """Two nodes are neighbours where some of their cells are this near, m: a cell and the gaps between."""
 SEARCHES = 4
 """Nodes per decision of which a way to see them as two bodies is looked for."""
-LEAST_MISFIT = 0.02
-"""Smallest variance of the errors in units of what the flow claims: a seventh of its sigma, of images without noise."""
-SHARED_OBSERVATIONS = 20.0
-"""Independent observations that the misfit of all nodes counts for in that of one."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +83,12 @@ class _Suspicion:
     """Evidence, since it arose, that there is one body."""
     two: float = 0.0
     """Evidence that there are two."""
+    doubt: float = DOUBT
+    """Nats that must speak for it by now."""
+
+
+Regrouping = Merge | Split | Passing
+"""What can be decided about who carries what."""
 
 
 class MergeSplit:
@@ -88,9 +107,9 @@ class MergeSplit:
         self._recent = nothing(0)
         self._cells = Cells.none()
         self._misfits = np.ones(0)
+        self._usual = 1.0
         self._agreed: dict[tuple[int, int], float] = {}
         self._suspicions: dict[int, _Suspicion] = {}
-        self._estranged: dict[int, float] = {}
         self._turn = 0
 
     def accumulate(self, cells: Cells, said: VelocityEquations, dt_s: float) -> None:
@@ -101,29 +120,35 @@ class MergeSplit:
         self._recent = _faded(self._recent, at, dt_s / RECENT_S).plus(said)
         self._cells = cells
 
-    def decide(self, ids: NDArray[np.int64], dt_s: float) -> Sequence[Merge | Split]:
-        """What to merge and to split by what was said in the `dt_s` since the last decision; `ids` [M] of the nodes.
+    def decide(self, ids: NDArray[np.int64], dt_s: float) -> Sequence[Regrouping]:
+        """What to merge, split and pass on by what was said in the `dt_s` since the last decision; no node is in two.
 
-        No node is in two of the decisions.
+        `ids` [M] are those of the nodes.
         """
         if not len(self._cells):
             self.resting = {}
             return []
         count = int(self._cells.nodes.max()) + 1
         said, middles = self._said.summed(self._cells.nodes, count), self._cells.middles(count)
-        self._misfits = _misfits(said, middles)
-        judged = judge(said, middles, self._misfits)
+        self._usual = usual_misfit(said, middles)
+        self._misfits = misfits(said, middles, self._usual)
+        judged = judge(said.over(self._misfits), middles)
         self.resting = {
             int(row): LogEvidence(
                 float(judged.evidence[row]), -np.inf, float(judged.at_rest[row]), float(self._misfits[row])
             )
             for row in np.flatnonzero(judged.at_rest > judged.evidence)
         }
-        splits = [*self._splits(ids, middles), *self._strangers(said, middles, ids, dt_s)]
+        splits = self._splits(ids, middles)
         taken = {one.node for one in splits}
-        decided: list[Merge | Split] = [*splits]
+        decided: list[Regrouping] = [*splits]
+        near = _touching(self._cells)
+        for part in passings(self._said, self._cells, near, middles, self._usual):
+            if taken.isdisjoint((part.node, part.to)):
+                taken |= {part.node, part.to}
+                decided.append(part)
         agreed: dict[tuple[int, int], float] = {}
-        for one in self._merges(said, middles):
+        for one in self._merges(said, middles, near):
             key = (int(ids[min(one.kept, one.ended)]), int(ids[max(one.kept, one.ended)]))
             agreed[key] = self._agreed.get(key, 0.0) + dt_s
             if agreed[key] > AGREED_S and taken.isdisjoint((one.kept, one.ended)):
@@ -146,20 +171,22 @@ class MergeSplit:
         count = int(max(self._cells.nodes.max(initial=-1), rows.max(initial=-1))) + 1
         return velocities_of(self._recent.summed(self._cells.nodes, count).of(rows), points)
 
-    def _merges(self, said: VelocityEquations, middles: Float64) -> list[Merge]:
+    def _merges(self, said: VelocityEquations, middles: Float64, near: NDArray[np.int64]) -> list[Merge]:
         """Pairs of neighbours that one motion explains better than two, the surest first."""
-        pairs = _neighbours(self._cells)
+        pairs = np.unique(np.sort(self._cells.nodes[near], axis=1), axis=0)
         if not len(pairs):
             return []
-        a, b = said.of(pairs[:, 0]), said.of(pairs[:, 1])
+        a, b = (said.of(rows).over(self._misfits[rows]) for rows in pairs.T)
         at = (middles[pairs[:, 0]] + middles[pairs[:, 1]]) / 2
         misfit = self._misfits[pairs].max(1)
-        judged = judge(stacked(a.plus(b), a, b), np.tile(at, (3, 1)), np.tile(misfit, 3))
-        one, *each = judged.evidence.reshape(3, -1)
+        judged = judge(stacked(a.plus(b), a, b), np.tile(at, (3, 1)))
+        one, *each = judged.best.reshape(3, -1)
         two, at_rest = each[0] + each[1], judged.at_rest[: len(pairs)]
         fits = judged.fit.reshape(3, -1)
         strained = fits[1] + fits[2] - fits[0] > STRAINED
-        good = (one - two > MERGE) & (one - at_rest > MOVES) & ~strained
+        looks = mean_hues(self._cells.rgb, self._cells.nodes, len(middles))[pairs]
+        alike = np.linalg.norm(looks[:, 0] - looks[:, 1], axis=1) < LIKE
+        good = (one - two + LOOKS * alike > MERGE) & (alike | (one - at_rest > MOVES)) & ~strained
         order = np.flatnonzero(good)[np.argsort(-(one - two)[good], kind="stable")]
         kept = np.where(a.counts >= b.counts, pairs[:, 0], pairs[:, 1])
         return [
@@ -184,10 +211,13 @@ class MergeSplit:
         bodies = cells.nodes + count * second
         sums = [said.summed(bodies, 2 * count) for said in (self._said, self._before)]
         firsts, seconds = np.array(rows), np.array(rows) + count
-        groups = [group for both in sums for group in (both.of(firsts), both.of(seconds))]
+        own = [misfits(sums[0].of(part), middles[firsts], self._usual) for part in (firsts, seconds)]
+        groups = [
+            both.of(part).over(noise) for both in sums for part, noise in zip((firsts, seconds), own, strict=True)
+        ]
         whole = [groups[0].plus(groups[1]), groups[2].plus(groups[3])]
-        judged = judge(stacked(*groups, *whole), np.tile(middles[firsts], (6, 1)), np.tile(self._misfits[firsts], 6))
-        now_first, now_second, then_first, then_second, now, then = judged.evidence.reshape(6, -1)
+        judged = judge(stacked(*groups, *whole), np.tile(middles[firsts], (6, 1)))
+        now_first, now_second, then_first, then_second, now, then = judged.best.reshape(6, -1)
         at_rest = judged.at_rest.reshape(6, -1)[4]
         suspicions: dict[int, _Suspicion] = {}
         found = []
@@ -195,6 +225,7 @@ class MergeSplit:
             suspicion = suspicions[int(ids[row])] = self._suspicions[int(ids[row])]
             suspicion.two += float(now_first[i] + now_second[i] - then_first[i] - then_second[i])
             suspicion.one += float(now[i] - then[i])
+            suspicion.doubt += PACE
             if suspicion.two - suspicion.one > SPLIT:
                 grounds = LogEvidence(suspicion.one, suspicion.two, float(at_rest[i]), float(self._misfits[row]))
                 found.append(Split(row, self._cut(row, second), grounds))
@@ -209,35 +240,6 @@ class MergeSplit:
         leaving = np.zeros(len(second), bool)
         leaving[own] = redealt(self._said.of(own), self._cells.centres[own], second[own], float(self._misfits[row]))
         return leaving
-
-    def _strangers(
-        self, of_nodes: VelocityEquations, middles: Float64, ids: NDArray[np.int64], dt_s: float
-    ) -> list[Split]:
-        """Nodes that are better explained without those of their Gaussians that another node founded."""
-        cells = self._cells
-        kinds, first, of = np.unique(cells.founders, return_index=True, return_inverse=True)
-        of = of.reshape(-1)
-        mixed = np.flatnonzero(np.bincount(cells.nodes[first])[cells.nodes[first]] > 1)
-        if not len(mixed):
-            self._estranged = {}
-            return []
-        nodes = cells.nodes[first[mixed]]
-        in_node, of_kind = cells.nodes == nodes[:, None], of == mixed[:, None]
-        own, rest = self._said.gathered(in_node & of_kind), self._said.gathered(in_node & ~of_kind)
-        misfit = self._misfits[nodes]
-        judged = judge(stacked(of_nodes.of(nodes), own, rest), np.tile(middles[nodes], (3, 1)), np.tile(misfit, 3))
-        one, *each = judged.evidence.reshape(3, -1)
-        two, at_rest = each[0] + each[1], judged.at_rest[: len(mixed)]
-        strange = (two - one > SPLIT) & (rest.counts > PARAMETERS) & (own.counts > PARAMETERS)
-        agreed: dict[int, float] = {}
-        found: dict[int, Split] = {}
-        for i in np.flatnonzero(strange)[np.argsort(-(two - one)[strange], kind="stable")]:
-            agreed[int(kinds[mixed[i]])] = self._estranged.get(int(kinds[mixed[i]]), 0.0) + dt_s
-            if agreed[int(kinds[mixed[i]])] > AGREED_S and int(nodes[i]) not in found:
-                grounds = LogEvidence(float(one[i]), float(two[i]), float(at_rest[i]), float(misfit[i]))
-                found[int(nodes[i])] = Split(int(nodes[i]), self._cut(int(nodes[i]), of == mixed[i]), grounds)
-        self._estranged = agreed
-        return list(found.values())
 
     def _search(self, ids: NDArray[np.int64], middles: Float64) -> None:
         """Looks for ways to see nodes as two bodies, where none is suspected or the one that is does not hold."""
@@ -254,17 +256,7 @@ class MergeSplit:
     def _holds(self, node: int) -> bool:
         """Whether a suspicion about the node with that id is still worth following."""
         suspicion = self._suspicions.get(node)
-        return suspicion is not None and suspicion.two - suspicion.one > DOUBT
-
-
-def _misfits(said: VelocityEquations, middles: Float64) -> Float64:
-    """[n] variance of the errors of bodies, in units of what the flow claims: their own, and that of all."""
-    judged = judge(said, middles, np.ones(len(said)))
-    free = np.maximum(said.counts - judged.told, 0.0)
-    pooled = judged.costs.sum() / max(free.sum(), 1.0)
-    own = (judged.costs + SHARED_OBSERVATIONS * pooled) / (free + SHARED_OBSERVATIONS)
-    floored: Float64 = np.maximum(own, LEAST_MISFIT)
-    return floored
+        return suspicion is not None and suspicion.two - suspicion.one > suspicion.doubt
 
 
 def _faded(said: VelocityEquations, at: NDArray[np.int64], ages: float) -> VelocityEquations:
@@ -280,12 +272,11 @@ def _faded(said: VelocityEquations, at: NDArray[np.int64], ages: float) -> Veloc
     )
 
 
-def _neighbours(cells: Cells) -> NDArray[np.int64]:
-    """[p, 2] rows of nodes some of whose cells are near each other, the lower first."""
+def _touching(cells: Cells) -> NDArray[np.int64]:
+    """[p, 2] cells of different nodes that are near each other."""
     if len(cells) < 2:
         return np.zeros((0, 2), np.int64)
-    near = cKDTree(cells.centres, balanced_tree=False, compact_nodes=False).query_pairs(NEAR_M, output_type="ndarray")
-    a, b = cells.nodes[near].T
-    count = int(cells.nodes.max()) + 1
-    pairs = np.unique((np.minimum(a, b) * count + np.maximum(a, b))[a != b])
-    return np.stack(np.divmod(pairs, count), 1)
+    tree = cKDTree(cells.centres, balanced_tree=False, compact_nodes=False)
+    near = tree.query_pairs(NEAR_M, output_type="ndarray")
+    between: NDArray[np.int64] = near[cells.nodes[near[:, 0]] != cells.nodes[near[:, 1]]]
+    return between

@@ -37,7 +37,7 @@ def halves_of(said: VelocityEquations, centres: Float64, misfit: float) -> Bool 
     enough = (counts > LEAST).all(0)
     if not enough.any():
         return None
-    two = judge(parts, np.zeros((2 * tries, 3)), np.full(2 * tries, misfit)).evidence.reshape(2, tries).sum(0)
+    two = judge(parts.over(np.full(2 * tries, misfit)), np.zeros((2 * tries, 3))).best.reshape(2, tries).sum(0)
     best = int(np.where(enough, two, -np.inf).argmax())
     smaller: Bool = second[best] if counts[1, best] <= counts[0, best] else ~second[best]
     return smaller

@@ -1,4 +1,4 @@
-"""Nodes merge and split: their Gaussians change carriers where they are."""
+"""Nodes merge, split and pass parts on: their Gaussians change carriers where they are."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from twin_node.model.decisions import Decision, Kind
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import Merge, MergeSplit, Split
 from twin_node.model.nodes import Nodes
+from twin_node.model.passing import Passing
 from twin_node.scene import Tier
 
 
@@ -22,6 +23,8 @@ def regroup(
     for one in merge_split.decide(nodes.ids.numpy(), dt_s):
         if isinstance(one, Merge):
             done.append(_merge(gaussians, nodes, one))
+        elif isinstance(one, Passing):
+            done.append(_pass(gaussians, rows, cells, nodes, one))
         elif nodes.free:
             done.append(_split(gaussians, rows, cells, nodes, merge_split, one))
     return done
@@ -32,6 +35,13 @@ def _merge(gaussians: Gaussians, nodes: Nodes, one: Merge) -> Decision:
     gaussians.transfer(members, torch.full((len(members),), one.kept), nodes)
     nodes.retire(torch.tensor([one.ended]))
     return Decision(Kind.MERGED, nodes.stamp, int(nodes.ids[one.kept]), int(nodes.ids[one.ended]), one.grounds)
+
+
+def _pass(gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, one: Passing) -> Decision:
+    leavers = rows[torch.from_numpy(one.leaving[cells.of]).to(rows.device)]
+    gaussians.transfer(leavers, torch.full((len(leavers),), one.to), nodes)
+    gaussians.founders[leavers] = int(nodes.ids[one.to])
+    return Decision(Kind.PASSED, nodes.stamp, int(nodes.ids[one.node]), int(nodes.ids[one.to]), one.grounds)
 
 
 def _split(

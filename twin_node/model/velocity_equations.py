@@ -18,6 +18,12 @@ CORRELATED = 4.0
 """Observations of a node that say the same: the flow is sought in patches of 8 pixels."""
 PARAMETERS = 6
 """Of a rigid motion."""
+RARELY = 2.0
+"""Nats that it takes for part of what a node carries to rest beside what moves: it has a node because it moved."""
+LEAST_MISFIT = 0.02
+"""Smallest variance of the errors in units of what the flow claims: a seventh of its sigma, of images without noise."""
+SHARED_OBSERVATIONS = 20.0
+"""Independent observations that the misfit of all bodies counts for in that of one."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,13 @@ class VelocityEquations:
         share = belongs.astype(np.float64)
         H = (share @ self.H.reshape(len(self), -1)).reshape(-1, PARAMETERS, PARAMETERS)
         return VelocityEquations(H, share @ self.g, share @ self.squares, share @ self.counts)
+
+    def over(self, variances: Float64) -> VelocityEquations:
+        """The same in units in which their errors, of `variances` [n] as they are, have the variance 1."""
+        share = 1 / variances
+        return VelocityEquations(
+            share[:, None, None] * self.H, share[:, None] * self.g, share * self.squares, self.counts
+        )
 
     def about(self, points: Float64) -> VelocityEquations:
         """The same with the velocities of the points [n, 3] (m) as unknowns."""
@@ -131,18 +144,46 @@ class Judged:
     told: Float64
     """[n] parameters that the observations tell, 0 to 6."""
 
+    @property
+    def best(self) -> Float64:
+        """[n] evidence of what explains the observations better: moving, or resting, which is the rarer here."""
+        better: Float64 = np.maximum(self.evidence, self.at_rest - RARELY)
+        return better
 
-def judge(said: VelocityEquations, points: Float64, misfit: Float64) -> Judged:
-    """Judges bodies about `points` [n, 3] m, their middles; `misfit` [n] is the variance of the errors, at least 1."""
+
+def judge(said: VelocityEquations, points: Float64) -> Judged:
+    """Judges bodies about `points` [n, 3] m, their middles, by what was said of them with errors of variance 1.
+
+    Where what is said of one part of a body errs more than of another, each comes `over` its own: a white arm, at whose
+    edges flow errs, would otherwise drown what a textured block beside it says.
+    """
     own = said.about(points)
-    scale = np.array([SPEED] * 3 + [TURN] * 3) / np.sqrt(misfit)[:, None]
-    known = np.eye(PARAMETERS) + scale[:, :, None] * own.H * scale[:, None, :]
+    scale = np.array([SPEED] * 3 + [TURN] * 3)
+    known = np.eye(PARAMETERS) + scale[:, None] * own.H * scale
     root = np.linalg.inv(np.linalg.cholesky(known))
-    explained = np.square(root @ (scale * own.g)[..., None]).sum((1, 2)) / misfit
-    at_rest = -own.squares / misfit / 2
+    explained = np.square(root @ (scale * own.g)[..., None]).sum((1, 2))
+    at_rest = -own.squares / 2
     evidence = at_rest + explained / 2 + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(-1)
     told = PARAMETERS - np.square(root).sum((1, 2))
-    return Judged(evidence, at_rest, at_rest + explained / 2, own.squares - misfit * explained, told)
+    return Judged(evidence, at_rest, at_rest + explained / 2, own.squares - explained, told)
+
+
+def misfits(said: VelocityEquations, points: Float64, usual: float) -> Float64:
+    """[n] variance of the errors of bodies about `points` [n, 3] m, in units of what the flow claims.
+
+    Their own, and what is `usual` among all, which has the weight of some observations: one body alone has few.
+    """
+    judged = judge(said, points)
+    free = np.maximum(said.counts - judged.told, 0.0)
+    own = (judged.costs + SHARED_OBSERVATIONS * usual) / (free + SHARED_OBSERVATIONS)
+    floored: Float64 = np.maximum(own, LEAST_MISFIT)
+    return floored
+
+
+def usual_misfit(said: VelocityEquations, points: Float64) -> float:
+    """Variance of the errors of all bodies together, about `points` [n, 3] m."""
+    judged = judge(said, points)
+    return float(judged.costs.sum() / max(np.maximum(said.counts - judged.told, 0.0).sum(), 1.0))
 
 
 def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
