@@ -70,6 +70,15 @@ def test_colours_are_told_apart_across_the_end_of_the_hue_circle() -> None:
 class BallTruth:
     """The same voxels at every time."""
 
+    source = "a ball"
+
+    def __init__(self, occupied: np.ndarray | None = None) -> None:
+        """`occupied` [n, 3]: all that is known to be occupied, m; None: that is not known."""
+        self._occupied = occupied
+
+    def occupied(self, stamp: int) -> np.ndarray | None:
+        return self._occupied
+
     def points(self, stamp: int) -> np.ndarray | None:
         return GRID.centers(ball_voxels(CENTER))
 
@@ -98,6 +107,18 @@ def test_forecasts_are_scored_when_their_time_has_come() -> None:
     assert scores["whole"].error_mm == 0.0
     assert (scores["half"].error_mm or 0) > 0
     assert (scores["whole"].iou or 0) > (scores["half"].iou or 1)
+
+
+def test_new_is_what_was_not_truly_occupied_where_the_truth_knows() -> None:
+    ball = ball_voxels(CENTER)
+    occupied = ball[: len(ball) // 2]
+    comparison = Comparison(BallTruth(GRID.centers(occupied)), "nothing")
+    nothing = occupancy(ball[:0], ball[:0])
+    comparison.add(state_of(0, CENTER), {"nothing": nothing, "half": occupancy(ball, occupied)})
+    comparison.add(state_of(200_000_000, CENTER), {})
+    half = comparison.scores()["half"]
+    assert np.isclose(half.recall or 0, 0.5, atol=0.01)
+    assert half.recall_new == 0.0
 
 
 def test_views_far_from_the_forecast_time_do_not_count() -> None:
