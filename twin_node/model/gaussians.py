@@ -122,7 +122,7 @@ class Gaussians:
     @property
     def moving_rows(self) -> Tensor:
         """[m] rows of the Gaussians whose motion is learned: RIGID, DEFORMABLE and TRANSIENT."""
-        return torch.nonzero(self.alive & (self.tiers != Tier.STATIC) & (self.tiers != Tier.ROBOT))[:, 0]
+        return torch.nonzero(self.alive & (self.tiers > int(Tier.ROBOT)))[:, 0]
 
     @property
     def robot_rows(self) -> Tensor:

@@ -102,8 +102,8 @@ class Tracker:
         """A set that has been tracked and that the mapper has not seen yet."""
         self._learning: Sliced | None = None
         """What the mapper has begun to make of a set and was not left the time to end."""
-        self._is_hurried = False
-        """Whether nothing was born of the last set, for want of time."""
+        self._hurried = 0
+        """Sets in a row after which there was no time."""
         self._is_behind = False
         """Whether what stands still has not been drawn anew when it was due."""
 
@@ -141,19 +141,20 @@ class Tracker:
         """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
-        better without. Where `proceed` leaves no time, births and two slices of the rest take turns: what is not born
-        now is with the next set. So do learning what stands and drawing it anew, which go on where they were.
+        better without. Where `proceed` leaves no time, nothing is done, and if that goes on births and two slices of the
+        rest take turns: what is not born now is with the next set. So do learning what stands and drawing it anew, which
+        go on where they were.
         """
         due, self._due = self._due, None
         if due is None:
             return True
-        if proceed() or self._is_hurried:
-            self._is_hurried = False
+        self._hurried = 0 if proceed() else self._hurried + 1
+        if self._hurried % 2 == 0:
             self._born = self._bear(due.observed, due.renderings)
             self._nodes.remember()
             on_stage("bear")
-        else:
-            self._is_hurried, proceed = True, granted(HURRIED)
+        elif self._hurried > 1:
+            proceed = granted(HURRIED)
         drawn = (self._is_behind or self._backgrounds.are_outdated) and self._draw(proceed)
         learnt = self._learn(due, proceed)
         drawn = drawn or self._draw(proceed)
