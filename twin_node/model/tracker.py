@@ -141,9 +141,9 @@ class Tracker:
         """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
-        better without. Where `proceed` leaves no time, nothing is done, and if that goes on births and two slices of the
-        rest take turns: what is not born now is with the next set. So do learning what stands and drawing it anew, which
-        go on where they were.
+        better without. Where `proceed` leaves no time, nothing is done: what is not born now is with the next set. If
+        that goes on, births and two slices of the rest take turns; so do learning what stands and drawing it anew,
+        which go on where they were.
         """
         due, self._due = self._due, None
         if due is None:
