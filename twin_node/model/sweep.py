@@ -152,15 +152,8 @@ def _costs(matches: Sequence[Match], shares: Float64, chosen: Sequence[Float64])
 
 
 def _chosen(sight: Sight, costs: Float32, shares: Float64) -> Float64:
-    """[H, W] m: the cheapest depth of every pixel; between two that are tried where a parabola has its least there."""
-    total = smoothed(costs, sight.rgb)
-    best = total.argmin(-1)
-    inner = best.clip(1, len(shares) - 2)
-    before, at, after = (np.take_along_axis(total, inner[..., None] + step, -1)[..., 0] for step in (-1, 0, 1))
-    bend = before - 2 * at + after
-    between = (best == inner) & (shares[best] != 1.0) & (bend > 0)
-    shift = np.where(between, (before - after) / np.where(between, 2 * bend, 1.0), 0.0)
-    depth: Float64 = sight.base / np.interp(best + shift.clip(-0.5, 0.5), np.arange(len(shares)), 1 / shares)
+    """[H, W] m: the cheapest depth of every pixel."""
+    depth: Float64 = sight.base * shares[smoothed(costs, sight.rgb).argmin(-1)]
     return depth
 
 
