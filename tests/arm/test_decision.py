@@ -122,6 +122,65 @@ def test_an_arm_that_leaves_stands_for_what_may_touch_it(ur5e_checker: ArmCollis
         assert decided(ur5e_checker, beside, velocity=-TURNING).speed_fraction == 1.0
 
 
+SEEN = (-150, -150)
+"""Validity of what was seen 150 ms ago, ms."""
+
+
+def decided_since(checker: ArmCollisionChecker, *things: Thing, velocity: np.ndarray = TURNING) -> Separation:
+    """As `decided`, on evidence of 150 ms ago."""
+    checker.update(obstacles(*things, stamp=NOW - 150 * MS))
+    return decide(checker, ahead(velocity), NOW, REACTION_S)
+
+
+def test_what_was_seen_is_a_second_proof(ur5e_checker: ArmCollisionChecker) -> None:
+    wild = beside_the_tool(ur5e_checker, -0.1, size=(0.6,) * 3, valid_ms=(0, 200))
+    assert decided_since(ur5e_checker, wild).speed_fraction == 0.0
+    shares = []
+    for left_m in (0.25, 0.6, 0.8, 1.5):
+        seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
+        both = decided_since(ur5e_checker, wild, seen)
+        alone = decided_since(ur5e_checker, seen)
+        assert both.speed_fraction == pytest.approx(alone.speed_fraction)
+        shares.append(both.speed_fraction)
+    assert shares[0] == 0.0
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_a_fast_thing_proves_less(ur5e_checker: ArmCollisionChecker) -> None:
+    wild = beside_the_tool(ur5e_checker, -0.1, size=(0.6,) * 3)
+    seen = beside_the_tool(ur5e_checker, 1.0, valid_ms=SEEN)
+    walking = decided_since(ur5e_checker, wild, seen)
+    thrown = decided_since(ur5e_checker, wild, replace(seen, velocity=(0.0, -5.0, 0.0)))
+    assert thrown.speed_fraction < walking.speed_fraction
+
+
+def test_a_close_forecast_that_is_clear_is_proof_enough(ur5e_checker: ArmCollisionChecker) -> None:
+    leaves = beside_the_tool(ur5e_checker, 0.8)
+    was_near = beside_the_tool(ur5e_checker, 0.2, valid_ms=SEEN)
+    assert decided_since(ur5e_checker, was_near).speed_fraction == 0.0
+    assert decided_since(ur5e_checker, leaves, was_near).speed_fraction == 1.0
+
+
+def test_the_second_proof_holds_for_an_arm_that_leaves(ur5e_checker: ArmCollisionChecker) -> None:
+    overtakes = beside_the_tool(ur5e_checker, 0.06)
+    gone_since_m = 1.6 * 0.15 + 0.035  # what touches counts from the plain clearance and the arm's own error on
+    for left_m, share in ((gone_since_m - 0.03, 0.0), (gone_since_m + 0.1, 1.0)):
+        seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
+        assert decided_since(ur5e_checker, overtakes, seen, velocity=-TURNING).speed_fraction == share
+
+
+@given(left_m=st.floats(0.0, 1.5), size_m=st.floats(0.05, 0.8), forecast_m=st.floats(-0.3, 1.0))
+@settings(max_examples=30, deadline=None)
+def test_a_second_proof_never_slows(
+    ur5e_checker: ArmCollisionChecker, left_m: float, size_m: float, forecast_m: float
+) -> None:
+    forecast = beside_the_tool(ur5e_checker, forecast_m, size=(size_m,) * 3)
+    seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
+    alone = decided_since(ur5e_checker, forecast)
+    assert decided_since(ur5e_checker, forecast, seen).speed_fraction >= alone.speed_fraction - 1e-9
+
+
 def test_furniture_gets_plain_clearance(ur5e_checker: ArmCollisionChecker) -> None:
     table = beside_the_tool(ur5e_checker, 0.2, kind=ObstacleKind.STATIC)
     person = replace(table, kind=ObstacleKind.MOVING)

@@ -118,8 +118,15 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
         CellCase(replace(load_scenario(short), arm=None), 33.0, LoopParameters())
     assert main(["bench", "cell", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
+    assert main(["bench", "cell", str(short), "--same-eyes"]) == 2
+    assert "add it" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["bench", "cell", str(short), "--seeds", "0"])
+
+
+def test_seeds_are_run_in_slices(short: FilePath) -> None:
+    parameters = cell.CellBenchParameters((str(short),), seeds=2, first_seed=3, processes=1)
+    assert [result.seed for result in cell.run(parameters)] == [3, 4]
 
 
 def test_the_rigs_speed_is_measured(short: FilePath) -> None:

@@ -9,13 +9,13 @@ import pytest
 
 from twin_node.arm import ArmCollisionChecker
 from twin_node.bench.cell_case import CellCase
-from twin_node.bench.cell_twin import TwinPerception, run_twin, taught_region
+from twin_node.bench.cell_twin import BySight, TwinPerception, TwinTiming, run_twin, taught_region
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.scenario import Scenario, load_scenario
 from twin_node.nodes.chain import load_parameters
 from twin_node.robot import forward_kinematics, place_capsules
-from twin_node.scene import Obstacles
+from twin_node.scene import ObstacleKind, Obstacles
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +49,28 @@ def test_measured_latency_is_simulated_time(scenario: Scenario) -> None:
     assert known
     assert (seen.timing.latencies_ms >= 0).all()
     assert seen.first_seen_ns is None or seen.first_seen_ns >= scenario.start_ns
+
+
+def test_sight_alone_knows_nothing_of_motion(scenario: Scenario) -> None:
+    case = CellCase(replace(scenario, duration_s=0.9), 33.0, LoopParameters())
+    seen = BySight(TwinPerception(case, load_parameters(None), 50_000_000))
+    program = RunningProgram(case.arm.cycle, case.table, scenario.start_ns, 0)
+    known: list[Obstacles] = []
+    while program.now < scenario.start_ns + 300_000_000:
+        found = seen.look(program)
+        known += [] if found is None else [found]
+        program.step(STEP_NS)
+    assert known
+    for obstacles in known:
+        moving = obstacles.kinds == ObstacleKind.MOVING
+        assert (obstacles.valid_to[moving] == obstacles.stamp).all()
+        assert not obstacles.velocities.any()
+        assert (obstacles.kinds == ObstacleKind.STATIC).any()
+
+
+def test_the_usual_latency_leaves_the_first_set_out() -> None:
+    assert TwinTiming(3, 0, np.array([900.0, 60.0, 80.0])).usual_ms == pytest.approx(70.0)
+    assert TwinTiming(1, 0, np.array([900.0])).usual_ms == pytest.approx(900.0)
 
 
 def test_the_taught_region_holds_the_whole_cycle(scenario: Scenario) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from twin_node.forecast import CoverParameters, ForecastError, Motion, cover
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden
+from twin_node.forecast.obstacles import Sighted
 from twin_node.scene import (
     HORIZONS_NS,
     Bool,
@@ -137,3 +138,25 @@ def test_motion_gives_velocity_bound_and_expert() -> None:
 def test_cap_below_one_is_refused() -> None:
     with pytest.raises(ForecastError, match="most_moving"):
         cover(occupancy(np.full((5, 3), 100.0), np.zeros(0, np.int64)), None, CoverParameters(most_moving=0))
+
+
+def test_what_was_seen_is_held_at_the_evidence() -> None:
+    wide = Grid(GRID.origin - 0.2, 0.02, (51, 46, 50))
+    body = np.linalg.norm(wide.centers(np.arange(wide.size)) - GRID.origin, axis=1) < 0.15  # half of it outside
+    blobs = np.tile(GRID.origin + 0.1, (5, 1))
+    nothing = np.zeros(0, np.int64)
+    forecast = cover(occupancy(blobs, nothing))
+    obstacles = cover(occupancy(blobs, nothing), sighted=Sighted(wide, np.flatnonzero(body)))
+    seen = obstacles.as_seen
+    assert 0 < seen.sum() <= CoverParameters().most_moving
+    assert not forecast.as_seen.any()
+    assert len(forecast.ids) == len(obstacles.ids) - seen.sum()
+    assert len(np.unique(obstacles.ids)) == len(obstacles.ids)
+    assert (obstacles.valid_from[seen] == obstacles.stamp).all()
+    assert obstacles.begins == forecast.begins == 33_000_000
+    points = wide.centers(np.flatnonzero(body))
+    gaps = np.abs(points[:, None] - obstacles.positions[seen]) + wide.voxel_size / 2 - obstacles.sizes[seen] / 2
+    assert (gaps.max(axis=2) <= 1e-9).any(axis=1).all()
+    far = np.full((5, 3), 100.0)
+    assert len(cover(occupancy(far, nothing), sighted=Sighted(wide, np.flatnonzero(body))).ids) == 0
+    assert cover(occupancy(far, nothing)).begins == 1_000

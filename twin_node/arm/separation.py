@@ -198,10 +198,16 @@ class Encounter:
         stop = self.motion.stop(share)
         in_time = self.hazards.valid_from[self.rows] <= self.motion.standstill(stop)
         terms = self._terms(share, stop)
-        gone = np.where(self.hazards.as_seen[self.rows], terms.human, 0.0)
-        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch + gone)
+        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch + self._gone_since_seen())
         concerned = ((self.closing > self.parameters.closing_speed) | touching) & in_time
         return np.where(concerned, terms.required - self.distances, -np.inf)
+
+    def _gone_since_seen(self) -> Float64:
+        """How far [p] what was seen may have gone by now, m; 0 for forecasts, which say where things are by now."""
+        as_seen = self.hazards.as_seen[self.rows]
+        ages_s = np.where(as_seen, self.motion.stamp - self.hazards.valid_to[self.rows], 0) * 1e-9
+        gone: Float64 = self.hazards.speeds[self.rows] * ages_s
+        return gone
 
     @property
     def _within_touch(self) -> float:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SUITE = ("reach_in", "cross", "stop", "retreat", "two_people", "thrown_ball", "occlusion", "conveyor")
 """What `all` stands for."""
 OURS = "ours"
+BY_SIGHT = "by_sight"
+"""The worst case with the twin's eyes."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,14 @@ class CellBenchParameters:
     """So many of each scenario, from `first_seed` on."""
     first_seed: int = 1
     latency_ms: float = 33.0
-    """From the images to the obstacles, for perfect perception: the twin's own assumption in lockstep."""
+    """From the images to the obstacles, for perfect perception: the twin's own assumption in lockstep. Beside a twin
+    it is as late as that usually is."""
     twin: bool = False
     """The real chain in the loop as `ours`: rendered images, model and forecast."""
     twin_latency_ms: float | None = None
     """From the images to the twin's obstacles; None: as long as the chain takes on this machine."""
+    same_eyes: bool = False
+    """Also the worst case with the twin's own perception, as `by_sight`: what a user without forecasts has."""
     twin_width: int = 160
     """Working width of the twin's images, pixels."""
     processes: int = 2
@@ -87,18 +92,22 @@ def run_case(job: Job) -> CaseResult:
     """All policies in one scenario under one seed; `ours` is the twin, or else the law with perfect perception."""
     parameters = job.parameters
     scenario = load_scenario(job.scenario).with_seed(job.seed)
-    case = CellCase(scenario, parameters.latency_ms, parameters.loop)
-    outcomes = {
-        policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not parameters.twin)
-        for policy in POLICIES
-    }
-    ours, timing = outcomes[PERFECT.name], None
+    case, timing = CellCase(scenario, parameters.latency_ms, parameters.loop), None
+    twins: dict[str, Outcome] = {}
     if parameters.twin:
         from twin_node.bench.cell_twin import run_twin  # imports torch, which takes as long as a run without the twin
 
         twin = run_twin(case, parameters.twin_width, parameters.twin_latency_ms)
-        ours, timing = score(case, twin.record, twin.first_seen_s, with_delays=True), twin.timing
-    outcomes = {OURS: ours, **outcomes}
+        timing = twin.timing
+        case = CellCase(scenario, timing.usual_ms, parameters.loop)
+        twins[OURS] = score(case, twin.record, twin.first_seen_s, with_delays=True)
+        if parameters.same_eyes:
+            seen = run_twin(case, parameters.twin_width, parameters.twin_latency_ms, by_sight=True)
+            twins[BY_SIGHT] = score(case, seen.record, seen.first_seen_s)
+    perfect = {
+        policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not twins) for policy in POLICIES
+    }
+    outcomes = {OURS: perfect[PERFECT.name], **twins, **perfect}
     whole = _unobstructed_s(job.scenario, parameters)
     work = {name: outcome.progress_s / whole for name, outcome in outcomes.items()}
     return CaseResult(scenario.name, job.seed, outcomes, work, timing)
@@ -171,9 +180,17 @@ def _twin_figures(results: Sequence[CaseResult]) -> dict[str, object]:
 
 def _figures(results: Sequence[CaseResult]) -> dict[str, object]:
     policies = {name: _policy_figures(results, name) for name in results[0].outcomes}
-    lowest, highest = policies[WORST_CASE.name].work, policies[UNLIMITED.name].work
-    gap = (policies[OURS].work - lowest) / (highest - lowest) if highest - lowest > 1e-9 else None
-    return {**{name: asdict(figures) for name, figures in policies.items()}, "gap_closed": gap}
+    figures: dict[str, object] = {name: asdict(figures) for name, figures in policies.items()}
+    figures["gap_closed"] = _gap_closed(policies, WORST_CASE.name)
+    if BY_SIGHT in policies:
+        figures["gap_closed_by_sight"] = _gap_closed(policies, BY_SIGHT)
+    return figures
+
+
+def _gap_closed(policies: Mapping[str, PolicyFigures], lowest_name: str) -> float | None:
+    """Where `ours` lies between a policy and unlimited foresight; None where there is no gap."""
+    lowest, highest = policies[lowest_name].work, policies[UNLIMITED.name].work
+    return (policies[OURS].work - lowest) / (highest - lowest) if highest - lowest > 1e-9 else None
 
 
 def _policy_figures(results: Sequence[CaseResult], policy: str) -> PolicyFigures:
@@ -199,9 +216,10 @@ def table(figures: Mapping[str, Any]) -> str:
     """The figures of `summary` as lines of text: a row per policy and scenario."""
     rows = [f"{'':<14}{'policy':<14}{'contacts':>9}{'work':>8}{'nearest':>9}{'stops':>7}{'false':>7}{'gap':>7}"]
     for name, group in {"all": figures, **figures["scenarios"]}.items():
-        for policy in (OURS, *(policy.name for policy in POLICIES)):
-            row = group[policy]
-            gap = group["gap_closed"] if policy == OURS else None
+        for policy in (OURS, BY_SIGHT, *(policy.name for policy in POLICIES)):
+            if policy not in group:
+                continue
+            row, gap = group[policy], group["gap_closed"] if policy == OURS else None
             rows.append(
                 f"{name:<14}{policy:<14}{row['contacts']:>9}{row['work']:>8.3f}{_text(row['min_distance_m'], 'm'):>9}"
                 f"{row['stops']:>7}{row['false_stops']:>7}{_text(gap):>7}"

@@ -7,7 +7,9 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
+import torch
 
 from twin_node.arm import AllowedRegion, ArmCollisionChecker
 from twin_node.bench.cell_case import CellCase
@@ -25,7 +27,7 @@ from twin_node.nodes.topics import COMPRESSED, FRAMES, JOINT_STATES, OBSTACLES, 
 from twin_node.robot import UR_NAMES, forward_kinematics, place_capsules
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Float64, FrameSet, Obstacles
+from twin_node.scene import Float64, FrameSet, ObstacleKind, Obstacles
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,11 @@ class TwinTiming:
     latencies_ms: Float64
     """[sets] from the newest image of a set to its obstacles."""
 
+    @property
+    def usual_ms(self) -> float:
+        """Their median, ms; the first set, which builds the model, aside."""
+        return float(np.median(self.latencies_ms[1:] if len(self.latencies_ms) > 1 else self.latencies_ms))
+
 
 @dataclass(frozen=True)
 class TwinRun:
@@ -50,25 +57,36 @@ class TwinRun:
     """When some camera first saw somebody, s after the start; infinite where none did."""
 
 
-def run_twin(case: CellCase, width: int, latency_ms: float | None) -> TwinRun:
+def run_twin(case: CellCase, width: int, latency_ms: float | None, by_sight: bool = False) -> TwinRun:
     """The arm at work, knowing what the real chain, as shipped, tells of images that are `width` pixels wide.
 
-    `latency_ms` None: as late as the chain is on this machine. Raises `BenchError` for an arm that the chain does not
+    `latency_ms` None: as late as the chain is on one core of this machine. `by_sight`: the arm knows where things were
+    seen and nothing of how they move, as under the worst case. Raises `BenchError` for an arm that the chain does not
     know.
     """
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
     chain = load_parameters(None)
     arm = replace(chain.arm, model=case.arm.model.name)
     parameters = replace(chain, arm=arm, synchronizer=replace(chain.synchronizer, width=width))
     seen = TwinPerception(case, parameters, None if latency_ms is None else round(latency_ms * 1e6))
+    known = BySight(seen) if by_sight else seen
     checker = ArmCollisionChecker(case.arm.model, allowed=(taught_region(case),))
-    record = case.run_with(seen, case.parameters.separation.human_speed, checker)
+    record = case.run_with(known, case.parameters.separation.human_speed, checker)
     first = seen.first_seen_ns
     first_seen_s = np.inf if first is None else (first - case.scenario.start_ns) * 1e-9
     return TwinRun(record, seen.timing, float(first_seen_s))
 
 
+TRANSPORT_NS = 2_300_000
+"""From camera to chain and on to the arm's node, ns: a hop of an image, its depth and the obstacles (`bench graph`)."""
+
+
 class _WorkClock:
-    """Simulated time that goes on at the wall clock's pace while the chain works."""
+    """Simulated time that goes on while the chain works, as the processor time of this process does.
+
+    So a run takes as long as on a core of its own, whatever else the machine does meanwhile.
+    """
 
     def __init__(self, start_ns: int) -> None:
         self._base_ns = start_ns
@@ -76,7 +94,7 @@ class _WorkClock:
 
     def begin(self, now: int) -> None:
         """Work begins at a simulated time, ns."""
-        self._base_ns, self._begun = now, time.perf_counter_ns()
+        self._base_ns, self._begun = now, time.process_time_ns()
 
     def end(self) -> int:
         """Work has ended; the simulated time at which, ns."""
@@ -85,7 +103,7 @@ class _WorkClock:
 
     def now(self) -> int:
         """Simulated time, ns."""
-        return self._base_ns if self._begun is None else self._base_ns + time.perf_counter_ns() - self._begun
+        return self._base_ns if self._begun is None else self._base_ns + time.process_time_ns() - self._begun
 
 
 def taught_region(case: CellCase, margin_m: float = 0.05) -> AllowedRegion:
@@ -104,8 +122,8 @@ def taught_region(case: CellCase, margin_m: float = 0.05) -> AllowedRegion:
 class TwinPerception:
     """The twin as the loop's perception: it sees the arm where the loop has driven it, and answers when it is done.
 
-    The chain takes the newest set whenever it is free. The time that it then takes on this machine is when its
-    obstacles become known; `latency_ns` replaces that by a fixed time from the images on.
+    The chain takes the newest set whenever it is free. The processor time that it then takes, decoding and transport
+    included, is when its obstacles become known; `latency_ns` replaces that by a fixed time from the images on.
     """
 
     def __init__(self, case: CellCase, parameters: ChainParameters, latency_ns: int | None = None) -> None:
@@ -130,6 +148,7 @@ class TwinPerception:
         chain = Chain(self._working, self._clock, workspace, parameters, self._latency, lambda: self._dropped, False)
         chain.start()
         self._newest: FrameSet | None = None
+        self._decoding_ns = 0
         self._found: Any = None
         self._known_from = scenario.start_ns
         self._is_built = False
@@ -161,7 +180,7 @@ class TwinPerception:
         return TwinTiming(len(self._latencies_ms), self._dropped, np.array(self._latencies_ms))
 
     def _take(self, exposure: Exposure) -> None:
-        """Renders one image and sends it; the time that decoding takes is the chain's, that of rendering nobody's."""
+        """Renders one image and sends it; the time that decoding takes is the set's, that of rendering nobody's."""
         image = self._rig.take(exposure)
         if self.first_seen_ns is None:
             owners = self._rig.see(exposure.camera, exposure.stamp).owners
@@ -169,8 +188,13 @@ class TwinPerception:
                 self.first_seen_ns = exposure.stamp
         topics = _topics_of(image.camera)
         assert topics.depth is not None
-        self._reading.publish(topics.depth, convert.depth_image(image.camera, image.stamp, _metres(image)))
-        self._reading.publish(topics.image, convert.compressed_image(image.camera, image.stamp, image.rgb))
+        depth = convert.depth_image(image.camera, image.stamp, _metres(image))
+        colour = convert.compressed_image(image.camera, image.stamp, image.rgb)
+        before, begun = self._newest, time.process_time_ns()
+        self._reading.publish(topics.depth, depth)
+        self._reading.publish(topics.image, colour)
+        if self._newest is not before:
+            self._decoding_ns = time.process_time_ns() - begun
 
     def _on_frames(self, frames: FrameSet) -> None:
         self._dropped += self._newest is not None
@@ -183,7 +207,7 @@ class TwinPerception:
         """Puts the newest set through the chain, from now on; building the model from the first set takes no time."""
         frames, self._newest = self._newest, None
         assert frames is not None
-        self._clock.begin(now)
+        self._clock.begin(now + self._decoding_ns + TRANSPORT_NS)
         self._working.publish(FRAMES, frames)
         done = self._clock.end()
         if not self._is_built:
@@ -192,6 +216,22 @@ class TwinPerception:
             done = now
         self._known_from = done if self._fixed_ns is None else max(now, frames.stamp + self._fixed_ns)
         self._latencies_ms.append((self._known_from - frames.stamp) * 1e-6)
+
+
+class BySight:
+    """What the twin sees, without what it foresees."""
+
+    def __init__(self, twin: TwinPerception) -> None:
+        self._twin = twin
+
+    def look(self, program: RunningProgram) -> Obstacles | None:
+        """What moves is where it was seen, at the evidence; how fast it moves nobody says."""
+        found = self._twin.look(program)
+        if found is None:
+            return None
+        kept = found.as_seen | (found.kinds != ObstacleKind.MOVING)
+        columns = {name: values[kept] for name, values in vars(found).items() if isinstance(values, np.ndarray)}
+        return replace(found, **columns | {"velocities": np.zeros((int(kept.sum()), 3))})
 
 
 def _topics(rig: SimulatedRig) -> tuple[CameraTopics, ...]:

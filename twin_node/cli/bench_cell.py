@@ -40,7 +40,13 @@ def add_bench_cell(benches: Any) -> None:
     cell.add_argument("--first-seed", type=whole, default=1, metavar="K", help="the first of them (default 1)")
     cell.add_argument("--twin", action="store_true", help="the real chain as 'ours', as slow as it is here (slow!)")
     cell.add_argument(
-        "--latency", type=not_negative, metavar="MS", help="from images to obstacles (default 33; the twin's: measured)"
+        "--same-eyes", action="store_true", help="with --twin: also the worst case with its perception (twice as slow)"
+    )
+    cell.add_argument(
+        "--latency",
+        type=not_negative,
+        metavar="MS",
+        help="from images to obstacles (default 33; with --twin: measured on one core)",
     )
     cell.add_argument(
         "--unknown",
@@ -62,8 +68,11 @@ def _bench_cell(options: argparse.Namespace) -> None:
     from twin_node.arm import SeparationParameters, UnknownPolicy
     from twin_node.bench import cell
     from twin_node.bench.cell_picture import draw
+    from twin_node.bench.errors import BenchError
     from twin_node.cell.closed_loop import LoopParameters
 
+    if options.same_eyes and not options.twin:
+        raise BenchError("--same-eyes: expected --twin beside it, whose eyes are meant; add it, or leave both out")
     names = [name for given in options.scenarios for name in (cell.SUITE if given == "all" else (given,))]
     law = SeparationParameters(unknown=UnknownPolicy(options.unknown))
     parameters = cell.CellBenchParameters(
@@ -71,6 +80,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         seeds=options.seeds,
         first_seed=options.first_seed,
         twin=options.twin,
+        same_eyes=options.same_eyes,
         twin_latency_ms=options.latency,
         processes=options.processes,
         loop=LoopParameters(separation=law),

@@ -33,8 +33,8 @@ _NEIGHBOURS = 8
 """Forecast places that are looked at about a part: those nearest to it."""
 JUDGED_EVERY_NS = 50_000_000
 """Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
-JITTER_NS = 10_000_000
-"""A forecast is due so long before its time: stamps jitter, and the next set would be a whole one late."""
+TIMELY_NS = 17_000_000
+"""A set tells of forecasts for at most so much earlier or later: half the time between sets at 30 Hz."""
 
 MOTION_SHOWS_NS = 150_000_000
 """After so long it shows what moved when the first images came; forecasts made before could not know, ns."""
@@ -163,9 +163,9 @@ class Forecaster:
     def _judge(self, state: TwinState, evidence: Evidence) -> None:
         """Scores the forecast made for now; parts that nobody saw when it was made are left out."""
         due = None
-        while self._issued and self._issued[0].valid_at <= state.stamp + JITTER_NS:
+        while self._issued and self._issued[0].valid_at <= state.stamp + TIMELY_NS:
             due = self._due = self._issued.popleft()
-        if due is None or state.stamp - self._judged_at < JUDGED_EVERY_NS:
+        if due is None or state.stamp - due.valid_at > TIMELY_NS or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
         found = self._held(state, evidence, known, due)
