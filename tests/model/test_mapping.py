@@ -111,6 +111,16 @@ def test_shares_that_are_broken_off_teach_all_the_same(every: int) -> None:
     assert shown[1] > shown[0] + 1
 
 
+@pytest.mark.parametrize(("waits", "births"), [(False, 8), (True, 4)])
+def test_what_is_new_is_born_after_every_other_set_where_one_always_waits(waits: bool, births: int) -> None:
+    model, stages = WindowModel(QUICK), []
+    model.on_stage = stages.append
+    for one in sliding(9, CAMERAS):
+        model.update(one)
+        model.refine(lambda: not waits)
+    assert stages.count("bear") == births
+
+
 def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
     whole = table()
     kept = whole.means[0, :, 0] < 0.3

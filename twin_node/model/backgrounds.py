@@ -89,8 +89,8 @@ class Backgrounds:
         """Whether `keep_up` has anything to do."""
         return self._outdated or self._changed or bool(self._waiting)
 
-    def place(self, background: Background) -> bool:
-        """Whether `background` holds the places of the present `rows`."""
+    def is_current(self, background: Background) -> bool:
+        """Whether `background` tells where the present `rows` fall."""
         known = self._known.get(background.camera.name)
         return known is not None and known.static is background.static
 

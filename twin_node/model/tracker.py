@@ -35,7 +35,7 @@ from twin_node.model.unselected import fit_unselected
 from twin_node.scene import Bool, FrameSet, JointSample, Tier
 
 HURRIED = 2
-"""Slices of refining what stands that take as long as births."""
+"""Slices of refining what stands that are done in place of births where time stays short: they take as long."""
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
@@ -167,7 +167,7 @@ class Tracker:
         A set that was observed before another background than there is now teaches nothing.
         """
         if self._learning is None or not self._learning.has_begun:
-            if not all(self._backgrounds.place(one.background) for one in due.observed):
+            if not all(self._backgrounds.is_current(one.background) for one in due.observed):
                 return False
             self._learning = Sliced(self._slices(due))
         learnt = self._learning.go_on(proceed)
