@@ -191,12 +191,16 @@ def test_wrong_sets_are_refused_in_one_line() -> None:
 def test_a_learning_rate_that_explodes_is_braked_and_reported() -> None:
     wild = replace(QUICK, track=replace(QUICK.track, learning_rate=1e5))
     model = WindowModel(wild)
-    states = [model.update(one) for one in sliding(22, CAMERAS, depth=True)]
+    states: list[TwinState] = []
+    gains: list[float] = []
+    for index, one in enumerate(sliding(22, CAMERAS, depth=True)):
+        states.append(model.update(one))
+        gains += [gain(model, states[-1])] if index >= 14 else []
     warned = [state for state in states if any("made the images worse" in warning for warning in state.warnings)]
     assert warned and len(warned) < 15
     for state in states:
         assert all(np.isfinite(values.astype(np.float64)).all() for values in vars(state.gaussians).values())
-    assert np.mean([gain(model, state) for state in states[-8:]]) > 3, "it goes up and down, and stays of use"
+    assert np.mean(gains) > 3, "it goes up and down, and stays of use"
 
 
 def test_a_box_a_hundred_times_too_large_does_no_harm() -> None:
