@@ -59,6 +59,7 @@ def test_a_block_that_turns_and_slides_ends_carried_by_one_rigid_node_with_its_m
     for index in range(26):
         way = max(index - 2, 0)
         state = model.update(seen(index, turned(own, STEP_RAD * way, -0.15 + STEP_M * way, 0.0)))
+        assert not (state.gaussians.tiers == Tier.DEFORMABLE).any(), "what is rigid needs no field"
     members = carried(state)
     biggest = int(members.argmax())
     assert members[biggest] >= 0.9 * members.sum()
