@@ -41,7 +41,7 @@ def test_a_ball_is_as_fast_as_it_flies(speed: float) -> None:
         state = state_of(round(number * PERIOD_S * 1e9), center, radius=0.11, cameras=RIG)
         parts = parts_of_ball(center, 0.11)
         still = np.zeros(parts.count, np.bool_)
-        expected = Moving(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma), still)
+        expected = Moving(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma), still, still)
         moving = velocities.update(state, parts, expected)
         mean, sigma = moving.velocities.mean(axis=0), float(moving.sigmas.mean())
     assert np.linalg.norm(mean - speed * direction) < 0.35 * speed

@@ -37,7 +37,7 @@ class BoundParameters:
     relief: float = 2.0
     """Time constant in which the factor returns to its level when nothing is missed, in horizons."""
     first_factor: float = 0.55
-    """Common factor before there is a record: parts of a hull hold more than what moves."""
+    """Common factor before there is a record: parts of a hull of silhouettes hold more than what moves."""
     least_factor: float = 0.05
     """Smallest common factor: below it the radii are those of voxels, whatever they are multiplied by."""
     most_factor: float = 3.0
@@ -145,16 +145,6 @@ class Bound:
         """How far the largest acceleration takes a node from where its velocity leads, m."""
         return self.parameters.acceleration * horizon_s**2 / 2
 
-    def reach(self, sigmas: Float64, spread: Float64, horizon_s: float) -> Float64:
-        """Radii [M] in metres of nodes without any record about where they go at the velocity that was measured.
-
-        a h^2 / 2, and what its standard deviations [M] (m/s) make of it on the way; not more than the experts differ,
-        [M] (m), and no faster than a person goes.
-        """
-        astray = np.minimum(_SIGMAS * sigmas, PERSON_SPEED) * horizon_s
-        radii: Float64 = self.reachable(horizon_s) + np.minimum(astray, spread)
-        return np.minimum(radii, self.parameters.largest_radius)
-
     def _fit(self, then: Float64, logs: Float64, elapsed_s: float) -> None:
         kept = np.exp(-elapsed_s / self.parameters.memory_s)
         above = logs > then @ self._weights
@@ -236,8 +226,6 @@ class _Judged:
         return cls(time, then[chosen], np.log(np.clip(errors[chosen], 1e-6, _SURPRISE * radii[chosen])), elapsed_s)
 
 
-_SIGMAS = 1.5
-"""Standard deviations of the velocity that a newcomer's bound holds; what it reaches by acceleration holds the rest."""
 _SLOPES = (0.2, 0.3, 0.1, 0.15, 0.1, 0.15)
 """Share of each cue in the scale before errors tell, in the order of `CueLengths`: what goes far errs most."""
 _PRIOR = 0.5

@@ -15,9 +15,10 @@ from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Held, Watch, held
+from twin_node.forecast.measured import Measured
 from twin_node.forecast.obstacles import Motion, Sighted
 from twin_node.forecast.parts import PART_SIZE
-from twin_node.forecast.prediction import Measured, Prediction, Predictor
+from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
 from twin_node.forecast.turning import whole_ways
@@ -29,6 +30,8 @@ CORE_PROBABILITY = 230
 BOUND_PROBABILITY = 90
 """Of voxels that only the errors of the carving and the error bound add."""
 
+RIM_RADIUS = 0.05
+"""Largest radius of rims, m: two voxels, and half of one for rounding."""
 _NEIGHBOURS = 8
 """Forecast places that are looked at about a part: those nearest to it."""
 JUDGED_EVERY_NS = 50_000_000
@@ -122,14 +125,15 @@ class Forecaster:
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
+        has_depth = any(view.depth is not None for view in state.frames.views)
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
         self._sighted = Sighted(self._observer.grid, evidence.parts.indices)
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
+        motion = evidence.motion
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
-        has_depth = any(view.depth is not None for view in state.frames.views)
-        measured = Measured(evidence.motion.sigmas, evidence.motion.flying) if has_depth else None
+        measured = Measured(motion.sigmas, motion.flying, motion.alone) if has_depth else None
         ahead_s, factor = float(horizons[-1]), self._control.factor
         self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor)
         self._judge(state, evidence)
@@ -225,10 +229,14 @@ class Forecaster:
         return may_turn
 
     def _layers(self, evidence: Evidence, prediction: Prediction) -> tuple[OccupancyLayer, ...]:
-        """Every part moved on by the experts, widened by the bound and held where it may turn back, per horizon."""
-        ways = whole_ways(
-            evidence.parts.points, prediction.displacements, prediction.radii, self._may_turn(evidence, prediction)
-        )
+        """Every part moved on by the experts, widened by the bound and held where it may turn back, per horizon.
+
+        Rims, which only errors of the carving add, go with their parts and are widened little: what moves is elsewhere.
+        """
+        moved = np.concatenate([prediction.displacements, prediction.displacements], axis=1)
+        radii = np.concatenate([prediction.radii, np.minimum(prediction.radii, RIM_RADIUS)], axis=1)
+        may_turn = np.tile(self._may_turn(evidence, prediction), 2)
+        ways = whole_ways(evidence.parts.points_and_rims, moved, radii, may_turn)
         shifts, reaches = shifts_of(self.grid, ways.displacements), reach_of(self.grid, ways.radii)
         spreads = spread(self.grid, ways.points, shifts, reaches)
         layers = []

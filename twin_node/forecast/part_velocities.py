@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.image_motion import ImageMotion, Shifts, near
+from twin_node.forecast.measured import UNKNOWN_SPEED
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.forecast.tables import CameraTable, RigTables
 from twin_node.forecast.things import Things, Whole
@@ -52,7 +53,7 @@ class PartVelocities:
         for sighting in found:
             shown |= sighting.shown
         filled = _filled(parts.centers, moving, shown)
-        return replace(filled, flying=whole.flying)
+        return replace(filled, flying=whole.flying, alone=whole.followed)
 
     def _look(self, state: TwinState, parts: Parts) -> list[_Look]:
         """Takes in the images; what each view that has an earlier one shows of some voxels of all parts."""
@@ -80,11 +81,13 @@ class Moving:
     """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
     flying: Bool
     """[M] parts of things that move by themselves, and faster than people."""
+    alone: Bool
+    """[M] parts of things that move by themselves, and were followed as wholes."""
 
     @classmethod
     def unknown(cls, count: int) -> Moving:
         """Of `count` parts of which nothing is known."""
-        return cls(np.zeros((count, 3)), np.full(count, UNKNOWN_SPEED), np.zeros(count, np.bool_))
+        return cls(np.zeros((count, 3)), np.full(count, UNKNOWN_SPEED), *np.zeros((2, count), np.bool_))
 
     def after(self, elapsed_s: float) -> Moving:
         """What is known of it some time later."""
@@ -98,6 +101,7 @@ class Moving:
             np.append(self.velocities, none.velocities, axis=0)[rows],
             np.append(self.sigmas, none.sigmas)[rows],
             np.append(self.flying, none.flying)[rows],
+            np.append(self.alone, none.alone)[rows],
         )
 
 
@@ -220,7 +224,7 @@ def _solve(sightings: Sequence[_Sighting], expected: Moving, whole: Whole) -> Mo
         inverse = np.linalg.inv(normal)
         velocities = (inverse @ right[..., None])[..., 0]
     sigmas = np.minimum(np.sqrt(np.einsum("mii->m", inverse) / 3), UNKNOWN_SPEED)
-    return Moving(velocities, sigmas, whole.flying)
+    return Moving(velocities, sigmas, whole.flying, whole.followed)
 
 
 def _recession_variance(sighting: _Sighting) -> Float64:
@@ -308,8 +312,6 @@ _FAST, _LOST = 2.0, 12.0
 _FOUND, _ASTRAY = 5.0, 0.35
 """Flow finds what has gone less than the first, pixels; what has gone further it has not found if it is off by more
 than the second, as a share of the way."""
-UNKNOWN_SPEED = 3.0
-"""Standard deviation of the velocity of what nothing is known of, m/s."""
 _ACCELERATION = 5.0
 """By which velocities change, m/s^2."""
 _DEPTH_SIGMA, _DEPTH_SHARE = 0.02, 0.02

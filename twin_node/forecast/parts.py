@@ -35,6 +35,11 @@ class Parts:
         return Points(self.places, self.labels, self.likely)
 
     @property
+    def points_and_rims(self) -> Points:
+        """The same with the rims under labels of their own: `count` more than those of their parts."""
+        return Points(self.places, np.where(self.likely, self.labels, self.labels + self.count), self.likely)
+
+    @property
     def count(self) -> int:
         """M, the number of parts."""
         return len(self.centers)

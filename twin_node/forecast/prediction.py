@@ -19,6 +19,7 @@ from twin_node.forecast.experts import (
     free_fall,
     mix,
 )
+from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Neighbours
 from twin_node.forecast.turning import NARROWER, off_the_way
 from twin_node.scene import Bool, Float64
@@ -34,16 +35,6 @@ class Succession:
     """[M] whose path each continues."""
     records: Rows
     """[M] whose record of errors each takes over."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What is known of measured velocities."""
-
-    sigmas: Float64
-    """[M] standard deviation of each component, m/s."""
-    flying: Bool
-    """[M] nodes of things that move by themselves, faster than people."""
 
 
 @dataclass(frozen=True)
@@ -259,22 +250,19 @@ class Predictor:
         wary = self._history.times[-1] - self._records.turned < _WARY * horizon_s
         radii = np.where(wary, np.maximum(radii, self.bound.reachable(horizon_s)), radii)
         if self._measured is not None:
-            spread, new = np.exp(self._cues[:, 1]) - LEAST, self._newcomers
-            radii[new] = self.bound.reach(self._measured.sigmas[new], spread[new], horizon_s)
-        return radii
+            spread, speeds = np.exp(self._cues[:, 1]) - LEAST, np.linalg.norm(self._history.line[0], axis=-1)
+            reach = self._measured.reach(spread, speeds, self.bound.reachable(horizon_s), horizon_s)
+            radii = np.maximum(np.where(self._newcomers, reach, radii), self._measured.start(horizon_s))
+        return np.minimum(radii, self.bound.parameters.largest_radius)
 
     @property
     def _newcomers(self) -> Bool:
-        """[M] nodes whose velocity is measured, and of which nothing has come true yet, or only that they fall.
-
-        A flight is over before there is a record of it.
-        """
+        """[M] nodes whose velocity is measured, and which have no record yet."""
         if self._measured is None:
             return np.zeros(len(self._records.born), np.bool_)
-        young: Bool = self._history.times[-1] - self._records.born < self._horizon_s
-        falls = self._measured.flying & (self._recorded[EXPERT_NAMES.index("free_fall")] > 0.5)
-        newcomers: Bool = (young & (self._ages < self._horizon_s)) | falls
-        return newcomers
+        known_s = self._history.times[-1] - self._records.born
+        falls = self._recorded[EXPERT_NAMES.index("free_fall")] > 0.5
+        return self._measured.newcomers(known_s, self._ages, falls, self._horizon_s)
 
     @property
     def _turning(self) -> Bool:

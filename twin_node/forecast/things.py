@@ -36,6 +36,12 @@ class Whole:
     """[M] s^2/m^2, the inverse of the variance of each component; 0 for parts of nothing that was followed."""
 
     @property
+    def followed(self) -> Bool:
+        """[M] parts of what was followed as a whole."""
+        followed: Bool = self.trusts > 0
+        return followed
+
+    @property
     def flying(self) -> Bool:
         """[M] parts of what goes faster than people do."""
         fast: Bool = np.linalg.norm(self.velocities, axis=1) > PERSON_SPEED

@@ -1,0 +1,61 @@
+"""Measured velocities: how far nodes get of which there is no record yet, and who counts as one."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.measured import UNKNOWN_SPEED, Measured
+from twin_node.scene import Float64
+
+HORIZON = 0.2
+REACHABLE = 0.12
+
+
+def of(sigma: float, flying: bool = False, alone: bool = False) -> Measured:
+    return Measured(np.array([sigma]), np.array([flying]), np.array([alone]))
+
+
+def reach(measured: Measured, spread: float = 0.0, speed: float = 0.0) -> float:
+    return float(measured.reach(np.array([spread]), np.array([speed]), REACHABLE, HORIZON)[0])
+
+
+def newcomer(measured: Measured, known_s: float, age_s: float, falls: bool = False) -> bool:
+    return bool(measured.newcomers(np.array([known_s]), np.array([age_s]), np.array([falls]), HORIZON)[0])
+
+
+def test_what_nothing_is_known_of_may_go_as_fast_as_a_person_where_experts_agree() -> None:
+    assert np.isclose(reach(of(UNKNOWN_SPEED)), REACHABLE + PERSON_SPEED * HORIZON)
+    assert np.isclose(reach(of(0.5)), REACHABLE)
+
+
+@given(sigma=st.floats(0, UNKNOWN_SPEED), spread=st.floats(0, 2), speed=st.floats(0, 10), flying=st.booleans())
+def test_a_reach_is_never_less_than_acceleration_s_nor_more_than_a_fall_and_a_person_s(
+    sigma: float, spread: float, speed: float, flying: bool
+) -> None:
+    radius = reach(of(sigma, flying), spread, speed)
+    assert REACHABLE <= radius <= 9.82 * HORIZON**2 / 2 + PERSON_SPEED * HORIZON
+
+
+def test_what_is_fast_and_not_known_to_fly_may_fall() -> None:
+    fallen = 9.81 * HORIZON**2 / 2
+    assert np.isclose(reach(of(0.0), speed=2.0), fallen)
+    assert np.isclose(reach(of(0.0, flying=True), speed=2.0), REACHABLE)
+    assert np.isclose(reach(of(0.0), speed=1.0), REACHABLE)
+
+
+def test_newcomers_are_untried_or_flying_until_a_record_says_otherwise() -> None:
+    assert newcomer(of(0.1), known_s=0.1, age_s=0.1)
+    assert not newcomer(of(0.1), known_s=0.3, age_s=0.1)
+    assert not newcomer(of(0.1), known_s=0.1, age_s=0.3)  # foreseen, however it came
+    assert newcomer(of(0.1, flying=True), known_s=0.3, age_s=0.3)
+    assert not newcomer(of(0.1, flying=True), known_s=0.5, age_s=0.5)
+    assert newcomer(of(0.1, flying=True), known_s=0.5, age_s=0.5, falls=True)
+
+
+def test_limbs_may_start_at_any_time_and_what_is_seen_as_a_whole_does_not() -> None:
+    together = Measured(np.zeros(2), np.zeros(2, np.bool_), np.array([False, True]))
+    least: Float64 = together.start(HORIZON)
+    assert least[0] > REACHABLE > least[1] == 0

@@ -1,0 +1,63 @@
+"""What is known of measured velocities, and how far nodes get of which there is no record yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.experts import GRAVITY
+from twin_node.scene import Bool, Float64
+
+UNKNOWN_SPEED = 3.0
+"""Standard deviation of the velocity of what nothing is known of, m/s."""
+_BLIND = 0.95
+"""Share of that from which a velocity counts as not measured."""
+_SIGMAS = 1.5
+"""Standard deviations of the velocity that a newcomer's bound holds; what it reaches by acceleration holds the rest."""
+_START = 7.0
+"""Acceleration with which a limb may start at any time, m/s^2: a quick reach across a table from rest."""
+_FLIGHT_TRIED = 2.0
+"""Horizons in which a flight is taken for one until its record says otherwise."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is known of the velocities of M nodes."""
+
+    sigmas: Float64
+    """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
+    flying: Bool
+    """[M] nodes of things that move by themselves, faster than people."""
+    alone: Bool
+    """[M] nodes of things that move by themselves, and are seen as a whole: no limbs."""
+
+    def newcomers(self, known_s: Float64, ages_s: Float64, falls: Bool, horizon_s: float) -> Bool:
+        """[M] nodes of which nothing has come true yet, or only that they fall: a flight is over before there is more.
+
+        `known_s`: for how long each is known; `ages_s`: for how long it has begun nothing new; `falls`: that its record
+        shows best.
+        """
+        untried = (known_s < horizon_s) & (ages_s < horizon_s)
+        newcomers: Bool = untried | (self.flying & (falls | (known_s < _FLIGHT_TRIED * horizon_s)))
+        return newcomers
+
+    def reach(self, spread: Float64, speeds: Float64, reachable: float, horizon_s: float) -> Float64:
+        """[M] radii in metres of nodes without any record about where they go at the velocity that was measured.
+
+        `reachable` (m) by acceleration, and what the error of the velocity adds on the way: no more than the experts
+        differ (`spread` [M], m), unless nothing is known of it, and no faster than a person goes. What is faster
+        (`speeds` [M], m/s), and not known to fly, may fall all the same.
+        """
+        astray = np.minimum(_SIGMAS * self.sigmas, PERSON_SPEED) * horizon_s
+        is_known = self.sigmas < _BLIND * UNKNOWN_SPEED
+        fallen = float(np.linalg.norm(GRAVITY)) * horizon_s**2 / 2
+        may_fall = ~self.flying & (speeds > PERSON_SPEED)
+        radii: Float64 = np.where(may_fall, max(fallen, reachable), reachable)
+        return radii + np.where(is_known, np.minimum(astray, spread), astray)
+
+    def start(self, horizon_s: float) -> Float64:
+        """[M] least radii in metres: people rest, and then reach out; nothing tells before they do."""
+        least: Float64 = np.where(self.alone, 0.0, _START * horizon_s**2 / 2)
+        return least
