@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, rays, state_of
 
 from twin_node.forecast import BaselineForecaster, Forecaster, cover
@@ -100,6 +101,15 @@ def test_quality_tells_coverage_against_target() -> None:
     assert quality.target == 0.99
     assert np.isclose(quality.expert_weights.sum(), 1)
     assert 0 < quality.bound_radius < 1.6 * 0.233
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 5])
+@pytest.mark.parametrize("latency_ms", [30, 50, 65, 100])
+def test_forecasts_are_judged_however_often_sets_come_and_however_late(every: int, latency_ms: int) -> None:
+    forecaster = Forecaster(GRID)
+    for state in moving_ball(30)[::every]:
+        forecaster.update(state, state.stamp + latency_ms * 1_000_000)
+    assert forecaster.quality.coverage > 0.9
 
 
 def test_nothing_moving_gives_empty_layers() -> None:

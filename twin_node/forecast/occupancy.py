@@ -37,7 +37,8 @@ _NEIGHBOURS = 8
 JUDGED_EVERY_NS = 50_000_000
 """Forecasts are judged this often: those of neighbouring sets are right or wrong together."""
 TIMELY_NS = 17_000_000
-"""A set tells of forecasts for at most so much earlier or later: half the time between sets at 30 Hz."""
+"""A set tells of forecasts for so much earlier or later, half the time between sets at 30 Hz, or half the time since
+the set before it: of several that could, the one nearest in time judges a forecast, and each is judged by one."""
 
 MOTION_SHOWS_NS = 150_000_000
 """After so long it shows what moved when the first images came; forecasts made before could not know, ns."""
@@ -167,9 +168,10 @@ class Forecaster:
     def _judge(self, state: TwinState, evidence: Evidence) -> None:
         """Scores the forecast made for now; parts that nobody saw when it was made are left out."""
         due = None
-        while self._issued and self._issued[0].valid_at <= state.stamp + TIMELY_NS:
+        timely = max(TIMELY_NS, (state.stamp - self._issued[-1].stamp) // 2) if self._issued else TIMELY_NS
+        while self._issued and self._issued[0].valid_at <= state.stamp + timely:
             due = self._due = self._issued.popleft()
-        if due is None or state.stamp - due.valid_at > TIMELY_NS or state.stamp - self._judged_at < JUDGED_EVERY_NS:
+        if due is None or state.stamp - due.valid_at > timely or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
         found = self._held(state, evidence, known, due)
