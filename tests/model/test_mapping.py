@@ -112,7 +112,7 @@ def test_shares_that_are_broken_off_teach_all_the_same(every: int) -> None:
 
 
 @pytest.mark.parametrize(("waits", "births"), [(False, 8), (True, 7)])
-def test_births_are_put_off_once_where_a_set_waits_and_never_again_where_one_always_does(waits: bool, births: int) -> None:
+def test_births_are_put_off_once_where_a_set_waits_and_not_again(waits: bool, births: int) -> None:
     model, stages = WindowModel(QUICK), []
     model.on_stage = stages.append
     for one in sliding(9, CAMERAS):
