@@ -26,7 +26,7 @@ PLANE_SAMPLES = 4000
 FLATNESS = 0.2
 """Thickness of a Gaussian on the dominant plane in units of its radius."""
 SEED_OPACITY = 0.7
-CELL = 1.5
+CELL = 1.4
 """Side of the cells in which blocks of several views are merged, in radii of a block, which is two wide: what two views
 show of one place they show of different halves of it."""
 
