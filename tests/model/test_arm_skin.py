@@ -10,6 +10,7 @@ from model_scenes import camera, frames, with_joints
 from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
 from twin_node.model.rays import back_project, look
 from twin_node.model.robot_links import arm_depth
+from twin_node.model.stages import granted
 from twin_node.robot import robot_mask, ur_model
 from twin_node.scene import Bool, Float64, FrameSet, Tier
 
@@ -73,3 +74,10 @@ def test_what_is_learnt_lies_beneath_the_surface_so_that_it_does_not_stand_out_o
     beneath = (seen.depth - depth[seen.rows, seen.columns])[shown]
     assert shown.sum() > 15
     assert np.median(beneath / learnt.scales[shown].mean(1)) > 0.5
+
+
+def test_a_set_that_is_left_after_the_arm_teaches_nothing_once_what_stands_is_another() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)), arm=ARM)
+    for index in range(24):
+        model.update(chequered(index, Q + HALF_ROUND * index / 24)[0])
+        model.refine(granted((2, 100)[index % 2]))

@@ -163,12 +163,9 @@ class Tracker:
         return learnt and drawn
 
     def _learn(self, due: _Due, proceed: Proceed) -> bool:
-        """Goes on with what has been begun to be learnt of what stands, else begins; whether it came to its end.
-
-        A set that was observed before another background than there is now teaches nothing.
-        """
+        """Goes on with what has been begun to be learnt of what stands, else begins; whether it came to its end."""
         if self._learning is None or not self._learning.has_begun:
-            if not all(self._backgrounds.is_current(one.background) for one in due.observed):
+            if not self._tells_of_what_stands(due):
                 return False
             self._learning = Sliced(self._slices(due))
         learnt = self._learning.go_on(proceed)
@@ -187,7 +184,12 @@ class Tracker:
         if self._skin is not None and due.joints is not None:
             yield from self._skin.refine(due.observed, due.joints, due.robots)
             yield
-        yield from self._mapper.refine(due.observed, self._nodes.stamp)
+        if self._tells_of_what_stands(due):
+            yield from self._mapper.refine(due.observed, self._nodes.stamp)
+
+    def _tells_of_what_stands(self, due: _Due) -> bool:
+        """Whether a set was observed before the background that there is now: before another it teaches nothing."""
+        return all(self._backgrounds.is_current(one.background) for one in due.observed)
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
