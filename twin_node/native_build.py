@@ -75,8 +75,12 @@ def find_compiler() -> str:
     raise CompileError("no C++ compiler found (looked for $CXX, c++, g++, clang++); install g++")
 
 
+SHARED = Path(__file__).resolve().parent / "native"
+"""Headers that the kernels of several rooms include."""
+
+
 class Kernels(NamedTuple):
-    """The C++ kernels of one room: all sources stand in one folder, and `library.cpp` includes the others."""
+    """The C++ kernels of one room: sources stand in one folder, and `library.cpp` includes the others."""
 
     name: str
     folder: Path
@@ -84,7 +88,7 @@ class Kernels(NamedTuple):
     def source_hash(self) -> str:
         """Twelve hex digits over the sources and the flags."""
         digest = hashlib.sha256(" ".join(FLAGS).encode())
-        for path in sorted((*self.folder.glob("*.cpp"), *self.folder.glob("*.h"))):
+        for path in (*sorted((*self.folder.glob("*.cpp"), *self.folder.glob("*.h"))), *sorted(SHARED.glob("*.h"))):
             digest.update(path.name.encode() + b"\0" + path.read_bytes())
         return digest.hexdigest()[:12]
 

@@ -12,7 +12,7 @@ from splat_scenes import Case, assert_close, differentiate, make_case
 from twin_node import native_build
 from twin_node.splat import library as native
 from twin_node.splat import rasterize, rasterize_plain
-from twin_node.splat.library import SplatLibrary
+from twin_node.splat.library import SplatLibrary, thread_count, torch_alone
 
 
 def parity_cases() -> dict[str, Case]:
@@ -158,6 +158,20 @@ def test_same_bits_for_any_number_of_threads(library: SplatLibrary):
         assert torch.equal(other.renders, results[0].renders)
         for name, gradient in results[0].gradients.items():
             assert torch.equal(other.gradients[name], gradient), name
+
+
+def test_torch_keeps_to_one_thread_where_it_is_told_to_and_the_library_does_not(library: SplatLibrary):
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(3)
+        with torch_alone():
+            assert (torch.get_num_threads(), thread_count()) == (1, 3)
+            with torch_alone():
+                assert thread_count() == 3
+            assert (torch.get_num_threads(), thread_count()) == (1, 3)
+        assert (torch.get_num_threads(), thread_count()) == (3, 3)
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_concurrent_calls_do_not_mix(library: SplatLibrary):

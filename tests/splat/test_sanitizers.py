@@ -14,7 +14,7 @@ from pathlib import Path
 from twin_node.splat import library as native
 library = native.SplatLibrary(Path(sys.argv[1]))
 native.native_library = lambda: library
-import test_loss, test_native
+import test_loss, test_missed, test_native
 from splat_scenes import differentiate
 from twin_node.splat import rasterize
 for name in ("degree 3, expected depth", "nineteen channels", "mask", "huge", "flat and long", "tiny, antialiased"):
@@ -26,6 +26,8 @@ for size in ((33, 47), (5, 3), (1, 1)):
     for channels in (3, 4):
         for weighted in (False, True):
             test_loss.test_agrees_with_the_plain_loss(size, channels, weighted, library)
+for with_depth in (False, True):
+    test_missed.test_agrees_with_the_plain_one(with_depth, library)
 print("clean")
 """
 

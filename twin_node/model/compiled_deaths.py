@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from twin_node.model.backgrounds import OCCLUSION
@@ -23,6 +22,7 @@ from twin_node.model.kernels import DeathRules, DeathView, RefutedRequest, Stati
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool
+from twin_node.splat.library import thread_count
 
 
 def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
@@ -39,7 +39,7 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
     held = (means, np.ascontiguousarray(shapes[0].axes), np.ascontiguousarray(shapes[0].radii), carried, refuted)
     pointers = (array.ctypes.data for array in held)
-    counts = (len(carried), len(observed), torch.get_num_threads())
+    counts = (len(carried), len(observed), thread_count())
     library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *pointers))
     return refuted
 
@@ -55,7 +55,7 @@ def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], 
         return judge_static_plainly(observed, renderings, threshold)
     views, count = _Views(observed, renderings), len(observed[0].background.static.rows)
     evidence = StaticEvidence(np.empty(count, bool), np.empty(count, bool))
-    counts = (count, len(observed), torch.get_num_threads())
+    counts = (count, len(observed), thread_count())
     pointers = (evidence.left.ctypes.data, evidence.moving.ctypes.data)
     library.judge(StaticRequest(*counts, ctypes.pointer(_rules(threshold)), views.array, *pointers))
     return evidence

@@ -8,11 +8,10 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
-import torch
-
 from twin_node import native_build
 from twin_node.model.parameters import ModelError
 from twin_node.native_library import NativeLibrary, best_or_none
+from twin_node.splat.library import thread_count
 
 INTERFACE_VERSION = 2
 
@@ -159,13 +158,13 @@ class Kernels(NativeLibrary):
         """Brings the moving masks of some cameras up to date. Raises `MemoryError`."""
         self._require_not_forked()
         cameras = (MaskRequest * len(requests))(*requests)
-        _check(self._dll.model_mask(MaskRequests(len(requests), torch.get_num_threads(), cameras)))
+        _check(self._dll.model_mask(MaskRequests(len(requests), thread_count(), cameras)))
 
     def births(self, rules: BirthRules, views: Sequence[BirthView]) -> None:
         """Finds what is born of some views that see each other's things. Raises `MemoryError`."""
         self._require_not_forked()
         given = (BirthView * len(views))(*views)
-        request = BirthRequest(len(views), torch.get_num_threads(), ctypes.pointer(rules), given)
+        request = BirthRequest(len(views), thread_count(), ctypes.pointer(rules), given)
         _check(self._dll.model_births(request))
 
     def refute(self, request: RefutedRequest) -> None:

@@ -27,6 +27,7 @@ from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, Float32, FrameSet, Tier, TwinState
+from twin_node.splat.library import torch_alone
 
 SEED_SHARE = 0.6
 """Share of the capacity that the first set may fill: the rest is for what moves and what is uncovered."""
@@ -102,6 +103,12 @@ class WindowModel:
     def update(self, frames: FrameSet) -> TwinState:
         """Brings the model up to date with a set; raises `ModelError` for one without views or older than the last."""
         self._check(frames)
+        if self._tracker is None:
+            return self._update(frames)
+        with torch_alone():
+            return self._update(frames)
+
+    def _update(self, frames: FrameSet) -> TwinState:
         robots = self._robot_masks(frames)
         is_first = self._tracker is None
         levelled = self._begin(frames, robots) if is_first else self._exposures.level(frames, robots)
@@ -136,7 +143,8 @@ class WindowModel:
         """
         if self._tracker is None:
             return True
-        whole = self._tracker.refine(proceed, self.on_stage)
+        with torch_alone():
+            whole = self._tracker.refine(proceed, self.on_stage)
         self.on_stage("refine")
         return whole
 

@@ -5,6 +5,7 @@ from twin_node.splat.descent import Aims, Bystanders, Course, Decays, Descended,
 from twin_node.splat.dispatch import rasterize, rasterize_plain
 from twin_node.splat.errors import SplatError
 from twin_node.splat.loss import image_loss, image_loss_plain
+from twin_node.splat.missed import Missed, MissedPlainly, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
 
 __all__ = [
@@ -14,10 +15,15 @@ __all__ = [
     "Decays",
     "Descended",
     "Learners",
+    "Missed",
+    "MissedPlainly",
     "Placed",
     "RasterMeta",
+    "Sight",
     "SplatError",
+    "Tolerance",
     "can_descend",
+    "can_miss",
     "can_place",
     "descend",
     "image_loss",

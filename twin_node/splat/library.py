@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -13,7 +16,7 @@ from twin_node import native_build
 from twin_node.native_library import NativeLibrary, best_or_none
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 7
+INTERFACE_VERSION = 8
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -41,6 +44,18 @@ class Gradients(ctypes.Structure):
         *((name, c_void_p) for name in ("v_renders", "v_alphas", "v_means", "v_quats", "v_scales", "v_opacities")),
         *((name, c_void_p) for name in ("v_colors", "v_viewmats")),
         ("first_row", c_int32),
+    )
+
+
+class MissRequest(ctypes.Structure):
+    """`splat::MissRequest`."""
+
+    _fields_ = (
+        ("scene", Request),
+        ("gradients", Gradients),
+        *((name, c_void_p) for name in ("target", "depth", "surface")),
+        *((name, c_float) for name in ("outlier", "depth_gain", "nearest")),
+        *((name, c_void_p) for name in ("pull", "pull_alpha")),
     )
 
 
@@ -142,10 +157,13 @@ class SplatLibrary(NativeLibrary):
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
+        self._dll.splat_add_missed.argtypes = [c_void_p, ctypes.POINTER(MissRequest)]
         self._dll.splat_place.argtypes = [ctypes.POINTER(PlaceRequest)]
         self._dll.splat_place.restype = None
         self._dll.splat_look.argtypes = [ctypes.POINTER(LookRequest)]
         self._dll.splat_look.restype = None
+        self._dll.splat_limit_openmp.argtypes = [c_int32]
+        self._dll.splat_limit_openmp.restype = None
         self._dll.splat_gather_motion.argtypes = [ctypes.POINTER(MotionRequest)]
         self._dll.splat_gather_motion.restype = None
 
@@ -177,6 +195,11 @@ class SplatLibrary(NativeLibrary):
         self._require_not_forked()
         _check(self._dll.splat_image_loss(request))
 
+    def add_missed(self, workspace: Workspace, request: MissRequest) -> None:
+        """Adds what a view misses. Raises `NonFiniteError` as `forward`, `ValueError` or `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.splat_add_missed(workspace.handle, request))
+
     def descend(self, workspace: Workspace, request: DescentRequest) -> None:
         """Takes steps of Adam. Raises `NonFiniteError` as `image_loss`, `ValueError` or `MemoryError`."""
         self._require_not_forked()
@@ -186,6 +209,10 @@ class SplatLibrary(NativeLibrary):
         """Carries Gaussians to where they are drawn."""
         self._require_not_forked()
         self._dll.splat_place(request)
+
+    def limit_openmp(self, threads: int) -> None:
+        """How many threads the loops of torch take that the calling thread begins."""
+        self._dll.splat_limit_openmp(threads)
 
     def look(self, request: LookRequest) -> None:
         """Finds the pixels of points; takes one thread."""
@@ -226,6 +253,29 @@ def native_library() -> SplatLibrary | None:
     return best_or_none(load_variant, "the CPU rasteriser runs in plain torch, about 20 times slower")
 
 
+_told = threading.local()
+
+
 def thread_count() -> int:
-    """Threads for one call, as torch is set."""
-    return torch.get_num_threads()
+    """Threads for one call, as torch is set, or was before `torch_alone`."""
+    return getattr(_told, "threads", None) or torch.get_num_threads()
+
+
+@contextmanager
+def torch_alone() -> Iterator[None]:
+    """Torch's own loops take no other thread meanwhile, as far as this one begins them; compiled kernels still do.
+
+    Over images of some ten thousand pixels a loop of torch's is done before the second thread has woken up, and then
+    waits for it: a set took half as long again.
+    """
+    library, threads = native_library(), thread_count()
+    if library is None or hasattr(_told, "threads"):
+        yield
+        return
+    _told.threads = threads
+    library.limit_openmp(1)
+    try:
+        yield
+    finally:
+        library.limit_openmp(threads)
+        del _told.threads

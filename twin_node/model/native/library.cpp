@@ -1,9 +1,8 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
-#include <omp.h>
-
 #include <atomic>
 #include <new>
 
+#include "../../native/crew.h"
 #include "births.h"
 #include "deaths.h"
 #include "mask.h"
@@ -12,20 +11,17 @@
 
 namespace {
 
-// Runs task(0) ... task(count - 1) on up to `threads` threads. The runtime is torch's too: after another library's
-// omp_set_dynamic(1) it would take threads away under load.
+// Runs task(0) ... task(count - 1) on up to `threads` threads.
 template <class Task>
 int32_t side_by_side(int threads, int count, const Task &task) {
-  omp_set_dynamic(0);
   std::atomic<int32_t> status{model::kOk};
-#pragma omp parallel for schedule(dynamic, 1) num_threads(threads) if (threads > 1 && count > 1)
-  for (int i = 0; i < count; i++) {
+  crew::parallel_for(threads, count, [&](int64_t i) {
     try {
-      task(i);
+      task(static_cast<int>(i));
     } catch (const std::bad_alloc &) {
       status = model::kOutOfMemory;
     }
-  }
+  });
   return status;
 }
 

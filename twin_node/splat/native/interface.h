@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 7;
+constexpr int32_t kInterfaceVersion = 8;
 
 enum Status : int32_t {
   kOk = 0,
@@ -57,6 +57,20 @@ struct Gradients {
   float *v_colors;    // null where only depth is rendered
   float *v_viewmats;  // [B, C, 4, 4] or null
   int32_t first_row;  // Gaussians before it get no gradient
+};
+
+// One view of a scene that is held to what a camera sees.
+struct MissRequest {
+  Request scene;         // one camera; colours end with a feature that is zero; accumulated depth where it is measured
+  Gradients gradients;   // of `pull` and `pull_alpha`; added to
+  const float *target;   // [H, W, colours - 1]
+  const float *depth;    // [H, W] 0 where unknown, or null
+  const float *surface;  // [H, W] depth of what stands behind all, or null
+  float outlier;         // error that pulls no harder when it grows
+  float depth_gain;      // what a relative error of depth counts in errors of colour
+  float nearest;         // smallest depth that is divided by
+  float *pull;           // [H, W, channels]
+  float *pull_alpha;     // [H, W]
 };
 
 struct LossRequest {

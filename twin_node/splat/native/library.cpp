@@ -2,6 +2,7 @@
 #include <omp.h>
 
 #include "descent.h"
+#include "miss.h"
 #include "motion.h"
 #include "place.h"
 
@@ -12,10 +13,8 @@ splat::Pool<splat::Workspace> &workspaces() {
   return pool;
 }
 
-// The runtime is torch's too: after another library's omp_set_dynamic(1) it would take threads away under load.
 template <class Work>
 int32_t guarded(const Work &work) {
-  omp_set_dynamic(0);
   try {
     return work();
   } catch (const std::bad_alloc &) {
@@ -61,12 +60,12 @@ int32_t splat_backward(void *workspace, const splat::Request *request, const spl
   return guarded([&] { return splat::backward(*static_cast<splat::Workspace *>(workspace), *request, *gradients); });
 }
 
+// Threads of the loops that this thread begins by itself in the OpenMP runtime, which is torch's too.
+void splat_limit_openmp(int32_t threads) { omp_set_num_threads(threads); }
+
 void splat_look(const splat::LookRequest *request) { splat::look(*request); }
 
-void splat_place(const splat::PlaceRequest *request) {
-  omp_set_dynamic(0);
-  splat::place(*request);
-}
+void splat_place(const splat::PlaceRequest *request) { splat::place(*request); }
 
 void splat_gather_motion(const splat::MotionRequest *request) { splat::gather_motion(*request); }
 
@@ -78,6 +77,14 @@ int32_t splat_descend(void *workspace, const splat::DescentRequest *request) {
   const splat::Status cameras = check_cameras(request->scene);
   if (cameras != splat::kOk) return cameras;
   return guarded([&] { return splat::descend(*static_cast<splat::Workspace *>(workspace), *request); });
+}
+
+int32_t splat_add_missed(void *workspace, const splat::MissRequest *request) {
+  const int bad = splat::non_finite_argument(request->scene);
+  if (bad >= 0) return splat::kNonFinite + bad;
+  const splat::Status cameras = check_cameras(request->scene);
+  if (cameras != splat::kOk) return cameras;
+  return guarded([&] { return splat::add_missed(*static_cast<splat::Workspace *>(workspace), *request); });
 }
 
 int32_t splat_image_loss(const splat::LossRequest *request) {

@@ -1,0 +1,166 @@
+"""What views of standing Gaussians miss of what they should show: one call of the compiled library per view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from twin_node.splat import library as native
+from twin_node.splat.arguments import non_finite
+from twin_node.splat.dispatch import rasterize
+from twin_node.splat.semantics import installed_semantics
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one camera should see; float32 on the CPU."""
+
+    viewmat: Tensor
+    """[4, 4]."""
+    K: Tensor
+    """[3, 3] pixels."""
+    rgb: Tensor
+    """[H, W, 3] 0 to 1."""
+    counted: Tensor
+    """[H, W] bool: pixels that are held to it."""
+    depth: Tensor | None
+    """[H, W] m, 0 where unknown; None: unknown everywhere."""
+    surface: Tensor | None
+    """[H, W] m: what stands behind all Gaussians; with `depth`."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What errors count."""
+
+    outlier: float
+    """Error of a channel (0 to 1) that pulls no harder when it grows."""
+    depth_gain: float
+    """What a relative error of depth counts in errors of colour."""
+    nearest: float
+    """Smallest depth that is divided by, m."""
+
+
+class Missed:
+    """Half the squared error's steepest descent of n Gaussians over the views that have been added."""
+
+    def __init__(self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor) -> None:
+        """Gaussians as `rasterize` takes them: [n, 3], [n, 4], [n, 3] linear, [n], [n, 3]; see `can_miss`."""
+        features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
+        self._given = tuple(t.detach().contiguous() for t in (means, quats, scales, opacities, features))
+        self._pull = tuple(torch.zeros_like(t) for t in self._given)
+        self.means, self.quats, self.scales, self.opacities = self._pull[:4]
+        """[n, ...] which way each should go."""
+        self._workspace: native.Workspace | None = None
+
+    @property
+    def rgb(self) -> Tensor:
+        """[n, 3]."""
+        return self._pull[4][:, :3]
+
+    @property
+    def weights(self) -> Tensor:
+        """[n] blend weights summed over the counted pixels."""
+        return self._pull[4][:, 3]
+
+    def add(self, sight: Sight, tolerance: Tolerance) -> None:
+        """Takes in what one camera should see. Raises `ValueError` naming Gaussians that are not finite."""
+        library = native.native_library()
+        assert library is not None
+        self._workspace = self._workspace or native.Workspace(library)
+        view = Sight(*(None if t is None else t.contiguous() for t in vars(sight).values()))  # type: ignore[arg-type]
+        count, (height, width), channels = len(self._given[0]), view.counted.shape, 4 if view.depth is None else 5
+        renders, alphas = torch.empty(height, width, channels), torch.empty(height, width)
+        found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
+        pull, pull_alpha = torch.empty_like(renders), torch.empty_like(alphas)
+        semantics = installed_semantics()
+        scene = native.Request(
+            *(1, 1, count, width, height, 4),
+            *(0, 0, 0, channels - 4, 0, native.thread_count()),
+            *(0.01, 1e10, 0.0, 0.3),
+            semantics.max_alpha,
+            semantics.min_compensation,
+            *(0, 0, 0, 0, 0),
+            *(t.data_ptr() for t in (*self._given, view.viewmat, view.K)),
+            None,
+            *(t.data_ptr() for t in (view.counted, renders, alphas, *found)),
+        )
+        gradients = native.Gradients(*(t.data_ptr() for t in (pull, pull_alpha, *self._pull)), None, 0)
+        request = native.MissRequest(
+            scene,
+            gradients,
+            view.rgb.data_ptr(),
+            *(None if t is None else t.data_ptr() for t in (view.depth, view.surface)),
+            *vars(tolerance).values(),
+            *(t.data_ptr() for t in (pull, pull_alpha)),
+        )
+        try:
+            library.add_missed(self._workspace, request)
+        except native.NonFiniteError as error:
+            name = ("means", "quats", "scales", "opacities", "rgb", "viewmat", "K")[error.index]
+            raise non_finite(name, (*self._given, view.viewmat, view.K)[error.index]) from None
+
+
+def can_miss(device: torch.device) -> bool:
+    """Whether `Missed` works for tensors on this device."""
+    return device.type == "cpu" and native.native_library() is not None
+
+
+class MissedPlainly:
+    """The same by `rasterize` and its gradient, on any device: the reference of `Missed`."""
+
+    def __init__(self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor) -> None:
+        features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
+        self._leaves = [t.detach().clone().requires_grad_() for t in (means, quats, scales, opacities, features)]
+        for leaf in self._leaves:
+            leaf.grad = torch.zeros_like(leaf)
+        self.means, self.quats, self.scales, self.opacities = (self._gradient(index) for index in range(4))
+        """[n, ...] which way each should go."""
+
+    @property
+    def rgb(self) -> Tensor:
+        """[n, 3]."""
+        return self._gradient(4)[:, :3]
+
+    @property
+    def weights(self) -> Tensor:
+        """[n] blend weights summed over the counted pixels."""
+        return self._gradient(4)[:, 3]
+
+    def _gradient(self, index: int) -> Tensor:
+        gradient = self._leaves[index].grad
+        assert gradient is not None
+        return gradient
+
+    def add(self, sight: Sight, tolerance: Tolerance) -> None:
+        """Takes in what one camera should see."""
+        height, width = sight.counted.shape
+        means, quats, scales, opacities, features = self._leaves
+        (seen,), (alpha,), _ = rasterize(
+            means,
+            quats,
+            scales,
+            opacities,
+            features,
+            sight.viewmat[None],
+            sight.K[None],
+            width,
+            height,
+            render_mode="RGB" if sight.depth is None else "RGB+D",
+            pixel_mask=sight.counted[None],
+        )
+        pull, pull_alpha = torch.zeros_like(seen), torch.zeros_like(alpha)
+        pull[..., :3] = (sight.rgb - seen.detach()[..., :3]).clamp(-tolerance.outlier, tolerance.outlier)
+        pull[..., 3] = 1  # on a feature that is zero everywhere: its gradient is the sum of the blend weights
+        if sight.depth is not None and sight.surface is not None:
+            depth, gain = sight.depth, tolerance.depth_gain
+            shown = seen.detach()[..., 4] + (1 - alpha.detach()[..., 0]) * sight.surface
+            shown = shown.clamp_min(tolerance.nearest)
+            missed = torch.where(depth > 0, gain * (depth / shown - 1), 0.0)
+            pull[..., 4] = missed.clamp(-tolerance.outlier, tolerance.outlier) * gain / shown
+            pull_alpha[..., 0] = -pull[..., 4] * sight.surface
+        held = sight.counted[..., None]
+        # as a sum: given as two gradients they would make torch import its symbolic algebra, 0.2 s amid a run
+        torch.autograd.backward((seen * (pull * held)).sum() + (alpha * (pull_alpha * held)).sum())

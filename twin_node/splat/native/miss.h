@@ -1,0 +1,39 @@
+// What one view of a scene misses of what it should show: half the squared error's steepest descent.
+#pragma once
+
+#include "backward.h"
+
+namespace splat {
+
+inline float within(float value, float limit) { return std::min(std::max(value, -limit), limit); }
+
+// Which way each drawn pixel's channels and alpha should go; the last colour pulls by one, so that its gradient is the
+// sum of the blend weights.
+inline void pull_pixels(const MissRequest &m) {
+  const Request &r = m.scene;
+  const int channels = channels_of(r), colors = r.color_channels;
+  for (int64_t at = 0; at < static_cast<int64_t>(r.width) * r.height; at++) {
+    float *pull = m.pull + channels * at;
+    m.pull_alpha[at] = 0.f;
+    std::fill_n(pull, channels, 0.f);
+    if (r.pixel_mask[at] == 0) continue;
+    const float *seen = r.renders + channels * at;
+    for (int k = 0; k + 1 < colors; k++) pull[k] = within(m.target[(colors - 1) * at + k] - seen[k], m.outlier);
+    pull[colors - 1] = 1.f;
+    if (m.depth == nullptr || !(m.depth[at] > 0.f)) continue;
+    const float shown = std::max(seen[colors] + (1.f - r.alphas[at]) * m.surface[at], m.nearest);
+    const float missed = within(m.depth_gain * (m.depth[at] / shown - 1.f), m.outlier);
+    pull[colors] = missed * m.depth_gain / shown;
+    m.pull_alpha[at] = -pull[colors] * m.surface[at];
+  }
+}
+
+// Adds what the view misses to the gradients.
+inline Status add_missed(Workspace &w, const MissRequest &m) {
+  const Status drawn = forward(w, m.scene);
+  if (drawn != kOk) return drawn;
+  pull_pixels(m);
+  return backward(w, m.scene, m.gradients);
+}
+
+}  // namespace splat
