@@ -10,6 +10,7 @@ from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_depth, bal
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
+from twin_node.geometry import transform
 from twin_node.scene import Bool, Camera, Float32, FrameSet, TwinState, View
 
 CENTER = np.array([0.1, -0.05, 0.45])
@@ -45,6 +46,15 @@ def test_nothing_moving_frees_all_that_is_seen() -> None:
     for cam in RIG:
         unseen &= pixels_of(cam, GRID.centers(np.arange(GRID.size))) < 0
     assert np.array_equal(carved.unknown, np.flatnonzero(unseen))
+
+
+def test_space_behind_a_camera_is_unknown() -> None:
+    inside = camera("inside", WORKSPACE.mean(axis=0) + np.array([0.3, 0.0, 0.1]))
+    carved = carve(state_of(0, None, cameras=(inside,)))
+    centers = GRID.centers(np.arange(GRID.size))
+    behind = np.flatnonzero(transform(inside.viewmat, centers)[:, 2] < 0)
+    assert len(behind) > 0
+    assert np.isin(behind, carved.unknown).all()
 
 
 def test_one_camera_alone_explains_nothing_without_depth() -> None:

@@ -84,7 +84,7 @@ class Sighting:
     pixels: NDArray[np.int32]
     """Flat pixels; `width * height` where outside the image."""
     depth: Float32
-    """m along the optical axis."""
+    """m along the optical axis; 0 behind the camera."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class CameraTable:
         inside = (z > 1e-3) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
         column, row = np.where(inside, u, 0).astype(np.int32), np.where(inside, v, 0).astype(np.int32)
         pixels = np.where(inside, row * width + column, self.outside).astype(np.int32)
-        return Sighting(pixels, z.astype(np.float32))
+        return Sighting(pixels, np.maximum(z, 0).astype(np.float32))
 
 
 class RigTables:
