@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
-from twin_node.forecast.tables import REACHES, CameraTable, RigTables
+from twin_node.forecast.tables import CameraTable, RigTables
 from twin_node.forecast.verdicts import (
     BESIDE,
     MOVING,
@@ -68,7 +68,7 @@ class Carver:
         self._backdrops.update(state)
         sights = self._sights(state, speed)
         self._last = (state, sights)
-        return carved(verdicts(self._blocks, self._undecided_blocks(sights), sights))
+        return carved(verdicts(self._blocks, sights))
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n]."""
@@ -90,13 +90,6 @@ class Carver:
             backdrop = self._backdrops.of(view)
             sights.append(_sight(table, view, moving, robot, backdrop, error_pixels=pixels, parameters=self.parameters))
         return sights
-
-    def _undecided_blocks(self, sights: list[Sight]) -> NDArray[np.int64]:
-        """Blocks that no camera frees as a whole."""
-        undecided = np.ones(self._blocks.count, np.bool_)
-        for sight in sights:
-            undecided &= ~_freed_blocks(sight)
-        return np.flatnonzero(undecided)
 
 
 def _sight(
@@ -124,18 +117,6 @@ def _sight(
         flags=np.append(flags, np.uint8(0)),
         surface=surface,
     )
-
-
-def _freed_blocks(sight: Sight) -> Bool:
-    """[blocks] True where every voxel of the block is freed."""
-    table = sight.table
-    free_image = sight.free_until[:-1].reshape(table.camera.height, table.camera.width)
-    freed = np.zeros(table.block_count, np.bool_)
-    for reach, group in zip(REACHES, table.blocks_by_reach, strict=True):
-        if len(group.rows):
-            least = cv2.erode(free_image, np.ones((2 * reach + 1,) * 2, np.uint8), borderValue=0)
-            freed[group.rows] = group.far < least.ravel()[group.pixels]
-    return freed
 
 
 def _free_until(view: View, hidden: Bool, unseen: Bool, error_pixels: float, parameters: CarvingParameters) -> Float32:

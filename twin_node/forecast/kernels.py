@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 7
+INTERFACE_VERSION = 8
 
 
 class GrowRequest(ctypes.Structure):
@@ -37,8 +37,10 @@ class Sight(ctypes.Structure):
     """`forecast::Sight`."""
 
     _fields_ = (
-        *((name, c_void_p) for name in ("pixels", "depths", "free_until", "begin", "end", "flags")),
+        *((name, c_void_p) for name in ("pixels", "depths", "near", "far", "windows", "whole")),
+        *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
         ("size", c_int64),
+        *((name, c_int32) for name in ("width", "height")),
     )
 
 
@@ -46,9 +48,8 @@ class CarveRequest(ctypes.Structure):
     """`forecast::CarveRequest`."""
 
     _fields_ = (
-        ("blocks", c_int64),
         *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("chosen", "sights", "verdicts")),
+        *((name, c_void_p) for name in ("sights", "verdicts")),
     )
 
 
@@ -149,7 +150,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_list(request)
 
     def carve(self, request: CarveRequest) -> None:
-        """Says of every voxel of some blocks what the views show. Raises `MemoryError`."""
+        """Says of every voxel what the views show. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.forecast_carve(request))
 

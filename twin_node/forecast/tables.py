@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -12,12 +13,12 @@ from numpy.typing import NDArray
 from twin_node.geometry import project
 from twin_node.scene import Bool, Camera, Float32, Float64, Grid
 
+Number = TypeVar("Number", np.float32, np.int32)
+
 BLOCK = 4
 """Voxels along a side of a block: whole blocks are decided first, their voxels where that fails."""
 VOXELS = BLOCK**3
 """Voxels per block."""
-REACHES = (2, 4, 8, 16, 32, 64)
-"""Half widths in pixels of the neighbourhoods that stand for a block's image."""
 
 
 class Blocks:
@@ -76,6 +77,10 @@ class Blocks:
         """[count, 3] m."""
         return self.grid.origin + (self.corners(np.arange(self.count)) + BLOCK / 2) * self.grid.voxel_size
 
+    def inside(self) -> Bool:
+        """[count, VOXELS] False for the padding beyond the grid's upper ends."""
+        return self._inside.reshape(self.count, VOXELS)
+
 
 @dataclass(frozen=True)
 class Sighting:
@@ -88,20 +93,17 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class SeenBlocks:
-    """Blocks inside an image."""
+class BlockSightings:
+    """Where a camera sees whole blocks."""
 
-    rows: NDArray[np.int64]
-    """[n] which."""
-    pixels: NDArray[np.int32]
-    """[n] of their centres, flat."""
+    near: Float32
+    """[count] least depth of a voxel, m."""
     far: Float32
-    """[n] depth that nothing of them exceeds, m."""
-
-
-def _seen_blocks(sighting: Sighting, far: Float32, chosen: Bool) -> SeenBlocks:
-    rows = np.flatnonzero(chosen)
-    return SeenBlocks(rows, sighting.pixels[rows], far[rows])
+    """[count] greatest depth of a voxel, m."""
+    windows: NDArray[np.int32]
+    """[count, 4] first and last column, first and last row of their pixels; last before first where there are none."""
+    whole: Bool
+    """[count] True where all voxels lie inside the image."""
 
 
 class CameraTable:
@@ -110,18 +112,11 @@ class CameraTable:
     def __init__(self, camera: Camera, blocks: Blocks) -> None:
         self.camera = camera
         self.outside = camera.width * camera.height
-        self.block_count = blocks.count
         self._blocks = blocks
         self.voxels = self._sight(blocks.voxel_centers)
         """Of all voxels, block by block."""
-        seen = self._sight(blocks.centers)
-        radius = np.sqrt(3) / 2 * BLOCK * blocks.grid.voxel_size
-        far: Float32 = seen.depth + np.float32(radius)
-        near = np.maximum(seen.depth - radius, 1e-3)
-        reach = np.ceil(camera.K[:2, :2].max() * radius / near * 1.5) + 1
-        levels = np.where(seen.pixels < self.outside, np.searchsorted(np.array(REACHES), reach), len(REACHES))
-        self.blocks_by_reach = tuple(_seen_blocks(seen, far, levels == level) for level in range(len(REACHES)))
-        """For each of `REACHES`, the blocks whose image it holds."""
+        self.of_blocks = self._sight_blocks()
+        """The same of whole blocks."""
         distance = float(np.linalg.norm(blocks.centers.mean(axis=0) - camera.T_base_cam[:3, 3]))
         self.pixels_per_metre = camera.K[0, 0] / max(distance, blocks.grid.voxel_size)
 
@@ -151,6 +146,28 @@ class CameraTable:
         column, row = np.where(inside, u, 0).astype(np.int32), np.where(inside, v, 0).astype(np.int32)
         pixels = np.where(inside, row * width + column, self.outside).astype(np.int32)
         return Sighting(pixels, np.maximum(z, 0).astype(np.float32))
+
+    def _sight_blocks(self) -> BlockSightings:
+        real = self._blocks.inside()
+        depths, pixels = self.voxels.depth.reshape(real.shape), self.voxels.pixels.reshape(real.shape)
+        shown = real & (pixels < self.outside)
+        rows, columns = np.divmod(pixels, self.camera.width)
+        ends = [end(axis, shown) for axis in (columns, rows) for end in (_least, _greatest)]
+        windows = np.stack(ends, axis=1).astype(np.int32)
+        whole: Bool = np.all(shown | ~real, axis=1)
+        return BlockSightings(_least(depths, real), _greatest(depths, real), windows, whole)
+
+
+def _least(values: NDArray[Number], chosen: Bool) -> NDArray[Number]:
+    """[n] least of the chosen values [n, m] in each row; more than any where there are none."""
+    least: NDArray[Number] = np.where(chosen, values, values.max(initial=0) + 1).min(axis=1)
+    return least
+
+
+def _greatest(values: NDArray[Number], chosen: Bool) -> NDArray[Number]:
+    """[n] greatest of the chosen values [n, m] in each row, which are not negative; -1 where there are none."""
+    greatest: NDArray[Number] = np.where(chosen, values, np.full_like(values, -1)).max(axis=1)
+    return greatest
 
 
 class RigTables:

@@ -47,23 +47,20 @@ class Sight:
     """What moves, as measured; None without depth."""
 
 
-def verdicts(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight]) -> UInt8:
-    """[grid.size] verdicts on the voxels of the `chosen` [n] blocks; all others are `FREE`.
-
-    Compiled; `verdicts_plainly` where that cannot be.
-    """
+def verdicts(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
+    """[grid.size] verdicts on all voxels. Compiled; `verdicts_plainly` where that cannot be."""
     compiled = kernels.kernels()
     if compiled is None:
-        return verdicts_plainly(blocks, chosen, sights)
+        return verdicts_plainly(blocks, sights)
     given = (kernels.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
-    for row, arrays in enumerate(held):
+    for row, (sight, arrays) in enumerate(zip(sights, held, strict=True)):
         addresses = (None if array is None else array.ctypes.data for array in arrays)
-        given[row] = kernels.Sight(*addresses, len(sights[row].flags))
+        camera = sight.table.camera
+        given[row] = kernels.Sight(*addresses, len(sight.flags), camera.width, camera.height)
     verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)
-    sizes = (len(chosen), len(sights), *blocks.grid.dims, thread_count())
-    places = (chosen.ctypes.data, ctypes.addressof(given), verdicts.ctypes.data)
-    compiled.carve(kernels.CarveRequest(*sizes, *places))
+    sizes = (len(sights), *blocks.grid.dims, thread_count())
+    compiled.carve(kernels.CarveRequest(*sizes, ctypes.addressof(given), verdicts.ctypes.data))
     return verdicts
 
 
@@ -101,18 +98,23 @@ def carved_plainly(verdicts: UInt8) -> Carved:
 def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
     """In the order of `kernels.Sight`."""
     measured = (None, None) if sight.surface is None else (sight.surface.begin, sight.surface.end)
+    voxels, blocks = sight.table.voxels, sight.table.of_blocks
     return (
-        sight.table.voxels.pixels,
-        sight.table.voxels.depth,
+        voxels.pixels,
+        voxels.depth,
+        blocks.near,
+        blocks.far,
+        blocks.windows,
+        blocks.whole,
         np.ascontiguousarray(sight.free_until, np.float32),
         *(None if depths is None else np.ascontiguousarray(depths, np.float32) for depths in measured),
         np.ascontiguousarray(sight.flags, np.uint8),
     )
 
 
-def verdicts_plainly(blocks: Blocks, chosen: NDArray[np.int64], sights: Sequence[Sight]) -> UInt8:
+def verdicts_plainly(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
     """What `verdicts` does, view by view."""
-    left = blocks.places(chosen)
+    left = blocks.places(np.arange(blocks.count))
     for sight in sights:
         seen = sight.table.at(left)
         left = left[seen.depth >= sight.free_until[seen.pixels]]

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 7;
+constexpr int32_t kInterfaceVersion = 8;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -35,23 +35,25 @@ struct ListRequest {
 struct Sight {
   const int32_t *pixels;      // [blocks * 64] of every voxel, block by block
   const float *depths;        // [blocks * 64] m
+  const float *near, *far;    // [blocks] m, of the voxels in each
+  const int32_t *windows;     // [blocks, 4] their first and last column, first and last row; last < first for none
+  const uint8_t *whole;       // [blocks] 1: all of them lie inside the image
   const float *free_until;    // [pixels + 1] m
   const float *begin, *end;   // [pixels + 1] m, where a measured moving surface explains the ray; null without depth
   const uint8_t *flags;       // [pixels + 1] bits of Flag
   int64_t size;               // pixels + 1
+  int32_t width, height;
 };
 
 enum Flag : uint8_t { kMoving = 1, kRobot = 2, kSeen = 4, kBeside = 8 };
 
 enum Verdict : uint8_t { kFree = 0, kUnknown = 1, kMayMove = 2, kLikelyMoves = 3 };
 
-// Every voxel of some blocks of 4 x 4 x 4 against every view.
+// Every voxel, in blocks of 4 x 4 x 4, against every view.
 struct CarveRequest {
-  int64_t blocks;
   int32_t views, nx, ny, nz, threads;
-  const int64_t *chosen;  // [blocks]
-  const Sight *sights;    // [views]
-  uint8_t *verdicts;      // [nx, ny, nz] comes zeroed
+  const Sight *sights;  // [views]
+  uint8_t *verdicts;    // [nx, ny, nz] comes zeroed
 };
 
 // The voxels that are not free; the lists have room for all of them.
