@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 #include <numeric>
 #include <vector>
 
@@ -30,6 +31,9 @@ inline uint64_t eight_bits(const uint8_t *bytes) {
 inline Bits packed(const uint8_t *mask, int64_t nx, int64_t ny, int64_t nz) {
   Bits out(nx, ny, nz);
   for (int64_t column = 0; column < nx * ny; column++, mask += nz) {
+    uint8_t any = 0;
+    for (int64_t z = 0; z < nz; z++) any |= mask[z];
+    if (!any) continue;  // most of them
     uint64_t *words = out.bits.data() + column * out.words;
     int64_t z = 0;
     for (; z + 8 <= nz; z += 8) words[z / 64] |= eight_bits(mask + z) << z % 64;
@@ -59,17 +63,21 @@ inline void join_along(
   }
 }
 
-// Bits of columns of words joined with those `step` further up, -63 to 63.
+// Bits of columns of words joined with those `step` further up, -63 to 63; `beside` is room for as many words.
 template <Join join>
-inline void join_up(const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t column, int64_t step) {
-  const int64_t shift = std::abs(step), beside = step > 0 ? 1 : -1;
-  for (int64_t begin = 0; begin < static_cast<int64_t>(words.size()); begin += column) {
-    for (int64_t w = 0; w < column; w++) {
-      const uint64_t own = before[begin + w];
-      const uint64_t next = w + beside >= 0 && w + beside < column ? before[begin + w + beside] : 0;
-      const uint64_t moved = step > 0 ? own >> shift | next << (64 - shift) : own << shift | next >> (64 - shift);
-      words[begin + w] = joined<join>(words[begin + w], moved);
-    }
+inline void join_up(
+    const std::vector<uint64_t> &before, std::vector<uint64_t> &words, std::vector<uint64_t> &beside, int64_t column,
+    int64_t step) {
+  const int64_t shift = std::abs(step), size = static_cast<int64_t>(words.size());
+  const int64_t up = step > 0 ? 1 : 0, down = 1 - up;  // words are moved as a whole, then columns parted again
+  std::copy(before.begin() + up, before.end() - down, beside.begin() + down);
+  for (int64_t end = up ? column - 1 : 0; end < size; end += column) beside[end] = 0;
+  const uint64_t *own = before.data(), *next = beside.data();
+  uint64_t *to = words.data();
+  if (up) {
+    for (int64_t i = 0; i < size; i++) to[i] = joined<join>(to[i], own[i] >> shift | next[i] << (64 - shift));
+  } else {
+    for (int64_t i = 0; i < size; i++) to[i] = joined<join>(to[i], own[i] << shift | next[i] >> (64 - shift));
   }
 }
 
@@ -77,13 +85,14 @@ inline void join_up(const std::vector<uint64_t> &before, std::vector<uint64_t> &
 template <Join join>
 inline void join_around(Bits &b, int64_t first, int64_t last) {
   const int64_t row = b.ny * b.words, all = b.nx * row;
+  std::vector<uint64_t> before, beside(b.bits.size());
   for (int axis = 0; axis < 3; axis++) {
-    const std::vector<uint64_t> before = b.bits;
+    before = b.bits;
     for (int64_t step = first; step <= last; step++) {
       if (step == 0) continue;
       if (axis == 0) join_along<join>(before, b.bits, all, step * row);
       if (axis == 1) join_along<join>(before, b.bits, row, step * b.words);
-      if (axis == 2) join_up<join>(before, b.bits, b.words, step);
+      if (axis == 2) join_up<join>(before, b.bits, beside, b.words, step);
     }
   }
 }
@@ -115,20 +124,36 @@ inline Bits halved(const Bits &b, int64_t nz) {
   return out;
 }
 
+// Least values of those up to `cells` steps before and after each, all over a line.
+inline void least_along(const std::vector<float> &before, std::vector<float> &least, int64_t step, int64_t cells) {
+  const int64_t size = static_cast<int64_t>(before.size());
+  std::copy(before.begin(), before.end(), least.begin());
+  for (int64_t offset = step; offset <= cells * step && offset < size; offset += step) {
+    for (int64_t i = 0; i < size - offset; i++) least[i] = std::min(least[i], before[i + offset]);
+    for (int64_t i = offset; i < size; i++) least[i] = std::min(least[i], before[i - offset]);
+  }
+}
+
 // Least value of the cube of so many cells around each of [nx, ny, nz].
 inline void least_around(std::vector<float> &values, int64_t nx, int64_t ny, int64_t nz, int64_t cells) {
-  const int64_t extents[3] = {nx, ny, nz}, strides[3] = {ny * nz, nz, 1};
-  for (int axis = 0; axis < 3; axis++) {
-    const std::vector<float> before = values;
-    const int64_t line = extents[axis] * strides[axis];
-    for (int64_t begin = 0; begin < static_cast<int64_t>(values.size()); begin += line) {
-      for (int64_t step = 1; step <= std::min(cells, extents[axis] - 1); step++) {
-        const int64_t offset = step * strides[axis];
-        float *own = &values[begin];
-        const float *from = &before[begin];
-        for (int64_t i = 0; i < line - offset; i++) own[i] = std::min(own[i], from[i + offset]);
-        for (int64_t i = offset; i < line; i++) own[i] = std::min(own[i], from[i - offset]);
-      }
+  const int64_t tall = nz + cells, plane = ny * nz;
+  std::vector<float> one(ny * tall, std::numeric_limits<float>::infinity()), other(one), planes(values.size());
+  for (int64_t x = 0; x < nx; x++) {  // a plane at a time, its columns apart, stays in the cache
+    const auto column = [&](std::vector<float> &of, int64_t y) { return of.begin() + (x * ny + y) * nz; };
+    for (int64_t y = 0; y < ny; y++) {
+      const auto end = std::copy_n(column(values, y), nz, one.begin() + y * tall);
+      std::fill_n(end, cells, std::numeric_limits<float>::infinity());
+    }
+    least_along(one, other, 1, cells);
+    least_along(other, one, tall, cells);
+    for (int64_t y = 0; y < ny; y++) std::copy_n(one.begin() + y * tall, nz, column(planes, y));
+  }
+  for (int64_t x = 0; x < nx; x++) {
+    float *least = &values[x * plane];
+    std::copy_n(&planes[x * plane], plane, least);
+    for (int64_t near = std::max<int64_t>(x - cells, 0); near <= std::min(x + cells, nx - 1); near++) {
+      const float *beside = &planes[near * plane];
+      for (int64_t i = 0; i < plane; i++) least[i] = std::min(least[i], beside[i]);
     }
   }
 }
@@ -161,16 +186,22 @@ class Pieces {
     }
   }
 
-  // Gives every cell its piece's least value, or `otherwise` where that is above `most` and outside of all pieces.
-  void write(std::vector<float> &values, int64_t nz, float most, float otherwise) {
+  // Gives every cell its piece's least value, or `otherwise` where that is above `most` and outside of all pieces; the
+  // cells whose values are at most `most`.
+  Bits write(std::vector<float> &values, int64_t nx, int64_t ny, int64_t nz, float most, float otherwise) {
+    Bits written(nx, ny, nz);
     std::fill(values.begin(), values.end(), otherwise);
     for (int64_t column = 0; column + 1 < static_cast<int64_t>(starts_.size()); column++) {
       for (int64_t i = starts_[column]; i < starts_[column + 1]; i++) {
         const float least = stretches_[root(i)].least;
         if (least > most) continue;
-        std::fill(&values[column * nz + stretches_[i].begin], &values[column * nz] + stretches_[i].end, least);
+        for (int64_t z = stretches_[i].begin; z < stretches_[i].end; z++) {
+          values[column * nz + z] = least;
+          written.bits[column * written.words + z / 64] |= uint64_t{1} << z % 64;
+        }
       }
     }
+    return written;
   }
 
  private:
@@ -230,29 +261,32 @@ inline void hide(const HideRequest &r) {
   const Bits near = halved(moving, nz);
   for (int64_t x = 0; x < cx; x++) {
     for (int64_t y = 0; y < cy; y++) {
-      const bool side = x == 0 || y == 0 || x == cx - 1 || y == cy - 1;
       float *column = &ages[(x * cy + y) * cz];
-      for (int64_t z = 0; z < cz; z++) {
-        if (side || z == cz - 1 || near.at(x, y)[z / 64] >> z % 64 & 1) column[z] = 0;
+      column[cz - 1] = 0;
+      if (x == 0 || y == 0 || x == cx - 1 || y == cy - 1) std::fill_n(column, cz, 0.0f);
+      for (int64_t w = 0; w < near.words; w++) {
+        for (uint64_t left = near.at(x, y)[w]; left; left &= left - 1) column[64 * w + __builtin_ctzll(left)] = 0;
       }
     }
   }
   least_around(ages, cx, cy, cz, r.reach);
-  Pieces(halved(passable, nz), cz, ages).write(ages, cz, r.rest_s, r.never);
+  Bits reached = Pieces(halved(passable, nz), cz, ages).write(ages, cx, cy, cz, r.rest_s, r.never);
   std::copy(ages.begin(), ages.end(), r.ages);
 
-  least_around(ages, cx, cy, cz, 1);
+  join_around<Join::kAny>(reached, -1, 1);
   std::vector<uint8_t> open(2 * cz);
-  for (int64_t x = 0; x < nx; x++) {
-    for (int64_t y = 0; y < ny; y++) {
-      const float *column = &ages[((x / 2) * cy + y / 2) * cz];
-      for (int64_t z = 0; z < cz; z++) open[2 * z] = open[2 * z + 1] = column[z] <= r.rest_s;
-      const int64_t first = (x * ny + y) * nz;
-      const uint8_t *unknown = r.unknown + first;
-      uint8_t *reachable = r.reachable + first, *maybe_full = r.maybe_full + first;
-      for (int64_t z = 0; z < nz; z++) {
-        reachable[z] = unknown[z] & open[z];
-        maybe_full[z] = (maybe_full[z] & unknown[z]) | reachable[z];
+  for (int64_t cell = 0; cell < cx * cy; cell++) {
+    const uint64_t *words = reached.bits.data() + cell * reached.words;
+    for (int64_t z = 0; z < cz; z++) open[2 * z] = open[2 * z + 1] = words[z / 64] >> z % 64 & 1;
+    for (int64_t x = cell / cy * 2; x < std::min(nx, cell / cy * 2 + 2); x++) {
+      for (int64_t y = cell % cy * 2; y < std::min(ny, cell % cy * 2 + 2); y++) {
+        const int64_t first = (x * ny + y) * nz;
+        const uint8_t *unknown = r.unknown + first;
+        uint8_t *reachable = r.reachable + first, *maybe_full = r.maybe_full + first;
+        for (int64_t z = 0; z < nz; z++) {
+          reachable[z] = unknown[z] & open[z];
+          maybe_full[z] = (maybe_full[z] & unknown[z]) | reachable[z];
+        }
       }
     }
   }
