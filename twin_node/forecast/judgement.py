@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.margin import Margin
 from twin_node.forecast.static import unproject
-from twin_node.forecast.tables import RigTables
+from twin_node.forecast.tables import CameraTable, RigTables
 from twin_node.scene import Bool, TwinState, View
 
 
@@ -72,35 +72,64 @@ AGREEMENT_JUDGEMENTS = 6
 """Judgements, 50 ms and more apart, that agreement is averaged over: things come into view piece by piece."""
 
 
-def held(
-    state: TwinState, margin: Margin, tables: RigTables, here: NDArray[np.int64], forecast: NDArray[np.int64]
-) -> Held:
-    """Scores a forecast, the voxels `forecast` [n] of the inner grid, against what the images show of `here`.
+class Judgement:
+    """One set of images against the forecast that was made for its time: of all that moves, or of some of it.
 
-    `here` [m]: voxels of the outer grid that hold what moves and was there to be foreseen. A camera with depth judges
-    by the points of the moving surface that it measures. One without judges by its pixels: in space the hull holds more
-    than what moves, and flickers.
+    A camera with depth judges by the points of the moving surface that it measures. One without judges by its pixels:
+    in space the hull holds more than what moves, and flickers.
     """
-    known = _mask(margin.outer.size, here)
-    foreseen = margin.padded(_mask(margin.inner.size, forecast))
-    mine, expected = tables.blocks.locate(here), None
-    seen = covered = measured = agreed = 0
-    for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
-        if view.depth is not None:
-            places = _measured(view, moving, margin)
-            measured += len(places)
-            places = places[known[places]]
-            agreed += len(places)
-            seen += len(places)
-            covered += int(np.count_nonzero(foreseen[places]))
-            continue
-        if expected is None:
-            expected = tables.blocks.locate(np.flatnonzero(foreseen))
-        table = tables.of(view.camera)
-        explained = moving & table.image_of(mine)
-        seen += int(np.count_nonzero(explained))
-        covered += int(np.count_nonzero(explained & table.image_of(expected)))
-    return Held(seen, covered, measured, agreed)
+
+    def __init__(self, state: TwinState, margin: Margin, tables: RigTables, forecast: NDArray[np.int64]) -> None:
+        """`forecast` [n]: its voxels in the inner grid."""
+        foreseen = margin.padded(_mask(margin.inner.size, forecast))
+        by_pixels = any(view.depth is None for view in state.frames.views)
+        expected = tables.blocks.locate(np.flatnonzero(foreseen if by_pixels else foreseen[:0]))
+        self._size, self._blocks = margin.outer.size, tables.blocks
+        self._points: list[_Points] = []
+        self._images: list[_Image] = []
+        for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
+            if view.depth is not None:
+                places = _measured(view, moving, margin)
+                self._points.append(_Points(places, foreseen[places]))
+            else:
+                table = tables.of(view.camera)
+                self._images.append(_Image(table, moving, table.image_of(expected)))
+
+    def of(self, here: NDArray[np.int64]) -> Held:
+        """How much of what is in the voxels `here` [m] of the outer grid, all of which could be foreseen, was."""
+        known, mine = _mask(self._size, here), self._blocks.locate(here)
+        measured = agreed = covered = pixels = 0
+        for points in self._points:
+            explained = known[points.places]
+            measured += len(explained)
+            agreed += int(np.count_nonzero(explained))
+            covered += int(np.count_nonzero(explained & points.foreseen))
+        for image in self._images:
+            explained = image.moving & image.table.image_of(mine)
+            pixels += int(np.count_nonzero(explained))
+            covered += int(np.count_nonzero(explained & image.foreseen))
+        return Held(agreed + pixels, covered, measured, agreed)
+
+
+@dataclass(frozen=True)
+class _Points:
+    """What a camera with depth measures of what moves."""
+
+    places: NDArray[np.int64]
+    """[n] voxels of the outer grid."""
+    foreseen: Bool
+    """[n]."""
+
+
+@dataclass(frozen=True)
+class _Image:
+    """What a camera without depth shows."""
+
+    table: CameraTable
+    moving: Bool
+    """[H, W]."""
+    foreseen: Bool
+    """[H, W] where the forecast projects."""
 
 
 def _measured(view: View, moving: Bool, margin: Margin) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
-from twin_node.forecast.judgement import Held, Watch, held
+from twin_node.forecast.judgement import Held, Judgement, Watch
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.obstacles import Motion, Sighted
 from twin_node.forecast.parts import PART_SIZE
@@ -174,22 +174,18 @@ class Forecaster:
         if due is None or state.stamp - due.valid_at > timely or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
-        found = self._held(state, evidence, known, due)
+        judgement = Judgement(state, self._observer.margin, self._observer.tables, due.indices)
+        found = _held(judgement, evidence, known)
         if due.stamp >= self._sees_motion_from:
-            self._watch = self._watch.after(self._held(state, evidence, np.ones(len(known), np.bool_), due))
+            self._watch = self._watch.after(judgement.of(evidence.parts.indices))
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
-            steady = self._held(state, evidence, known & self._predictor.unstartled_since(due.stamp * 1e-9), due)
+            steady = _held(judgement, evidence, known & self._predictor.unstartled_since(due.stamp * 1e-9))
             self._control.observe(found.share, steady.share if steady.seen else None, due.factor, elapsed)
         if known.any() and due.places.shape[1]:
             missed = _missed(due.places, evidence.parts.centers[known])
             self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)
         self._judged_at = state.stamp
-
-    def _held(self, state: TwinState, evidence: Evidence, chosen: Bool, due: _Issued) -> Held:
-        """How much of the parts `chosen` [M] lies inside the forecast that is due."""
-        here = evidence.parts.indices[chosen[evidence.parts.labels]]
-        return held(state, self._observer.margin, self._observer.tables, here, due.indices)
 
     def _foreseen(self, stamp: int, centers: Float64) -> Bool:
         """[M] parts, by their centres, that lie where the newest forecast whose time has come had some part.
@@ -246,6 +242,11 @@ class Forecaster:
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
             layers.append(OccupancyLayer(horizon, reached.indices, probability))
         return tuple(layers)
+
+
+def _held(judgement: Judgement, evidence: Evidence, chosen: Bool) -> Held:
+    """How much of the parts `chosen` [M] lies inside the forecast that is due."""
+    return judgement.of(evidence.parts.indices[chosen[evidence.parts.labels]])
 
 
 @dataclass(frozen=True)
