@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -68,7 +69,7 @@ class ImageMotion:
             pixels[window] = -self._flow.calc(here, there, begin)
         traced = _traced(now, before, pixels)
         flying = np.zeros(now.grey.shape, np.bool_)
-        for flight in _flights(now.moving, before.moving):
+        for flight in _flights(now.blobs, before.blobs):
             flying |= flight.now
             pixels[flight.now] = flight.shift
             if traced.receded is not None:
@@ -90,6 +91,11 @@ class _Image:
     """[H, W] what moves, and a pixel about it."""
     depth: Float32 | None
     """[H, W] m, 0 where it is not measured; None without depth."""
+
+    @cached_property
+    def blobs(self) -> _Blobs:
+        """Of what moves."""
+        return _blobs(self.moving)
 
 
 def _traced(now: _Image, before: _Image, pixels: Float32) -> _Traced:
@@ -141,10 +147,8 @@ class _Flight:
     """[2] pixels, of its middle: what it shows may turn."""
 
 
-def _flights(now: Bool, before: Bool) -> list[_Flight]:
-    """Small things that went further between two images than flow looks, by the masks [H, W] of what moves."""
-    labels, mine = _blobs(now)
-    labels_before, others = _blobs(before)
+def _flights(mine: _Blobs, others: _Blobs) -> list[_Flight]:
+    """Small things that went further between two images than flow looks, by the blobs of now and of before."""
     if len(mine.areas) == 0 or len(others.areas) == 0:
         return []
     ways = mine.middles[:, None] - others.middles[None]
@@ -152,7 +156,7 @@ def _flights(now: Bool, before: Bool) -> list[_Flight]:
     alike = np.maximum(mine.areas[:, None], others.areas) < _ALIKE * np.minimum(mine.areas[:, None], others.areas)
     shares = np.where(alike, np.linalg.norm(ways, axis=2) / widths, np.inf)
     return [
-        _Flight(labels == mine.numbers[blob], labels_before == others.numbers[other], ways[blob, other])
+        _Flight(mine.labels == mine.numbers[blob], others.labels == others.numbers[other], ways[blob, other])
         for blob, other in enumerate(shares.argmin(axis=1).tolist())
         if _FOUND < shares[blob, other] < _FLIGHT and shares[:, other].argmin() == blob
     ]
@@ -162,6 +166,8 @@ def _flights(now: Bool, before: Bool) -> list[_Flight]:
 class _Blobs:
     """Compact blobs of what moves in one image."""
 
+    labels: NDArray[np.int32]
+    """[H, W] of all blobs, compact or not."""
     numbers: NDArray[np.int64]
     """[b] their labels."""
     areas: Float64
@@ -170,14 +176,14 @@ class _Blobs:
     """[b, 2] pixels."""
 
 
-def _blobs(mask: Bool) -> tuple[NDArray[np.int32], _Blobs]:
-    """Labels [H, W], and the blobs that fill most of a box about them: bodies and their rims are none."""
+def _blobs(mask: Bool) -> _Blobs:
+    """The blobs of a mask [H, W] that fill most of a box about them: bodies and their rims are none."""
     _, labels, stats, middles = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)
     width, height = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
     compact = (areas >= _SMALLEST_BLOB) & (areas > _COMPACT * np.maximum(width, height) ** 2)
     numbers = np.flatnonzero(compact[1:]) + 1
-    return labels.astype(np.int32, copy=False), _Blobs(numbers, areas[numbers], middles[numbers].astype(np.float64))
+    return _Blobs(labels.astype(np.int32, copy=False), numbers, areas[numbers], middles[numbers].astype(np.float64))
 
 
 _GREY = np.uint8(128)
