@@ -5,6 +5,7 @@
 #include <cstring>
 #include <vector>
 
+#include "../../native/crew.h"
 #include "interface.h"
 #include "overview.h"
 
@@ -22,7 +23,7 @@ class BlockVerdicts {
   BlockVerdicts(
       const CarveRequest &request, const std::vector<Overview> &overviews,
       const std::vector<std::vector<int32_t>> &flags)
-      : r_(request), overviews_(overviews), flags_(flags), dividing_(request.views) {}
+      : r_(request), overviews_(overviews), flags_(flags), dividing_(request.views, 0) {}
 
   // Verdicts on a block; null where all of it is free.
   const uint8_t *of(int64_t block) {
@@ -59,14 +60,14 @@ class BlockVerdicts {
   // Finds the views that may free parts of a block, and says whether any may explain what is left.
   bool divided(int64_t block) {
     int moving = 0, robot = 0, surface = 0;
-    dividing_.clear();
+    dividing_count_ = 0;
     for (int v = 0; v < r_.views; v++) {
       const Sight &sight = r_.sights[v];
       const Overview &overview = overviews_[v];
       const int32_t *ends = sight.windows + 4 * block;
       Extremes all = overview.outside();
       if (ends[0] <= ends[1]) all = joined(all, overview.over(overview.window(ends)));
-      if (sight.near[block] < all.most) dividing_.push_back(v);
+      if (sight.near[block] < all.most) dividing_[dividing_count_++] = v;
       moving += (all.flags & kMoving) != 0;
       robot += (all.flags & kRobot) != 0;
       surface |= all.flags & kSurface;
@@ -76,7 +77,8 @@ class BlockVerdicts {
 
   bool freed_voxel_by_voxel(int64_t first) {
     for (int i = 0; i < kVoxels; i++) open_[i] = 1;
-    for (const int v : dividing_) {
+    for (int k = 0; k < dividing_count_; k++) {
+      const int v = dividing_[k];
       const int32_t *pixels = r_.sights[v].pixels + first;
       const float *depths = r_.sights[v].depths + first, *free_until = r_.sights[v].free_until;
       int32_t left = 0;
@@ -108,7 +110,8 @@ class BlockVerdicts {
   const CarveRequest &r_;
   const std::vector<Overview> &overviews_;
   const std::vector<std::vector<int32_t>> &flags_;
-  std::vector<int> dividing_;
+  std::vector<int> dividing_;  // views that may free parts of the block, the first so many of it
+  int dividing_count_ = 0;
   int32_t open_[kVoxels], moving_[kVoxels], robot_[kVoxels], seen_[kVoxels], surface_[kVoxels], beside_[kVoxels];
   uint8_t verdicts_[kVoxels];
   int likeliest_ = 0;
@@ -122,14 +125,12 @@ inline void carve(const CarveRequest &r) {
     flags.emplace_back(r.sights[v].flags, r.sights[v].flags + r.sights[v].size);
     overviews.emplace_back(r.sights[v]);
   }
-#pragma omp parallel num_threads(r.threads)
-  {
-    BlockVerdicts verdicts(r, overviews, flags);
-#pragma omp for schedule(dynamic, 512)
-    for (int64_t block = 0; block < bx * by * bz; block++) {
-      const uint8_t *found = verdicts.of(block);
+  std::vector<BlockVerdicts> slabs(bx, BlockVerdicts(r, overviews, flags));
+  crew::parallel_for(r.threads, bx, [&](int64_t slab) {
+    for (int64_t block = slab * by * bz; block < (slab + 1) * by * bz; block++) {
+      const uint8_t *found = slabs[slab].of(block);
       if (!found) continue;
-      const int64_t x0 = block / (by * bz) * kBlock, y0 = block / bz % by * kBlock, z0 = block % bz * kBlock;
+      const int64_t x0 = slab * kBlock, y0 = block / bz % by * kBlock, z0 = block % bz * kBlock;
       const int64_t xs = std::min<int64_t>(kBlock, r.nx - x0), ys = std::min<int64_t>(kBlock, r.ny - y0);
       const int64_t zs = std::min<int64_t>(kBlock, r.nz - z0);
       for (int64_t x = 0; x < xs; x++) {
@@ -139,7 +140,7 @@ inline void carve(const CarveRequest &r) {
         }
       }
     }
-  }
+  });
 }
 
 // Lists what moves and what is unknown, in rising order.

@@ -2,9 +2,13 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <mutex>
+#include <new>
 #include <vector>
 
+#include "../../native/crew.h"
 #include "interface.h"
 
 namespace forecast {
@@ -197,20 +201,19 @@ inline std::vector<Task> grow_tasks(const GrowRequest &r) {
 inline void grow(const GrowRequest &r) {
   const std::vector<Task> tasks = grow_tasks(r);
   const int64_t size = static_cast<int64_t>(r.nx) * r.ny * words_of(r.nz);
-  bool short_of_memory = false;
-#pragma omp parallel for schedule(dynamic, 1) num_threads(r.threads)
-  for (int64_t i = 0; i < static_cast<int64_t>(tasks.size()); i++) {
+  std::atomic<bool> short_of_memory{false};
+  std::mutex writing;
+  crew::parallel_for(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
     try {
       Union balls(r, tasks[i]);
       const std::vector<uint64_t> &columns = balls.columns();
       uint64_t *reached = r.reached + tasks[i].layer * size;
-#pragma omp critical(forecast_unite)
+      const std::lock_guard<std::mutex> lock(writing);
       for (int64_t w = 0; w < size; w++) reached[w] |= columns[w];
     } catch (const std::bad_alloc &) {
-#pragma omp atomic write
       short_of_memory = true;
     }
-  }
+  });
   if (short_of_memory) throw std::bad_alloc();
   for (int layer = 0; layer < r.layers; layer++) {
     r.counts[layer] = 0;

@@ -1,6 +1,4 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
-#include <omp.h>
-
 #include <new>
 
 #include "carve.h"
@@ -11,10 +9,8 @@
 
 namespace {
 
-// The runtime is torch's too: after another library's omp_set_dynamic(1) it would take threads away under load.
 template <class Work>
 int32_t guarded(const Work &work) {
-  omp_set_dynamic(0);
   try {
     work();
     return forecast::kOk;
