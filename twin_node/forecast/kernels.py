@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 8
+INTERFACE_VERSION = 9
 
 
 class GrowRequest(ctypes.Structure):
@@ -107,6 +107,28 @@ class HideRequest(ctypes.Structure):
     )
 
 
+class SolveView(ctypes.Structure):
+    """`forecast::SolveView`."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("jacobian", "shifts", "trusts", "receded", "depth_trusts")),
+        ("elapsed_s", c_double),
+        ("axis", c_double * 3),
+    )
+
+
+class SolveRequest(ctypes.Structure):
+    """`forecast::SolveRequest`."""
+
+    _fields_ = (
+        ("parts", c_int64),
+        *((name, c_int32) for name in ("views", "turns")),
+        ("most", c_double),
+        *((name, c_void_p) for name in ("seen", "prior", "prior_sigmas", "whole", "whole_trusts")),
+        *((name, c_void_p) for name in ("velocities", "sigmas")),
+    )
+
+
 class TakeRequest(ctypes.Structure):
     """`forecast::TakeRequest`."""
 
@@ -137,6 +159,8 @@ class Kernels(NativeLibrary):
         self._dll.forecast_count.restype = None
         self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
+        self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
+        self._dll.forecast_solve.restype = None
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
         self._dll.forecast_take.restype = None
 
@@ -173,6 +197,10 @@ class Kernels(NativeLibrary):
     def hide(self, request: HideRequest) -> None:
         """Follows what may be hidden by one state; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_hide(request))
+
+    def solve(self, request: SolveRequest) -> None:
+        """Finds the velocities that views agree on; takes one thread."""
+        self._dll.forecast_solve(request)
 
     def take(self, request: TakeRequest) -> None:
         """Marks the voxels within capsules; takes one thread."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from twin_node.forecast.agreement import Estimate, Sighting, agreed
 from twin_node.forecast.image_motion import ImageMotion, Shifts, near
 from twin_node.forecast.measured import UNKNOWN_SPEED
 from twin_node.forecast.parts import PART_SIZE, Parts
@@ -116,27 +117,6 @@ class _Visible:
 
 
 @dataclass(frozen=True)
-class _Sighting:
-    """What one view says of the motion of M parts since its last image."""
-
-    elapsed_s: float
-    jacobian: Float64
-    """[M, 2, 3] pixels per metre."""
-    shifts: Float64
-    """[M, 2] pixels."""
-    variances: Float64
-    """[M] pixels^2; infinite for parts that it does not show, or did not show before."""
-    shown: Bool
-    """[M]."""
-    axis: Float64
-    """[3] the optical axis in the base frame."""
-    receded: Float64
-    """[M] m by which they went away from the camera."""
-    depths: Float64
-    """[M] m; infinite for parts whose depth was not measured both times."""
-
-
-@dataclass(frozen=True)
 class _Look:
     """One view's newest pair of images, and where it shows parts in the newer one."""
 
@@ -147,7 +127,7 @@ class _Look:
     jacobian: Float64
     """[M, 2, 3] pixels per metre."""
 
-    def sighting(self, expected: Float64) -> _Sighting:
+    def sighting(self, expected: Float64) -> Sighting:
         """What the view says, if it begins its search from velocities [M, 3] (m/s)."""
         shifts = self.motion.shifts(self._guess(expected))
         count, pixels, labels = len(self.jacobian), self.visible.pixels, self.visible.labels
@@ -157,7 +137,7 @@ class _Look:
         receded, depths = _recession(shifts, self.visible, count)
         shown = np.bincount(labels, minlength=count) > 0
         known = np.bincount(labels, found, minlength=count) > _KNOWN * np.bincount(labels, minlength=count)
-        return _Sighting(
+        return Sighting(
             self.elapsed_s,
             self.jacobian,
             np.stack([_mean(labels, moved[:, axis], weight, count) for axis in range(2)], axis=1),
@@ -168,7 +148,7 @@ class _Look:
             depths,
         )
 
-    def has_lost(self, sighting: _Sighting, velocities: Float64) -> bool:
+    def has_lost(self, sighting: Sighting, velocities: Float64) -> bool:
         """Whether some part went further, at velocities [M, 3], than flow finds it, and another way than it says."""
         gone = np.einsum("mki,mi->mk", self.jacobian, velocities) * self.elapsed_s
         far = np.linalg.norm(gone, axis=1)
@@ -199,38 +179,10 @@ class _Look:
         return np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), overall).astype(np.float32)
 
 
-def _solve(sightings: Sequence[_Sighting], expected: Moving, whole: Whole) -> Moving:
-    """What the sightings, the wholes and what is expected agree on best (Cauchy's loss by reweighting)."""
-    prior = expected.velocities
-    designs = [sighting.jacobian * sighting.elapsed_s for sighting in sightings]
-    trusts = [1 / one.variances for one in sightings]
-    depth_trusts = [one.elapsed_s**2 / _recession_variance(one) for one in sightings]
-    velocities = prior
-    for turn in range(_TURNS):
-        own = 1 / (expected.sigmas**2 + ((velocities - prior) ** 2).sum(axis=1))
-        seen = whole.trusts / (1 + whole.trusts * ((velocities - whole.velocities) ** 2).sum(axis=1) * (turn > 0))
-        normal = (own + seen)[:, None, None] * np.eye(3)
-        right = own[:, None] * prior + seen[:, None] * whole.velocities
-        for one, design, trust, depth_trust in zip(sightings, designs, trusts, depth_trusts, strict=True):
-            misfit = np.einsum("mki,mi->mk", design, velocities) - one.shifts
-            doubted = trust / (1 + trust * (misfit**2).sum(axis=1)) if turn else trust
-            scaled = design * doubted[:, None, None]
-            normal += np.einsum("mki,mkj->mij", scaled, design)
-            right += np.einsum("mki,mk->mi", scaled, one.shifts)
-            away = velocities @ one.axis - one.receded / one.elapsed_s
-            doubted = depth_trust / (1 + depth_trust * away**2) if turn else depth_trust
-            normal += doubted[:, None, None] * np.outer(one.axis, one.axis)
-            right += (doubted * one.receded / one.elapsed_s)[:, None] * one.axis
-        inverse = np.linalg.inv(normal)
-        velocities = (inverse @ right[..., None])[..., 0]
-    sigmas = np.minimum(np.sqrt(np.einsum("mii->m", inverse) / 3), UNKNOWN_SPEED)
-    return Moving(velocities, sigmas, whole.flying, whole.followed)
-
-
-def _recession_variance(sighting: _Sighting) -> Float64:
-    """[M] m^2."""
-    sigma: Float64 = _DEPTH_SIGMA + _DEPTH_SHARE * sighting.depths
-    return sigma**2
+def _solve(sightings: Sequence[Sighting], expected: Moving, whole: Whole) -> Moving:
+    """What the sightings, the wholes and what is expected agree on best."""
+    found = agreed(sightings, Estimate(expected.velocities, expected.sigmas), whole)
+    return Moving(found.velocities, found.sigmas, whole.flying, whole.followed)
 
 
 def _recession(shifts: Shifts, visible: _Visible, count: int) -> tuple[Float64, Float64]:
@@ -314,13 +266,9 @@ _FOUND, _ASTRAY = 5.0, 0.35
 than the second, as a share of the way."""
 _ACCELERATION = 5.0
 """By which velocities change, m/s^2."""
-_DEPTH_SIGMA, _DEPTH_SHARE = 0.02, 0.02
-"""Error of the change of a part's depth, m and as a share of the depth."""
 _FASTEST = 8.0
 """Along the optical axis what goes faster is taken for another surface, m/s."""
 _KNOWN = 0.3
 """Share of a part's pixels that must be found in the image before."""
 _FEWEST = 2
 """Voxels that must have been measured to know a part's depth."""
-_TURNS = 4
-"""Rounds of reweighting."""

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 8;
+constexpr int32_t kInterfaceVersion = 9;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -107,6 +107,28 @@ struct HideRequest {
   float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
   uint8_t *maybe_full;                           // [nx, ny, nz] not known to be empty, before and after
   uint8_t *reachable;                            // [nx, ny, nz] something may come out
+};
+
+// What one view says of the motion of parts since its last image.
+struct SolveView {
+  const double *jacobian;      // [parts, 2, 3] pixels per metre
+  const double *shifts;        // [parts, 2] pixels
+  const double *trusts;        // [parts] 1 / pixels^2
+  const double *receded;       // [parts] m by which they went away from the camera
+  const double *depth_trusts;  // [parts] s^2 / m^2
+  double elapsed_s;
+  double axis[3];  // of the camera
+};
+
+// Velocities of parts that all views agree on best, beside what was expected of them and of wholes.
+struct SolveRequest {
+  int64_t parts;
+  int32_t views, turns;
+  double most;  // standard deviation, m/s
+  const SolveView *seen;
+  const double *prior, *prior_sigmas;  // [parts, 3] m/s, [parts] m/s
+  const double *whole, *whole_trusts;  // [parts, 3] m/s, [parts] s^2 / m^2
+  double *velocities, *sigmas;         // [parts, 3] m/s, [parts] m/s
 };
 
 // The voxels whose middles lie within some capsules.

@@ -6,6 +6,7 @@
 #include "grow.h"
 #include "hide.h"
 #include "own.h"
+#include "solve.h"
 
 namespace {
 
@@ -51,6 +52,8 @@ int32_t forecast_fit(const forecast::FitRequest *request) {
 int32_t forecast_hide(const forecast::HideRequest *request) {
   return guarded([&] { forecast::hide(*request); });
 }
+
+void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }
 
 void forecast_take(const forecast::TakeRequest *request) { forecast::take(*request); }
 }

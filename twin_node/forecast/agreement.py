@@ -1,0 +1,112 @@
+"""What all views together say of the velocities of parts: least squares with Cauchy's loss, by reweighting."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.forecast import kernels
+from twin_node.forecast.measured import UNKNOWN_SPEED
+from twin_node.forecast.things import Whole
+from twin_node.scene import Bool, Float64
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one view says of the motion of M parts since its last image."""
+
+    elapsed_s: float
+    jacobian: Float64
+    """[M, 2, 3] pixels per metre."""
+    shifts: Float64
+    """[M, 2] pixels."""
+    variances: Float64
+    """[M] pixels^2; infinite for parts that it does not show, or did not show before."""
+    shown: Bool
+    """[M]."""
+    axis: Float64
+    """[3] the optical axis in the base frame."""
+    receded: Float64
+    """[M] m by which they went away from the camera."""
+    depths: Float64
+    """[M] m; infinite for parts whose depth was not measured both times."""
+
+    @property
+    def depth_trusts(self) -> Float64:
+        """[M] s^2/m^2, the inverse of the variance of the velocities along the axis; 0 where it was not measured."""
+        sigma: Float64 = _DEPTH_SIGMA + _DEPTH_SHARE * self.depths
+        return self.elapsed_s**2 / sigma**2
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Velocities of M parts."""
+
+    velocities: Float64
+    """[M, 3] m/s."""
+    sigmas: Float64
+    """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
+
+
+def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+    """What the sightings, the wholes and what is expected agree on best.
+
+    Compiled; `agreed_plainly` where that cannot be, the same but for rounding.
+    """
+    compiled = kernels.kernels()
+    if compiled is None:
+        return agreed_plainly(sightings, expected, whole)
+    given = (kernels.SolveView * len(sightings))()
+    held = [_arrays(one) for one in sightings]  # alive until the call is over
+    for row, (one, arrays) in enumerate(zip(sightings, held, strict=True)):
+        axis = (ctypes.c_double * 3)(*one.axis)
+        given[row] = kernels.SolveView(*(array.ctypes.data for array in arrays), one.elapsed_s, axis)
+    told = (expected.velocities, expected.sigmas, whole.velocities, whole.trusts)
+    arrays = tuple(np.ascontiguousarray(array, np.float64) for array in told)
+    found = Estimate(np.empty((len(expected.sigmas), 3)), np.empty(len(expected.sigmas)))
+    addresses = (array.ctypes.data for array in (*arrays, found.velocities, found.sigmas))
+    sizes = (len(expected.sigmas), len(sightings), _TURNS, UNKNOWN_SPEED)
+    compiled.solve(kernels.SolveRequest(*sizes, ctypes.addressof(given), *addresses))
+    return found
+
+
+def _arrays(one: Sighting) -> tuple[Float64, ...]:
+    """In the order of `kernels.SolveView`."""
+    given = (one.jacobian, one.shifts, 1 / one.variances, one.receded, one.depth_trusts)
+    return tuple(np.ascontiguousarray(array, np.float64) for array in given)
+
+
+def agreed_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+    """What `agreed` does."""
+    prior = expected.velocities
+    designs = [sighting.jacobian * sighting.elapsed_s for sighting in sightings]
+    velocities = prior
+    for turn in range(_TURNS):
+        own = 1 / (expected.sigmas**2 + ((velocities - prior) ** 2).sum(axis=1))
+        seen = whole.trusts / (1 + whole.trusts * ((velocities - whole.velocities) ** 2).sum(axis=1) * (turn > 0))
+        normal = (own + seen)[:, None, None] * np.eye(3)
+        right = own[:, None] * prior + seen[:, None] * whole.velocities
+        for one, design in zip(sightings, designs, strict=True):
+            trust, depth_trust = 1 / one.variances, one.depth_trusts
+            misfit = np.einsum("mki,mi->mk", design, velocities) - one.shifts
+            doubted = trust / (1 + trust * (misfit**2).sum(axis=1)) if turn else trust
+            scaled = design * doubted[:, None, None]
+            normal += np.einsum("mki,mkj->mij", scaled, design)
+            right += np.einsum("mki,mk->mi", scaled, one.shifts)
+            away = velocities @ one.axis - one.receded / one.elapsed_s
+            doubted = depth_trust / (1 + depth_trust * away**2) if turn else depth_trust
+            normal += doubted[:, None, None] * np.outer(one.axis, one.axis)
+            right += (doubted * one.receded / one.elapsed_s)[:, None] * one.axis
+        inverse = np.linalg.inv(normal)
+        velocities = (inverse @ right[..., None])[..., 0]
+    sigmas = np.minimum(np.sqrt(np.einsum("mii->m", inverse) / 3), UNKNOWN_SPEED)
+    return Estimate(velocities, sigmas)
+
+
+_DEPTH_SIGMA, _DEPTH_SHARE = 0.02, 0.02
+"""Error of the change of a part's depth, m and as a share of the depth."""
+_TURNS = 4
+"""Rounds of reweighting."""
