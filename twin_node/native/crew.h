@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
@@ -53,10 +54,10 @@ class Crew {
   };
 
   // Runs `job` as part 0 here and as parts 1 ... parts - 1 by whom of the helpers comes in time; returns when no helper
-  // works on it any more. False, and nothing done, where another loop has the crew.
+  // works on it any more. False, and nothing done, where another loop has the crew or it has kept loops waiting of late.
   bool run(const Job &job, int parts) {
     std::unique_lock<std::mutex> owner(owner_, std::try_to_lock);
-    if (!owner.owns_lock()) return false;
+    if (!owner.owns_lock() || is_dismissed()) return false;
     hire(parts - 1);
     job_ = job;
     parts_ = parts;
@@ -65,18 +66,37 @@ class Crew {
       { std::lock_guard<std::mutex> lock(door_); }
       wake_.notify_all();
     }
+    const auto begun = Clock::now();
     job.work(job.context, 0);
     state_.fetch_sub(kOpen);
-    for (int spins = 0; (state_.load(std::memory_order_acquire) & kInside) != 0; spins++) {
-      spins < kSpins ? relax() : std::this_thread::yield();
-    }
+    const auto done = Clock::now();
+    settle();
+    judge(done - begun, Clock::now() - done);
     loops_.fetch_add(1, std::memory_order_relaxed);
     return true;
   }
 
  private:
   static constexpr uint32_t kOpen = 1u << 16, kInside = kOpen - 1;
-  static constexpr int kSpins = 2000;
+  static constexpr int kSpins = 1000;
+
+  using Clock = std::chrono::steady_clock;
+  static constexpr int kMostAlone = 512;
+  static constexpr std::chrono::microseconds kSlack{50};
+
+  // Whether this loop is one of those that are done without helpers.
+  bool is_dismissed() {
+    if (alone_ == 0) return false;
+    alone_--;
+    return true;
+  }
+
+  // Who waits longer than it has worked had helpers that were not scheduled. The next loops are done without, more each
+  // time that this is found again.
+  void judge(Clock::duration worked, Clock::duration waited) {
+    doubt_ = waited > worked + kSlack ? std::min(2 * doubt_ + 8, kMostAlone) : doubt_ / 2;
+    alone_ = waited > worked + kSlack ? doubt_ : 0;
+  }
 
   void hire(int wanted) {
     while (static_cast<int>(hired_) < wanted) {
@@ -95,8 +115,24 @@ class Crew {
       if ((state & kOpen) == 0) continue;
       seen = loops_.load(std::memory_order_relaxed) + 1;
       if (part < parts_) job_.work(job_.context, part);
-      state_.fetch_sub(1, std::memory_order_release);
+      if ((state_.fetch_sub(1) & kInside) == 1 && is_waiting_.load()) {
+        { std::lock_guard<std::mutex> lock(door_); }
+        left_.notify_one();
+      }
     }
+  }
+
+  // Until no helper is inside. Asleep after a while: a core that its caller keeps busy draws no helper that waits for one.
+  void settle() {
+    const auto is_empty = [this] { return (state_.load() & kInside) == 0; };
+    for (int spins = 0; spins < kSpins; spins++) {
+      if (is_empty()) return;
+      relax();
+    }
+    std::unique_lock<std::mutex> lock(door_);
+    is_waiting_.store(true);
+    left_.wait(lock, is_empty);
+    is_waiting_.store(false);
   }
 
   // Until a loop begins that is not one that has been `seen`.
@@ -115,10 +151,11 @@ class Crew {
   }
 
   std::mutex owner_, door_;
-  std::condition_variable wake_;
+  std::condition_variable wake_, left_;
   std::atomic<uint32_t> state_{0}, loops_{0};
   std::atomic<int> asleep_{0};
-  int hired_ = 0, parts_ = 0;
+  std::atomic<bool> is_waiting_{false};
+  int hired_ = 0, parts_ = 0, doubt_ = 0, alone_ = 0;
   Job job_{};
 };
 
