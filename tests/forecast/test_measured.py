@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twin_node.bag.trajectories import read_trajectories
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.measured import UNKNOWN_SPEED, Measured
-from twin_node.scene import Float64
+from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, start_radii
 
 HORIZON = 0.2
 REACHABLE = 0.12
+RESTING_SPEED = 0.15
+"""What is slower rests, m/s."""
 
 
 def of(sigma: float, flying: bool = False, alone: bool = False) -> Measured:
@@ -57,5 +62,20 @@ def test_newcomers_are_untried_or_flying_until_a_record_says_otherwise() -> None
 
 def test_limbs_may_start_at_any_time_and_what_is_seen_as_a_whole_does_not() -> None:
     together = Measured(np.zeros(2), np.zeros(2, np.bool_), np.array([False, True]))
-    least: Float64 = together.start(HORIZON)
-    assert least[0] > REACHABLE > least[1] == 0
+    soon, late = together.start(np.array([0.03, HORIZON]))
+    assert late[0] > soon[0] == 0
+    assert late[1] == soon[1] == 0
+
+
+@pytest.mark.parametrize("horizon_s", [0.133, 0.233, 0.333])
+def test_people_at_rest_start_no_quicker(horizon_s: float, recordings: Path) -> None:
+    """Real motion, from rest: trunk and head stay within the radius, hands and forearms as a rule (99 and 80 %)."""
+    recorded = read_trajectories(recordings / "mocap" / "01_01.bvh")
+    period_s = float(np.median(np.diff(recorded.times)))
+    before, ahead = round(0.1 / period_s), round(horizon_s / period_s)
+    here = recorded.positions[before:-ahead]
+    resting = np.linalg.norm(here - recorded.positions[: -before - ahead], axis=-1) < 0.1 * RESTING_SPEED
+    stayed = np.linalg.norm(recorded.positions[before + ahead :] - here, axis=-1) <= start_radii(np.array([horizon_s]))
+    for names, least in ((("Head", "Neck", "Spine", "Hips", "LeftArm", "RightArm"), 0.99), (("Hand", "ForeArm"), 0.8)):
+        columns = [row for row, name in enumerate(recorded.names) if any(one in name for one in names)]
+        assert stayed[:, columns][resting[:, columns]].mean() >= least

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from forecast_worlds import GRID, RIG, ball_depth, ball_voxels, state_of
 
@@ -25,7 +27,7 @@ def occupancy(now: np.ndarray, later: np.ndarray, stamp: int = 0) -> Occupancy:
 def test_points_inside_outside_new_and_off_the_grid() -> None:
     held, missed = GRID.centers(np.array([10, 500])), GRID.centers(np.array([900]))
     points = np.concatenate([held, missed, [[50.0, 0, 0]], [[np.nan, 0, 0]]])
-    score = score_points(GRID, layer(np.array([10, 500, 700])), points, np.array([10]))
+    score = score_points(GRID, np.array([10, 500, 700]), points, np.array([10]))
     assert (score.found, score.of, score.new_found, score.new_of) == (2, 3, 1, 2)
 
 
@@ -107,6 +109,18 @@ def test_forecasts_are_scored_when_their_time_has_come() -> None:
     assert scores["whole"].error_mm == 0.0
     assert (scores["half"].error_mm or 0) > 0
     assert (scores["whole"].iou or 0) > (scores["half"].iou or 1)
+
+
+def test_what_was_published_as_standing_is_held_too() -> None:
+    ball = ball_voxels(CENTER)
+    half = occupancy(ball[: len(ball) // 2], ball[: len(ball) // 2])
+    comparison = Comparison(BallTruth(), "moving")
+    stands = replace(half, static=layer(ball[len(ball) // 2 :]))
+    comparison.add(state_of(0, CENTER), {"moving": half, "moving and standing": stands})
+    comparison.add(state_of(200_000_000, CENTER), {})
+    scores = comparison.scores()
+    assert scores["moving"].recall == scores["moving"].recall_held == scores["moving and standing"].recall
+    assert scores["moving and standing"].recall_held == 1.0
 
 
 def test_new_is_what_was_not_truly_occupied_where_the_truth_knows() -> None:

@@ -68,8 +68,8 @@ def test_the_forecast_holds_the_person_now_and_200_ms_ahead(states: list[TwinSta
             continue
         others = baselines.update(state, state.stamp)
         before = others.persistence.layers[0].indices
-        now.append(score_points(grid, occupancy.layers[0], markers[frame], before))
-        later.append(score_points(grid, occupancy.layers[-1], markers[frame + 12], before))
+        now.append(score_points(grid, occupancy.layers[0].indices, markers[frame], before))
+        later.append(score_points(grid, occupancy.layers[-1].indices, markers[frame + 12], before))
         ours.append(len(occupancy.layers[-1].indices))
         worst.append(len(others.worst_case.layers[-1].indices))
     assert sum(score.found for score in now) >= 0.85 * sum(score.of for score in now)

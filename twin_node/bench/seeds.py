@@ -111,10 +111,10 @@ class SeedScores:
         return float(np.mean(known)) / self._equal_recall_l if known and self._equal_recall_l else None
 
     @property
-    def cells(self) -> tuple[str, str, str]:
-        """Recall, recall of new space and volume ratio for the table."""
+    def cells(self) -> tuple[str, ...]:
+        """Recall, the same with what stands, recall of new space and volume ratio for the table."""
         ratio = "" if self.volume_ratio is None else f"{self.volume_ratio:.2f}"
-        return _percent(self.ours.get("recall")), _percent(self.ours.get("recall_new")), ratio
+        return (*(_percent(self.ours.get(name)) for name in ("recall", "recall_held", "recall_new")), ratio)
 
     @property
     def _equal_recall_l(self) -> float | None:
@@ -126,8 +126,9 @@ class SeedScores:
 
 
 HEADINGS = (
-    *("scenario", "recall", "of new space", "of equal recall", "moving"),
-    *("whole things: recall", "of new space", "of equal recall", "vacated free, p95", "unseen not free"),
+    *("scenario", "recall", "with what stands", "of new space", "of equal recall", "moving"),
+    *("whole things: recall", "with what stands", "of new space", "of equal recall"),
+    *("vacated free, p95", "unseen not free"),
 )
 
 

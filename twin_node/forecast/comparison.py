@@ -46,6 +46,8 @@ class Score:
 
     recall: float | None
     """Share of the true points that lay inside the forecast made 200 ms before."""
+    recall_held: float | None
+    """Share that lay inside it or in what was published as standing, as all is that rests for long."""
     recall_now: float | None
     """Share that lay inside the layer for the time of publication."""
     recall_new: float | None
@@ -132,6 +134,7 @@ class _Tally:
     now_of: int = 0
     found: int = 0
     of: int = 0
+    held: int = 0
     new_found: int = 0
     new_of: int = 0
     blocked: list[float] = field(default_factory=list)
@@ -150,12 +153,14 @@ class _Tally:
     def add_points(self, forecast: Occupancy, before: UInt32, now: Float64 | None, later: Float64 | None) -> None:
         grid, first, last = forecast.grid, forecast.layers[0], forecast.layers[-1]
         if now is not None:
-            score = score_points(grid, first, now, before)
+            score = score_points(grid, first.indices, now, before)
             self.now_found, self.now_of = self.now_found + score.found, self.now_of + score.of
         if later is not None:
-            score = score_points(grid, last, later, before)
+            score = score_points(grid, last.indices, later, before)
             self.found, self.of = self.found + score.found, self.of + score.of
             self.new_found, self.new_of = self.new_found + score.new_found, self.new_of + score.new_of
+            blocked = np.concatenate([last.indices, forecast.static.indices])
+            self.held += score_points(grid, blocked, later, before).found
             errors = nearest_error(grid, last, later)
             self.errors.extend(errors.tolist())
 
@@ -169,6 +174,7 @@ class _Tally:
     def score(self) -> Score:
         return Score(
             recall=_share(self.found, self.of),
+            recall_held=_share(self.held, self.of),
             recall_now=_share(self.now_found, self.now_of),
             recall_new=_share(self.new_found, self.new_of),
             volume_l=_mean(self.blocked),

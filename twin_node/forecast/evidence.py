@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED
@@ -15,6 +16,7 @@ from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
 from twin_node.forecast.part_velocities import Moving, PartVelocities
 from twin_node.forecast.parts import Parts, split
+from twin_node.forecast.resting import Resting
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
@@ -38,6 +40,8 @@ class Evidence:
     """[r, 2] runs of flat indices that nothing frees and nothing explains."""
     hidden: Hidden
     """What may be in these."""
+    resting: NDArray[np.int64]
+    """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ class Observer:
         self._velocities = PartVelocities(self.tables)
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
+        self._resting = Resting(self.grid)
         self._standing: _Standing | None = None
         self._last_centers = np.zeros((0, 3))
         self._last = Moving.unknown(0)
@@ -96,6 +101,7 @@ class Observer:
         unknown &= ~stands
         moving[carved.moving] = True
         hidden = self._hiding.update(state.stamp, unknown, moving, stands)
+        limbs = parts.likely & ~motion.alone[parts.labels]
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),
@@ -103,7 +109,12 @@ class Observer:
             static=self._standing.inner,
             unknown_runs=encode_runs(self.margin.cropped(unknown)),
             hidden=hidden.masked(self.margin.cropped),
+            resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
+
+    def places(self, indices: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of flat `indices` [n] in the outer."""
+        return self.margin.places(np.stack(np.unravel_index(indices, self.grid.dims)).astype(np.int32))
 
     def _without_arm(self, state: TwinState, carved: Carved) -> Carved:
         """What is left when the arm's own space is taken out: its shadow stays unknown."""

@@ -34,6 +34,16 @@ class Points:
     core: Bool
     """[n] whether it makes its voxel a core."""
 
+    def beside(self, places: NDArray[np.int32], label: int) -> Points:
+        """These, and others at `places` [3, m] of one more part: no cores."""
+        count = places.shape[1]
+        labels, core = np.full(count, label, np.int64), np.zeros(count, np.bool_)
+        return Points(
+            np.concatenate([self.places, places], axis=1),
+            np.concatenate([self.labels, labels]),
+            np.concatenate([self.core, core]),
+        )
+
 
 PER_VOXEL = 4
 """Units of reach in a voxel's edge."""

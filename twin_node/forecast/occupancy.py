@@ -15,7 +15,7 @@ from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Held, Judgement, Watch
-from twin_node.forecast.measured import Measured
+from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.obstacles import Motion, Sighted
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Prediction, Predictor
@@ -130,7 +130,8 @@ class Forecaster:
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
-        self._sighted = Sighted(self._observer.grid, evidence.parts.indices)
+        may_start = evidence.resting if has_depth else np.zeros(0, np.int64)
+        self._sighted = Sighted(self._observer.grid, np.union1d(evidence.parts.indices, may_start))
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         motion = evidence.motion
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
@@ -141,7 +142,7 @@ class Forecaster:
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
         prediction = self._predict(horizons)
-        layers = self._layers(evidence, prediction)
+        layers = self._layers(evidence, prediction, may_start, start_radii(horizons))
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]
         ahead = evidence.parts.centers + prediction.displacements[-1]
@@ -226,15 +227,21 @@ class Forecaster:
         may_turn: Bool = prediction.turning | left
         return may_turn
 
-    def _layers(self, evidence: Evidence, prediction: Prediction) -> tuple[OccupancyLayer, ...]:
+    def _layers(
+        self, evidence: Evidence, prediction: Prediction, may_start: NDArray[np.int64], started: Float64
+    ) -> tuple[OccupancyLayer, ...]:
         """Every part moved on by the experts, widened by the bound and held where it may turn back, per horizon.
 
         Rims, which only errors of the carving add, go with their parts and are widened little: what moves is elsewhere.
+        What rests at `may_start` (flat indices [n] of the outer grid) is widened by `started` [H] (m).
         """
-        moved = np.concatenate([prediction.displacements, prediction.displacements], axis=1)
-        radii = np.concatenate([prediction.radii, np.minimum(prediction.radii, RIM_RADIUS)], axis=1)
-        may_turn = np.tile(self._may_turn(evidence, prediction), 2)
-        ways = whole_ways(evidence.parts.points_and_rims, moved, radii, may_turn)
+        still = np.zeros((len(started), 1, 3))
+        moved = np.concatenate([prediction.displacements, prediction.displacements, still], axis=1)
+        rims = np.minimum(prediction.radii, RIM_RADIUS)
+        radii = np.concatenate([prediction.radii, rims, started[:, None]], axis=1)
+        may_turn = np.append(np.tile(self._may_turn(evidence, prediction), 2), False)
+        points = evidence.parts.points_and_rims.beside(self._observer.places(may_start), 2 * evidence.parts.count)
+        ways = whole_ways(points, moved, radii, may_turn)
         shifts, reaches = shifts_of(self.grid, ways.displacements), reach_of(self.grid, ways.radii)
         spreads = spread(self.grid, ways.points, shifts, reaches)
         layers = []

@@ -242,17 +242,23 @@ class Predictor:
         last = float(horizons[-1])
         radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
-        return Prediction(mixed, shares[:, None] * radii, self._turning)
+        return Prediction(mixed, np.maximum(shares[:, None] * radii, self._start(horizons)), self._turning)
+
+    def _start(self, horizons: Float64) -> Float64:
+        """[H, M] m, or 0 where nothing is known of velocities: how far what rests may get if it starts."""
+        count = self._history.positions.shape[1]
+        least = np.zeros((len(horizons), count)) if self._measured is None else self._measured.start(horizons)
+        return np.minimum(least, self.bound.parameters.largest_radius)
 
     def _radii(self, horizon_s: float, factor: float = 1.0) -> Float64:
-        """[M] m."""
+        """[M] m, but for what may start."""
         radii = self.bound.radii(self._cues, self._ages, horizon_s, factor)
         wary = self._history.times[-1] - self._records.turned < _WARY * horizon_s
         radii = np.where(wary, np.maximum(radii, self.bound.reachable(horizon_s)), radii)
         if self._measured is not None:
             spread, speeds = np.exp(self._cues[:, 1]) - LEAST, np.linalg.norm(self._history.line[0], axis=-1)
             reach = self._measured.reach(spread, speeds, self.bound.reachable(horizon_s), horizon_s)
-            radii = np.maximum(np.where(self._newcomers, reach, radii), self._measured.start(horizon_s))
+            radii = np.where(self._newcomers, reach, radii)
         return np.minimum(radii, self.bound.parameters.largest_radius)
 
     @property
@@ -294,7 +300,7 @@ class Predictor:
         mixed = np.einsum("em,ekmc->kmc", self.weights, single, optimize=True)
         self._cues = _cues_of(single[:, -1], mixed[-1], self._records.errors, self._around)
         time, count = float(self._history.times[-1]), len(mixed[0])
-        radii = self._radii(self._horizon_s)
+        radii = np.maximum(self._radii(self._horizon_s), self._start(np.array([self._horizon_s]))[0])
         here, rows = self._history.positions[-1], np.arange(count)
         turning, span = self._turning, self._horizon_s
         forecast = (self._features, single, mixed, self._cues, radii, turning, self._factor)

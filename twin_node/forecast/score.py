@@ -28,15 +28,15 @@ class PointScore:
     """All points whose voxel was not."""
 
 
-def score_points(grid: Grid, layer: OccupancyLayer, points: Float64, before: NDArray[np.integer]) -> PointScore:
-    """Scores `layer` against points [n, 3] (m) that are occupied at its time; `before` [m]: voxels occupied already.
+def score_points(grid: Grid, forecast: NDArray[np.integer], points: Float64, before: NDArray[np.integer]) -> PointScore:
+    """Scores voxels `forecast` [k] (flat indices) against points [n, 3] (m) that are occupied at their time.
 
-    Points that are not finite or outside the grid do not count.
+    `before` [m]: voxels occupied already. Points that are not finite or outside the grid do not count.
     """
     finite = points[np.isfinite(points).all(axis=1)]
     places = grid.indices(finite)
     places = places[places >= 0]
-    held = contains(grid, layer.indices, places)
+    held = contains(grid, forecast, places)
     new = ~contains(grid, before, places)
     return PointScore(int(held.sum()), len(places), int((held & new).sum()), int(new.sum()))
 

@@ -1,0 +1,69 @@
+"""What moved and stands now may start again: people who keep still, not the furniture about them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from forecast_worlds import GRID, ball_voxels, state_of
+
+from twin_node.forecast import Forecaster
+from twin_node.forecast.resting import RESTING_S, Resting
+from twin_node.scene import Bool, Occupancy, TwinState
+
+STEP_NS = 33_333_333
+LATENCY_NS = 33_000_000
+PERSON_M, BALL_M = 0.28, 0.1
+"""Radii of a body too large to be followed as a whole, and of one that is not."""
+
+
+def standing(*voxels: int) -> Bool:
+    mask = np.zeros(GRID.size, np.bool_)
+    mask[list(voxels)] = True
+    return mask
+
+
+def test_what_stands_where_something_moved_is_resting_until_it_is_forgotten() -> None:
+    resting, nothing = Resting(GRID), np.zeros(0, np.int64)
+    assert resting.update(0, np.array([5, 6]), standing(7)).tolist() == []
+    assert resting.update(STEP_NS, nothing, standing(5, 7)).tolist() == [5]
+    almost = round(RESTING_S * 1e9) - 1
+    assert resting.update(almost, nothing, standing(5, 7)).tolist() == [5]
+    assert resting.update(almost + 1, nothing, standing(5, 7)).tolist() == []
+
+
+def test_what_stood_all_along_is_none_though_something_passed_over_it() -> None:
+    resting, nothing = Resting(GRID), np.zeros(0, np.int64)
+    resting.update(0, np.array([5, 6]), standing(5))
+    assert resting.update(STEP_NS, nothing, standing(5)).tolist() == []
+
+
+def comes_and_rests(radius: float, rest_s: float) -> tuple[Forecaster, Occupancy]:
+    """A body that moves for half a second and then looks as furniture does."""
+    forecaster, moving_sets = Forecaster(GRID), 15
+    for tick in range(moving_sets + round(rest_s * 1e9 / STEP_NS)):
+        place = np.array([-0.25 + 0.02 * min(tick, moving_sets), 0.05, 0.45])
+        state: TwinState = state_of(tick * STEP_NS, place, radius, with_depth=True)
+        if tick > moving_sets:
+            state = replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
+        occupancy = forecaster.update(state, state.stamp + LATENCY_NS)
+    return forecaster, occupancy
+
+
+def held(occupancy: Occupancy, radius: float, layer: int) -> float:
+    """Share of the voxels about where the body came to rest that a moving layer holds."""
+    return float(np.isin(ball_voxels(np.array([0.05, 0.05, 0.45]), radius), occupancy.layers[layer].indices).mean())
+
+
+def test_a_person_who_keeps_still_is_expected_to_start_again() -> None:
+    forecaster, occupancy = comes_and_rests(PERSON_M, rest_s=1.5)
+    assert len(forecaster.motion.centers) == 0  # no part of it is seen to move
+    assert held(occupancy, PERSON_M + 0.12, layer=-1) > 0.9
+    assert len(occupancy.layers[0].indices) < len(occupancy.layers[-1].indices)
+    sighted = forecaster.sighted
+    assert sighted is not None and len(sighted.indices) > 0  # the proof by sight counts it too
+
+
+def test_a_ball_that_rolled_to_rest_is_not() -> None:
+    _, occupancy = comes_and_rests(BALL_M, rest_s=1.5)
+    assert held(occupancy, BALL_M, layer=-1) == 0
