@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 9
+INTERFACE_VERSION = 10
 
 
 class GrowRequest(ctypes.Structure):
@@ -129,6 +129,19 @@ class SolveRequest(ctypes.Structure):
     )
 
 
+class MarkRequest(ctypes.Structure):
+    """`forecast::MarkRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height", "finer", "nx", "ny", "nz")),
+        ("voxel_size", c_double),
+        *(
+            (name, c_void_p)
+            for name in ("origin", "depth", "chosen", "across", "down", "focal", "T_base_cam", "marked")
+        ),
+    )
+
+
 class TakeRequest(ctypes.Structure):
     """`forecast::TakeRequest`."""
 
@@ -159,6 +172,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_count.restype = None
         self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
+        self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
         self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
         self._dll.forecast_solve.restype = None
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
@@ -197,6 +211,10 @@ class Kernels(NativeLibrary):
     def hide(self, request: HideRequest) -> None:
         """Follows what may be hidden by one state; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_hide(request))
+
+    def mark(self, request: MarkRequest) -> None:
+        """Marks the voxels that a view measures surfaces in; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_mark(request))
 
     def solve(self, request: SolveRequest) -> None:
         """Finds the velocities that views agree on; takes one thread."""

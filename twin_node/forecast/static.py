@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver
-from twin_node.scene import Float32, Grid, OccupancyLayer, Tier, TwinState, View
+from twin_node.forecast.kernels import MarkRequest, kernels
+from twin_node.scene import Bool, Float32, Grid, OccupancyLayer, Tier, TwinState, View
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,7 @@ class StaticSpace:
             if view.depth is None:
                 continue
             still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
-            found = self.grid.indices(unproject(view, still))
-            self._surfaces[found[found >= 0]] = True
+            mark(self.grid, self._surfaces, view, still)
 
     def _gaussian_voxels(self, state: TwinState) -> NDArray[np.int64]:
         """Voxels within one standard deviation of the opaque STATIC Gaussians."""
@@ -69,6 +69,37 @@ class StaticSpace:
         chosen &= cloud.scales.max(axis=1, initial=0) < 20 * self.grid.voxel_size
         found = self.grid.indices(cloud.means[chosen])
         return found[found >= 0]
+
+
+def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
+    """Sets the voxels in a flat mask [grid.size] that hold what a view with depth measures in `where` [H, W].
+
+    Compiled; `mark_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        mark_plainly(grid, marked, view, where)
+        return
+    assert view.depth is not None
+    height, width = view.depth.shape
+    K, T = view.camera.K, view.camera.T_base_cam
+    arrays: tuple[NDArray[np.generic], ...] = (
+        np.ascontiguousarray(grid.origin, np.float64),
+        np.ascontiguousarray(view.depth, np.float32),
+        np.ascontiguousarray(where, np.bool_),
+        *(_from_middle(np.arange(size * FINER), center) for size, center in ((width, K[0, 2]), (height, K[1, 2]))),
+        K[[0, 1], [0, 1]].astype(np.float32),
+        np.ascontiguousarray(T[:3], np.float32),
+        marked,
+    )
+    sizes = (width, height, FINER, *grid.dims, grid.voxel_size)
+    compiled.mark(MarkRequest(*sizes, *(array.ctypes.data for array in arrays)))
+
+
+def mark_plainly(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
+    """What `mark` does."""
+    found = grid.indices(unproject(view, where))
+    marked[found[found >= 0]] = True
 
 
 FINER = 3
@@ -82,6 +113,11 @@ def unproject(view: View, where: NDArray[np.bool_], finer: int = FINER) -> Float
     rows, columns = np.nonzero(fine)
     z = view.depth[rows // finer, columns // finer]
     K, T = view.camera.K, view.camera.T_base_cam
-    x = ((columns + 0.5) / finer - K[0, 2]).astype(np.float32) * z / np.float32(K[0, 0])
-    y = ((rows + 0.5) / finer - K[1, 2]).astype(np.float32) * z / np.float32(K[1, 1])
+    x = _from_middle(columns, K[0, 2], finer) * z / np.float32(K[0, 0])
+    y = _from_middle(rows, K[1, 2], finer) * z / np.float32(K[1, 1])
     return np.stack([R[0] * x + R[1] * y + R[2] * z + R[3] for R in T[:3].astype(np.float32)], axis=1)
+
+
+def _from_middle(places: NDArray[np.int64], center: float, finer: int = FINER) -> Float32:
+    """Pixels [n] from `center` along an axis to points numbered `finer` to a pixel."""
+    return ((places + 0.5) / finer - center).astype(np.float32)

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 9;
+constexpr int32_t kInterfaceVersion = 10;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -129,6 +129,19 @@ struct SolveRequest {
   const double *prior, *prior_sigmas;  // [parts, 3] m/s, [parts] m/s
   const double *whole, *whole_trusts;  // [parts, 3] m/s, [parts] s^2 / m^2
   double *velocities, *sigmas;         // [parts, 3] m/s, [parts] m/s
+};
+
+// The voxels that hold points of measured surfaces, `finer` along each side of a pixel.
+struct MarkRequest {
+  int32_t width, height, finer, nx, ny, nz;
+  double voxel_size;
+  const double *origin;         // [3] m
+  const float *depth;           // [height, width] m
+  const uint8_t *chosen;        // [height, width] 1: measures such a surface
+  const float *across, *down;   // [width * finer], [height * finer] pixels from the principal point
+  const float *focal;           // [2] pixels
+  const float *T_base_cam;      // [3, 4]
+  uint8_t *marked;              // [nx, ny, nz] 1 where it is; the others stay as they are
 };
 
 // The voxels whose middles lie within some capsules.

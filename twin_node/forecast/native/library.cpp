@@ -5,6 +5,7 @@
 #include "cover.h"
 #include "grow.h"
 #include "hide.h"
+#include "mark.h"
 #include "own.h"
 #include "solve.h"
 
@@ -51,6 +52,10 @@ int32_t forecast_fit(const forecast::FitRequest *request) {
 
 int32_t forecast_hide(const forecast::HideRequest *request) {
   return guarded([&] { forecast::hide(*request); });
+}
+
+int32_t forecast_mark(const forecast::MarkRequest *request) {
+  return guarded([&] { forecast::mark(*request); });
 }
 
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }
