@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.adoption import NEWBORN_OPACITY
-from twin_node.model.births import BLOCK, SPREAD
+from twin_node.model.birth_depths import BLOCK
+from twin_node.model.births import SPREAD
 from twin_node.model.gaussians import RGB, Gaussians, Newborns
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses

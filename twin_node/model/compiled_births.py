@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.model import births
+from twin_node.model import birth_depths, births
 from twin_node.model.backgrounds import OCCLUSION
-from twin_node.model.births import BLOCK, SOLID, SPREAD, Births, find_births_plainly, joined
+from twin_node.model.birth_depths import BLOCK
+from twin_node.model.births import SOLID, SPREAD, Births, find_births_plainly, joined
 from twin_node.model.kernels import BirthRules, BirthView, kernels
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
@@ -25,7 +26,8 @@ def find_births(
         return find_births_plainly(observed, renderings, threshold, parameters)
     quota = parameters.per_set // max(len(observed), 1)
     rules = BirthRules(
-        *(threshold, SOLID, births.COLOUR_SIGMA, births.SAME_DEPTH, births.HUGE_PX, births.REFUTED, births.LOCALITY),
+        *(threshold, SOLID, birth_depths.COLOUR_SIGMA, births.SAME_DEPTH, birth_depths.HUGE_PX, birth_depths.REFUTED),
+        *(birth_depths.LOCALITY, birth_depths.NEIGHBOUR_PX, birth_depths.FEWEST, birth_depths.DISSENT),
         *(OCCLUSION, SPREAD, quota, parameters.ray_samples),
     )
     calls = [_Call(one, rendering, quota) for one, rendering in zip(observed, renderings, strict=True)]

@@ -13,7 +13,7 @@ from twin_node.model.parameters import ModelError
 from twin_node.native_library import NativeLibrary, best_or_none
 from twin_node.splat.library import thread_count
 
-INTERFACE_VERSION = 2
+INTERFACE_VERSION = 3
 
 
 class MaskRules(ctypes.Structure):
@@ -52,7 +52,7 @@ class BirthRules(ctypes.Structure):
 
     _fields_ = (
         *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge_px", "refuted")),
-        *((name, c_double) for name in ("locality", "occlusion", "spread")),
+        *((name, c_double) for name in ("locality", "neighbour_px", "fewest", "dissent", "occlusion", "spread")),
         ("quota", c_int64),
         ("samples", c_int32),
     )

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from twin_node.model import least_squares
 from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.backgrounds import Background, Backgrounds, grow
-from twin_node.model.births import BLOCK, SPREAD
+from twin_node.model.birth_depths import BLOCK
+from twin_node.model.births import SPREAD
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.least_squares import AtRest
 from twin_node.model.observation import Observed

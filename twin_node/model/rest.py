@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.model.backgrounds import grow
-from twin_node.model.births import BLOCK
+from twin_node.model.birth_depths import BLOCK
 from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.parameters import MapParameters
 from twin_node.scene import Float32

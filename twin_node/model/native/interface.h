@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 2;
+constexpr int32_t kInterfaceVersion = 3;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -41,7 +41,8 @@ struct MaskRequests {
 
 // What counts as unexplained, and what speaks for a depth; see `births.py`.
 struct BirthRules {
-  double threshold, solid, colour_sigma, same_depth, huge_px, refuted, locality, occlusion, spread;
+  double threshold, solid, colour_sigma, same_depth, huge_px, refuted;
+  double locality, neighbour_px, fewest, dissent, occlusion, spread;
   int64_t quota;  // births per view
   int32_t samples;
 };
