@@ -21,6 +21,7 @@ from twin_node.model.velocity_equations import (
     VelocityEquations,
     judge,
     misfits,
+    misfits_of,
     nothing,
     stacked,
     usual_misfit,
@@ -130,8 +131,9 @@ class MergeSplit:
             return []
         count = int(self._cells.nodes.max()) + 1
         said, middles = self._said.summed(self._cells.nodes, count), self._cells.middles(count)
-        self._usual = usual_misfit(said, middles)
-        self._misfits = misfits(said, middles, self._usual)
+        alike = judge(said, middles)  # as if all errors had the variance that the flow claims
+        self._usual = usual_misfit(said.counts, alike)
+        self._misfits = misfits_of(said.counts, alike, self._usual)
         judged = judge(said.over(self._misfits), middles)
         self.resting = {
             int(row): LogEvidence(

@@ -173,17 +173,20 @@ def misfits(said: VelocityEquations, points: Float64, usual: float) -> Float64:
 
     Their own, and what is `usual` among all, which has the weight of some observations: one body alone has few.
     """
-    judged = judge(said, points)
-    free = np.maximum(said.counts - judged.told, 0.0)
+    return misfits_of(said.counts, judge(said, points), usual)
+
+
+def misfits_of(counts: Float64, judged: Judged, usual: float) -> Float64:
+    """[n] the same of bodies of which `counts` [n] observations, as they are, have been judged."""
+    free = np.maximum(counts - judged.told, 0.0)
     own = (judged.costs + SHARED_OBSERVATIONS * usual) / (free + SHARED_OBSERVATIONS)
     floored: Float64 = np.maximum(own, LEAST_MISFIT)
     return floored
 
 
-def usual_misfit(said: VelocityEquations, points: Float64) -> float:
-    """Variance of the errors of all bodies together, about `points` [n, 3] m."""
-    judged = judge(said, points)
-    return float(judged.costs.sum() / max(np.maximum(said.counts - judged.told, 0.0).sum(), 1.0))
+def usual_misfit(counts: Float64, judged: Judged) -> float:
+    """Variance of the errors of all bodies together, of which `counts` [n] observations have been judged."""
+    return float(judged.costs.sum() / max(np.maximum(counts - judged.told, 0.0).sum(), 1.0))
 
 
 def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
@@ -195,9 +198,9 @@ def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
 
 def _shift(points: Float64) -> Float64:
     """[n, 6, 6] from the velocity at a place to that [n, 3] m further on: v + w x d = v - [d] w."""
+    shift = np.zeros((len(points), PARAMETERS, PARAMETERS))
+    shift.reshape(len(points), -1)[:, :: PARAMETERS + 1] = 1
     x, y, z = points.T
-    o = np.zeros_like(x)
-    crossed = np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(-1, 3, 3)
-    shift: Float64 = np.tile(np.eye(PARAMETERS), (len(points), 1, 1)).astype(np.float64)
-    shift[:, :3, 3:] = -crossed
+    shift[:, 0, 4], shift[:, 0, 5], shift[:, 1, 5] = z, -y, x
+    shift[:, 1, 3], shift[:, 2, 3], shift[:, 2, 4] = -z, y, -x
     return shift
