@@ -17,7 +17,8 @@ Kind = TypeVar("Kind", Missed, MissedPlainly)
 
 def missed_of(kind: type[Kind], case: Case, with_depth: bool) -> Kind:
     """What two of the case's cameras miss of noise."""
-    missed = kind(case.means, case.quats, case.scales, case.opacities, case.colors)
+    learners = torch.arange(len(case.means)) % 3 > 0
+    missed = kind(case.means, case.quats, case.scales, case.opacities, case.colors, learners)
     generator = torch.Generator().manual_seed(3)
     shape = (case.height, case.width)
     for viewmat, K in zip(case.viewmats, case.Ks, strict=True):

@@ -61,7 +61,8 @@ class Step:
         self._splats = gaussians.standing(gaussians.values[rows])
         kind = splat.Missed if splat.can_miss(gaussians.values.device) else splat.MissedPlainly
         means, quats = self._splats.means[0], self._splats.quats[0]
-        self._missed = kind(means, quats, self._splats.scales, self._splats.opacities, self._splats.rgb)
+        scales, opacities, rgb = self._splats.scales, self._splats.opacities, self._splats.rgb
+        self._missed = kind(means, quats, scales, opacities, rgb, learners)
 
     def look(self, view: AtRest) -> None:
         """Takes in what `view` misses."""

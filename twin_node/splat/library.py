@@ -16,7 +16,7 @@ from twin_node import native_build
 from twin_node.native_library import NativeLibrary, best_or_none
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 8
+INTERFACE_VERSION = 9
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -44,6 +44,7 @@ class Gradients(ctypes.Structure):
         *((name, c_void_p) for name in ("v_renders", "v_alphas", "v_means", "v_quats", "v_scales", "v_opacities")),
         *((name, c_void_p) for name in ("v_colors", "v_viewmats")),
         ("first_row", c_int32),
+        ("learns", c_void_p),
     )
 
 

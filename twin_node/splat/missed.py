@@ -46,8 +46,14 @@ class Tolerance:
 class Missed:
     """Half the squared error's steepest descent of n Gaussians over the views that have been added."""
 
-    def __init__(self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor) -> None:
-        """Gaussians as `rasterize` takes them: [n, 3], [n, 4], [n, 3] linear, [n], [n, 3]; see `can_miss`."""
+    def __init__(
+        self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor, learners: Tensor
+    ) -> None:
+        """Gaussians as `rasterize` takes them: [n, 3], [n, 4], [n, 3] linear, [n], [n, 3]; see `can_miss`.
+
+        Those that are no `learners` [n] are drawn, and get no descent: zeros.
+        """
+        self._learns = learners.contiguous()
         features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
         self._given = tuple(t.detach().contiguous() for t in (means, quats, scales, opacities, features))
         self._pull = tuple(torch.zeros_like(t) for t in self._given)
@@ -87,7 +93,8 @@ class Missed:
             None,
             *(t.data_ptr() for t in (view.counted, renders, alphas, *found)),
         )
-        gradients = native.Gradients(*(t.data_ptr() for t in (pull, pull_alpha, *self._pull)), None, 0)
+        written = (t.data_ptr() for t in (pull, pull_alpha, *self._pull))
+        gradients = native.Gradients(*written, None, 0, self._learns.data_ptr())
         request = native.MissRequest(
             scene,
             gradients,
@@ -111,13 +118,34 @@ def can_miss(device: torch.device) -> bool:
 class MissedPlainly:
     """The same by `rasterize` and its gradient, on any device: the reference of `Missed`."""
 
-    def __init__(self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor) -> None:
+    def __init__(
+        self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor, learners: Tensor
+    ) -> None:
+        self._learners = learners
         features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
         self._leaves = [t.detach().clone().requires_grad_() for t in (means, quats, scales, opacities, features)]
         for leaf in self._leaves:
             leaf.grad = torch.zeros_like(leaf)
-        self.means, self.quats, self.scales, self.opacities = (self._gradient(index) for index in range(4))
-        """[n, ...] which way each should go."""
+
+    @property
+    def means(self) -> Tensor:
+        """[n, 3] which way each should go."""
+        return self._gradient(0)
+
+    @property
+    def quats(self) -> Tensor:
+        """[n, 4]."""
+        return self._gradient(1)
+
+    @property
+    def scales(self) -> Tensor:
+        """[n, 3]."""
+        return self._gradient(2)
+
+    @property
+    def opacities(self) -> Tensor:
+        """[n]."""
+        return self._gradient(3)
 
     @property
     def rgb(self) -> Tensor:
@@ -132,6 +160,7 @@ class MissedPlainly:
     def _gradient(self, index: int) -> Tensor:
         gradient = self._leaves[index].grad
         assert gradient is not None
+        gradient[~self._learners] = 0
         return gradient
 
     def add(self, sight: Sight, tolerance: Tolerance) -> None:

@@ -8,6 +8,7 @@ namespace splat {
 constexpr int kRowsPerShare = 128;  // Gaussians whose gradients one task adds up; fixed, as `kGaussiansPerTask`
 
 inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, const Pass &pass) {
+  const Wanted wanted{g.first_row, g.learns};
   over_tiles(r, w, [&](int i, int index) {
     Image &image = *w.images[i];
     if (image.tile_begin[index] == image.tile_begin[index + 1]) return;
@@ -15,7 +16,7 @@ inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, c
     const PixelsIn in{r.renders + pixels * pass.total, r.alphas + pixels, g.v_renders + pixels * pass.total,
                       g.v_alphas == nullptr ? nullptr : g.v_alphas + pixels};
     const Tile tile(image, index, mask_of(r, i));
-    for_width(pass.count, [&](auto width) { blend_tile_vjp<width>(image, tile, pass, r.max_alpha, in); });
+    for_width(pass.count, [&](auto width) { blend_tile_vjp<width>(image, tile, pass, r.max_alpha, in, wanted); });
   });
 }
 

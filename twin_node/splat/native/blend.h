@@ -276,18 +276,28 @@ inline void clear_slot(const Pass &pass, float *slot, uint8_t &used) {
   std::fill_n(slot + kGeometrySums + pass.first, pass.count, 0.f);
 }
 
+// Which Gaussians a gradient is wanted of.
+struct Wanted {
+  int32_t first_row;
+  const uint8_t *learns;  // [N] or null
+  bool operator()(int32_t id) const { return id >= first_row && (learns == nullptr || learns[id] != 0); }
+};
+
 // Fills the slots of one tile's intersections. Front to back: the forward pass's transmittance is met again exactly.
 template <int C>
-inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, float max_alpha, const PixelsIn &in) {
+inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, float max_alpha, const PixelsIn &in,
+                           const Wanted &wanted) {
+  const int begin = image.tile_begin[tile.index], end = image.tile_begin[tile.index + 1];
+  int seen = image.tile_end[tile.index];  // behind the last one that is seen and wanted: what hides it counts too
+  while (seen > begin && !wanted(image.id[image.tile_splat[seen - 1]])) seen--;
   BlockGradient<C> blocks[kBlocks];
-  BlockSet alive = image.live[tile.index];
+  BlockSet alive = seen > begin ? image.live[tile.index] : 0;
   for (BlockSet left = alive; left; left &= left - 1) {
     const int block = __builtin_ctzll(left);
     read_block<C>(image, tile, pass, block, in, blocks[block]);
   }
   const Vec limit = broadcast(max_alpha), cut = broadcast(kTransmittanceCut);
-  const int seen = image.tile_end[tile.index], end = image.tile_begin[tile.index + 1];
-  for (int at = image.tile_begin[tile.index]; at < end; at++) {
+  for (int at = begin; at < end; at++) {
     float *slot = &image.slot_gradient[static_cast<size_t>(image.tile_slot[at]) * pass.slot_stride];
     uint8_t &used = image.slot_used[image.tile_slot[at]];
     BlockSet left = at < seen ? blocks_of_cells(image.tile_cells[at]) & alive : 0;
@@ -297,6 +307,7 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
     }
     const Splat &splat = image.splats[image.tile_splat[at]];
     const LocalFootprint footprint(splat.shape, tile);
+    const bool learns = wanted(image.id[image.tile_splat[at]]);
     SlotSums<C> sums;
     bool touched = false;
     for (; left; left &= left - 1) {
@@ -310,19 +321,18 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
       const Mask drawn = both(c.hit, gt(behind, cut));
       const Vec weight = select(drawn, drawn_weight, Vec{});
       Vec v_weight = g.v_render[0] * splat.channel[0];
-      sums.value[kGeometrySums] += weight * g.v_render[0];
-      for (int q = 1; q < C; q++) {
-        v_weight += g.v_render[q] * splat.channel[q];
-        sums.value[kGeometrySums + q] += weight * g.v_render[q];
-      }
+      for (int q = 1; q < C; q++) v_weight += g.v_render[q] * splat.channel[q];
       g.suffix -= weight * v_weight;
-      const Vec v_alpha = g.transmittance * v_weight - g.suffix * reciprocal(1.0f - alpha);
-      // alpha = raw where it is not clamped; d raw / d sigma = -raw
-      const Vec v_sigma = select(both(drawn, le(raw, limit)), -(raw * v_alpha), Vec{});
-      sums.add_geometry(v_sigma, c.dx, c.dy);
+      if (learns) {
+        for (int q = 0; q < C; q++) sums.value[kGeometrySums + q] += weight * g.v_render[q];
+        const Vec v_alpha = g.transmittance * v_weight - g.suffix * reciprocal(1.0f - alpha);
+        // alpha = raw where it is not clamped; d raw / d sigma = -raw
+        const Vec v_sigma = select(both(drawn, le(raw, limit)), -(raw * v_alpha), Vec{});
+        sums.add_geometry(v_sigma, c.dx, c.dy);
+      }
       advance(g.transmittance, behind, c.hit, drawn, block, alive);
     }
-    if (touched) {
+    if (touched && learns) {
       sums.write(pass, slot);
       used = 1;
     } else {

@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 8;
+constexpr int32_t kInterfaceVersion = 9;
 
 enum Status : int32_t {
   kOk = 0,
@@ -56,7 +56,8 @@ struct Gradients {
   float *v_opacities;
   float *v_colors;    // null where only depth is rendered
   float *v_viewmats;  // [B, C, 4, 4] or null
-  int32_t first_row;  // Gaussians before it get no gradient
+  int32_t first_row;       // Gaussians before it get no gradient
+  const uint8_t *learns;   // [N] those that get one, or null: all from first_row on
 };
 
 // One view of a scene that is held to what a camera sees.

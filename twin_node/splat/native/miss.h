@@ -21,7 +21,8 @@ inline void pull_pixels(const MissRequest &m) {
     for (int k = 0; k + 1 < colors; k++) pull[k] = within(m.target[(colors - 1) * at + k] - seen[k], m.outlier);
     pull[colors - 1] = 1.f;
     if (m.depth == nullptr || !(m.depth[at] > 0.f)) continue;
-    const float shown = std::max(seen[colors] + (1.f - r.alphas[at]) * m.surface[at], m.nearest);
+    const volatile float behind = (1.f - r.alphas[at]) * m.surface[at];  // rounded by itself, as the plain one does
+    const float shown = std::max(seen[colors] + behind, m.nearest);
     const float missed = within(m.depth_gain * (m.depth[at] / shown - 1.f), m.outlier);
     pull[colors] = missed * m.depth_gain / shown;
     m.pull_alpha[at] = -pull[colors] * m.surface[at];
