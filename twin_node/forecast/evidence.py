@@ -96,9 +96,8 @@ class Observer:
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask
-        unknown, moving = np.zeros((2, self.grid.size), np.bool_)
-        unknown[carved.unknown] = True
-        unknown &= ~stands
+        unknown = carved.unknown & ~stands
+        moving = np.zeros(self.grid.size, np.bool_)
         moving[carved.moving] = True
         hidden = self._hiding.update(state.stamp, unknown, moving, stands)
         limbs = parts.likely & ~motion.alone[parts.labels]
@@ -122,7 +121,7 @@ class Observer:
             return carved
         taken = own_space(self.grid, self._arm, state.frames.joints)
         others = ~taken[carved.moving]
-        return Carved(carved.moving[others], carved.likely[others], carved.unknown[~taken[carved.unknown]])
+        return Carved(carved.moving[others], carved.likely[others], carved.unknown & ~taken)
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""

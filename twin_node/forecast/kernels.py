@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 10
+INTERFACE_VERSION = 11
 
 
 class GrowRequest(ctypes.Structure):
@@ -50,15 +50,6 @@ class CarveRequest(ctypes.Structure):
     _fields_ = (
         *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
         *((name, c_void_p) for name in ("sights", "verdicts")),
-    )
-
-
-class SiftRequest(ctypes.Structure):
-    """`forecast::SiftRequest`."""
-
-    _fields_ = (
-        ("size", c_int64),
-        *((name, c_void_p) for name in ("verdicts", "moving", "likely", "unknown", "counts")),
     )
 
 
@@ -165,8 +156,6 @@ class Kernels(NativeLibrary):
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
         self._dll.forecast_list.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
-        self._dll.forecast_sift.argtypes = [ctypes.POINTER(SiftRequest)]
-        self._dll.forecast_sift.restype = None
         self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
         self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
         self._dll.forecast_count.restype = None
@@ -191,10 +180,6 @@ class Kernels(NativeLibrary):
         """Says of every voxel what the views show. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.forecast_carve(request))
-
-    def sift(self, request: SiftRequest) -> None:
-        """Lists the voxels that are not free; takes one thread."""
-        self._dll.forecast_sift(request)
 
     def hold(self, request: HoldRequest) -> None:
         """Tight boxes about the voxels in every cell; takes one thread. Raises `MemoryError`."""

@@ -66,33 +66,20 @@ def verdicts(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
 
 @dataclass(frozen=True)
 class Carved:
-    """What one set of images says about every voxel; voxels in neither list are free."""
+    """What one set of images says about every voxel; voxels in neither are free."""
 
     moving: NDArray[np.int64]
     """[n] flat indices of what may move, strictly increasing."""
     likely: Bool
     """[n] of these, where no camera sees past the moving thing: the rims that errors add are left out."""
-    unknown: NDArray[np.int64]
-    """[m] flat indices that nothing frees and nothing explains, strictly increasing."""
+    unknown: Bool
+    """[grid.size] what nothing frees and nothing explains."""
 
 
 def carved(verdicts: UInt8) -> Carved:
-    """What verdicts [grid.size] do not call free. Compiled; `carved_plainly` where that cannot be."""
-    compiled = kernels.kernels()
-    if compiled is None:
-        return carved_plainly(verdicts)
-    moving, unknown = np.empty((2, len(verdicts)), np.int64)
-    likely, counts = np.empty(len(verdicts), np.bool_), np.zeros(2, np.int64)
-    addresses = (array.ctypes.data for array in (verdicts, moving, likely, unknown, counts))
-    compiled.sift(kernels.SiftRequest(len(verdicts), *addresses))
-    moves, unseen = counts.tolist()
-    return Carved(moving[:moves].copy(), likely[:moves].copy(), unknown[:unseen].copy())
-
-
-def carved_plainly(verdicts: UInt8) -> Carved:
-    """What `carved` does."""
+    """What verdicts [grid.size] do not call free."""
     moving = np.flatnonzero(verdicts >= MAY_MOVE)
-    return Carved(moving, verdicts[moving] == LIKELY_MOVES, np.flatnonzero(verdicts == UNKNOWN))
+    return Carved(moving, verdicts[moving] == LIKELY_MOVES, verdicts == UNKNOWN)
 
 
 def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:

@@ -143,22 +143,4 @@ inline void carve(const CarveRequest &r) {
   });
 }
 
-// Lists what moves and what is unknown, in rising order.
-inline void sift(const SiftRequest &r) {
-  int64_t moving = 0, unknown = 0;
-  for (int64_t begin = 0; begin < r.size; begin += 8) {
-    const int64_t end = std::min(begin + 8, r.size);
-    uint64_t eight = 0;
-    std::memcpy(&eight, r.verdicts + begin, end - begin);
-    if (eight == 0) continue;  // most of them are free
-    for (int64_t i = begin; i < end; i++) {
-      const uint8_t verdict = r.verdicts[i];
-      if (verdict == kUnknown) r.unknown[unknown++] = i;
-      if (verdict >= kMayMove) r.likely[moving] = verdict == kLikelyMoves, r.moving[moving++] = i;
-    }
-  }
-  r.counts[0] = moving;
-  r.counts[1] = unknown;
-}
-
 }  // namespace forecast

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 10;
+constexpr int32_t kInterfaceVersion = 11;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -54,16 +54,6 @@ struct CarveRequest {
   int32_t views, nx, ny, nz, threads;
   const Sight *sights;  // [views]
   uint8_t *verdicts;    // [nx, ny, nz] comes zeroed
-};
-
-// The voxels that are not free; the lists have room for all of them.
-struct SiftRequest {
-  int64_t size;
-  const uint8_t *verdicts;  // [size]
-  int64_t *moving;          // flat indices of what may move
-  uint8_t *likely;          // whether these are likely to
-  int64_t *unknown;         // flat indices
-  int64_t *counts;          // [2] moving, unknown
 };
 
 // Boxes in voxels; has room for as many as its maker can find.

@@ -38,8 +38,6 @@ int32_t forecast_carve(const forecast::CarveRequest *request) {
   return guarded([&] { forecast::carve(*request); });
 }
 
-void forecast_sift(const forecast::SiftRequest *request) { forecast::sift(*request); }
-
 int32_t forecast_hold(const forecast::HoldRequest *request) {
   return guarded([&] { forecast::hold_voxels(*request); });
 }
