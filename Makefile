@@ -12,8 +12,9 @@ OUT := out
 demo: $(READY)
 	$(BIN)/twin_node demo --out $(OUT)/demo
 
+# Files of tests side by side: most tests wait for something, or keep one core busy.
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .
