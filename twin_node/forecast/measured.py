@@ -19,7 +19,7 @@ _SIGMAS = 1.5
 _START_SPEED, _START_DELAY_S = 0.9, 0.045
 """How far from where it rests a limb may be: this speed (m/s), for as long as a forecast looks ahead less the delay. Of
 people at play it holds 99 % of where trunk and head go from rest within 0.33 s, and 84 to 96 % of hands and forearms
-(CMU motion capture 01_01); 1.1 m/s held 95 % of these, and cost a fifth more space."""
+(CMU motion capture 01_01); 1.1 m/s held 95 % of these, and cost a sixth more space."""
 _FLIGHT_TRIED = 2.0
 """Horizons in which a flight is taken for one until its record says otherwise."""
 
