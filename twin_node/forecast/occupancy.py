@@ -142,7 +142,8 @@ class Forecaster:
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
         prediction = self._predict(horizons)
-        layers = self._layers(evidence, prediction, may_start, start_radii(horizons))
+        started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
+        layers = self._layers(evidence, prediction, may_start, started)
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]
         ahead = evidence.parts.centers + prediction.displacements[-1]

@@ -30,6 +30,12 @@ class Sight:
     surface: Tensor | None
     """[H, W] m: what stands behind all Gaussians; with `depth`."""
 
+    def contiguous(self) -> Sight:
+        """The same, each array in one piece."""
+        depth, surface = (None if t is None else t.contiguous() for t in (self.depth, self.surface))
+        viewmat, K, rgb, counted = (t.contiguous() for t in (self.viewmat, self.K, self.rgb, self.counted))
+        return Sight(viewmat, K, rgb, counted, depth, surface)
+
 
 @dataclass(frozen=True)
 class Tolerance:
@@ -76,7 +82,7 @@ class Missed:
         library = native.native_library()
         assert library is not None
         self._workspace = self._workspace or native.Workspace(library)
-        view = Sight(*(None if t is None else t.contiguous() for t in vars(sight).values()))  # type: ignore[arg-type]
+        view = sight.contiguous()
         count, (height, width), channels = len(self._given[0]), view.counted.shape, 4 if view.depth is None else 5
         renders, alphas = torch.empty(height, width, channels), torch.empty(height, width)
         found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
@@ -100,7 +106,7 @@ class Missed:
             gradients,
             view.rgb.data_ptr(),
             *(None if t is None else t.data_ptr() for t in (view.depth, view.surface)),
-            *vars(tolerance).values(),
+            *(tolerance.outlier, tolerance.depth_gain, tolerance.nearest),
             *(t.data_ptr() for t in (pull, pull_alpha)),
         )
         try:
