@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from twin_node.bench.equal_recall import PersistenceGrowth
 from twin_node.bench.space import SpaceTally
 from twin_node.forecast.grid import encode_runs
+from twin_node.robot import ur_model
 from twin_node.scene import (
     HORIZONS_NS,
     Bool,
@@ -15,6 +18,7 @@ from twin_node.scene import (
     FrameSet,
     GaussianCloud,
     Grid,
+    JointSample,
     NodeStates,
     Occupancy,
     OccupancyLayer,
@@ -79,6 +83,33 @@ def test_hidden_space_reported_free_is_found() -> None:
     seen = SpaceTally(GRID)
     seen.add(state(0, depth_m=9.0), occupancy(0, nobody), nobody)
     assert seen.score().unseen_not_free in (None, 0.0)  # only what is outside the image is hidden
+
+
+def test_space_before_the_arm_is_seen_though_something_close_blinds_another_camera() -> None:
+    before_arm, blinded = state(0, depth_m=2.0), state(0, depth_m=0.5)
+    both = replace(
+        before_arm,
+        frames=FrameSet(0, before_arm.frames.views + blinded.frames.views),
+        moving_masks=before_arm.moving_masks + blinded.moving_masks,
+        robot_masks=(np.ones((64, 64), np.bool_), None),
+    )
+    tally = SpaceTally(GRID)
+    tally.add(both, occupancy(0, np.zeros((0, 3))), np.zeros((0, 3)))
+    assert tally.score().unseen_not_free is None
+
+
+def test_the_arms_own_space_is_no_unseen_space() -> None:
+    """Within the base of a UR5e, before a camera that something close blinds."""
+    grid = Grid(np.array([-0.05, -0.05, 0.05]), 0.01, (10, 10, 10))
+    joints = JointSample(0, ur_model("ur5e").joint_names, np.zeros(6), np.zeros(6))
+    blinded = state(0, depth_m=0.01)
+    blinded = replace(blinded, frames=replace(blinded.frames, joints=joints))
+    said = replace(occupancy(0, np.zeros((0, 3))), grid=grid, unknown_runs=encode_runs(np.zeros(grid.size, np.bool_)))
+    of_arm, of_nobody = SpaceTally(grid, ur_model("ur5e")), SpaceTally(grid)
+    of_arm.add(blinded, said, np.zeros((0, 3)))
+    of_nobody.add(blinded, said, np.zeros((0, 3)))
+    assert of_arm.score().unseen_not_free is None
+    assert of_nobody.score().unseen_not_free == 0.0
 
 
 class Shifted:

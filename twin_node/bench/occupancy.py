@@ -168,7 +168,7 @@ def score_states(
     forecaster = Forecaster(grid, chosen, arm)
     baselines = BaselineForecaster(grid, chosen.carving, chosen.static, arm)
     tallies = [_Tally(grid, one) for one in (truth, whole) if one is not None]
-    space, spent = SpaceTally(grid), []
+    space, spent = SpaceTally(grid, arm), []
     sets, begin, is_exact = 0, None, False
     for state in states:
         begin = state.stamp if begin is None else begin

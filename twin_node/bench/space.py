@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.growth import grown
+from twin_node.forecast.own_space import own_space
 from twin_node.geometry import project
+from twin_node.robot import ArmModel
 from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, View
 
 UNSEEN_EVERY = 10
@@ -35,8 +37,9 @@ class SpaceScore:
 class SpaceTally:
     """Follows voxels from the time that they are left until they are reported free."""
 
-    def __init__(self, grid: Grid) -> None:
-        self._grid = grid
+    def __init__(self, grid: Grid, arm: ArmModel | None = None) -> None:
+        """`arm`: where the states' joints are those of this arm, its own space is no unseen space."""
+        self._grid, self._arm = grid, arm
         self._was_occupied = np.zeros(grid.size, np.bool_)
         self._since = np.zeros(grid.size, np.int64)
         self._latencies: list[NDArray[np.int64]] = []
@@ -55,7 +58,7 @@ class SpaceTally:
         blocked[forecast.static.indices] = True
         self._follow_vacated(state, forecast, occupied, blocked)
         if self._sets % UNSEEN_EVERY == 0:
-            hidden = np.flatnonzero(~occupied & _hidden(state, self._grid))
+            hidden = np.flatnonzero(~occupied & _hidden(state, self._grid) & ~self._arms_own(state))
             self._unseen += len(hidden)
             self._unseen_blocked += int(np.count_nonzero(blocked[hidden]))
         self._sets += 1
@@ -68,6 +71,12 @@ class SpaceTally:
             len(latencies),
             self._unseen_blocked / self._unseen if self._unseen else None,
         )
+
+    def _arms_own(self, state: TwinState) -> Bool:
+        """[grid.size] voxels that the arm takes up: no camera sees them, and they are no obstacle to it."""
+        if self._arm is None or state.frames.joints is None:
+            return np.zeros(self._grid.size, np.bool_)
+        return own_space(self._grid, self._arm, state.frames.joints)
 
     def _follow_vacated(self, state: TwinState, forecast: Occupancy, occupied: Bool, blocked: Bool) -> None:
         standing = np.zeros(self._grid.size, np.bool_)
@@ -93,18 +102,17 @@ def _seen_empty(state: TwinState, grid: Grid, indices: NDArray[np.int64]) -> Boo
 
 
 def _hidden(state: TwinState, grid: Grid) -> Bool:
-    """[grid.size] voxels that no camera sees for certain: outside its image, behind its surface or behind the arm.
+    """[grid.size] voxels that no camera sees for certain: outside its image, or behind the surface that it measures.
 
-    Voxels that all cameras see on the arm are left out: they may be the arm itself.
+    The arm's surface hides what is behind it as any other does; what is before it is seen.
     """
-    hidden, on_arm = np.ones((2, grid.size), np.bool_)
+    hidden = np.ones(grid.size, np.bool_)
     centers = grid.centers(np.arange(grid.size))
     for view, robot in zip(state.frames.views, state.robot_masks, strict=True):
         rays = _Rays(view, robot, centers)
         behind = (rays.surface > 0) & (rays.surface < rays.depth - BEHIND_VOXELS * grid.voxel_size)
-        hidden &= ~rays.inside | rays.on_robot | behind
-        on_arm &= ~rays.inside | rays.on_robot
-    return np.asarray(hidden & ~on_arm)
+        hidden &= ~rays.inside | behind
+    return hidden
 
 
 class _Rays:
