@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.boxes import (
     Boxes,
     fitted,
@@ -116,19 +117,20 @@ def test_compiled_boxes_are_the_plain_ones(seed: int, count: int, most: int) -> 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_compiled_and_plain_counts_agree(seed: int) -> None:
     mask = np.random.default_rng(seed).uniform(size=GRID.size) < 0.3
-    assert np.array_equal(voxels_per_cell(GRID, mask), voxels_per_cell_plainly(GRID, mask))
+    bits = Bits.of_mask(GRID.dims, mask)
+    assert np.array_equal(voxels_per_cell(GRID, bits), voxels_per_cell_plainly(GRID, bits))
 
 
 def test_cells_count_from_their_share_on() -> None:
     dense = np.zeros(GRID.dims, np.bool_)
     dense[:4, :4, :2] = dense[8:12, :4, :1] = True
-    assert np.array_equal(mostly_full(GRID, dense.reshape(-1), 0.5).cells, [[0, 0, 0]])
-    assert len(mostly_full(GRID, dense.reshape(-1), 0.25)) == 2
+    assert np.array_equal(mostly_full(GRID, Bits.of_mask(GRID.dims, dense), 0.5).cells, [[0, 0, 0]])
+    assert len(mostly_full(GRID, Bits.of_mask(GRID.dims, dense), 0.25)) == 2
 
 
 def test_cells_cut_by_the_grids_end_count_by_what_is_left_of_them() -> None:
     """The last cells of a grid of 50 x 37 x 29 are 2 x 1 x 1 voxels in size."""
     corner = np.zeros(GRID.dims, np.bool_)
     corner[48:, 36:, 28:] = True
-    assert np.array_equal(mostly_full(GRID, corner.reshape(-1), 0.5).lower, [[48, 36, 28]])
-    assert len(mostly_full(GRID, np.zeros(GRID.size, np.bool_), 0.0)) == 0
+    assert np.array_equal(mostly_full(GRID, Bits.of_mask(GRID.dims, corner), 0.5).lower, [[48, 36, 28]])
+    assert len(mostly_full(GRID, Bits.none(GRID.dims), 0.0)) == 0

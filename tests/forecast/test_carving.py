@@ -22,14 +22,14 @@ def carve(state: TwinState, speed: float = 0.0) -> Carved:
 
 
 def not_free(carved: Carved) -> NDArray[np.int64]:
-    return np.concatenate([carved.moving, np.flatnonzero(carved.unknown)])
+    return np.concatenate([carved.may_move.indices(), carved.unknown.indices()])
 
 
 def test_hull_holds_the_ball_and_not_much_more() -> None:
     carved = carve(state_of(0, CENTER))
     ball = ball_voxels(CENTER)
-    assert np.isin(ball, carved.moving).all()
-    assert len(carved.moving) < 8 * len(ball)
+    assert np.isin(ball, carved.may_move.indices()).all()
+    assert len(carved.may_move.indices()) < 8 * len(ball)
 
 
 def test_blocks_agree_with_voxels_one_by_one() -> None:
@@ -40,17 +40,17 @@ def test_blocks_agree_with_voxels_one_by_one() -> None:
     for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
         pixel = pixels_of(view.camera, centers)
         freed |= (pixel >= 0) & ~mask.ravel()[pixel]
-    assert not (freed & carved.unknown).any()
+    assert not (freed & carved.unknown.mask()).any()
     assert np.isin(np.flatnonzero(~freed), not_free(carved)).all()
 
 
 def test_nothing_moving_frees_all_that_is_seen() -> None:
     carved = carve(state_of(0, None))
-    assert len(carved.moving) == 0
+    assert len(carved.may_move.indices()) == 0
     unseen = np.ones(GRID.size, np.bool_)
     for cam in RIG:
         unseen &= pixels_of(cam, GRID.centers(np.arange(GRID.size))) < 0
-    assert np.array_equal(carved.unknown, unseen)
+    assert np.array_equal(carved.unknown.mask(), unseen)
 
 
 def test_space_behind_a_camera_is_unknown() -> None:
@@ -59,20 +59,20 @@ def test_space_behind_a_camera_is_unknown() -> None:
     centers = GRID.centers(np.arange(GRID.size))
     behind = np.flatnonzero(transform(inside.viewmat, centers)[:, 2] < 0)
     assert len(behind) > 0
-    assert carved.unknown[behind].all()
+    assert carved.unknown.holds(behind).all()
 
 
 def test_one_camera_alone_explains_nothing_without_depth() -> None:
     alone = carve(state_of(0, CENTER, cameras=RIG[:1]))
-    assert len(alone.moving) == 0
-    assert alone.unknown[ball_voxels(CENTER)].all()
+    assert len(alone.may_move.indices()) == 0
+    assert alone.unknown.holds(ball_voxels(CENTER)).all()
 
 
 def test_depth_cuts_the_hull_at_the_surface() -> None:
     pair = RIG[:2]
     colour, depth = (carve(state_of(0, CENTER, cameras=pair, with_depth=known)) for known in (False, True))
-    assert np.isin(ball_voxels(CENTER, 0.1), depth.moving).all()
-    assert len(depth.moving) < 0.95 * len(colour.moving)
+    assert np.isin(ball_voxels(CENTER, 0.1), depth.may_move.indices()).all()
+    assert len(depth.may_move.indices()) < 0.95 * len(colour.may_move.indices())
 
 
 def test_depth_frees_nothing_behind_the_measured_surface() -> None:
@@ -92,8 +92,8 @@ def test_unseen_space_in_front_of_a_measured_thing_does_not_move() -> None:
     beside[:, columns.min() : int(columns.mean())] = True  # the arm hides the left half, and with errors some more
     carved = carve(replace(state, robot_masks=(beside,)))
     camera_at = RIG[0].T_base_cam[:3, 3]
-    nearest = np.linalg.norm(GRID.centers(carved.moving) - camera_at, axis=1).min()
-    assert len(carved.moving)
+    nearest = np.linalg.norm(GRID.centers(carved.may_move.indices()) - camera_at, axis=1).min()
+    assert len(carved.may_move.indices())
     assert nearest > np.linalg.norm(CENTER - camera_at) - 0.2
 
 
@@ -101,7 +101,7 @@ def test_unknown_depth_frees_nothing() -> None:
     state = state_of(0, None, cameras=RIG[:1], with_depth=True)
     view = replace(state.frames.views[0], depth=np.zeros((HEIGHT, WIDTH), np.float32))
     carved = carve(replace(state, frames=replace(state.frames, views=(view,))))
-    assert carved.unknown.all()
+    assert carved.unknown.mask().all()
 
 
 def test_shadow_of_the_robot_is_unknown_and_the_robot_left_out() -> None:
@@ -109,26 +109,26 @@ def test_shadow_of_the_robot_is_unknown_and_the_robot_left_out() -> None:
     arm[:, WIDTH // 2 - 6 : WIDTH // 2 + 6] = True
     middle = GRID.indices(WORKSPACE.mean(axis=0)[None])
     one = carve(state_of(0, None, cameras=RIG[:1], robot_masks=(arm,)))
-    assert one.unknown[middle].all()
+    assert one.unknown.holds(middle).all()
     all_around = carve(state_of(0, None, robot_masks=(arm,) * len(RIG)))
-    assert not all_around.unknown[middle].any()
-    assert len(all_around.moving) == 0
+    assert not all_around.unknown.holds(middle).any()
+    assert len(all_around.may_move.indices()) == 0
 
 
 def test_what_the_robot_hides_in_one_view_is_still_found_by_the_others() -> None:
     everything = np.ones((HEIGHT, WIDTH), np.bool_)
     state = state_of(0, CENTER, robot_masks=(everything, None, None, None))
     masks = (np.zeros((HEIGHT, WIDTH), np.bool_), *state.moving_masks[1:])
-    assert np.isin(ball_voxels(CENTER), carve(replace(state, moving_masks=masks)).moving).all()
+    assert np.isin(ball_voxels(CENTER), carve(replace(state, moving_masks=masks)).may_move.indices()).all()
 
 
 def test_calibration_error_and_skew_widen_the_hull() -> None:
     rough: tuple[Camera, ...] = tuple(replace(cam, sigma_m=0.03) for cam in RIG)
     plain, widened = carve(state_of(0, CENTER)), carve(state_of(0, CENTER, cameras=rough))
     late = replace(state_of(0, CENTER), stamp=40_000_000)
-    assert np.isin(plain.moving, widened.moving).all()
-    assert len(widened.moving) > 1.3 * len(plain.moving)
-    assert len(carve(late, speed=2.0).moving) > 1.3 * len(carve(late, speed=0.0).moving)
+    assert np.isin(plain.may_move.indices(), widened.may_move.indices()).all()
+    assert len(widened.may_move.indices()) > 1.3 * len(plain.may_move.indices())
+    assert len(carve(late, speed=2.0).may_move.indices()) > 1.3 * len(carve(late, speed=0.0).may_move.indices())
 
 
 def test_a_camera_whose_calibration_changes_gets_a_new_table() -> None:
@@ -144,8 +144,8 @@ def test_a_measured_thing_is_not_much_thicker_than_it_is_wide() -> None:
     carved = carve(state_of(0, center, radius=radius, cameras=RIG[:1], with_depth=True))
     away = center - RIG[0].T_base_cam[:3, 3]
     behind = GRID.indices((center + 0.25 * away / np.linalg.norm(away))[None])
-    assert np.isin(ball_voxels(center, radius), carved.moving).all()
-    assert carved.unknown[behind].all()
+    assert np.isin(ball_voxels(center, radius), carved.may_move.indices()).all()
+    assert carved.unknown.holds(behind).all()
 
 
 def test_a_thing_ends_where_its_backdrop_was_seen() -> None:
@@ -164,9 +164,9 @@ def test_a_thing_ends_where_its_backdrop_was_seen() -> None:
     carver.carve(seen(33_000_000, None), 0.0)
     before = carver.carve(seen(66_000_000, small), 0.0)
     inside = ball_voxels(large, 0.2)
-    assert np.isin(inside, alone.moving).any()
-    assert not np.isin(inside, before.moving).any()
-    assert np.isin(ball_voxels(small, 0.08), before.moving).all()
+    assert np.isin(inside, alone.may_move.indices()).any()
+    assert not np.isin(inside, before.may_move.indices()).any()
+    assert np.isin(ball_voxels(small, 0.08), before.may_move.indices()).all()
 
 
 def test_colour_that_changes_on_a_measured_surface_does_not_move() -> None:
@@ -177,17 +177,17 @@ def test_colour_that_changes_on_a_measured_surface_does_not_move() -> None:
     shadow = np.zeros((HEIGHT, WIDTH), np.bool_)
     shadow[HEIGHT // 2 :, WIDTH // 3 : WIDTH // 2] = True
     carved = carver.carve(replace(still, stamp=33_000_000, moving_masks=(shadow,) * len(RIG)), 0.0)
-    assert len(carved.moving) == 0
+    assert len(carved.may_move.indices()) == 0
 
 
 def test_likely_voxels_look_like_the_ball_and_rims_do_not_count() -> None:
     rough: tuple[Camera, ...] = tuple(replace(cam, sigma_m=0.02) for cam in RIG)
     for cameras in (RIG, rough):
         carved = carve(state_of(0, CENTER, cameras=cameras))
-        likely, ball = carved.moving[carved.likely], ball_voxels(CENTER)
+        likely, ball = carved.likely_moves.indices(), ball_voxels(CENTER)
         assert np.isin(ball_voxels(CENTER, 0.1), likely).all()
         assert len(likely) < 1.5 * len(ball)
-    assert np.array_equal(likely, carve(state_of(0, CENTER)).moving[carve(state_of(0, CENTER)).likely])
+    assert np.array_equal(likely, carve(state_of(0, CENTER)).likely_moves.indices())
 
 
 def flat_state(stamp: int, depth: Float32, moving: Bool, robot: Bool | None = None) -> TwinState:
@@ -207,7 +207,7 @@ def test_what_moves_far_behind_an_edge_is_not_one_with_what_moves_before_it() ->
     wall, both = np.full((HEIGHT, WIDTH), 5.0, np.float32), np.full((HEIGHT, WIDTH), 2.5, np.float32)
     both[:, : WIDTH // 2] = 1.6
     carver.carve(flat_state(0, wall, still), 0.0)
-    moving = carver.carve(flat_state(33_000_000, both, ~still), 0.0).moving
+    moving = carver.carve(flat_state(33_000_000, both, ~still), 0.0).may_move.indices()
     along = 2.0 - GRID.centers(moving)[:, 0]
     assert (along < 1.6 + 0.35).any()
     assert (along > 2.4).any()
@@ -219,7 +219,7 @@ def test_a_measured_surface_frees_the_space_before_it_be_it_the_arm_or_not() -> 
     arm = still.copy()
     arm[20:50, 30:60] = True
     carved = Carver(RigTables(GRID)).carve(flat_state(0, wall, still, arm), 0.0)
-    pixels = pixels_of(camera("lone", np.array([2.0, 0.0, 0.45])), GRID.centers(np.flatnonzero(carved.unknown)))
+    pixels = pixels_of(camera("lone", np.array([2.0, 0.0, 0.45])), GRID.centers(carved.unknown.indices()))
     assert not arm.ravel()[pixels[pixels >= 0]].any()
 
 
@@ -231,8 +231,8 @@ def test_specks_of_noisy_depth_are_not_things() -> None:
     speck[row, column] = 2.2
     thing[row : row + 2, column : column + 2] = 2.2
     carver.carve(flat_state(0, wall, still), 0.0)
-    assert len(carver.carve(flat_state(33_000_000, speck, ~still), 0.0).moving) == 0
-    assert len(carver.carve(flat_state(66_000_000, thing, ~still), 0.0).moving) > 0
+    assert len(carver.carve(flat_state(33_000_000, speck, ~still), 0.0).may_move.indices()) == 0
+    assert len(carver.carve(flat_state(66_000_000, thing, ~still), 0.0).may_move.indices()) > 0
 
 
 def test_what_stood_behind_pixels_that_measured_nothing_is_known_from_those_about_them() -> None:
@@ -242,4 +242,4 @@ def test_what_stood_behind_pixels_that_measured_nothing_is_known_from_those_abou
     row, column = HEIGHT // 2, WIDTH // 2
     pierced[row : row + 3, column : column + 3] = 0
     carver.carve(flat_state(0, pierced, still), 0.0)
-    assert len(carver.carve(flat_state(33_000_000, wall, ~still), 0.0).moving) == 0
+    assert len(carver.carve(flat_state(33_000_000, wall, ~still), 0.0).may_move.indices()) == 0

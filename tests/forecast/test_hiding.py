@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.hiding import Hidden, HidingPlaces, Memory, Seen, follow, follow_plainly
+from twin_node.forecast.bits import Bits
+from twin_node.forecast.hiding import HidingPlaces, Memory, Seen, follow, follow_plainly
 from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Grid
 
@@ -27,6 +30,14 @@ def mask(*boxes: tuple[slice, slice, slice]) -> Bool:
 NOTHING = mask()
 
 
+@dataclass(frozen=True)
+class Found:
+    """`Hidden` as flat masks [GRID.size]."""
+
+    reachable: Bool
+    maybe_full: Bool
+
+
 class Watch:
     """Plays masks into the hiding places at camera rate."""
 
@@ -34,9 +45,11 @@ class Watch:
         self.places = HidingPlaces(GRID)
         self.stamp = 0
 
-    def see(self, unknown: Bool, moving: Bool = NOTHING, standing: Bool = NOTHING, after_ns: int = STEP_NS) -> Hidden:
+    def see(self, unknown: Bool, moving: Bool = NOTHING, standing: Bool = NOTHING, after_ns: int = STEP_NS) -> Found:
         self.stamp += after_ns
-        return self.places.update(self.stamp, unknown & ~moving & ~standing, moving, standing)
+        masks = (Bits.of_mask(GRID.dims, one) for one in (unknown & ~moving & ~standing, moving, standing))
+        hidden = self.places.update(self.stamp, *masks)
+        return Found(hidden.reachable.mask(), hidden.maybe_full.mask())
 
 
 def test_space_never_seen_may_be_full_and_lets_nothing_out() -> None:
@@ -141,7 +154,8 @@ def test_compiled_hiding_places_are_the_plain_ones(seed: int, dims: tuple[int, i
     compiled, plain = Memory.of_nothing(grid), Memory.of_nothing(grid)
     for elapsed_s in (0.0, 0.033, 0.4, 0.1, 0.2, 2.0):
         masks = [random_mask(grid, rng, *bounds) for bounds in ((4, 0.3), (1, 0.002), (2, 0.01))]
-        seen = Seen(elapsed_s, masks[0] & ~masks[1] & ~masks[2], masks[1], masks[2])
-        assert np.array_equal(follow(grid, compiled, seen), follow_plainly(grid, plain, seen))
+        masks[0] &= ~masks[1] & ~masks[2]
+        seen = Seen(elapsed_s, *(Bits.of_mask(dims, one) for one in masks))
+        assert np.array_equal(follow(grid, compiled, seen).words, follow_plainly(grid, plain, seen).words)
         assert np.array_equal(compiled.ages_s, plain.ages_s)
-        assert np.array_equal(compiled.maybe_full, plain.maybe_full)
+        assert np.array_equal(compiled.maybe_full.words, plain.maybe_full.words)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.forecast import CoverParameters, ForecastError, Motion, cover
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.obstacles import Sighted
@@ -114,7 +115,9 @@ def test_unknown_space_is_an_obstacle_by_what_may_be_in_it() -> None:
     reachable[:8, :8, :8] = maybe_full[:8, 16:24, :8] = empty[16:24, :8, :8] = True
     unknown = (reachable | maybe_full | empty).ravel()
     found = occupancy(np.full((5, 3), 100.0), np.zeros(0, np.int64), unknown)
-    obstacles = cover(found, None, None, None, Hidden(reachable.ravel(), maybe_full.ravel()))
+    obstacles = cover(
+        found, None, None, None, Hidden(*(Bits.of_mask(GRID.dims, mask) for mask in (reachable, maybe_full)))
+    )
     for mask, kind in ((reachable, ObstacleKind.UNKNOWN), (maybe_full, ObstacleKind.STATIC)):
         assert held(obstacles, np.flatnonzero(mask), 40_000_000, kind).all()
     for kind in ObstacleKind:

@@ -34,7 +34,7 @@ def distances(points: np.ndarray) -> np.ndarray:
 
 def test_every_voxel_in_the_arm_is_its_own_and_none_far_from_it() -> None:
     grid = Grid(np.array([-0.8, -0.8, -0.1]), 0.04, (40, 40, 30))
-    taken = own_space(grid, ARM, JOINTS)
+    taken = own_space(grid, ARM, JOINTS).mask()
     from_arm = distances(grid.centers(np.arange(grid.size)))
     assert taken[from_arm < 0].all()
     assert not taken[from_arm > 0.06].any()
@@ -42,7 +42,7 @@ def test_every_voxel_in_the_arm_is_its_own_and_none_far_from_it() -> None:
 
 
 def test_an_arm_outside_the_grid_takes_nothing() -> None:
-    assert not own_space(Grid(np.array([5.0, 5.0, 5.0]), 0.05, (8, 8, 8)), ARM, JOINTS).any()
+    assert not own_space(Grid(np.array([5.0, 5.0, 5.0]), 0.05, (8, 8, 8)), ARM, JOINTS).mask().any()
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -53,7 +53,7 @@ def test_compiled_capsules_are_the_plain_ones(seed: int, count: int) -> None:
     ends = rng.uniform(-1, 1, (count, 2, 3))
     ends[:, 1] = np.where(rng.uniform(size=(count, 1)) < 0.2, ends[:, 0], ends[:, 1])
     radii = rng.uniform(0.01, 0.4, count)
-    assert np.array_equal(within(grid, ends, radii), within_plainly(grid, ends, radii))
+    assert np.array_equal(within(grid, ends, radii).words, within_plainly(grid, ends, radii).words)
 
 
 def test_joints_of_another_arm_are_refused() -> None:

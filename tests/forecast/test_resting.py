@@ -8,8 +8,9 @@ import numpy as np
 from forecast_worlds import GRID, ball_voxels, state_of
 
 from twin_node.forecast import Forecaster
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.resting import RESTING_S, Resting
-from twin_node.scene import Bool, Occupancy, TwinState
+from twin_node.scene import Occupancy, TwinState
 
 STEP_NS = 33_333_333
 LATENCY_NS = 33_000_000
@@ -17,10 +18,8 @@ PERSON_M, BALL_M = 0.28, 0.1
 """Radii of a body too large to be followed as a whole, and of one that is not."""
 
 
-def standing(*voxels: int) -> Bool:
-    mask = np.zeros(GRID.size, np.bool_)
-    mask[list(voxels)] = True
-    return mask
+def standing(*voxels: int) -> Bits:
+    return Bits.of_indices(GRID.dims, np.array(voxels))
 
 
 def test_what_stands_where_something_moved_is_resting_until_it_is_forgotten() -> None:
@@ -30,6 +29,8 @@ def test_what_stands_where_something_moved_is_resting_until_it_is_forgotten() ->
     almost = round(RESTING_S * 1e9) - 1
     assert resting.update(almost, nothing, standing(5, 7)).tolist() == [5]
     assert resting.update(almost + 1, nothing, standing(5, 7)).tolist() == []
+    assert resting.update(almost + 2, np.array([5]), standing(7)).tolist() == []
+    assert resting.update(almost + 3, nothing, standing(5, 7)).tolist() == [5]
 
 
 def test_what_stood_all_along_is_none_though_something_passed_over_it() -> None:

@@ -10,6 +10,7 @@ from forecast_worlds import RIG
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.tables import Blocks, CameraTable
 from twin_node.forecast.verdicts import (
@@ -17,16 +18,25 @@ from twin_node.forecast.verdicts import (
     LIKELY_MOVES,
     MAY_MOVE,
     UNKNOWN,
+    Carved,
     Sight,
     Surface,
     carved,
-    verdicts,
+    carved_plainly,
     verdicts_plainly,
 )
 from twin_node.scene import Grid
 
 BLOCKS = Blocks(Grid(np.array([-0.5, -0.4, 0.1]), 0.05, (21, 18, 14)))
 TABLES = tuple(CameraTable(camera, BLOCKS) for camera in RIG)
+
+
+DIMS = BLOCKS.grid.dims
+
+
+def assert_the_same(one: Carved, other: Carved) -> None:
+    for name in ("may_move", "likely_moves", "unknown"):
+        assert np.array_equal(getattr(one, name).words, getattr(other, name).words), name
 
 
 def random_sight(table: CameraTable, rng: np.random.Generator, patch: int = 1) -> Sight:
@@ -51,26 +61,29 @@ def random_sight(table: CameraTable, rng: np.random.Generator, patch: int = 1) -
 def test_compiled_verdicts_are_the_plain_ones(seed: int, views: int, patch: int) -> None:
     rng = np.random.default_rng(seed)
     sights = [random_sight(table, rng, patch) for table in TABLES[:views]]
-    assert np.array_equal(verdicts(BLOCKS, sights), verdicts_plainly(BLOCKS, sights))
+    assert_the_same(carved(BLOCKS, sights), carved_plainly(BLOCKS, sights))
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 def test_blocks_larger_in_the_image_than_any_window_are_decided_voxel_by_voxel() -> None:
     wide = replace(RIG[0], width=1600, height=1200, K=np.array([[1600.0, 0, 800], [0, 1600.0, 600], [0, 0, 1]]))
     table = CameraTable(wide, BLOCKS)
-    assert (table.of_blocks.windows[:, 1] - table.of_blocks.windows[:, 0]).max() > 128
+    assert (table.of_blocks.small.windows[:, 1] - table.of_blocks.small.windows[:, 0]).max() > 128
     sight = random_sight(table, np.random.default_rng(2), 150)
-    assert np.array_equal(verdicts(BLOCKS, [sight]), verdicts_plainly(BLOCKS, [sight]))
+    assert_the_same(carved(BLOCKS, [sight]), carved_plainly(BLOCKS, [sight]))
 
 
 def test_every_verdict_occurs() -> None:
     rng = np.random.default_rng(1)
-    found = verdicts(BLOCKS, [random_sight(table, rng) for table in TABLES])
+    found = verdicts_plainly(BLOCKS, [random_sight(table, rng) for table in TABLES])
     assert set(np.unique(found)) == {FREE, UNKNOWN, MAY_MOVE, LIKELY_MOVES}
 
 
-def test_what_is_not_free_is_listed_or_marked() -> None:
-    found = carved(np.array([FREE, LIKELY_MOVES, UNKNOWN, FREE, MAY_MOVE, UNKNOWN]))
-    assert found.moving.tolist() == [1, 4]
-    assert found.likely.tolist() == [True, False]
-    assert np.flatnonzero(found.unknown).tolist() == [2, 5]
+def test_what_is_taken_is_free() -> None:
+    rng = np.random.default_rng(1)
+    found = carved(BLOCKS, [random_sight(table, rng) for table in TABLES])
+    taken = Bits.of_mask(DIMS, rng.uniform(size=BLOCKS.grid.size) < 0.5)
+    left = found.without(taken)
+    for name in ("may_move", "likely_moves", "unknown"):
+        before, after = getattr(found, name).mask(), getattr(left, name).mask()
+        assert before.any() and np.array_equal(after, before & ~taken.mask())

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast import kernels
+from twin_node.forecast.bits import Bits
 from twin_node.scene import Bool, Grid
 
 SMALLEST = 4
@@ -77,8 +78,8 @@ def smallest_boxes_plainly(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
     return _by_cell(0, voxels // SMALLEST, voxels, voxels).boxes
 
 
-def mostly_full(grid: Grid, mask: Bool, share: float) -> Boxes:
-    """The whole cells of level 0 of which a flat mask fills some, and at least a share of what lies in the grid."""
+def mostly_full(grid: Grid, mask: Bits, share: float) -> Boxes:
+    """The whole cells of level 0 of which a mask fills some, and at least a share of what lies in the grid."""
     counts = voxels_per_cell(grid, mask)
     cells = np.stack(np.unravel_index(np.flatnonzero(counts), _lattice(grid)), axis=1)
     lower, upper = cells * SMALLEST, np.minimum((cells + 1) * SMALLEST, np.array(grid.dims)) - 1
@@ -86,20 +87,20 @@ def mostly_full(grid: Grid, mask: Bool, share: float) -> Boxes:
     return Boxes(np.zeros(len(cells), np.int64), cells, lower, upper).rows(chosen)
 
 
-def voxels_per_cell(grid: Grid, mask: Bool) -> NDArray[np.int32]:
-    """[cells] how many voxels of a flat mask each cell of level 0 holds."""
+def voxels_per_cell(grid: Grid, mask: Bits) -> NDArray[np.int32]:
+    """[cells] how many voxels of a mask each cell of level 0 holds."""
     compiled = kernels.kernels()
     if compiled is None:
         return voxels_per_cell_plainly(grid, mask)
-    mask = np.ascontiguousarray(mask)
+    words = np.ascontiguousarray(mask.words)
     counts: NDArray[np.int32] = np.zeros(_cells(grid), np.int32)
-    compiled.count(kernels.CountRequest(*grid.dims, mask.ctypes.data, counts.ctypes.data))
+    compiled.count(kernels.CountRequest(*grid.dims, words.ctypes.data, counts.ctypes.data))
     return counts
 
 
-def voxels_per_cell_plainly(grid: Grid, mask: Bool) -> NDArray[np.int32]:
-    """[cells] how many voxels of a flat mask each cell of level 0 holds: the plain way."""
-    sums = mask.reshape(grid.dims).astype(np.int32)
+def voxels_per_cell_plainly(grid: Grid, mask: Bits) -> NDArray[np.int32]:
+    """What `voxels_per_cell` does."""
+    sums = mask.mask().reshape(grid.dims).astype(np.int32)
     for axis, size in enumerate(grid.dims):
         sums = np.add.reduceat(sums, np.arange(0, size, SMALLEST), axis=axis)
     return sums.reshape(-1)

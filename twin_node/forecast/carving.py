@@ -20,7 +20,6 @@ from twin_node.forecast.verdicts import (
     Sight,
     Surface,
     carved,
-    verdicts,
 )
 from twin_node.scene import Bool, Float32, TwinState, UInt8, View
 
@@ -68,7 +67,7 @@ class Carver:
         self._backdrops.update(state)
         sights = self._sights(state, speed)
         self._last = (state, sights)
-        return carved(verdicts(self._blocks, sights))
+        return carved(self._blocks, sights)
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n]."""

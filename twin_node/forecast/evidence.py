@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver, CarvingParameters
-from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
@@ -21,7 +21,7 @@ from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
-from twin_node.scene import Bool, Float64, Grid, OccupancyLayer, TwinState, UInt32
+from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
 
 
 @dataclass(frozen=True)
@@ -50,17 +50,16 @@ class _Standing:
 
     source: OccupancyLayer
     """In the outer grid."""
-    mask: Bool
-    """[outer.size]."""
+    mask: Bits
+    """Of the outer grid."""
     inner: OccupancyLayer
     """In the inner grid."""
 
     @classmethod
     def of(cls, static: OccupancyLayer, margin: Margin) -> _Standing:
         """Of a layer of the outer grid."""
-        mask = np.zeros(margin.outer.size, np.bool_)
-        mask[static.indices] = True
-        standing = np.flatnonzero(margin.cropped(mask)).astype(np.uint32)
+        mask = Bits.of_indices(margin.outer.dims, static.indices)
+        standing = margin.cropped(mask).indices().astype(np.uint32)
         certain = np.full(len(standing), 255, np.uint8)
         return cls(static, mask, OccupancyLayer(static.horizon_ns, standing, certain))
 
@@ -89,25 +88,24 @@ class Observer:
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
         carved = self._without_arm(state, self._carver.carve(state, self._speed()))
-        parts = split(self.grid, carved.moving, carved.likely)
+        moving = carved.may_move.listed(carved.likely_moves)
+        parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
         motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         static = self._static.update(state, self._carver)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask
-        unknown = carved.unknown & ~stands
-        moving = np.zeros(self.grid.size, np.bool_)
-        moving[carved.moving] = True
-        hidden = self._hiding.update(state.stamp, unknown, moving, stands)
+        unknown = carved.unknown.without(stands)
+        hidden = self._hiding.update(state.stamp, unknown, carved.may_move, stands)
         limbs = parts.likely & ~motion.alone[parts.labels]
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),
             motion=motion,
             static=self._standing.inner,
-            unknown_runs=encode_runs(self.margin.cropped(unknown)),
-            hidden=hidden.masked(self.margin.cropped),
+            unknown_runs=self.margin.cropped(unknown).runs(),
+            hidden=Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full)),
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
 
@@ -119,9 +117,7 @@ class Observer:
         """What is left when the arm's own space is taken out: its shadow stays unknown."""
         if self._arm is None or state.frames.joints is None:
             return carved
-        taken = own_space(self.grid, self._arm, state.frames.joints)
-        others = ~taken[carved.moving]
-        return Carved(carved.moving[others], carved.likely[others], carved.unknown & ~taken)
+        return carved.without(own_space(self.grid, self._arm, state.frames.joints))
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""

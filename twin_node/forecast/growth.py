@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from twin_node.forecast.kernels import GrowRequest, Kernels, ListRequest, kernels
+from twin_node.forecast.bits import Bits
+from twin_node.forecast.kernels import GrowRequest, Kernels, kernels
 from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
 from twin_node.splat.library import thread_count
 
@@ -108,11 +109,9 @@ def _spread_by(
     request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses)
     compiled.grow(request)
     spreads = []
-    for layer, count in enumerate(counts.tolist()):
-        found = Spread(np.empty(count, np.uint32), np.empty(count, np.bool_))
-        addresses = (array.ctypes.data for array in (reached[layer], core[layer], found.indices, found.core))
-        compiled.list(ListRequest(nx, ny, nz, *addresses))
-        spreads.append(found)
+    for layer, marks in zip(reached, core, strict=True):
+        found = Bits(grid.dims, layer).listed(Bits(grid.dims, marks))
+        spreads.append(Spread(found.indices, found.marked))
     return tuple(spreads)
 
 

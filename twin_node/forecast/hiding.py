@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -11,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from twin_node.forecast.bits import WORD, Bits, Words
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.kernels import HideRequest, kernels
 from twin_node.scene import Bool, Float32, Grid
-
-Words = NDArray[np.uint64]
 
 HAND_M = 0.04
 """Thinnest thing that is looked for, m: a hand, as detection capability is told in ISO 13855."""
@@ -25,22 +23,16 @@ that it hangs on is not seen to move. What is still in there afterwards hangs on
 LONGEST_GAP_S = 0.5
 """After a longer time without evidence nothing is known of space that is not seen, s."""
 _NEVER = np.float32(1e9)
-_WORD = 64
-"""Bits of a word, and voxels of a hand at most: those of grids that fit into memory are fewer."""
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """Flat masks [grid.size] of unknown space; what is in neither was seen empty, and nothing can have got in since."""
+    """Unknown space; what is in neither mask was seen empty, and nothing can have got in since."""
 
-    reachable: Bool
+    reachable: Bits
     """Something may come out at any time: it hangs together with what moves, or with what lies beyond the grid."""
-    maybe_full: Bool
+    maybe_full: Bits
     """Something may lie there, but nothing comes out: it was never seen empty, and nothing reaches it."""
-
-    def masked(self, mask: Callable[[Bool], Bool]) -> Hidden:
-        """Both masks changed in the same way, such as cropped."""
-        return Hidden(mask(self.reachable), mask(self.maybe_full))
 
 
 class HidingPlaces:
@@ -58,14 +50,14 @@ class HidingPlaces:
         self._memory = Memory.of_nothing(grid)
         self._stamp: int | None = None
 
-    def update(self, stamp: int, unknown: Bool, moving: Bool, standing: Bool) -> Hidden:
-        """What flat masks [grid.size] of unknown, moving and standing voxels at a time (ns, rising) leave possible."""
+    def update(self, stamp: int, unknown: Bits, moving: Bits, standing: Bits) -> Hidden:
+        """What unknown, moving and standing voxels at a time (ns, rising) leave possible."""
         elapsed_s = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
         self._stamp = stamp
         if elapsed_s > LONGEST_GAP_S:
-            self._memory.maybe_full[:] = True
+            self._memory.maybe_full.words[:] = Bits.all(self._grid.dims).words
         reachable = follow(self._grid, self._memory, Seen(elapsed_s, unknown, moving, standing))
-        return Hidden(reachable, self._memory.maybe_full & ~reachable)
+        return Hidden(reachable, self._memory.maybe_full.without(reachable))
 
 
 @dataclass(frozen=True)
@@ -74,58 +66,60 @@ class Memory:
 
     ages_s: Float32
     """[nx / 2, ny / 2, nz / 2] since each cell of two by two by two voxels was last reached by what is attached, s."""
-    maybe_full: Bool
-    """[grid.size] voxels that are not known to be empty."""
+    maybe_full: Bits
+    """Voxels that are not known to be empty."""
 
     @staticmethod
     def of_nothing(grid: Grid) -> Memory:
         """Before anything was seen."""
         cells = tuple(-(-n // 2) for n in grid.dims)
-        return Memory(np.full(cells, _NEVER, np.float32), np.ones(grid.size, np.bool_))
+        return Memory(np.full(cells, _NEVER, np.float32), Bits.all(grid.dims))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One state's flat masks [grid.size]."""
+    """One state."""
 
     elapsed_s: float
     """Since the state before, s."""
-    unknown: Bool
-    moving: Bool
-    standing: Bool
+    unknown: Bits
+    moving: Bits
+    standing: Bits
 
 
-def follow(grid: Grid, memory: Memory, seen: Seen) -> Bool:
-    """[grid.size] unknown voxels that something may come out of; the memory is brought up to date.
+def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
+    """Unknown voxels that something may come out of; the memory is brought up to date.
 
     Compiled; `follow_plainly` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
         return follow_plainly(grid, memory, seen)
-    reachable = np.empty(grid.size, np.bool_)
-    masks = [np.ascontiguousarray(mask) for mask in (seen.unknown, seen.moving, seen.standing)]
-    addresses = [array.ctypes.data for array in (*masks, memory.ages_s, memory.maybe_full, reachable)]
+    reachable = Bits.none(grid.dims)
+    given = tuple(np.ascontiguousarray(mask.words) for mask in (seen.unknown, seen.moving, seen.standing))
+    arrays: tuple[NDArray[np.generic], ...] = (*given, memory.ages_s, memory.maybe_full.words, reachable.words)
+    addresses = (array.ctypes.data for array in arrays)
     steps = (_hand(grid), _reach(grid, seen.elapsed_s))
     compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses))
     return reachable
 
 
-def follow_plainly(grid: Grid, memory: Memory, seen: Seen) -> Bool:
+def follow_plainly(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     """What `follow` does."""
-    moving = _packed(grid, seen.moving)
-    ways = _ways(grid, _packed(grid, seen.unknown), moving, _packed(grid, seen.standing))
+    unknown, moving = seen.unknown.words, seen.moving.words
+    ways = _ways(grid, unknown, moving, seen.standing.words)
     memory.ages_s[:] = _spread(grid, memory.ages_s + np.float32(seen.elapsed_s), seen.elapsed_s, ways, moving)
     reached = _least_around(memory.ages_s, 1) <= ATTACHED_S
     nx, ny, nz = grid.dims
-    reachable: Bool = seen.unknown & reached.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:nx, :ny, :nz].reshape(-1)
-    memory.maybe_full[:] = memory.maybe_full & seen.unknown | reachable
+    open_ = Bits.of_mask(grid.dims, reached.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:nx, :ny, :nz].reshape(-1))
+    reachable = seen.unknown & open_
+    memory.maybe_full.words[:] = memory.maybe_full.words & unknown | reachable.words
     return reachable
 
 
 def _hand(grid: Grid) -> int:
-    """Voxels across a hand."""
-    return min(max(1, int(HAND_M / grid.voxel_size)), _WORD)
+    """Voxels across a hand: those of grids that fit into memory are fewer than the bits of a word."""
+    return min(max(1, int(HAND_M / grid.voxel_size)), WORD)
 
 
 def _reach(grid: Grid, elapsed_s: float) -> int:
@@ -154,16 +148,6 @@ def _spread(grid: Grid, ages: Float32, elapsed_s: float, ways: Bool, moving: Wor
     np.minimum.at(newest, labels[ways], ages[ways])
     newest[newest > ATTACHED_S] = _NEVER
     return np.where(ways, newest[labels], _NEVER)
-
-
-def _packed(grid: Grid, mask: Bool) -> Words:
-    """Bits [nx, ny, w] of a flat mask, 64 voxels along z per word, lowest bit first."""
-    nx, ny, nz = grid.dims
-    columns = np.packbits(mask.reshape(nx, ny, nz), axis=2, bitorder="little")
-    padded = np.zeros((nx, ny, -(-nz // _WORD) * 8), np.uint8)
-    padded[..., : columns.shape[2]] = columns
-    words: Words = padded.view(np.uint64)
-    return words
 
 
 def _halved(grid: Grid, words: Words) -> Bool:

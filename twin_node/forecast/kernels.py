@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 11
+INTERFACE_VERSION = 12
 
 
 class GrowRequest(ctypes.Structure):
@@ -29,15 +29,31 @@ class ListRequest(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int32) for name in ("nx", "ny", "nz")),
-        *((name, c_void_p) for name in ("reached", "core", "indices", "is_core")),
+        *((name, c_void_p) for name in ("words", "marks", "indices", "marked")),
     )
+
+
+class RunsRequest(ctypes.Structure):
+    """`forecast::RunsRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("nx", "ny", "nz")),
+        *((name, c_void_p) for name in ("words", "runs", "count")),
+    )
+
+
+class BlockSightings(ctypes.Structure):
+    """`forecast::BlockSightings`."""
+
+    _fields_ = tuple((name, c_void_p) for name in ("near", "far", "windows", "whole"))
 
 
 class Sight(ctypes.Structure):
     """`forecast::Sight`."""
 
     _fields_ = (
-        *((name, c_void_p) for name in ("pixels", "depths", "near", "far", "windows", "whole")),
+        *((name, c_void_p) for name in ("pixels", "depths")),
+        *((name, BlockSightings) for name in ("small", "large")),
         *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
         ("size", c_int64),
         *((name, c_int32) for name in ("width", "height")),
@@ -49,7 +65,7 @@ class CarveRequest(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("sights", "verdicts")),
+        *((name, c_void_p) for name in ("sights", "unknown", "may_move", "likely_moves")),
     )
 
 
@@ -73,7 +89,7 @@ class HoldRequest(ctypes.Structure):
 class CountRequest(ctypes.Structure):
     """`forecast::CountRequest`."""
 
-    _fields_ = (*((name, c_int32) for name in ("nx", "ny", "nz")), ("mask", c_void_p), ("counts", c_void_p))
+    _fields_ = (*((name, c_int32) for name in ("nx", "ny", "nz")), ("words", c_void_p), ("counts", c_void_p))
 
 
 class FitRequest(ctypes.Structure):
@@ -155,6 +171,8 @@ class Kernels(NativeLibrary):
         self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
         self._dll.forecast_list.restype = None
+        self._dll.forecast_runs.argtypes = [ctypes.POINTER(RunsRequest)]
+        self._dll.forecast_runs.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
         self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
         self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
@@ -173,8 +191,12 @@ class Kernels(NativeLibrary):
         _check(self._dll.forecast_grow(request))
 
     def list(self, request: ListRequest) -> None:
-        """Lists the voxels of one layer; takes one thread."""
+        """Lists the voxels of a mask; takes one thread."""
         self._dll.forecast_list(request)
+
+    def runs(self, request: RunsRequest) -> None:
+        """Finds the runs of a mask; takes one thread."""
+        self._dll.forecast_runs(request)
 
     def carve(self, request: CarveRequest) -> None:
         """Says of every voxel what the views show. Raises `MemoryError`."""

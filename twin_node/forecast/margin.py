@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.bits import WORD, Bits
 from twin_node.forecast.grid import MOST_VOXELS
 from twin_node.scene import Bool, Grid
 
@@ -33,14 +34,17 @@ class Margin:
         """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of coordinates in the outer one."""
         return outer - self._offset[:, None].astype(np.int32)
 
-    def cropped(self, mask: Bool) -> Bool:
-        """Flat mask [inner.size] of a flat mask [outer.size]."""
-        x, y, z = self._offset
+    def cropped(self, mask: Bits) -> Bits:
+        """A mask of the inner grid of one of the outer grid, which has no rim below."""
+        x, y, _ = self._offset
         nx, ny, nz = self.inner.dims
-        return mask.reshape(self.outer.dims)[x : x + nx, y : y + ny, z : z + nz].reshape(-1)
+        words = mask.words[x : x + nx, y : y + ny, : -(-nz // WORD)].copy()
+        if nz % WORD:
+            words[..., -1] &= np.uint64((1 << nz % WORD) - 1)
+        return Bits(self.inner.dims, words)
 
     def padded(self, mask: Bool) -> Bool:
-        """Flat mask [outer.size] of a flat mask [inner.size]: what `cropped` undoes."""
+        """Flat mask [outer.size] of a flat mask [inner.size]: what `cropped` undoes, bit by bit."""
         x, y, z = self._offset
         nx, ny, nz = self.inner.dims
         padded = np.zeros(self.outer.dims, np.bool_)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
@@ -89,7 +90,7 @@ def cover(
     stamps = [occupancy.publish_stamp + layer.horizon_ns for layer in occupancy.layers]
     if hidden is None:
         unknown = decode_runs(occupancy.unknown_runs, grid.size)
-        hidden = Hidden(reachable=unknown, maybe_full=np.zeros(grid.size, np.bool_))
+        hidden = Hidden(reachable=Bits.of_mask(grid.dims, unknown), maybe_full=Bits.none(grid.dims))
     batches = []
 
     def hold(

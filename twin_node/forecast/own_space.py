@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernels import TakeRequest, kernels
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
-from twin_node.scene import Bool, Float64, Grid, JointSample
+from twin_node.scene import Float64, Grid, JointSample
 
 MARGIN = 0.01
 """By which the arm's capsules are grown, m: what mounting and joint stamps leave between model and image."""
 
 
-def own_space(grid: Grid, arm: ArmModel, joints: JointSample) -> Bool:
-    """[grid.size] True for voxels that the arm's capsules, grown by `MARGIN`, touch.
+def own_space(grid: Grid, arm: ArmModel, joints: JointSample) -> Bits:
+    """Voxels that the arm's capsules, grown by `MARGIN`, touch.
 
     Raises `RobotError` for joint values that are not the arm's.
     """
@@ -21,8 +22,8 @@ def own_space(grid: Grid, arm: ArmModel, joints: JointSample) -> Bool:
     return within(grid, placed.ends, placed.radii + MARGIN + grid.voxel_size * np.sqrt(3) / 2)
 
 
-def within(grid: Grid, ends: Float64, radii: Float64) -> Bool:
-    """[grid.size] True for voxels whose middles lie in a capsule: ends [C, 2, 3] and radii [C] in metres.
+def within(grid: Grid, ends: Float64, radii: Float64) -> Bits:
+    """Voxels whose middles lie in a capsule: ends [C, 2, 3] and radii [C] in metres.
 
     Compiled; `within_plainly` where that cannot be.
     """
@@ -30,13 +31,13 @@ def within(grid: Grid, ends: Float64, radii: Float64) -> Bool:
     if compiled is None:
         return within_plainly(grid, ends, radii)
     arrays = [np.ascontiguousarray(array, np.float64) for array in (grid.origin, ends, radii)]
-    taken = np.zeros(grid.size, np.bool_)
-    addresses = (array.ctypes.data for array in (*arrays, taken))
+    taken = Bits.none(grid.dims)
+    addresses = (array.ctypes.data for array in (*arrays, taken.words))
     compiled.take(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses))
     return taken
 
 
-def within_plainly(grid: Grid, ends: Float64, radii: Float64) -> Bool:
+def within_plainly(grid: Grid, ends: Float64, radii: Float64) -> Bits:
     """What `within` does."""
     taken = np.zeros(grid.dims, np.bool_)
     for own, radius in zip(ends, radii, strict=True):
@@ -49,7 +50,7 @@ def within_plainly(grid: Grid, ends: Float64, radii: Float64) -> Bool:
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         box = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
         taken[box] |= _distances(points, own) <= radius
-    return taken.reshape(-1)
+    return Bits.of_mask(grid.dims, taken.reshape(-1))
 
 
 def _distances(points: Float64, ends: Float64) -> Float64:

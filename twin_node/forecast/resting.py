@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.scene import Bool, Grid
+from twin_node.forecast.bits import Bits
+from twin_node.scene import Grid
 
 RESTING_S = 20.0
 """How long what has moved by itself may start again, s: one start spoils the forecasts of one horizon of 0.2 s, and a
@@ -18,12 +19,19 @@ class Resting:
 
     def __init__(self, grid: Grid) -> None:
         self._moved_at = np.full(grid.size, _NEVER, np.int64)
+        self._moved = Bits.none(grid.dims)
+        """Where something moved that has not been found to have been too long ago."""
 
-    def update(self, stamp: int, moving: NDArray[np.int64], standing: Bool) -> NDArray[np.int64]:
+    def update(self, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
         """Flat indices [n] of voxels that stand at `stamp` (ns, rising), and did not when something moved in them.
 
-        `moving` [m]: flat indices where something moves that may rest and start again; `standing` [grid.size]: what
-        stands. A table that a hand passes over stood all along: it is none of these.
+        `moving` [m]: flat indices where something moves that may rest and start again; `standing`: what stands. A table
+        that a hand passes over stood all along: it is none of these.
         """
-        self._moved_at[moving[~standing[moving]]] = stamp
-        return np.flatnonzero(standing & (self._moved_at > stamp - round(RESTING_S * 1e9)))
+        started = moving[~standing.holds(moving)]
+        self._moved_at[started] = stamp
+        self._moved.add(started)
+        stands = (self._moved & standing).indices()
+        is_recent = self._moved_at[stands] > stamp - round(RESTING_S * 1e9)
+        self._moved.remove(stands[~is_recent])
+        return stands[is_recent]

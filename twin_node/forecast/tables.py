@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -77,6 +77,13 @@ class Blocks:
         """[count, 3] m."""
         return self.grid.origin + (self.corners(np.arange(self.count)) + BLOCK / 2) * self.grid.voxel_size
 
+    def members_of_large(self) -> NDArray[np.int64]:
+        """[large, 8] blocks in each block of two by two by two of them, row by row; -1 beyond the upper ends."""
+        padded = np.full(2 * (-(-self.dims // 2)), -1)
+        padded[tuple(slice(n) for n in self.dims)] = np.arange(self.count).reshape(self.dims)
+        x, y, z = padded.shape
+        return padded.reshape(x // 2, 2, y // 2, 2, z // 2, 2).transpose(0, 2, 4, 1, 3, 5).reshape(-1, 8)
+
     def inside(self) -> Bool:
         """[count, VOXELS] False for the padding beyond the grid's upper ends."""
         return self._inside.reshape(self.count, VOXELS)
@@ -106,6 +113,14 @@ class BlockSightings:
     """[count] True where all voxels lie inside the image."""
 
 
+class BlocksSeen(NamedTuple):
+    """Where a camera sees blocks."""
+
+    small: BlockSightings
+    large: BlockSightings
+    """Of `Blocks.members_of_large`."""
+
+
 class CameraTable:
     """Where a camera sees every voxel and block; pixel `width * height` stands for outside the image."""
 
@@ -115,7 +130,8 @@ class CameraTable:
         self._blocks = blocks
         self.voxels = self._sight(blocks.voxel_centers)
         """Of all voxels, block by block."""
-        self.of_blocks = self._sight_blocks()
+        small = self._sight_blocks()
+        self.of_blocks = BlocksSeen(small, _joined(small, blocks.members_of_large()))
         """The same of whole blocks."""
         distance = float(np.linalg.norm(blocks.centers.mean(axis=0) - camera.T_base_cam[:3, 3]))
         self.pixels_per_metre = camera.K[0, 0] / max(distance, blocks.grid.voxel_size)
@@ -156,6 +172,19 @@ class CameraTable:
         windows = np.stack(ends, axis=1).astype(np.int32)
         whole: Bool = np.all(shown | ~real, axis=1)
         return BlockSightings(_least(depths, real), _greatest(depths, real), windows, whole)
+
+
+def _joined(blocks: BlockSightings, members: NDArray[np.int64]) -> BlockSightings:
+    """Of blocks that each consist of some of `blocks`, those in a row of `members` [n, m] that are not -1."""
+    there = members >= 0
+    ends = blocks.windows[members]
+    windows = np.stack([end(ends[..., k], there) for k, end in enumerate((_least, _greatest) * 2)], axis=1)
+    return BlockSightings(
+        _least(blocks.near[members], there),
+        _greatest(blocks.far[members], there),
+        windows,
+        np.all(blocks.whole[members] | ~there, axis=1),
+    )
 
 
 def _least(values: NDArray[Number], chosen: Bool) -> NDArray[Number]:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast import kernels
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.tables import Blocks, CameraTable
-from twin_node.scene import Bool, Float32, UInt8
+from twin_node.scene import Float32, UInt8
 from twin_node.splat.library import thread_count
 
 MOVING, ROBOT, SEEN, BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
@@ -47,60 +48,70 @@ class Sight:
     """What moves, as measured; None without depth."""
 
 
-def verdicts(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
-    """[grid.size] verdicts on all voxels. Compiled; `verdicts_plainly` where that cannot be."""
+@dataclass(frozen=True)
+class Carved:
+    """What one set of images says about every voxel; voxels in none of the masks are free."""
+
+    may_move: Bits
+    """What moves explains it."""
+    likely_moves: Bits
+    """Of these, where no camera sees past the moving thing: the rims that errors add are left out."""
+    unknown: Bits
+    """What nothing frees and nothing explains."""
+
+    def without(self, taken: Bits) -> Carved:
+        """What is left where some voxels count as free."""
+        masks = (self.may_move, self.likely_moves, self.unknown)
+        return Carved(*(mask.without(taken) for mask in masks))
+
+
+def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
+    """What the sights say of all voxels. Compiled; `carved_plainly` where that cannot be."""
     compiled = kernels.kernels()
     if compiled is None:
-        return verdicts_plainly(blocks, sights)
+        return carved_plainly(blocks, sights)
     given = (kernels.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
     for row, (sight, arrays) in enumerate(zip(sights, held, strict=True)):
-        addresses = (None if array is None else array.ctypes.data for array in arrays)
+        table, small, large, pixels = ([_address(array) for array in some] for some in arrays)
+        whole = (kernels.BlockSightings(*small), kernels.BlockSightings(*large))
         camera = sight.table.camera
-        given[row] = kernels.Sight(*addresses, len(sight.flags), camera.width, camera.height)
-    verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)
-    sizes = (len(sights), *blocks.grid.dims, thread_count())
-    compiled.carve(kernels.CarveRequest(*sizes, ctypes.addressof(given), verdicts.ctypes.data))
-    return verdicts
+        given[row] = kernels.Sight(*table, *whole, *pixels, len(sight.flags), camera.width, camera.height)
+    dims = blocks.grid.dims
+    found = Carved(Bits.none(dims), Bits.none(dims), Bits.none(dims))
+    masks = (mask.words.ctypes.data for mask in (found.unknown, found.may_move, found.likely_moves))
+    compiled.carve(kernels.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
+    return found
 
 
-@dataclass(frozen=True)
-class Carved:
-    """What one set of images says about every voxel; voxels in neither are free."""
-
-    moving: NDArray[np.int64]
-    """[n] flat indices of what may move, strictly increasing."""
-    likely: Bool
-    """[n] of these, where no camera sees past the moving thing: the rims that errors add are left out."""
-    unknown: Bool
-    """[grid.size] what nothing frees and nothing explains."""
-
-
-def carved(verdicts: UInt8) -> Carved:
-    """What verdicts [grid.size] do not call free."""
-    moving = np.flatnonzero(verdicts >= MAY_MOVE)
-    return Carved(moving, verdicts[moving] == LIKELY_MOVES, verdicts == UNKNOWN)
-
-
-def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
-    """In the order of `kernels.Sight`."""
+def _arrays(sight: Sight) -> tuple[Sequence[NDArray[np.generic] | None], ...]:
+    """In the order of `kernels.Sight`: of voxels, blocks, large blocks and pixels."""
     measured = (None, None) if sight.surface is None else (sight.surface.begin, sight.surface.end)
-    voxels, blocks = sight.table.voxels, sight.table.of_blocks
+    voxels = sight.table.voxels
     return (
-        voxels.pixels,
-        voxels.depth,
-        blocks.near,
-        blocks.far,
-        blocks.windows,
-        blocks.whole,
-        np.ascontiguousarray(sight.free_until, np.float32),
-        *(None if depths is None else np.ascontiguousarray(depths, np.float32) for depths in measured),
-        np.ascontiguousarray(sight.flags, np.uint8),
+        (voxels.pixels, voxels.depth),
+        *((blocks.near, blocks.far, blocks.windows, blocks.whole) for blocks in sight.table.of_blocks),
+        (
+            np.ascontiguousarray(sight.free_until, np.float32),
+            *(None if depths is None else np.ascontiguousarray(depths, np.float32) for depths in measured),
+            np.ascontiguousarray(sight.flags, np.uint8),
+        ),
     )
 
 
+def _address(array: NDArray[np.generic] | None) -> int | None:
+    return None if array is None else array.ctypes.data
+
+
+def carved_plainly(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
+    """What `carved` does."""
+    verdicts, dims = verdicts_plainly(blocks, sights), blocks.grid.dims
+    masks = (verdicts >= MAY_MOVE, verdicts == LIKELY_MOVES, verdicts == UNKNOWN)
+    return Carved(*(Bits.of_mask(dims, mask) for mask in masks))
+
+
 def verdicts_plainly(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
-    """What `verdicts` does, view by view."""
+    """[grid.size] verdicts on all voxels, view by view."""
     left = blocks.places(np.arange(blocks.count))
     for sight in sights:
         seen = sight.table.at(left)

@@ -2,10 +2,10 @@
 #pragma once
 
 #include <algorithm>
-#include <cstring>
 #include <vector>
 
 #include "../../native/crew.h"
+#include "bits.h"
 #include "interface.h"
 #include "overview.h"
 
@@ -17,57 +17,70 @@ constexpr int kVoxels = kBlock * kBlock * kBlock;
 // Two views must show the same to be believed where no surface is measured.
 constexpr int kWitnesses = 2;
 
+// Masks of the voxels of one block, x before y before z.
+struct Found {
+  uint64_t unknown, may_move, likely_moves;
+};
+
+inline uint64_t as_bits(const int32_t *flags) {
+  uint64_t bits = 0;
+  for (int i = 0; i < kVoxels; i++) bits |= static_cast<uint64_t>(flags[i] != 0) << i;
+  return bits;
+}
+
 // What the views say of the voxels of one block, which lie side by side in the tables: vectors of `kVoxels`.
 class BlockVerdicts {
  public:
+  using Size = BlockSightings Sight::*;  // &Sight::small or &Sight::large
+
   BlockVerdicts(
       const CarveRequest &request, const std::vector<Overview> &overviews,
       const std::vector<std::vector<int32_t>> &flags)
       : r_(request), overviews_(overviews), flags_(flags), dividing_(request.views, 0) {}
 
-  // Verdicts on a block; null where all of it is free.
-  const uint8_t *of(int64_t block) {
-    if (freed_as_a_whole(block)) return nullptr;
-    const bool explicable = divided(block);
-    if (freed_voxel_by_voxel(block * kVoxels)) return nullptr;
-    if (!explicable) {
-      for (int i = 0; i < kVoxels; i++) verdicts_[i] = open_[i] ? kUnknown : kFree;
-      return verdicts_;
+  // Whether some view frees all of a block. Neighbours are often freed by the same one.
+  bool freed_as_a_whole(Size size, int64_t block) {
+    for (int turn = 0; turn < r_.views; turn++, likeliest_ = (likeliest_ + 1) % r_.views) {
+      const BlockSightings &blocks = r_.sights[likeliest_].*size;
+      const Overview &overview = overviews_[likeliest_];
+      const auto window = [&] { return overview.window(blocks.windows + 4 * block); };
+      if (blocks.whole[block] && blocks.far[block] < overview.least(window())) return true;
     }
+    return false;
+  }
+
+  // Whether no view frees or explains any of a block.
+  bool unknown_as_a_whole(Size size, int64_t block) { return !divided(size, block) && dividing_count_ == 0; }
+
+  // Of a block that is not freed as a whole.
+  Found of(int64_t block) {
+    const bool explicable = divided(&Sight::small, block);
+    if (freed_voxel_by_voxel(block * kVoxels)) return {0, 0, 0};
+    if (!explicable) return {as_bits(open_), 0, 0};
     for (int i = 0; i < kVoxels; i++) moving_[i] = robot_[i] = seen_[i] = surface_[i] = beside_[i] = 0;
     for (int v = 0; v < r_.views; v++) look(r_.sights[v], flags_[v].data(), block * kVoxels);
     for (int i = 0; i < kVoxels; i++) {
       const int32_t explained = (moving_[i] >= kWitnesses) | surface_[i];
       const int32_t itself = (robot_[i] >= kWitnesses) & (robot_[i] == seen_[i]);
-      const int32_t moves = beside_[i] ? kMayMove : kLikelyMoves, still = itself ? kFree : kUnknown;
-      verdicts_[i] = open_[i] ? (explained ? moves : still) : kFree;
+      unknown_[i] = open_[i] & !explained & !itself;
+      may_move_[i] = open_[i] & (explained != 0);
+      likely_moves_[i] = may_move_[i] & !beside_[i];
     }
-    return verdicts_;
+    return {as_bits(unknown_), as_bits(may_move_), as_bits(likely_moves_)};
   }
 
  private:
-  // Whether some view frees all of a block. Neighbours are often freed by the same one.
-  bool freed_as_a_whole(int64_t block) {
-    for (int turn = 0; turn < r_.views; turn++, likeliest_ = (likeliest_ + 1) % r_.views) {
-      const Sight &sight = r_.sights[likeliest_];
-      const Overview &overview = overviews_[likeliest_];
-      const auto window = [&] { return overview.window(sight.windows + 4 * block); };
-      if (sight.whole[block] && sight.far[block] < overview.least(window())) return true;
-    }
-    return false;
-  }
-
   // Finds the views that may free parts of a block, and says whether any may explain what is left.
-  bool divided(int64_t block) {
+  bool divided(Size size, int64_t block) {
     int moving = 0, robot = 0, surface = 0;
     dividing_count_ = 0;
     for (int v = 0; v < r_.views; v++) {
-      const Sight &sight = r_.sights[v];
+      const BlockSightings &blocks = r_.sights[v].*size;
       const Overview &overview = overviews_[v];
-      const int32_t *ends = sight.windows + 4 * block;
+      const int32_t *ends = blocks.windows + 4 * block;
       Extremes all = overview.outside();
       if (ends[0] <= ends[1]) all = joined(all, overview.over(overview.window(ends)));
-      if (sight.near[block] < all.most) dividing_[dividing_count_++] = v;
+      if (blocks.near[block] < all.most) dividing_[dividing_count_++] = v;
       moving += (all.flags & kMoving) != 0;
       robot += (all.flags & kRobot) != 0;
       surface |= all.flags & kSurface;
@@ -113,33 +126,85 @@ class BlockVerdicts {
   std::vector<int> dividing_;  // views that may free parts of the block, the first so many of it
   int dividing_count_ = 0;
   int32_t open_[kVoxels], moving_[kVoxels], robot_[kVoxels], seen_[kVoxels], surface_[kVoxels], beside_[kVoxels];
-  uint8_t verdicts_[kVoxels];
+  int32_t unknown_[kVoxels], may_move_[kVoxels], likely_moves_[kVoxels];
   int likeliest_ = 0;
 };
 
+// A grid in blocks, and in large ones of two by two by two of these.
+struct BlockLattice {
+  int64_t x, y, z;
+
+  BlockLattice(int64_t nx, int64_t ny, int64_t nz, int64_t side)
+      : x((nx + side - 1) / side), y((ny + side - 1) / side), z((nz + side - 1) / side) {}
+  int64_t flat(int64_t i, int64_t j, int64_t k) const { return (i * y + j) * z + k; }
+};
+
+// Carves the large blocks with the same place along x.
+class Slab {
+ public:
+  Slab(const CarveRequest &request, BlockVerdicts &verdicts, int64_t number)
+      : r_(request), verdicts_(verdicts), number_(number), small_(r_.nx, r_.ny, r_.nz, kBlock),
+        large_(r_.nx, r_.ny, r_.nz, kLarge) {}
+
+  void carve() {
+    for (int64_t y = 0; y < large_.y; y++) {
+      for (int64_t z = 0; z < large_.z; z++) {
+        const int64_t block = large_.flat(number_, y, z);
+        if (verdicts_.freed_as_a_whole(&Sight::large, block)) continue;
+        const bool is_unknown = verdicts_.unknown_as_a_whole(&Sight::large, block);
+        for (int64_t part = 0; part < kParts; part++) {
+          const int64_t i = 2 * number_ + part / 4, j = 2 * y + part / 2 % 2, k = 2 * z + part % 2;
+          if (i < small_.x && j < small_.y && k < small_.z) carve(i, j, k, is_unknown);
+        }
+      }
+    }
+  }
+
+ private:
+  static constexpr int kLarge = 2 * kBlock, kParts = 8;
+
+  void carve(int64_t i, int64_t j, int64_t k, bool is_unknown) {
+    const int64_t block = small_.flat(i, j, k);
+    if (is_unknown) {
+      write(r_.unknown, ~uint64_t{0}, i, j, k);
+      return;
+    }
+    if (verdicts_.freed_as_a_whole(&Sight::small, block)) return;
+    const Found found = verdicts_.of(block);
+    if (found.unknown) write(r_.unknown, found.unknown, i, j, k);
+    if (found.may_move) write(r_.may_move, found.may_move, i, j, k);
+    if (found.likely_moves) write(r_.likely_moves, found.likely_moves, i, j, k);
+  }
+
+  // Enters what was found of a block in a mask of the grid, which it may stand out of.
+  void write(uint64_t *mask, uint64_t found, int64_t i, int64_t j, int64_t k) const {
+    const int64_t x0 = i * kBlock, y0 = j * kBlock, z0 = k * kBlock, words = words_of(r_.nz);
+    const int64_t xs = std::min<int64_t>(kBlock, r_.nx - x0), ys = std::min<int64_t>(kBlock, r_.ny - y0);
+    const uint64_t inside = (uint64_t{1} << std::min<int64_t>(kBlock, r_.nz - z0)) - 1;
+    for (int64_t x = 0; x < xs; x++) {
+      for (int64_t y = 0; y < ys; y++) {
+        const uint64_t column = found >> (x * kBlock + y) * kBlock & inside;
+        mask[((x0 + x) * r_.ny + y0 + y) * words + z0 / 64] |= column << z0 % 64;
+      }
+    }
+  }
+
+  const CarveRequest &r_;
+  BlockVerdicts &verdicts_;
+  const int64_t number_;
+  const BlockLattice small_, large_;
+};
+
 inline void carve(const CarveRequest &r) {
-  const int64_t bx = (r.nx + kBlock - 1) / kBlock, by = (r.ny + kBlock - 1) / kBlock, bz = (r.nz + kBlock - 1) / kBlock;
   std::vector<std::vector<int32_t>> flags;  // words are gathered many at a time, bytes are not
   std::vector<Overview> overviews;
   for (int v = 0; v < r.views; v++) {
     flags.emplace_back(r.sights[v].flags, r.sights[v].flags + r.sights[v].size);
     overviews.emplace_back(r.sights[v]);
   }
-  std::vector<BlockVerdicts> slabs(bx, BlockVerdicts(r, overviews, flags));
-  crew::parallel_for(r.threads, bx, [&](int64_t slab) {
-    for (int64_t block = slab * by * bz; block < (slab + 1) * by * bz; block++) {
-      const uint8_t *found = slabs[slab].of(block);
-      if (!found) continue;
-      const int64_t x0 = slab * kBlock, y0 = block / bz % by * kBlock, z0 = block % bz * kBlock;
-      const int64_t xs = std::min<int64_t>(kBlock, r.nx - x0), ys = std::min<int64_t>(kBlock, r.ny - y0);
-      const int64_t zs = std::min<int64_t>(kBlock, r.nz - z0);
-      for (int64_t x = 0; x < xs; x++) {
-        for (int64_t y = 0; y < ys; y++) {
-          uint8_t *column = r.verdicts + ((x0 + x) * r.ny + y0 + y) * r.nz + z0;
-          std::memcpy(column, found + (x * kBlock + y) * kBlock, zs);
-        }
-      }
-    }
+  std::vector<BlockVerdicts> verdicts((r.nx + 2 * kBlock - 1) / (2 * kBlock), BlockVerdicts(r, overviews, flags));
+  crew::parallel_for(r.threads, static_cast<int64_t>(verdicts.size()), [&](int64_t slab) {
+    Slab(r, verdicts[slab], slab).carve();
   });
 }
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "bits.h"
 #include "interface.h"
 
 namespace forecast {
@@ -82,12 +83,18 @@ inline void hold_voxels(const HoldRequest &r) {
 }
 
 inline void count_voxels(const CountRequest &r) {
+  static_assert(kCell == 4, "bits are counted by fours");
   const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
-  const uint8_t *column = r.mask;
+  const int words = words_of(r.nz);
+  const uint64_t *column = r.words;
   for (int64_t x = 0; x < r.nx; x++) {
-    for (int64_t y = 0; y < r.ny; y++, column += r.nz) {
+    for (int64_t y = 0; y < r.ny; y++, column += words) {
       int32_t *counts = r.counts + ((x / kCell) * lattice.y + y / kCell) * lattice.z;
-      for (int64_t z = 0; z < r.nz; z++) counts[z / kCell] += column[z];
+      for (int w = 0; w < words; w++) {
+        uint64_t fours = column[w] - (column[w] >> 1 & 0x5555555555555555);
+        fours = (fours & 0x3333333333333333) + (fours >> 2 & 0x3333333333333333);
+        for (int64_t z = 16 * w; fours; z++, fours >>= 4) counts[z] += fours & 15;
+      }
     }
   }
 }

@@ -9,14 +9,13 @@
 #include <vector>
 
 #include "../../native/crew.h"
+#include "bits.h"
 #include "interface.h"
 
 namespace forecast {
 
 constexpr int kPerVoxel = 4;  // units of reach in a voxel's edge
 constexpr int kLevels = 256;
-
-inline int words_of(int bits) { return (bits + 63) / 64; }
 
 // Balls of one radius in one layer.
 struct Task {
@@ -218,21 +217,6 @@ inline void grow(const GrowRequest &r) {
   for (int layer = 0; layer < r.layers; layer++) {
     r.counts[layer] = 0;
     for (int64_t w = 0; w < size; w++) r.counts[layer] += __builtin_popcountll(r.reached[layer * size + w]);
-  }
-}
-
-inline void list(const ListRequest &r) {
-  const int words = words_of(r.nz);
-  int64_t next = 0;
-  for (int64_t column = 0; column < static_cast<int64_t>(r.nx) * r.ny; column++) {
-    for (int w = 0; w < words; w++) {
-      const uint64_t core = r.core[column * words + w];
-      for (uint64_t bits = r.reached[column * words + w]; bits; bits &= bits - 1) {
-        const int bit = __builtin_ctzll(bits);
-        r.indices[next] = static_cast<uint32_t>(column * r.nz + 64 * w + bit);
-        r.is_core[next++] = core >> bit & 1;
-      }
-    }
   }
 }
 

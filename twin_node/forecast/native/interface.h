@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 11;
+constexpr int32_t kInterfaceVersion = 12;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -23,21 +23,34 @@ struct GrowRequest {
   int64_t *counts;         // [layers] voxels reached
 };
 
-// The set bits of one layer in rising order.
+// The set bits of a mask in rising order, and which of them are marked too.
 struct ListRequest {
   int32_t nx, ny, nz;
-  const uint64_t *reached, *core;  // [nx, ny, words]
-  uint32_t *indices;               // [count]
-  uint8_t *is_core;                // [count]
+  const uint64_t *words, *marks;  // [nx, ny, words]
+  uint32_t *indices;              // [count]
+  uint8_t *marked;                // [count]
+};
+
+// Runs of set bits, from column to column.
+struct RunsRequest {
+  int32_t nx, ny, nz;
+  const uint64_t *words;  // [nx, ny, words]
+  uint32_t *runs;         // [n, 2] first and length; room for one in two voxels
+  int64_t *count;         // [1]
+};
+
+// Where a view sees blocks of voxels.
+struct BlockSightings {
+  const float *near, *far;  // [blocks] m, of the voxels in each
+  const int32_t *windows;   // [blocks, 4] their first and last column, first and last row; last < first for none
+  const uint8_t *whole;     // [blocks] 1: all of them lie inside the image
 };
 
 // What one view says along the ray of every pixel; one more entry stands for outside the image.
 struct Sight {
-  const int32_t *pixels;      // [blocks * 64] of every voxel, block by block
-  const float *depths;        // [blocks * 64] m
-  const float *near, *far;    // [blocks] m, of the voxels in each
-  const int32_t *windows;     // [blocks, 4] their first and last column, first and last row; last < first for none
-  const uint8_t *whole;       // [blocks] 1: all of them lie inside the image
+  const int32_t *pixels;        // [blocks * 64] of every voxel, block by block
+  const float *depths;          // [blocks * 64] m
+  BlockSightings small, large;  // blocks of 4 x 4 x 4, and of eight of these
   const float *free_until;    // [pixels + 1] m
   const float *begin, *end;   // [pixels + 1] m, where a measured moving surface explains the ray; null without depth
   const uint8_t *flags;       // [pixels + 1] bits of Flag
@@ -47,13 +60,11 @@ struct Sight {
 
 enum Flag : uint8_t { kMoving = 1, kRobot = 2, kSeen = 4, kBeside = 8 };
 
-enum Verdict : uint8_t { kFree = 0, kUnknown = 1, kMayMove = 2, kLikelyMoves = 3 };
-
 // Every voxel, in blocks of 4 x 4 x 4, against every view.
 struct CarveRequest {
   int32_t views, nx, ny, nz, threads;
   const Sight *sights;  // [views]
-  uint8_t *verdicts;    // [nx, ny, nz] comes zeroed
+  uint64_t *unknown, *may_move, *likely_moves;  // [nx, ny, words] come zeroed
 };
 
 // Boxes in voxels; has room for as many as its maker can find.
@@ -74,8 +85,8 @@ struct HoldRequest {
 // The set voxels of every cell of 4 x 4 x 4.
 struct CountRequest {
   int32_t nx, ny, nz;
-  const uint8_t *mask;  // [nx, ny, nz] 0 or 1
-  int32_t *counts;      // [cells] comes zeroed
+  const uint64_t *words;  // [nx, ny, words]
+  int32_t *counts;        // [cells] comes zeroed
 };
 
 // At most `most` boxes of octree cells that hold what more boxes of level 0 hold.
@@ -93,10 +104,10 @@ struct FitRequest {
 struct HideRequest {
   int32_t nx, ny, nz, width, reach;              // voxels of a hand, below 64; cells that things move since before
   float elapsed_s, rest_s, never;                // since before, s; what was reached longer ago lies still, s
-  const uint8_t *unknown, *moving, *standing;    // [nx, ny, nz] 0 or 1
+  const uint64_t *unknown, *moving, *standing;   // [nx, ny, words]
   float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
-  uint8_t *maybe_full;                           // [nx, ny, nz] not known to be empty, before and after
-  uint8_t *reachable;                            // [nx, ny, nz] something may come out
+  uint64_t *maybe_full;                          // [nx, ny, words] not known to be empty, before and after
+  uint64_t *reachable;                           // [nx, ny, words] something may come out
 };
 
 // What one view says of the motion of parts since its last image.
@@ -141,7 +152,7 @@ struct TakeRequest {
   double voxel_size;
   const double *origin;         // [3] m
   const double *ends, *radii;   // [capsules, 2, 3], [capsules] m
-  uint8_t *taken;               // [nx, ny, nz] comes zeroed
+  uint64_t *taken;              // [nx, ny, words] comes zeroed
 };
 
 }  // namespace forecast

@@ -1,6 +1,7 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
 #include <new>
 
+#include "bits.h"
 #include "carve.h"
 #include "cover.h"
 #include "grow.h"
@@ -33,6 +34,8 @@ int32_t forecast_grow(const forecast::GrowRequest *request) {
 }
 
 void forecast_list(const forecast::ListRequest *request) { forecast::list(*request); }
+
+void forecast_runs(const forecast::RunsRequest *request) { forecast::runs(*request); }
 
 int32_t forecast_carve(const forecast::CarveRequest *request) {
   return guarded([&] { forecast::carve(*request); });

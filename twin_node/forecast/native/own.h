@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "bits.h"
 #include "interface.h"
 
 namespace forecast {
@@ -31,12 +32,12 @@ inline void take(const TakeRequest &r, const double *ends, double radius) {
   for (int64_t x = ex.begin; x < ex.end; x++) {
     for (int64_t y = ey.begin; y < ey.end; y++) {
       const double px = middle(0, x), py = middle(1, y), along = px * u[0] + py * u[1];
-      uint8_t *column = r.taken + (x * r.ny + y) * r.nz;
+      uint64_t *column = r.taken + (x * r.ny + y) * words_of(r.nz);
       for (int64_t z = ez.begin; z < ez.end; z++) {
         const double pz = middle(2, z);
         const double share = std::min(std::max((along + pz * u[2]) / length2, 0.0), 1.0);
         const double dx = px - share * u[0], dy = py - share * u[1], dz = pz - share * u[2];
-        column[z] |= dx * dx + dy * dy + dz * dz <= radius * radius;
+        column[z / 64] |= uint64_t{dx * dx + dy * dy + dz * dz <= radius * radius} << z % 64;
       }
     }
   }

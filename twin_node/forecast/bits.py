@@ -1,0 +1,131 @@
+"""Masks of a grid's voxels, one bit each: what passes over all voxels of a state reads an eighth of what bytes take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.kernels import ListRequest, RunsRequest, kernels
+from twin_node.scene import Bool, UInt32
+
+Words = NDArray[np.uint64]
+Dims = tuple[int, int, int]
+
+WORD = 64
+"""Bits of a word."""
+
+
+@dataclass(frozen=True)
+class Bits:
+    """A mask of voxels."""
+
+    dims: Dims
+    """Voxels along each axis."""
+    words: Words
+    """[nx, ny, w] voxel (i, j, k) is bit k % 64, the lowest first, of word k // 64 of its column; all others are 0."""
+
+    @classmethod
+    def none(cls, dims: Dims) -> Bits:
+        """No voxel."""
+        return cls(dims, np.zeros((*dims[:2], -(-dims[2] // WORD)), np.uint64))
+
+    @classmethod
+    def all(cls, dims: Dims) -> Bits:
+        """Every voxel."""
+        return cls.of_mask(dims, np.ones(int(np.prod(dims)), np.bool_))
+
+    @classmethod
+    def of_mask(cls, dims: Dims, mask: Bool) -> Bits:
+        """Those of a flat mask [voxels]."""
+        columns = np.packbits(mask.reshape(dims), axis=2, bitorder="little")
+        padded = np.zeros((*dims[:2], -(-dims[2] // WORD) * WORD // 8), np.uint8)
+        padded[..., : columns.shape[2]] = columns
+        return cls(dims, padded.view(np.uint64))
+
+    @classmethod
+    def of_indices(cls, dims: Dims, indices: NDArray[np.integer]) -> Bits:
+        """Those of flat indices [n]."""
+        mask = np.zeros(int(np.prod(dims)), np.bool_)
+        mask[indices] = True
+        return cls.of_mask(dims, mask)
+
+    def mask(self) -> Bool:
+        """Flat mask [voxels]."""
+        bits = np.unpackbits(self.words.view(np.uint8), axis=2, count=self.dims[2], bitorder="little")
+        return bits.reshape(-1).view(np.bool_)
+
+    def indices(self) -> NDArray[np.int64]:
+        """Flat indices [n], strictly increasing."""
+        return self.listed(self).indices.astype(np.int64)
+
+    def listed(self, marks: Bits) -> Listed:
+        """The voxels, and which of them are marked too. Compiled; `listed_plainly` where that cannot be."""
+        compiled = kernels()
+        if compiled is None:
+            return self.listed_plainly(marks)
+        count = int(np.bitwise_count(self.words).sum())
+        found = Listed(np.empty(count, np.uint32), np.empty(count, np.bool_))
+        words, marked = np.ascontiguousarray(self.words), np.ascontiguousarray(marks.words)
+        arrays: tuple[NDArray[np.generic], ...] = (words, marked, found.indices, found.marked)
+        compiled.list(ListRequest(*self.dims, *(array.ctypes.data for array in arrays)))
+        return found
+
+    def listed_plainly(self, marks: Bits) -> Listed:
+        """What `listed` does."""
+        indices = np.flatnonzero(self.mask())
+        return Listed(indices.astype(np.uint32), marks.mask()[indices])
+
+    def runs(self) -> UInt32:
+        """Runs [r, 2] (start, length) of flat indices. Compiled; `encode_runs` where that cannot be."""
+        compiled = kernels()
+        if compiled is None:
+            return encode_runs(self.mask())
+        words, count = np.ascontiguousarray(self.words), np.zeros(1, np.int64)
+        room = np.empty(((int(np.prod(self.dims)) + 1) // 2, 2), np.uint32)
+        compiled.runs(RunsRequest(*self.dims, *(array.ctypes.data for array in (words, room, count))))
+        return room[: count[0]].copy()
+
+    def holds(self, indices: NDArray[np.integer]) -> Bool:
+        """[n] whether it has the voxels at flat indices [n]."""
+        places, bits = self._find(indices)
+        held: Bool = self.words.reshape(-1)[places] & bits != 0
+        return held
+
+    def add(self, indices: NDArray[np.integer]) -> None:
+        """Sets the voxels at flat indices [n]."""
+        places, bits = self._find(indices)
+        np.bitwise_or.at(self.words.reshape(-1), places, bits)
+
+    def remove(self, indices: NDArray[np.integer]) -> None:
+        """Clears the voxels at flat indices [n]."""
+        places, bits = self._find(indices)
+        np.bitwise_and.at(self.words.reshape(-1), places, ~bits)
+
+    def _find(self, indices: NDArray[np.integer]) -> tuple[NDArray[np.integer], Words]:
+        """Flat words [n] of flat indices [n], and the bit [n] of each."""
+        columns, heights = np.divmod(indices, self.dims[2])
+        bits = np.uint64(1) << (heights % WORD).astype(np.uint64)
+        return columns * self.words.shape[2] + heights // WORD, bits
+
+    def __and__(self, other: Bits) -> Bits:
+        return Bits(self.dims, self.words & other.words)
+
+    def __or__(self, other: Bits) -> Bits:
+        return Bits(self.dims, self.words | other.words)
+
+    def without(self, other: Bits) -> Bits:
+        """Those that are not in the other mask."""
+        return Bits(self.dims, self.words & ~other.words)
+
+
+class Listed(NamedTuple):
+    """The voxels of a mask."""
+
+    indices: UInt32
+    """[n] flat, strictly increasing."""
+    marked: Bool
+    """[n]."""

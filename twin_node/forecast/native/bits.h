@@ -1,0 +1,175 @@
+// Masks of voxels, one bit each: voxel (x, y, z) is bit z % 64 of word z / 64 of column (x, y).
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdlib>
+#include <vector>
+
+#include "interface.h"
+
+namespace forecast {
+
+inline int words_of(int bits) { return (bits + 63) / 64; }
+
+// Bits in columns along z, lowest first.
+struct Bits {
+  int64_t nx, ny, words;
+  std::vector<uint64_t> bits;
+
+  Bits(int64_t nx, int64_t ny, int64_t nz) : nx(nx), ny(ny), words(words_of(nz)), bits(nx * ny * words) {}
+  Bits(int64_t nx, int64_t ny, int64_t nz, const uint64_t *from)
+      : nx(nx), ny(ny), words(words_of(nz)), bits(from, from + nx * ny * words) {}
+  uint64_t *at(int64_t x, int64_t y) { return bits.data() + (x * ny + y) * words; }
+  const uint64_t *at(int64_t x, int64_t y) const { return bits.data() + (x * ny + y) * words; }
+};
+
+enum class Join { kAll, kAny };
+
+template <Join join>
+inline uint64_t joined(uint64_t one, uint64_t other) {
+  return join == Join::kAll ? one & other : one | other;
+}
+
+// Words joined with those `offset` further on, of lines that begin at every multiple of `line`; none lie beyond a line.
+template <Join join>
+inline void join_along(
+    const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t line, int64_t offset) {
+  for (int64_t begin = 0; begin < static_cast<int64_t>(words.size()); begin += line) {
+    uint64_t *own = &words[begin];
+    const uint64_t *from = &before[begin];
+    const int64_t first = std::clamp<int64_t>(-offset, 0, line);
+    const int64_t last = std::clamp<int64_t>(line - offset, first, line);
+    if (join == Join::kAll) std::fill(own, own + first, 0), std::fill(own + last, own + line, 0);
+    for (int64_t i = first; i < last; i++) own[i] = joined<join>(own[i], from[i + offset]);
+  }
+}
+
+// Bits of columns of words joined with those `step` further up, -63 to 63; `beside` is room for as many words.
+template <Join join>
+inline void join_up(
+    const std::vector<uint64_t> &before, std::vector<uint64_t> &words, std::vector<uint64_t> &beside, int64_t column,
+    int64_t step) {
+  const int64_t shift = std::abs(step), size = static_cast<int64_t>(words.size());
+  const int64_t up = step > 0 ? 1 : 0, down = 1 - up;  // words are moved as a whole, then columns parted again
+  std::copy(before.begin() + up, before.end() - down, beside.begin() + down);
+  for (int64_t end = up ? column - 1 : 0; end < size; end += column) beside[end] = 0;
+  const uint64_t *own = before.data(), *next = beside.data();
+  uint64_t *to = words.data();
+  if (up) {
+    for (int64_t i = 0; i < size; i++) to[i] = joined<join>(to[i], own[i] >> shift | next[i] << (64 - shift));
+  } else {
+    for (int64_t i = 0; i < size; i++) to[i] = joined<join>(to[i], own[i] << shift | next[i] >> (64 - shift));
+  }
+}
+
+// Columns along z joined with those so many places further along an axis: x, y or z. `beside` is room for as many words.
+template <Join join>
+inline void join_at(
+    const std::vector<uint64_t> &before, Bits &b, std::vector<uint64_t> &beside, int axis, int64_t step) {
+  const int64_t row = b.ny * b.words;
+  if (axis == 0) join_along<join>(before, b.bits, b.nx * row, step * row);
+  if (axis == 1) join_along<join>(before, b.bits, row, step * b.words);
+  if (axis == 2) join_up<join>(before, b.bits, beside, b.words, step);
+}
+
+// Every bit joined with those from `first` to `last` places further up each axis; outside there are none.
+template <Join join>
+inline void join_around(Bits &b, int64_t first, int64_t last) {
+  std::vector<uint64_t> before, beside(b.bits.size());
+  for (int axis = 0; axis < 3; axis++) {
+    before = b.bits;
+    for (int64_t step = first; step <= last; step++) {
+      if (step != 0) join_at<join>(before, b, beside, axis, step);
+    }
+  }
+}
+
+// Sets the cubes of so many bits around each.
+inline void widen(Bits &b, int64_t width) {
+  constexpr int64_t kMostStep = 63;
+  std::vector<uint64_t> before, beside(b.bits.size());
+  for (int64_t done = 0, step; done < width; done += step) {
+    step = std::min({width - done, 2 * done + 1, kMostStep});  // such cubes leave nothing between them
+    for (int axis = 0; axis < 3; axis++) {
+      before = b.bits;
+      for (const int64_t way : {-step, step}) join_at<Join::kAny>(before, b, beside, axis, way);
+    }
+  }
+}
+
+// The even bits of a word next to each other.
+inline uint64_t even_bits(uint64_t word) {
+  word &= 0x5555555555555555;
+  word = (word | word >> 1) & 0x3333333333333333;
+  word = (word | word >> 2) & 0x0F0F0F0F0F0F0F0F;
+  word = (word | word >> 4) & 0x00FF00FF00FF00FF;
+  word = (word | word >> 8) & 0x0000FFFF0000FFFF;
+  return (word | word >> 16) & 0x00000000FFFFFFFF;
+}
+
+// The lower half of a word's bits, each twice.
+inline uint64_t doubled_bits(uint64_t word) {
+  word &= 0x00000000FFFFFFFF;
+  word = (word | word << 16) & 0x0000FFFF0000FFFF;
+  word = (word | word << 8) & 0x00FF00FF00FF00FF;
+  word = (word | word << 4) & 0x0F0F0F0F0F0F0F0F;
+  word = (word | word << 2) & 0x3333333333333333;
+  word = (word | word << 1) & 0x5555555555555555;
+  return word | word << 1;
+}
+
+// Cells of two by two by two bits that hold any.
+inline Bits halved(const Bits &b, int64_t nz) {
+  Bits out((b.nx + 1) / 2, (b.ny + 1) / 2, (nz + 1) / 2);
+  for (int64_t x = 0; x < b.nx; x++) {
+    for (int64_t y = 0; y < b.ny; y++) {
+      const uint64_t *from = b.at(x, y);
+      uint64_t *to = out.at(x / 2, y / 2);
+      for (int64_t w = 0; w < b.words; w++) {
+        const int64_t left = nz - 64 * w;
+        const uint64_t word = left < 64 ? from[w] & ((uint64_t{1} << left) - 1) : from[w];  // others are beside the grid
+        to[w / 2] |= even_bits(word | word >> 1) << 32 * (w % 2);
+      }
+    }
+  }
+  return out;
+}
+
+inline void list(const ListRequest &r) {
+  const int words = words_of(r.nz);
+  int64_t next = 0;
+  for (int64_t column = 0; column < static_cast<int64_t>(r.nx) * r.ny; column++) {
+    for (int w = 0; w < words; w++) {
+      const uint64_t marks = r.marks[column * words + w];
+      for (uint64_t bits = r.words[column * words + w]; bits; bits &= bits - 1) {
+        const int bit = __builtin_ctzll(bits);
+        r.indices[next] = static_cast<uint32_t>(column * r.nz + 64 * w + bit);
+        r.marked[next++] = marks >> bit & 1;
+      }
+    }
+  }
+}
+
+inline void runs(const RunsRequest &r) {
+  const int words = words_of(r.nz);
+  int64_t count = 0, end = -1;
+  for (int64_t column = 0; column < static_cast<int64_t>(r.nx) * r.ny; column++) {
+    for (int w = 0; w < words; w++) {
+      uint64_t left = r.words[column * words + w];
+      while (left) {
+        const int bit = __builtin_ctzll(left);
+        const uint64_t zeros = ~(left >> bit);  // never none: what is shifted in from above are zeros, unless bit is 0
+        const int length = zeros ? __builtin_ctzll(zeros) : 64;
+        const int64_t start = column * r.nz + 64 * w + bit;
+        if (start != end) r.runs[2 * count] = static_cast<uint32_t>(start), r.runs[2 * count++ + 1] = 0;
+        r.runs[2 * count - 1] += length;
+        end = start + length;
+        left = bit + length < 64 ? left & ~uint64_t{0} << (bit + length) : 0;
+      }
+    }
+  }
+  *r.count = count;
+}
+
+}  // namespace forecast
