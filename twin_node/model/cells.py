@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.gaussians import RGB, Gaussians
-from twin_node.model.nodes import Nodes
+from twin_node.model.kernels import CellRequest, kernels
 from twin_node.scene import Float64
 
 CELL_M = 0.06
@@ -57,8 +57,22 @@ class Cells:
         return sums / np.maximum(np.bincount(self.nodes, minlength=count), 1)[:, None]
 
 
-def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor, nodes: Nodes) -> Cells:
+def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     """The cells of Gaussians `rows` [m], all of which a node carries, at `means` [m, 3] (m) in `base_link`."""
+    library, count = kernels(), len(rows)
+    if library is None or gaussians.values.device.type != "cpu":
+        return cells_plainly(gaussians, rows, means)
+    keys, carriers, of = (np.empty(count, np.int64) for _ in range(3))
+    centres, rgb, found = np.empty((count, 3)), np.empty((count, 3)), np.empty(1, np.int64)
+    given = [t.contiguous() for t in (rows, gaussians.nodes, gaussians.founders, gaussians.values, means.detach())]
+    pointers = (*(t.data_ptr() for t in given), *(a.ctypes.data for a in (keys, carriers, of, centres, rgb, found)))
+    library.cells(CellRequest(count, AXIS_BITS, CELL_M, *pointers))
+    cells = int(found[0])
+    return Cells(keys[:cells], carriers[:cells], keys[:cells] >> 3 * AXIS_BITS, of, centres[:cells], rgb[:cells])
+
+
+def cells_plainly(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
+    """The same in NumPy, on any device: the reference of the compiled kernel."""
     carriers, local = gaussians.nodes[rows].cpu().numpy(), gaussians.means[rows].cpu().numpy()
     here = means.cpu().double().numpy()
     half = 1 << (AXIS_BITS - 1)

@@ -124,7 +124,6 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         0.0 if target.depth is None else DEPTH_WEIGHT,
     )
     done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.decays))
-    gaussians.touch(rows)
     gaussians.refused += done.refused
     sheet = Sheet(list(range(times)), done.seen, done.alphas)
     return Descended([sheet], done.v_means, done.v_quats, done.losses.tolist())

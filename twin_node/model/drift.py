@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.geometry import rotation_from_quat
 from twin_node.model.cells import Cells
 from twin_node.model.gaussians import Gaussians
+from twin_node.model.kernels import CreepRequest, kernels
 from twin_node.model.nodes import Nodes
 from twin_node.scene import Float64
 
@@ -25,14 +27,28 @@ class Drift:
 
         0 for those that are new or have changed their node.
         """
+        mean = self._crept(gaussians, rows, cells, nodes.ids.numpy()[cells.nodes])
+        turned: Float64 = (rotation_from_quat(nodes.quats.numpy())[cells.nodes] @ mean[..., None])[..., 0]
+        return turned
+
+    def _crept(self, gaussians: Gaussians, rows: Tensor, cells: Cells, homes: NDArray[np.int64]) -> Float64:
+        """[c, 3] m the same in the frames of the nodes, whose ids are `homes` [c]."""
+        library = kernels()
+        if library is None or gaussians.values.device.type != "cpu":
+            return self._crept_plainly(gaussians, rows, cells, homes)
+        mean, of, at = np.empty((len(cells), 3)), np.ascontiguousarray(cells.of), rows.contiguous()
+        arrays = (of, np.ascontiguousarray(homes), self._ids, self._homes, self._means, mean)
+        pointers = (*(t.data_ptr() for t in (at, gaussians.ids, gaussians.values)), *(a.ctypes.data for a in arrays))
+        library.creep(CreepRequest(len(of), len(cells), len(self._ids), *pointers))
+        return mean
+
+    def _crept_plainly(self, gaussians: Gaussians, rows: Tensor, cells: Cells, homes: NDArray[np.int64]) -> Float64:
+        """The same in NumPy, on any device: the reference of the compiled kernel."""
         at, ids = rows.cpu().numpy(), gaussians.ids[rows].cpu().numpy()
-        means = gaussians.means[rows].cpu().numpy()
-        homes = nodes.ids.numpy()[cells.nodes[cells.of]]
+        means, homes = gaussians.means[rows].cpu().numpy(), homes[cells.of]
         same = (self._ids[at] == ids) & (self._homes[at] == homes)
         crept = np.where(same[:, None], means - self._means[at], 0.0)
         self._ids[:] = -1
         self._ids[at], self._homes[at], self._means[at] = ids, homes, means
         shares = 1 / np.maximum(np.bincount(cells.of, minlength=len(cells)), 1)
-        mean = [np.bincount(cells.of, weights=axis, minlength=len(cells)) * shares for axis in crept.T]
-        turned: Float64 = (rotation_from_quat(nodes.quats.numpy())[cells.nodes] @ np.stack(mean, 1)[..., None])[..., 0]
-        return turned
+        return np.stack([np.bincount(cells.of, weights=axis, minlength=len(cells)) * shares for axis in crept.T], 1)

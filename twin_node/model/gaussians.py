@@ -102,9 +102,9 @@ class Gaussians:
         self.homeless = torch.zeros(capacity, dtype=torch.bool, device=device)
         self.refused = 0
         """Steps of single Gaussians that were not finite and were therefore not taken, since the model began."""
-        self.static_version = 0
-        """Counts what has happened to STATIC Gaussians: what was made of them is good as long as this stays."""
         self._next_id = 0
+        self._rows: dict[tuple[Tier, Tier], Tensor] = {}
+        self._rows_version = (-1, -1)
 
     def __len__(self) -> int:
         return int(self.alive.sum())
@@ -117,17 +117,35 @@ class Gaussians:
     @property
     def static_rows(self) -> Tensor:
         """[s] rows of the Gaussians that carry no motion parameters."""
-        return torch.nonzero(self.alive & (self.tiers == Tier.STATIC))[:, 0]
+        return self._rows_of(Tier.STATIC, Tier.STATIC)
 
     @property
     def moving_rows(self) -> Tensor:
         """[m] rows of the Gaussians whose motion is learned: RIGID, DEFORMABLE and TRANSIENT."""
-        return torch.nonzero(self.alive & (self.tiers > int(Tier.ROBOT)))[:, 0]
+        return self._rows_of(Tier.RIGID, Tier.TRANSIENT)
 
     @property
     def robot_rows(self) -> Tensor:
         """[r] rows of the Gaussians that the arm carries."""
-        return torch.nonzero(self.alive & (self.tiers == Tier.ROBOT))[:, 0]
+        return self._rows_of(Tier.ROBOT, Tier.ROBOT)
+
+    @property
+    def other_rows(self) -> Tensor:
+        """[o] rows of all Gaussians but the STATIC ones."""
+        return self._rows_of(Tier.ROBOT, Tier.TRANSIENT)
+
+    def _rows_of(self, first: Tier, last: Tier) -> Tensor:
+        """[n] rows of the living of these tiers and those between, sought anew only when lives or tiers have changed.
+
+        A set asks for them a dozen times. Callers must not write to them.
+        """
+        version = (self.alive._version, self.tiers._version)
+        if version != self._rows_version:
+            self._rows, self._rows_version = {}, version
+        if (first, last) not in self._rows:
+            of_them = self.alive & (self.tiers >= int(first)) & (self.tiers <= int(last))
+            self._rows[first, last] = torch.nonzero(of_them)[:, 0]
+        return self._rows[first, last]
 
     def population(self, rows: Tensor, nodes: Nodes) -> Population:
         """Gaussians `rows` [n] as they are now."""
@@ -144,7 +162,6 @@ class Gaussians:
 
     def spawn(self, born: Newborns, stamp: int) -> Tensor:
         """Stores as many of `born` as there is room for, in order; returns their rows."""
-        self.static_version += born.tier == Tier.STATIC
         free = torch.nonzero(~self.alive)[: len(born.means), 0]
         n = len(free)
         self.values[free] = born.packed()[:n]
@@ -168,7 +185,6 @@ class Gaussians:
         `founders` [n]: see `Gaussians.founders`; None: the carriers themselves.
         """
         device = self.values.device
-        self.touch(rows)
         turn = conjugate(nodes.quats[carriers])
         means = rotate(turn, self.values[rows, MEAN].cpu().double() - nodes.positions[carriers])
         quats = quat_product(turn, self.values[rows, QUAT].cpu().double())
@@ -190,7 +206,6 @@ class Gaussians:
         self.rested[rows] = node
         self.doubts[rows] = 0
         self.forget_moments(rows)
-        self.touch(rows)
 
     def transfer(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
         """Gaussians `rows` [n], which nodes carry, are from now on carried by `carriers` [n]; none moves for it."""
@@ -206,7 +221,6 @@ class Gaussians:
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""
-        self.touch(rows)
         self.alive[rows] = False
         self.nodes[rows] = -1
 
@@ -225,13 +239,8 @@ class Gaussians:
         self.moment2[rows] = 0
         self.steps[rows] = 0
 
-    def touch(self, rows: Tensor) -> None:
-        """`rows` [n] change: what was made of the STATIC ones among them is no longer good."""
-        self.static_version += bool((self.tiers[rows] == Tier.STATIC).any())
-
     def take(self, rows: Tensor, values: Tensor, moment1: Tensor, moment2: Tensor, steps: Tensor) -> None:
         """Stores attributes [n, 14] and optimiser state of `rows` [n]."""
-        self.touch(rows)
         self.values[rows] = values
         self.moment1[rows], self.moment2[rows], self.steps[rows] = moment1, moment2, steps
 

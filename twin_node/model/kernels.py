@@ -13,7 +13,7 @@ from twin_node.model.parameters import ModelError
 from twin_node.native_library import NativeLibrary, best_or_none
 from twin_node.splat.library import thread_count
 
-INTERFACE_VERSION = 3
+INTERFACE_VERSION = 4
 
 
 class MaskRules(ctypes.Structure):
@@ -88,6 +88,48 @@ class AdvanceRequest(ctypes.Structure):
     )
 
 
+class PublishRequest(ctypes.Structure):
+    """`model::PublishRequest`; of `model::NodesNow` the fields."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_void_p) for name in ("rows", "values", "carriers", "id_of", "tier_of", "position_of")),
+        *((name, c_void_p) for name in ("node_positions", "node_quats", "node_velocities", "node_turns")),
+        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb", "velocities")),
+        *((name, c_void_p) for name in ("tiers", "ids", "published")),
+    )
+
+
+class ExtentRequest(ctypes.Structure):
+    """`model::ExtentRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "nodes")),
+        *((name, c_void_p) for name in ("rows", "carriers", "values", "centroids", "weights", "radii")),
+    )
+
+
+class CellRequest(ctypes.Structure):
+    """`model::CellRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "axis_bits")),
+        ("side", c_double),
+        *((name, c_void_p) for name in ("rows", "carriers", "founders", "values", "means")),
+        *((name, c_void_p) for name in ("keys", "nodes", "of", "centres", "rgb", "found")),
+    )
+
+
+class CreepRequest(ctypes.Structure):
+    """`model::CreepRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "cells", "capacity")),
+        *((name, c_void_p) for name in ("rows", "ids", "values", "of", "homes")),
+        *((name, c_void_p) for name in ("known_ids", "known_homes", "known_means", "crept")),
+    )
+
+
 class NearestRequest(ctypes.Structure):
     """`model::NearestRequest`."""
 
@@ -153,6 +195,12 @@ class Kernels(NativeLibrary):
         self._dll.model_advance.restype = None
         self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.model_nearest.restype = None
+        self._dll.model_publish.argtypes = [ctypes.POINTER(PublishRequest)]
+        self._dll.model_publish.restype = None
+        self._dll.model_extents.argtypes = [ctypes.POINTER(ExtentRequest)]
+        self._dll.model_extents.restype = None
+        self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
+        self._dll.model_creep.argtypes = [ctypes.POINTER(CreepRequest)]
 
     def mask(self, requests: Sequence[MaskRequest]) -> None:
         """Brings the moving masks of some cameras up to date. Raises `MemoryError`."""
@@ -184,6 +232,22 @@ class Kernels(NativeLibrary):
     def nearest(self, request: NearestRequest) -> None:
         """Finds what is nearest; takes one thread."""
         self._dll.model_nearest(request)
+
+    def publish(self, request: PublishRequest) -> None:
+        """Writes Gaussians as other rooms read them; takes one thread."""
+        self._dll.model_publish(request)
+
+    def extents(self, request: ExtentRequest) -> None:
+        """Finds how far nodes reach; takes one thread."""
+        self._dll.model_extents(request)
+
+    def cells(self, request: CellRequest) -> None:
+        """Deals Gaussians out to cells; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.model_cells(request))
+
+    def creep(self, request: CreepRequest) -> None:
+        """Finds how far the Gaussians of cells have crept; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.model_creep(request))
 
 
 def _check(status: int) -> None:

@@ -96,5 +96,4 @@ class Step:
         new[:, RGB] = (new[:, RGB] + COLOUR_SHARE * missed.rgb[taken] / seen).clamp(0, 1)
         finite = torch.isfinite(new).all(1)
         gaussians.refused += int((~finite).sum())
-        gaussians.touch(rows[finite])
         gaussians.values[rows[finite]] = new[finite]

@@ -2,35 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
+from twin_node.model.kernels import ExtentRequest, PublishRequest, kernels
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
 from twin_node.scene import GaussianCloud, NodeStates, Tier
 
 
-class Publisher:
-    """Makes clouds of a model; what stands still is made ready once and kept for as long as it does."""
+def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
+    """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
+    rows, nodes, library = torch.cat([gaussians.static_rows, gaussians.other_rows]), motion.nodes, kernels()
+    if library is None or motion.bends or gaussians.values.device.type != "cpu":
+        return cloud_plainly(gaussians, motion, rows)
+    count = len(rows)
+    cloud = GaussianCloud(
+        means=np.empty((count, 3), np.float32),
+        quats=np.empty((count, 4), np.float32),
+        scales=np.empty((count, 3), np.float32),
+        opacities=np.empty(count, np.float32),
+        rgb=np.empty((count, 3), np.float32),
+        velocities=np.empty((count, 3), np.float32),
+        tiers=np.empty(count, np.uint8),
+        ids=np.empty(count, np.uint32),
+        nodes=np.empty(count, np.int32),
+    )
+    given = (
+        *(rows, gaussians.values, gaussians.nodes, gaussians.ids, gaussians.tiers, _published(nodes)),
+        *(t.contiguous() for t in (nodes.positions, nodes.quats, nodes.velocities, nodes.angular_velocities)),
+    )
+    written = (array.ctypes.data for array in vars(cloud).values())
+    library.publish(PublishRequest(count, *(tensor.data_ptr() for tensor in given), *written))
+    return cloud
 
-    def __init__(self) -> None:
-        self._version = -1
-        self._still: GaussianCloud | None = None
 
-    def cloud(self, gaussians: Gaussians, motion: Motion) -> GaussianCloud:
-        """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
-        if self._still is None or self._version != gaussians.static_version:
-            self._still = _part(gaussians, motion, gaussians.static_rows)
-            self._version = gaussians.static_version
-        moving = _part(gaussians, motion, torch.nonzero(gaussians.alive & (gaussians.tiers != int(Tier.STATIC)))[:, 0])
-        return self._still.joined(moving)
-
-
-def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
-    """Some rows as a cloud."""
+def cloud_plainly(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
+    """Gaussians `rows` [n] as a cloud: the reference of the compiled kernel, on any device, and for what bends."""
     carrier = gaussians.nodes[rows].cpu()
     nodes = motion.nodes
     with torch.no_grad():
@@ -44,9 +57,6 @@ def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
         arm = means[carried].double() - nodes.positions[row]
         turned = torch.linalg.cross(nodes.angular_velocities[row], arm)
         velocities[carried] = (nodes.velocities[row] + turned).float()
-    position_of = torch.full((nodes.capacity + 1,), -1, dtype=torch.int64)
-    published = learned_rows(nodes)
-    position_of[published] = torch.arange(len(published))
     return GaussianCloud(
         means.numpy(),
         splats.quats[0].cpu().numpy(),
@@ -56,8 +66,16 @@ def _part(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
         velocities.numpy(),
         gaussians.tiers[rows].cpu().numpy(),
         gaussians.ids[rows].cpu().numpy().astype(np.uint32),
-        position_of[carrier].numpy().astype(np.int32),
+        torch.where(carrier >= 0, _published(nodes)[carrier], -1).numpy().astype(np.int32),
     )
+
+
+def _published(nodes: Nodes) -> Tensor:
+    """[M] which of the nodes that are published each is, -1 for none."""
+    position_of = torch.full((nodes.capacity,), -1, dtype=torch.int64)
+    published = learned_rows(nodes)
+    position_of[published] = torch.arange(len(published))
+    return position_of
 
 
 def learned_rows(nodes: Nodes) -> Tensor:
@@ -67,7 +85,45 @@ def learned_rows(nodes: Nodes) -> Tensor:
 
 def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
     """Nodes whose motion is learned, each at the opacity-weighted centroid of the Gaussians it carries."""
-    alive = learned_rows(nodes)
+    alive, extents = learned_rows(nodes), extents_of(gaussians, nodes)
+    arm = rotate(nodes.quats, extents.centroids)
+    positions = nodes.positions + arm
+    velocities = nodes.velocities + torch.linalg.cross(nodes.angular_velocities, arm)
+    return NodeStates(
+        nodes.ids[alive].numpy().astype(np.uint32),
+        positions[alive].numpy(),
+        nodes.quats[alive].numpy(),
+        velocities[alive].numpy(),
+        nodes.angular_velocities[alive].numpy(),
+        nodes.sigmas[alive].numpy(),
+        extents.radii[alive].numpy(),
+    )
+
+
+@dataclass(frozen=True)
+class Extents:
+    """Where the Gaussians lie that M nodes carry, in the nodes' frames."""
+
+    centroids: Tensor
+    """[M, 3] m, their centroid by opacity; 0 where there are none."""
+    radii: Tensor
+    """[M] m, how far from there the farthest lies."""
+
+
+def extents_of(gaussians: Gaussians, nodes: Nodes) -> Extents:
+    """Of all nodes."""
+    library = kernels()
+    if library is None or gaussians.values.device.type != "cpu":
+        return extents_plainly(gaussians, nodes)
+    rows, capacity = gaussians.moving_rows, nodes.capacity
+    centroids, weights, radii = (torch.empty(capacity, width, dtype=torch.float64) for width in (3, 1, 1))
+    held = (rows, gaussians.nodes, gaussians.values, centroids, weights, radii)
+    library.extents(ExtentRequest(len(rows), capacity, *(tensor.data_ptr() for tensor in held)))
+    return Extents(centroids, radii[:, 0])
+
+
+def extents_plainly(gaussians: Gaussians, nodes: Nodes) -> Extents:
+    """The same in torch: the reference of the compiled kernel."""
     carried = gaussians.moving_rows
     carrier = gaussians.nodes[carried]
     carried, carrier = carried[carrier >= 0], carrier[carrier >= 0].cpu()
@@ -78,15 +134,4 @@ def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
     centroid = centroid / total.clamp_min(1e-9)[:, None]
     radii = torch.zeros(nodes.capacity, dtype=torch.float64)
     radii.scatter_reduce_(0, carrier, (local - centroid[carrier]).norm(dim=-1), "amax")
-    arm = rotate(nodes.quats, centroid)
-    positions = nodes.positions + arm
-    velocities = nodes.velocities + torch.linalg.cross(nodes.angular_velocities, arm)
-    return NodeStates(
-        nodes.ids[alive].numpy().astype(np.uint32),
-        positions[alive].numpy(),
-        nodes.quats[alive].numpy(),
-        velocities[alive].numpy(),
-        nodes.angular_velocities[alive].numpy(),
-        nodes.sigmas[alive].numpy(),
-        radii[alive].numpy(),
-    )
+    return Extents(centroid, radii)

@@ -209,7 +209,7 @@ class Tracker:
             seeking = self._flow.begin(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
             if step == 0:
-                cells = cells_of(self._gaussians, rows[carried], splats.means[0, carried], self._nodes)
+                cells = cells_of(self._gaussians, rows[carried], splats.means[0, carried])
                 moved = self._bodies.moved(rows[carried], cells)
             own, flows = carried.cpu(), seeking.found()
             twists = solve_twists(observed, renderings, flows, splats, own, cells, poses.positions, dt_s, sigma_px)

@@ -18,7 +18,7 @@ from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.past import Past
-from twin_node.model.publishing import Publisher, node_states_of
+from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth
 from twin_node.model.seeding import seed
@@ -65,7 +65,6 @@ class WindowModel:
         self._past: Past | None = None
         self._tracker: Tracker | None = None
         self._exposures = Exposures()
-        self._publisher = Publisher()
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
         """Which nodes the last `update` has merged, split, laid to rest and woken, and what spoke for it."""
@@ -123,7 +122,7 @@ class WindowModel:
         state = TwinState(
             frames.stamp,
             frames,
-            self._publisher.cloud(self._gaussians, self._motion),
+            cloud_of(self._gaussians, self._motion),
             node_states_of(self._gaussians, self._nodes),
             moving,
             robots,

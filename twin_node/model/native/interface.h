@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 3;
+constexpr int32_t kInterfaceVersion = 4;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -74,6 +74,55 @@ struct AdvanceRequest {
   const double *seconds;                              // [times]
   const double *positions, *quats, *velocities, *turns;  // [nodes, 3], [nodes, 4], [nodes, 3] m/s, [nodes, 3] rad/s
   double *advanced, *rotated;                         // [times, nodes, 3], [times, nodes, 4] written
+};
+
+// Nodes as they are.
+struct NodesNow {
+  const double *positions, *quats, *velocities, *turns;  // [nodes, 3], [nodes, 4], [nodes, 3] m/s, [nodes, 3] rad/s
+};
+
+// Gaussians of a store, in the order in which they are published.
+struct PublishRequest {
+  int64_t count;
+  const int64_t *rows;                      // [count]
+  const float *values;                      // [capacity, 14]
+  const int64_t *carriers, *id_of;          // [capacity]
+  const uint8_t *tier_of;                   // [capacity]
+  const int64_t *position_of;               // [nodes] where each is published, -1 for nowhere
+  NodesNow nodes;
+  float *means, *quats, *scales, *opacities, *rgb, *velocities;  // [count, ...] written, as the next ones
+  uint8_t *tiers;
+  uint32_t *ids;
+  int32_t *published;
+};
+
+struct ExtentRequest {
+  int64_t count, nodes;
+  const int64_t *rows, *carriers;       // [count], [capacity]
+  const float *values;                  // [capacity, 14]
+  double *centroids, *weights, *radii;  // [nodes, 3], [nodes], [nodes] written
+};
+
+// Gaussians of a store that nodes carry, to be dealt out to the cubes of these.
+struct CellRequest {
+  int64_t count, axis_bits;
+  double side;                                    // m
+  const int64_t *rows, *carriers, *founders;      // [count], [capacity], [capacity]
+  const float *values, *means;                    // [capacity, 14], [count, 3] in the base frame
+  int64_t *keys, *nodes, *of;                     // [count] written: as many as cells of the first two
+  double *centres, *rgb;                          // [count, 3] written: as many as cells
+  int64_t *found;                                 // [1] written: how many cells
+};
+
+// How far Gaussians have crept in the frames of their nodes; what is remembered of each row is brought up to date.
+struct CreepRequest {
+  int64_t count, cells, capacity;
+  const int64_t *rows, *ids;                 // [count], [capacity]
+  const float *values;                       // [capacity, 14]
+  const int64_t *of, *homes;                 // [count] cells, [cells] ids of their nodes
+  int64_t *known_ids, *known_homes;          // [capacity]
+  float *known_means;                        // [capacity, 3]
+  double *crept;                             // [cells, 3] written
 };
 
 // Places, and things of which the nearest is wanted.

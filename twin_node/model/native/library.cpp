@@ -4,10 +4,12 @@
 
 #include "../../native/crew.h"
 #include "births.h"
+#include "cells.h"
 #include "deaths.h"
 #include "mask.h"
 #include "nearest.h"
 #include "poses.h"
+#include "publishing.h"
 
 namespace {
 
@@ -39,6 +41,18 @@ int32_t model_mask(const model::MaskRequests *requests) {
 void model_advance(const model::AdvanceRequest *request) { model::advance(*request); }
 
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
+
+void model_publish(const model::PublishRequest *request) { model::publish(*request); }
+
+void model_extents(const model::ExtentRequest *request) { model::find_extents(*request); }
+
+int32_t model_creep(const model::CreepRequest *request) {
+  return side_by_side(1, 1, [&](int) { model::find_creep(*request); });
+}
+
+int32_t model_cells(const model::CellRequest *request) {
+  return side_by_side(1, 1, [&](int) { model::find_cells(*request); });
+}
 
 int32_t model_refute(const model::RefutedRequest *request) {
   return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::refute(*request, i); });

@@ -1,0 +1,95 @@
+"""Gaussians that nodes carry: rows, cells, creep, and how all are published; what is compiled is what is plain."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import torch
+
+from twin_node.model import cells, drift, publishing
+from twin_node.model.field import HexPlane
+from twin_node.model.gaussians import MEAN, QUAT, Gaussians
+from twin_node.model.motion import Motion
+from twin_node.model.nodes import Nodes
+from twin_node.scene import Tier
+
+CAPACITY = 300
+
+
+def store(seed: int = 0) -> tuple[Gaussians, Motion]:
+    """Gaussians of all tiers but DEFORMABLE, some dead, with three nodes, one of them the arm's."""
+    rng = np.random.default_rng(seed)
+    nodes, gaussians = Nodes(5, 4), Gaussians(CAPACITY, torch.device("cpu"))
+    for tier in (Tier.RIGID, Tier.ROBOT, Tier.RIGID):
+        row = nodes.give_birth(torch.from_numpy(rng.normal(size=3)), torch.from_numpy(rng.normal(size=3)), tier)
+        quat = torch.from_numpy(rng.normal(size=4))
+        nodes.quats[row] = quat / quat.norm()
+        nodes.angular_velocities[row] = torch.from_numpy(rng.normal(size=3))
+    gaussians.values[:] = torch.from_numpy(rng.normal(0, 0.3, (CAPACITY, 14)))
+    gaussians.values[:, QUAT] /= gaussians.values[:, QUAT].norm(dim=1, keepdim=True)
+    carriers = torch.from_numpy(rng.integers(-1, 3, CAPACITY))
+    gaussians.nodes[:] = carriers
+    gaussians.alive[:] = torch.from_numpy(rng.random(CAPACITY) > 0.2)
+    loose = torch.from_numpy(np.where(rng.random(CAPACITY) > 0.5, int(Tier.STATIC), int(Tier.TRANSIENT)))
+    gaussians.tiers[:] = torch.where(carriers >= 0, nodes.tiers[carriers.clamp_min(0)], loose.to(torch.uint8))
+    gaussians.ids[:] = torch.from_numpy(rng.permutation(CAPACITY))
+    gaussians.founders[:] = torch.from_numpy(rng.integers(-1, 3, CAPACITY))
+    box = torch.ones(3)
+    return gaussians, Motion(nodes, HexPlane(-box, box, 4))
+
+
+def same(one: object, other: object, tolerance: float = 0.0) -> bool:
+    """Whether two records of arrays hold the same."""
+    pairs = ((np.asarray(getattr(one, field.name)), np.asarray(getattr(other, field.name))) for field in fields(one))  # type: ignore[arg-type]
+    return all(a.shape == b.shape and a.dtype == b.dtype and np.allclose(a, b, 0, tolerance) for a, b in pairs)
+
+
+def test_the_compiled_cloud_is_the_plain_one() -> None:
+    gaussians, motion = store()
+    rows = torch.cat([gaussians.static_rows, gaussians.other_rows])
+    assert len(rows) == len(gaussians)
+    assert same(publishing.cloud_of(gaussians, motion), publishing.cloud_plainly(gaussians, motion, rows), 1e-6)
+    found, expected = (f(gaussians, motion.nodes) for f in (publishing.extents_of, publishing.extents_plainly))
+    assert same(found, expected, 1e-12)
+
+
+def test_compiled_cells_are_the_plain_ones() -> None:
+    gaussians, _ = store(1)
+    rows = gaussians.moving_rows[gaussians.nodes[gaussians.moving_rows] >= 0]
+    means = torch.from_numpy(np.random.default_rng(2).normal(size=(len(rows), 3))).float()
+    gaussians.values[rows[0], MEAN] = 1e6  # beyond the last cell
+    found, expected = cells.cells_of(gaussians, rows, means), cells.cells_plainly(gaussians, rows, means)
+    assert len(found) > 20
+    assert same(found, expected)
+    nobody = cells.cells_of(gaussians, rows[:0], means[:0])
+    assert len(nobody) == 0
+    assert nobody.centres.shape == (0, 3)
+
+
+def test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one() -> None:
+    gaussians, motion = store(3)
+    rows = gaussians.moving_rows[gaussians.nodes[gaussians.moving_rows] >= 0]
+    compiled, plain = drift.Drift(CAPACITY), drift.Drift(CAPACITY)
+    plain._crept = plain._crept_plainly  # type: ignore[method-assign]
+    for step in range(3):
+        own = cells.cells_of(gaussians, rows, gaussians.means[rows])
+        found, expected = (one.of(gaussians, rows, own, motion.nodes) for one in (compiled, plain))
+        assert np.array_equal(found, expected)
+        assert bool(found.any()) == (step > 0)
+        gaussians.values[rows, MEAN] += 0.01 * torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(step))
+        gaussians.ids[rows[: 10 * step]] += CAPACITY  # others live there now
+        rows = rows[step:]
+
+
+def test_rows_are_those_of_the_living_whatever_has_been_written_since() -> None:
+    gaussians, motion = store(4)
+    before = gaussians.moving_rows
+    assert gaussians.moving_rows is before
+    gaussians.retire(before[:5])
+    assert torch.equal(gaussians.moving_rows, before[5:])
+    gaussians.settle(before[5:7], 0, motion.nodes)
+    assert torch.equal(gaussians.moving_rows, before[7:])
+    assert bool(torch.isin(before[5:7], gaussians.static_rows).all())
+    gaussians.tiers[before[7]] = int(Tier.ROBOT)
+    assert int(before[7]) in gaussians.robot_rows.tolist()

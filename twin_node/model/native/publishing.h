@@ -1,0 +1,96 @@
+// Gaussians as other rooms read them, and how far the nodes reach that carry them.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "interface.h"
+#include "poses.h"
+
+namespace model {
+
+constexpr int kColumns = 14;  // of a row of values: mean, quat, log scale, logit, colour
+
+// v turned by the unit quaternion q, in place.
+inline void turn(const double *q, double *v) {
+  double t[3], u[3];
+  for (int i = 0; i < 3; i++) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    t[i] = 2 * (q[1 + j] * v[k] - q[1 + k] * v[j]);
+  }
+  for (int i = 0; i < 3; i++) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    u[i] = v[i] + q[0] * t[i] + q[1 + j] * t[k] - q[1 + k] * t[j];
+  }
+  std::copy_n(u, 3, v);
+}
+
+// The velocity of a point that a node carries, m/s.
+inline void velocity_at(const NodesNow &nodes, int64_t node, const float *point, float *out) {
+  const double *position = nodes.positions + 3 * node, *turning = nodes.turns + 3 * node;
+  double arm[3];
+  for (int k = 0; k < 3; k++) arm[k] = point[k] - position[k];
+  for (int i = 0; i < 3; i++) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    out[i] = static_cast<float>(nodes.velocities[3 * node + i] + (turning[j] * arm[k] - turning[k] * arm[j]));
+  }
+}
+
+inline void publish(const PublishRequest &r) {
+  for (int64_t i = 0; i < r.count; i++) {
+    const int64_t row = r.rows[i], node = r.carriers[row];
+    const float *value = r.values + kColumns * row;
+    double mean[3], quat[4], own[4];
+    std::copy_n(value, 3, mean);
+    std::copy_n(value + 3, 4, quat);
+    if (node >= 0) {
+      turn(r.nodes.quats + 4 * node, mean);
+      for (int k = 0; k < 3; k++) mean[k] += r.nodes.positions[3 * node + k];
+      std::copy_n(quat, 4, own);
+      multiply(r.nodes.quats + 4 * node, own, quat);
+    }
+    for (int k = 0; k < 3; k++) {
+      r.means[3 * i + k] = static_cast<float>(mean[k]);
+      r.scales[3 * i + k] = std::exp(value[7 + k]);
+      r.rgb[3 * i + k] = std::min(std::max(value[11 + k], 0.f), 1.f);
+      r.velocities[3 * i + k] = 0;
+    }
+    for (int k = 0; k < 4; k++) r.quats[4 * i + k] = static_cast<float>(quat[k]);
+    if (node >= 0) velocity_at(r.nodes, node, r.means + 3 * i, r.velocities + 3 * i);
+    r.opacities[i] = 1.f / (1.f + std::exp(-value[10]));
+    r.tiers[i] = r.tier_of[row];
+    r.ids[i] = static_cast<uint32_t>(r.id_of[row]);
+    r.published[i] = node < 0 ? -1 : static_cast<int32_t>(r.position_of[node]);
+  }
+}
+
+// Of every node, in its own frame: the centroid of what it carries, by opacity, and how far from there that lies.
+inline void find_extents(const ExtentRequest &r) {
+  std::fill_n(r.centroids, 3 * r.nodes, 0.);
+  std::fill_n(r.radii, r.nodes, 0.);
+  std::fill_n(r.weights, r.nodes, 0.);
+  for (int64_t i = 0; i < r.count; i++) {
+    const int64_t node = r.carriers[r.rows[i]];
+    if (node < 0) continue;
+    const float *value = r.values + kColumns * r.rows[i];
+    const double weight = 1 / (1 + std::exp(-static_cast<double>(value[10])));
+    r.weights[node] += weight;
+    for (int k = 0; k < 3; k++) r.centroids[3 * node + k] += weight * value[k];
+  }
+  for (int64_t node = 0; node < r.nodes; node++) {
+    for (int k = 0; k < 3; k++) r.centroids[3 * node + k] /= std::max(r.weights[node], 1e-9);
+  }
+  for (int64_t i = 0; i < r.count; i++) {
+    const int64_t node = r.carriers[r.rows[i]];
+    if (node < 0) continue;
+    const float *value = r.values + kColumns * r.rows[i];
+    double square = 0;
+    for (int k = 0; k < 3; k++) {
+      const double apart = value[k] - r.centroids[3 * node + k];
+      square += apart * apart;
+    }
+    r.radii[node] = std::max(r.radii[node], std::sqrt(square));
+  }
+}
+
+}  // namespace model
