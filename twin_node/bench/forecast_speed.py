@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 
 from twin_node.forecast import Forecaster, cover
-from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Observer
 from twin_node.forecast.grid import encode_runs
+from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.geometry import pose
 from twin_node.scene import (

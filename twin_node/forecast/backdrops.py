@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from twin_node.forecast.kernels import FillRequest, ReviseRequest, kernels
 from twin_node.scene import Bool, Float32, TwinState, View
 
 UNSEEN = np.float32(1e6)
@@ -31,20 +32,12 @@ class Backdrops:
     def update(self, state: TwinState) -> None:
         """Takes in the depth images of a state; what the moving and robot masks hide stays as it was known."""
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
-            if view.depth is None:
-                continue
-            bare = np.ones_like(moving) if robot is None else ~robot
-            revised = _revised(self._kept(view), view.depth, bare & (view.depth > 0), moving)
-            holes = bare & ~moving & (view.depth == 0) & (revised == UNSEEN)
-            self._depths[view.camera.name] = np.where(holes, UNMEASURED, revised)
+            if view.depth is not None:
+                self._depths[view.camera.name] = revised(self._kept(view), view.depth, moving, robot)
 
     def of(self, view: View) -> Float32:
         """[H, W] depth of what stands behind each pixel, m; `UNSEEN` where nothing that stands has been seen."""
-        kept = self._kept(view)
-        measured = np.where(kept < UNSEEN, kept, np.float32(0))
-        deepest = cv2.dilate(measured, np.ones((2 * HOLE + 1,) * 2, np.uint8))
-        filled = np.where((kept == UNMEASURED) & (deepest > 0), deepest, kept)
-        return np.minimum(filled, UNSEEN)
+        return filled(self._kept(view))
 
     def _kept(self, view: View) -> Float32:
         """[H, W] what is known of each pixel by itself."""
@@ -54,9 +47,48 @@ class Backdrops:
         return known
 
 
-def _revised(before: Float32, depth: Float32, known: Bool, moving: Bool) -> Float32:
-    """The backdrop after one more image."""
+def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Float32:
+    """[H, W] the backdrop after one more image. Compiled; `revised_plainly` where that cannot be."""
+    compiled = kernels()
+    if compiled is None:
+        return revised_plainly(before, depth, moving, robot)
+    after = np.empty_like(before)
+    given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before, after)
+    addresses = (None if array is None else array.ctypes.data for array in given)
+    compiled.revise(ReviseRequest(before.size, STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED, *addresses))
+    return after
+
+
+def revised_plainly(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Float32:
+    """What `revised` does."""
+    bare = np.ones_like(moving) if robot is None else ~robot
+    known = bare & (depth > 0)
     past = depth > before * (1 + STEP_SHARE) + STEP
     near = depth > before * (1 - STEP_SHARE) - STEP
     drawn = before + np.where(known & ~moving & near, LEARNING_RATE * (depth - before), np.float32(0))
-    return np.where(known & (past | ~(moving | near)), depth, drawn).astype(np.float32)
+    after = np.where(known & (past | ~(moving | near)), depth, drawn).astype(np.float32)
+    holes = bare & ~moving & (depth == 0) & (after == UNSEEN)
+    return np.where(holes, UNMEASURED, after)
+
+
+def filled(kept: Float32) -> Float32:
+    """[H, W] a backdrop with its holes filled. Compiled; `filled_plainly` where that cannot be."""
+    compiled = kernels()
+    if compiled is None:
+        return filled_plainly(kept)
+    whole = np.empty_like(kept)
+    height, width = kept.shape
+    compiled.fill(FillRequest(width, height, HOLE, UNSEEN, UNMEASURED, kept.ctypes.data, whole.ctypes.data))
+    return whole
+
+
+def filled_plainly(kept: Float32) -> Float32:
+    """What `filled` does."""
+    measured = np.where(kept < UNSEEN, kept, np.float32(0))
+    deepest = cv2.dilate(measured, np.ones((2 * HOLE + 1,) * 2, np.uint8))
+    whole = np.where((kept == UNMEASURED) & (deepest > 0), deepest, kept)
+    return np.minimum(whole, UNSEEN)
+
+
+def _bytes(mask: Bool | None) -> Bool | None:
+    return None if mask is None else np.ascontiguousarray(mask)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.carving import CarvingParameters
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
+from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Float64, Grid, Occupancy, OccupancyLayer, TwinState

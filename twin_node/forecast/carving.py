@@ -2,51 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
-from twin_node.forecast.tables import CameraTable, RigTables
-from twin_node.forecast.verdicts import (
-    BESIDE,
-    MOVING,
-    ROBOT,
-    SEEN,
-    Carved,
-    Sight,
-    Surface,
-    carved,
-)
-from twin_node.scene import Bool, Float32, TwinState, UInt8, View
+from twin_node.forecast.sights import CarvingParameters, Look, sights_of
+from twin_node.forecast.tables import RigTables
+from twin_node.forecast.verdicts import Carved, Sight, carved
+from twin_node.scene import Bool, TwinState
 
-_NEVER = np.float32(0)
-_ALWAYS = np.float32(1e6)
-_SLANT_M = 0.05
-"""By how much a surface's depth may differ within the error of calibration, m."""
 _PIXEL_ERROR = 0.5
 """A mask is no sharper than its pixels."""
-
-
-@dataclass(frozen=True)
-class CarvingParameters:
-    """How far a camera is trusted to free space."""
-
-    sigmas: float = 2.0
-    """Calibration error that the moving mask is widened by, in sigmas of `Camera.sigma_m`."""
-    assumed_sigma_m: float = 0.003
-    """Calibration error ascribed to cameras whose own is unknown, m: what the real rigs of `calibration/` have."""
-    depth_margin: float = 0.015
-    """Space is freed up to this far in front of a measured surface, m, plus `depth_share` of its depth."""
-    depth_share: float = 0.01
-    """Depth error as a share of depth."""
-    thickness: float = 0.3
-    """Most depth behind a measured moving surface that may belong to the thing, m; a torso from front to back."""
-    thickness_share: float = 1.25
-    """A thing is at most this many times as thick as it is wide in the image, plus `depth_margin`."""
 
 
 class Carver:
@@ -80,128 +46,12 @@ class Carver:
         return freed
 
     def _sights(self, state: TwinState, speed: float) -> list[Sight]:
-        sights = []
+        looks = []
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             table = self._tables.of(view.camera)
             error = self.parameters.sigmas * (view.camera.sigma_m or self.parameters.assumed_sigma_m)
             error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
-            backdrop = self._backdrops.of(view)
-            sights.append(_sight(table, view, moving, robot, backdrop, error_pixels=pixels, parameters=self.parameters))
-        return sights
-
-
-def _sight(
-    table: CameraTable,
-    view: View,
-    moving: Bool,
-    robot: Bool | None,
-    backdrop: Float32,
-    *,
-    error_pixels: float,
-    parameters: CarvingParameters,
-) -> Sight:
-    seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid
-    blind = ~seen if robot is None else ~seen | robot
-    widened = _dilate(moving, error_pixels)
-    free_image = _free_until(view, widened | blind, ~seen, error_pixels, parameters)
-    blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
-    flags = blunt * MOVING + seen * SEEN + (seen & ~moving & ~blind) * BESIDE
-    if robot is not None:
-        flags += (robot & seen) * ROBOT
-    surface = None if view.depth is None else _surface(view, moving, blind, backdrop, parameters, error_pixels)
-    return Sight(
-        table,
-        free_until=np.append(free_image, _NEVER),
-        flags=np.append(flags, np.uint8(0)),
-        surface=surface,
-    )
-
-
-def _free_until(view: View, hidden: Bool, unseen: Bool, error_pixels: float, parameters: CarvingParameters) -> Float32:
-    """[H, W] depth up to which each pixel frees its ray, m: to what was measured, be it the arm, or all of it.
-
-    Without depth `hidden` pixels free nothing; with it those that show nothing at all.
-    """
-    if view.depth is None:
-        return np.where(hidden, _NEVER, _ALWAYS).astype(np.float32)
-    surface = np.where(view.depth > 0, view.depth * (1 - parameters.depth_share) - parameters.depth_margin, _ALWAYS)
-    nearest = cv2.erode(surface.astype(np.float32), np.ones((3, 3), np.uint8))  # single pixels lack depth everywhere
-    surface = np.where(view.depth > 0, surface, np.where(nearest < _ALWAYS, nearest, _NEVER))
-    free = np.where(unseen, _NEVER, surface).astype(np.float32)
-    return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 1 else free
-
-
-def _surface(
-    view: View, moving: Bool, blind: Bool, backdrop: Float32, parameters: CarvingParameters, error_pixels: float
-) -> Surface:
-    """The moving surface of a view with depth, widened by the calibration's error.
-
-    A thing begins where it is measured: in front of it is space that is free, or that nobody sees. It is not much
-    thicker than it is wide, and ends where something that stands was seen behind it.
-    """
-    assert view.depth is not None
-    width = 2 * _local_radius(moving | blind) * view.depth / view.camera.K[0, 0]
-    thickness = np.minimum(parameters.thickness, parameters.thickness_share * width + parameters.depth_margin)
-    front = view.depth * (1 - parameters.depth_share) - parameters.depth_margin
-    back = np.minimum(view.depth + thickness, backdrop + parameters.depth_margin)
-    stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
-    found = _without_specks(moving & ~blind & (view.depth > 0) & stands_out)
-    kernel = _disk(error_pixels)
-    begin = cv2.erode(np.where(found, front, _ALWAYS).astype(np.float32), kernel)
-    end = cv2.dilate(np.where(found, back, _NEVER).astype(np.float32), kernel)
-    # where a near and a far thing meet in the image, what lies between them is part of neither
-    begin = np.where(found, np.maximum(begin, front - _SLANT_M), begin)
-    end = np.where(found, np.minimum(end, back + _SLANT_M), np.minimum(end, begin + parameters.thickness + _SLANT_M))
-    end = np.where(blind, _NEVER, end)
-    return Surface(np.append(begin, _ALWAYS).astype(np.float32), np.append(end, _NEVER).astype(np.float32))
-
-
-def _without_specks(mask: Bool) -> Bool:
-    """A mask [H, W] without its blobs of fewer than `_SPECK` pixels."""
-    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    window = slice(top, top + height), slice(left, left + width)
-    kept = np.zeros_like(mask)
-    if width:
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask[window].astype(np.uint8))
-        kept[window] = mask[window] & (stats[:, cv2.CC_STAT_AREA] >= _SPECK)[labels]
-    return kept
-
-
-_SPECK = 4
-"""Pixels; what so few show to stand out is noise of their depth, and would be grown as a thing."""
-_RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
-"""Radii in pixels that widths in the image are told apart by."""
-
-
-def _local_radius(mask: Bool) -> Float32:
-    """[H, W] upper bound of the radius in pixels of the largest disk inside the mask that holds each pixel."""
-    radius = np.zeros(mask.shape, np.float32)
-    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    # with a rim of one pixel: only the image's own sides do not count as edges of the mask
-    rows, columns = slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
-    radius[rows, columns] = _radius_within(mask[rows, columns])
-    return radius
-
-
-def _radius_within(mask: Bool) -> Float32:
-    radius = np.where(mask, np.float32(_RADII[0]), np.float32(0))
-    depth_inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    for smaller, larger in itertools.pairwise((*_RADII, 2 * _RADII[-1])):
-        middles = depth_inside >= smaller
-        if not middles.any():
-            break
-        reached = cv2.distanceTransform((~middles).astype(np.uint8), cv2.DIST_L2, 3) <= larger
-        radius = np.where(reached & mask, np.float32(larger), radius)
-    return radius
-
-
-def _dilate(mask: Bool, pixels: float) -> Bool:
-    return cv2.dilate(mask.astype(np.uint8), _disk(pixels)) > 0 if pixels >= 1 else mask
-
-
-def _disk(radius: float) -> UInt8:
-    """Kernel of the pixels whose centres lie within `radius` pixels."""
-    reach = int(radius)
-    offsets = np.arange(-reach, reach + 1)
-    return (np.hypot(offsets[:, None], offsets) <= radius).astype(np.uint8)
+            backdrop = None if view.depth is None else self._backdrops.of(view)
+            looks.append(Look(table, view, moving, robot, backdrop, pixels))
+        return sights_of(looks, self.parameters)

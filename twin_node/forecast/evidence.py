@@ -10,13 +10,14 @@ from scipy.spatial import cKDTree
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.carving import Carver, CarvingParameters
+from twin_node.forecast.carving import Carver
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
 from twin_node.forecast.part_velocities import Moving, PartVelocities
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.resting import Resting
+from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved

@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 12
+INTERFACE_VERSION = 13
 
 
 class GrowRequest(ctypes.Structure):
@@ -57,6 +57,49 @@ class Sight(ctypes.Structure):
         *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
         ("size", c_int64),
         *((name, c_int32) for name in ("width", "height")),
+    )
+
+
+class LookView(ctypes.Structure):
+    """`forecast::LookView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_double) for name in ("focal", "error_pixels")),
+        *((name, c_void_p) for name in ("depth", "backdrop", "moving", "robot", "valid")),
+        *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
+    )
+
+
+class LookRequest(ctypes.Structure):
+    """`forecast::LookRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("views", "threads", "radii", "speck")),
+        ("radius", c_void_p),
+        *((name, c_double) for name in ("depth_margin", "depth_share", "thickness", "thickness_share", "slant")),
+        ("looks", c_void_p),
+    )
+
+
+class ReviseRequest(ctypes.Structure):
+    """`forecast::ReviseRequest`."""
+
+    _fields_ = (
+        ("pixels", c_int64),
+        ("step_share", c_double),
+        *((name, c_float) for name in ("learning_rate", "step", "unseen", "unmeasured")),
+        *((name, c_void_p) for name in ("depth", "moving", "robot", "before", "after")),
+    )
+
+
+class FillRequest(ctypes.Structure):
+    """`forecast::FillRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height", "reach")),
+        *((name, c_float) for name in ("unseen", "unmeasured")),
+        *((name, c_void_p) for name in ("kept", "filled")),
     )
 
 
@@ -173,6 +216,10 @@ class Kernels(NativeLibrary):
         self._dll.forecast_list.restype = None
         self._dll.forecast_runs.argtypes = [ctypes.POINTER(RunsRequest)]
         self._dll.forecast_runs.restype = None
+        self._dll.forecast_look.argtypes = [ctypes.POINTER(LookRequest)]
+        self._dll.forecast_revise.argtypes = [ctypes.POINTER(ReviseRequest)]
+        self._dll.forecast_revise.restype = None
+        self._dll.forecast_fill.argtypes = [ctypes.POINTER(FillRequest)]
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
         self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
         self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
@@ -197,6 +244,19 @@ class Kernels(NativeLibrary):
     def runs(self, request: RunsRequest) -> None:
         """Finds the runs of a mask; takes one thread."""
         self._dll.forecast_runs(request)
+
+    def look(self, request: LookRequest) -> None:
+        """Says what views show along the rays of their pixels. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_look(request))
+
+    def revise(self, request: ReviseRequest) -> None:
+        """Takes one more depth image into a backdrop; takes one thread."""
+        self._dll.forecast_revise(request)
+
+    def fill(self, request: FillRequest) -> None:
+        """Fills the holes of a backdrop; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_fill(request))
 
     def carve(self, request: CarveRequest) -> None:
         """Says of every voxel what the views show. Raises `MemoryError`."""

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 12;
+constexpr int32_t kInterfaceVersion = 13;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -59,6 +59,45 @@ struct Sight {
 };
 
 enum Flag : uint8_t { kMoving = 1, kRobot = 2, kSeen = 4, kBeside = 8 };
+
+// What one view shows, and where it is told what that says; one more entry of each stands for outside the image.
+struct LookView {
+  int32_t width, height;
+  double focal, error_pixels;      // by which masks and surfaces may be off
+  const float *depth, *backdrop;   // [height, width] m, of what is seen, and of what stands behind; null without depth
+  const uint8_t *moving;           // [height, width] 1: moves
+  const uint8_t *robot, *valid;    // the same: is the arm, is part of the image; null: none, all
+  float *free_until;               // [pixels + 1] m
+  float *begin, *end;              // [pixels + 1] m, written where there is depth
+  uint8_t *flags;                  // [pixels + 1] bits of Flag
+};
+
+// What views say along the rays of their pixels.
+struct LookRequest {
+  int32_t views, threads, radii, speck;  // smaller blobs than a speck, pixels, are none
+  const double *radius;                  // [radii] pixels, rising, that widths are told apart by
+  double depth_margin, depth_share, thickness, thickness_share, slant;
+  const LookView *looks;  // [views]
+};
+
+// How deep each pixel sees where nothing that moves is in the way, after one more image.
+struct ReviseRequest {
+  int64_t pixels;
+  double step_share;
+  float learning_rate, step, unseen, unmeasured;
+  const float *depth;             // [pixels] m
+  const uint8_t *moving, *robot;  // [pixels] 1: moves, is the arm; null: none
+  const float *before;            // [pixels] m
+  float *after;                   // [pixels] m
+};
+
+// The same where it is not known, but beside.
+struct FillRequest {
+  int32_t width, height, reach;
+  float unseen, unmeasured;
+  const float *kept;  // [height, width] m
+  float *filled;      // [height, width] m
+};
 
 // Every voxel, in blocks of 4 x 4 x 4, against every view.
 struct CarveRequest {

@@ -1,11 +1,13 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
 #include <new>
 
+#include "backdrop.h"
 #include "bits.h"
 #include "carve.h"
 #include "cover.h"
 #include "grow.h"
 #include "hide.h"
+#include "look.h"
 #include "mark.h"
 #include "own.h"
 #include "solve.h"
@@ -36,6 +38,16 @@ int32_t forecast_grow(const forecast::GrowRequest *request) {
 void forecast_list(const forecast::ListRequest *request) { forecast::list(*request); }
 
 void forecast_runs(const forecast::RunsRequest *request) { forecast::runs(*request); }
+
+int32_t forecast_look(const forecast::LookRequest *request) {
+  return guarded([&] { forecast::look(*request); });
+}
+
+void forecast_revise(const forecast::ReviseRequest *request) { forecast::revise(*request); }
+
+int32_t forecast_fill(const forecast::FillRequest *request) {
+  return guarded([&] { forecast::fill(*request); });
+}
 
 int32_t forecast_carve(const forecast::CarveRequest *request) {
   return guarded([&] { forecast::carve(*request); });

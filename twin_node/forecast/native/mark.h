@@ -6,21 +6,14 @@
 #include <vector>
 
 #include "interface.h"
+#include "rounded.h"
 
 namespace forecast {
 
-// Rounded after every step, as NumPy does: a point between two voxels must not depend on who computes it.
-#if defined(__clang__)
-#define FORECAST_ROUNDED
-#else
-#define FORECAST_ROUNDED __attribute__((optimize("fp-contract=off")))
-#endif
-
-// Flat voxel of points along one fine row of pixels; -1 outside the grid.
+// Flat voxel of points along one fine row of pixels; -1 outside the grid. A point between two voxels must not depend on
+// who computes it.
 FORECAST_ROUNDED inline void locate(const MarkRequest &r, float down, const float *depths, int32_t *voxels) {
-#if defined(__clang__)
-#pragma clang fp contract(off)
-#endif
+  FORECAST_ROUNDED_BODY
   const int32_t points = r.width * r.finer;
   const float *T = r.T_base_cam;
   for (int32_t i = 0; i < points; i++) {

@@ -1,0 +1,39 @@
+// How deep each pixel of a depth camera sees when nothing that moves is in the way.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "image.h"
+#include "interface.h"
+#include "rounded.h"
+
+namespace forecast {
+
+// The backdrop after one more image.
+FORECAST_ROUNDED inline void revise(const ReviseRequest &r) {
+  FORECAST_ROUNDED_BODY
+  const float above = static_cast<float>(1 + r.step_share), below = static_cast<float>(1 - r.step_share);
+  for (int64_t i = 0; i < r.pixels; i++) {
+    const float before = r.before[i], depth = r.depth[i];
+    const bool bare = !(r.robot && r.robot[i]), moving = r.moving[i], known = bare & (depth > 0);
+    const bool past = depth > before * above + r.step, near = depth > before * below - r.step;
+    const float drawn = before + (known & !moving & near ? r.learning_rate * (depth - before) : 0.0f);
+    const float revised = known & (past | !(moving | near)) ? depth : drawn;
+    r.after[i] = bare & !moving & (depth == 0) & (revised == r.unseen) ? r.unmeasured : revised;
+  }
+}
+
+// Gives pixels that show something of which no depth is known the greatest depth that is known about them.
+inline void fill(const FillRequest &r) {
+  const size_t size = static_cast<size_t>(r.width) * r.height;
+  std::vector<float> deepest(size);
+  for (size_t i = 0; i < size; i++) deepest[i] = r.kept[i] < r.unseen ? r.kept[i] : 0.0f;
+  spread_over<Greatest>(deepest, r.width, r.height, Patch::square(r.reach), 0.0f);
+  for (size_t i = 0; i < size; i++) {
+    const float filled = r.kept[i] == r.unmeasured && deepest[i] > 0 ? deepest[i] : r.kept[i];
+    r.filled[i] = filled < r.unseen ? filled : r.unseen;
+  }
+}
+
+}  // namespace forecast

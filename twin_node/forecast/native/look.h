@@ -1,0 +1,193 @@
+// What one view says along the ray of every pixel: how far it is free, and where something moves.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <new>
+#include <vector>
+
+#include "../../native/crew.h"
+#include "image.h"
+#include "interface.h"
+#include "rounded.h"
+
+namespace forecast {
+
+constexpr float kNever = 0.0f, kAlways = 1e6f;
+
+class Look {
+ public:
+  Look(const LookRequest &request, const LookView &view)
+      : r_(request), v_(view), size_(static_cast<size_t>(v_.width) * v_.height), moving_(v_.moving, v_.moving + size_),
+        seen_(size_, 1), blind_(size_), patch_(Patch::disk(v_.error_pixels)) {
+    if (v_.valid) std::copy_n(v_.valid, size_, seen_.begin());
+    for (size_t i = 0; i < size_; i++) blind_[i] = !seen_[i] | (v_.robot && v_.robot[i]);
+  }
+
+  void write() const {
+    std::vector<uint8_t> widened = moving_;
+    spread_over<Greatest>(widened, v_.width, v_.height, patch_, uint8_t{0});
+    write_flags(widened);
+    if (v_.depth) {
+      write_free_until();
+      write_surface();
+    } else {
+      for (size_t i = 0; i < size_; i++) v_.free_until[i] = widened[i] | blind_[i] ? kNever : kAlways;
+    }
+    v_.free_until[size_] = kNever;
+  }
+
+ private:
+  using Depths = std::vector<float>;
+
+  void write_flags(const std::vector<uint8_t> &widened) const {
+    for (size_t i = 0; i < size_; i++) {
+      const uint8_t is_blunt = widened[i] & !blind_[i] & (v_.depth ? v_.depth[i] == 0.0f : 1);
+      const uint8_t is_beside = seen_[i] & !moving_[i] & !blind_[i];
+      v_.flags[i] = is_blunt * kMoving | seen_[i] * kSeen | is_beside * kBeside;
+    }
+    for (size_t i = 0; v_.robot && i < size_; i++) v_.flags[i] |= (v_.robot[i] & seen_[i]) * kRobot;
+    v_.flags[size_] = 0;
+  }
+
+  // Before a measured surface, be it the arm's: what its errors leave.
+  FORECAST_ROUNDED Depths fronts() const {
+    FORECAST_ROUNDED_BODY
+    const float share = static_cast<float>(1 - r_.depth_share), margin = static_cast<float>(r_.depth_margin);
+    Depths fronts(size_);
+    float *to = fronts.data();
+    for (size_t i = 0; i < size_; i++) to[i] = v_.depth[i] * share - margin;
+    return fronts;
+  }
+
+  void write_free_until() const {
+    Depths free = fronts();
+    for (size_t i = 0; i < size_; i++) free[i] = v_.depth[i] > 0 ? free[i] : kAlways;
+    Depths nearest = free;  // single pixels lack depth everywhere
+    spread_over<Least>(nearest, v_.width, v_.height, Patch::square(1), kAlways);
+    for (size_t i = 0; i < size_; i++) {
+      const float around = nearest[i] < kAlways ? nearest[i] : kNever;
+      free[i] = !seen_[i] ? kNever : v_.depth[i] > 0 ? free[i] : around;
+    }
+    spread_over<Least>(free, v_.width, v_.height, patch_, kFarthest);
+    std::copy(free.begin(), free.end(), v_.free_until);
+  }
+
+  // Half of how wide the mask is about each pixel: the largest of the radii whose disk may lie in it and hold the pixel.
+  std::vector<float> radii_within(const std::vector<uint8_t> &mask) const {
+    std::vector<float> radii(size_, 0.0f);
+    const Window w = Window::about(mask, v_.width, v_.height);
+    const auto at = [&](int32_t x, int32_t y) { return static_cast<size_t>(w.top + y) * v_.width + w.left + x; };
+    Distances inside(w.width(), w.height()), beside(w.width(), w.height());
+    inside.measure([&](int32_t x, int32_t y) { return mask[at(x, y)] != 0; });
+    for (size_t i = 0; i < size_; i++) radii[i] = mask[i] ? static_cast<float>(r_.radius[0]) : 0.0f;
+    for (int32_t k = 0; k + 1 < r_.radii; k++) {
+      const int32_t smaller = units(r_.radius[k]), larger = units(r_.radius[k + 1]);
+      bool any = false;
+      for (int32_t y = 0; y < w.height(); y++) {
+        const int32_t *row = inside.row(y);
+        for (int32_t x = 0; x < w.width(); x++) any |= row[x] >= smaller;
+      }
+      if (!any) break;
+      beside.measure([&](int32_t x, int32_t y) { return inside.row(y)[x] < smaller; });
+      for (int32_t y = 0; y < w.height(); y++) {
+        const int32_t *row = beside.row(y);
+        float *to = radii.data() + at(0, y);
+        for (int32_t x = 0; x < w.width(); x++) {
+          to[x] = (row[x] <= larger) & (to[x] > 0) ? static_cast<float>(r_.radius[k + 1]) : to[x];
+        }
+      }
+    }
+    return radii;
+  }
+
+  static int32_t units(double pixels) { return static_cast<int32_t>(pixels * Distances::kUnit); }
+
+  // Behind a measured surface: as thick as the thing may be, and not beyond what stands behind it.
+  FORECAST_ROUNDED std::vector<double> backs(const std::vector<float> &radii) const {
+    FORECAST_ROUNDED_BODY
+    const float margin = static_cast<float>(r_.depth_margin);
+    std::vector<double> backs(size_);
+    double *to = backs.data();
+    const float *radius = radii.data();
+    for (size_t i = 0; i < size_; i++) {
+      const float twice = 2.0f * radius[i], across = twice * v_.depth[i], standing = v_.backdrop[i] + margin;
+      const double width = static_cast<double>(across) / v_.focal, wide = r_.thickness_share * width + r_.depth_margin;
+      const double thickness = r_.thickness < wide ? r_.thickness : wide, back = v_.depth[i] + thickness;
+      to[i] = back < standing ? back : standing;
+    }
+    return backs;
+  }
+
+  FORECAST_ROUNDED std::vector<uint8_t> standing_out() const {
+    FORECAST_ROUNDED_BODY
+    const float share = static_cast<float>(1 - r_.depth_share), margin = static_cast<float>(r_.depth_margin);
+    std::vector<uint8_t> found(size_);
+    const uint8_t *moving = moving_.data(), *blind = blind_.data();
+    uint8_t *to = found.data();
+    for (size_t i = 0; i < size_; i++) {
+      const float least = v_.backdrop[i] * share - margin;
+      to[i] = moving[i] & !blind[i] & (v_.depth[i] > 0) & (v_.depth[i] < least);
+    }
+    clear_specks(found, v_.width, v_.height, r_.speck);
+    return found;
+  }
+
+  // The moving surface, widened by the calibration's error.
+  void write_surface() const {
+    std::vector<uint8_t> hidden(size_);
+    for (size_t i = 0; i < size_; i++) hidden[i] = moving_[i] | blind_[i];
+    const std::vector<uint8_t> found = standing_out();
+    const std::vector<double> back = backs(radii_within(hidden));
+    const Depths front = fronts();
+    Depths begin(size_), end(size_);
+    for (size_t i = 0; i < size_; i++) {
+      begin[i] = found[i] ? front[i] : kAlways;
+      end[i] = found[i] ? static_cast<float>(back[i]) : kNever;
+    }
+    spread_over<Least>(begin, v_.width, v_.height, patch_, kFarthest);
+    spread_over<Greatest>(end, v_.width, v_.height, patch_, -kFarthest);
+    write_ends(found.data(), front.data(), back.data(), begin.data(), end.data());
+    v_.begin[size_] = kAlways, v_.end[size_] = kNever;
+  }
+
+  // Where a near and a far thing meet in the image, what lies between them is part of neither.
+  FORECAST_ROUNDED void write_ends(
+      const uint8_t *found, const float *front, const double *back, const float *begin, const float *end) const {
+    FORECAST_ROUNDED_BODY
+    const float slant = static_cast<float>(r_.slant), thickness = static_cast<float>(r_.thickness);
+    const uint8_t *blind = blind_.data();
+    for (size_t i = 0; i < size_; i++) {
+      const float nearest = front[i] - slant, farthest = begin[i] + thickness + slant;
+      const double behind = back[i] + r_.slant;
+      const float own = static_cast<float>(end[i] < behind ? end[i] : behind);
+      const float other = end[i] < farthest ? end[i] : farthest;
+      v_.begin[i] = found[i] && begin[i] < nearest ? nearest : begin[i];
+      v_.end[i] = blind[i] ? kNever : found[i] ? own : other;
+    }
+  }
+
+  static constexpr float kFarthest = 3e38f;
+
+  const LookRequest &r_;
+  const LookView &v_;
+  const size_t size_;
+  const std::vector<uint8_t> moving_;
+  std::vector<uint8_t> seen_, blind_;
+  const Patch patch_;
+};
+
+inline void look(const LookRequest &r) {
+  std::atomic<bool> short_of_memory{false};
+  crew::parallel_for(r.threads, r.views, [&](int64_t view) {
+    try {
+      Look(r, r.looks[view]).write();
+    } catch (const std::bad_alloc &) {
+      short_of_memory = true;
+    }
+  });
+  if (short_of_memory) throw std::bad_alloc();
+}
+
+}  // namespace forecast
