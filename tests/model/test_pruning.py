@@ -1,4 +1,4 @@
-"""What stands and shows in no camera is taken out, and nothing else."""
+"""What shows in no camera is taken out, and nothing else."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from model_scenes import rig, table
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.plane import Plane
-from twin_node.model.pruning import EVERY_SETS, ROUNDS, Pruner, blend_weights
+from twin_node.model.pruning import EVERY_SETS, LEAST_MOVING_PX, MOVING_ROUNDS, ROUNDS, MovingPruner, Pruner
 from twin_node.model.rendering import Splats, render
 from twin_node.model.sweep import shell_around
+from twin_node.model.unseen import blend_weights
 from twin_node.scene import Camera, Tier
 
 CAMERAS = rig()
@@ -49,15 +50,19 @@ def with_hidden(count: int) -> Splats:
     )
 
 
+def standing(held: Gaussians) -> Splats:
+    """All that stands, in the order of its rows."""
+    return held.standing(held.values[held.static_rows])
+
+
 def images(held: Gaussians) -> list[np.ndarray]:
     """What the cameras see."""
-    splats = held.standing(held.values[held.static_rows])
-    return [seen.rgb.numpy() for seen in render(splats, CAMERAS)]
+    return [seen.rgb.numpy() for seen in render(standing(held), CAMERAS)]
 
 
 def test_what_lies_under_others_goes_and_the_images_stay() -> None:
     held = store(with_hidden(40))
-    visible = [int((blend_weights(held, held.static_rows, camera)[-40:] > 0.1).sum()) for camera in CAMERAS]
+    visible = [int((blend_weights(standing(held), camera)[-40:] > 0.1).sum()) for camera in CAMERAS]
     assert visible == [0, 0, 0]
     before, watched = images(held), pruner(held)
     for _ in range(WHOLE):
@@ -69,9 +74,9 @@ def test_what_lies_under_others_goes_and_the_images_stay() -> None:
 
 def test_blend_weights_add_up_to_what_is_opaque() -> None:
     held = store(table())
-    seen = render(held.standing(held.values[held.static_rows]), CAMERAS)
+    seen = render(standing(held), CAMERAS)
     for camera, image in zip(CAMERAS, seen, strict=True):
-        total = float(blend_weights(held, held.static_rows, camera).sum())
+        total = float(blend_weights(standing(held), camera).sum())
         assert total == pytest.approx(float(image.alpha.sum()), rel=1e-3)
 
 
@@ -105,3 +110,44 @@ def test_what_was_born_within_a_round_is_not_judged_by_it() -> None:
     for _ in range(EVERY_SETS * (ROUNDS * len(CAMERAS) - 1)):
         watched.watch(CAMERAS)
     assert bool(held.alive[born].all())
+
+
+def moving(splats: Splats, bodies: torch.Tensor) -> Gaussians:
+    """RIGID Gaussians of bodies [n] that stand where they were born."""
+    held = store(splats)
+    rows = held.static_rows
+    held.tiers[rows], held.nodes[rows] = int(Tier.RIGID), bodies
+    return held
+
+
+def look_around(watched: MovingPruner, held: Gaussians, rounds: int) -> None:
+    """Looks through all cameras so many times, with nothing before what moves."""
+    for _ in range(rounds * len(CAMERAS)):
+        index = watched.due(CAMERAS)
+        assert index is not None
+        rows = held.moving_rows
+        watched.look(CAMERAS[index], rows, held.standing(held.values[rows]), held.standing(held.values[:0]))
+
+
+def test_what_lies_under_its_own_body_goes_when_it_has_for_long() -> None:
+    splats, count = with_hidden(40), len(table().scales) + 40
+    shows = torch.stack([blend_weights(splats, camera) for camera in CAMERAS]).amax(0) >= LEAST_MOVING_PX
+    assert not bool(shows[-40:].any())
+    held = moving(splats, torch.zeros(count, dtype=torch.int64))
+    watched = MovingPruner(held)
+    look_around(watched, held, MOVING_ROUNDS - 1)
+    assert len(held) == count
+    look_around(watched, held, 1)
+    assert torch.equal(held.alive[:count], shows)
+
+
+def test_a_body_that_is_hidden_whole_stays_until_some_of_it_shows() -> None:
+    bodies = torch.zeros(len(table().scales) + 40, dtype=torch.int64)
+    bodies[-40:] = 1
+    held = moving(with_hidden(40), bodies)
+    watched = MovingPruner(held)
+    look_around(watched, held, 2 * MOVING_ROUNDS)
+    assert bool(held.alive[-90:-50].all())  # its rows; fifty slots are spare
+    held.values[len(bodies) - 1, 2] += 0.6  # above the table
+    look_around(watched, held, MOVING_ROUNDS)
+    assert held.alive[-90:-50].tolist() == [False] * 39 + [True]

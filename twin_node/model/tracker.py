@@ -27,6 +27,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
+from twin_node.model.pruning import MovingPruner
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
@@ -95,6 +96,7 @@ class Tracker:
         self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
         self._bodies = Bodies(gaussians, motion.nodes)
         self._resting = Resting(gaussians, motion.nodes, backgrounds)
+        self._pruner = MovingPruner(gaussians)
         self._decisions: Sequence[Decision] = ()
         self._turn = 0
         self._pace = 1.0
@@ -151,6 +153,7 @@ class Tracker:
             return True
         self._hurried = 0 if proceed() else self._hurried + 1
         if self._hurried != 1:
+            self._prune(due.observed)
             self._born = self._bear(due.observed, due.renderings)
             self._nodes.remember()
             on_stage("bear")
@@ -322,6 +325,17 @@ class Tracker:
         members = torch.bincount(g.nodes[g.moving_rows].cpu() + 1, minlength=self._nodes.capacity + 1)[1:]
         empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
         self._nodes.retire(torch.nonzero(empty)[:, 0])
+
+    def _prune(self, observed: Sequence[Observed]) -> None:
+        """What moves and has shown in no camera for long goes."""
+        index = self._pruner.due([one.view.camera for one in observed])
+        if index is None:
+            return
+        one, rows = observed[index : index + 1], self._gaussians.moving_rows
+        poses = self._poses(one)
+        moving = self._place(rows, one, poses)
+        around = torch.cat([self._before(one, moving), self._gaussians.robot_rows])
+        self._pruner.look(one[0].view.camera, rows, moving, self._place(around, one, poses))
 
     def _bear(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> int:
         """Gaussians and nodes for what `renderings` leave unexplained; returns how many Gaussians."""

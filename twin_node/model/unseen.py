@@ -1,0 +1,86 @@
+"""Which Gaussians show in no camera: looks through one camera at a time, round after round."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from twin_node import splat
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.rendering import Splats
+from twin_node.scene import Camera
+
+
+class Unseen:
+    """Counts, per Gaussian of one store, the rounds in a row in which it did not show.
+
+    A round looks through every camera that has ever been there, and waits for those that are away: one that fails for a
+    while must not cost what it sees.
+    """
+
+    def __init__(self, gaussians: Gaussians, least_px: float, patience: int) -> None:
+        """`least_px`: blend weight, summed over the pixels of a camera, under which a Gaussian does not show;
+        `patience`: rounds in a row in which it does not before it is named."""
+        self._gaussians = gaussians
+        self._least_px = least_px
+        self._patience = patience
+        self._most = torch.zeros_like(gaussians.largest)
+        """[capacity] largest weight of each row in this round."""
+        self._since = torch.full_like(gaussians.ids, -1)
+        """[capacity] id that each row had when the round began, -1 for none."""
+        self._rounds = torch.zeros_like(gaussians.ids)
+        """[capacity] rounds in a row in which the row did not show."""
+        self._known: dict[str, None] = {}
+        self._waiting: list[str] = []
+
+    def know(self, cameras: Sequence[Camera]) -> None:
+        """The cameras of a set are `cameras`."""
+        self._known |= dict.fromkeys(camera.name for camera in cameras)
+
+    def due(self, cameras: Sequence[Camera]) -> int | None:
+        """Which of `cameras` to look through next; None: the round waits for one that is away."""
+        if not self._waiting:
+            self._waiting = list(self._known)
+            self._since = torch.where(self._gaussians.alive, self._gaussians.ids, -1)
+            self._most.zero_()
+        return next((i for i, camera in enumerate(cameras) if camera.name in self._waiting), None)
+
+    def take(self, camera: Camera, rows: Tensor, weights: Tensor, bodies: Tensor | None = None) -> Tensor:
+        """Takes in that `camera` sees `rows` [n] with `weights` [n] px; returns the rows that have not shown for long.
+
+        `bodies` [n] names what each is part of, -1 for nothing: while a body shows nowhere its parts are not counted,
+        for nothing that shows stands for them.
+        """
+        self._most[rows] = torch.maximum(self._most[rows], weights)
+        self._waiting.remove(camera.name)
+        if self._waiting:
+            return rows[:0]
+        hidden = self._most[rows] < self._least_px
+        counted = hidden & (self._since[rows] == self._gaussians.ids[rows])
+        if bodies is not None:
+            counted &= (bodies < 0) | torch.isin(bodies, bodies[~hidden])
+        self._rounds[rows] = (self._rounds[rows] + 1) * counted
+        named = rows[self._rounds[rows] >= self._patience]
+        self._rounds[named] = 0
+        return named
+
+
+def blend_weights(splats: Splats, camera: Camera) -> Tensor:
+    """[n] how much of `splats`, all at one time, a camera sees, pixels: their blend weights, summed over the image."""
+    device = splats.means.device
+    nothing = torch.zeros(splats.means.shape[1], 1, device=device, requires_grad=True)
+    shown, _, _ = splat.rasterize(
+        splats.means[0],
+        splats.quats[0],
+        splats.scales,
+        splats.opacities,
+        nothing,
+        torch.from_numpy(camera.viewmat)[None].to(device, torch.float32),
+        torch.from_numpy(camera.K)[None].to(device, torch.float32),
+        camera.width,
+        camera.height,
+    )
+    (weights,) = torch.autograd.grad(shown.sum(), nothing)  # of a feature that is zero everywhere
+    return weights[:, 0]
