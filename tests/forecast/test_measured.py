@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from twin_node.bag.trajectories import read_trajectories
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, start_radii
+from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, most_astray, start_radii
 
 HORIZON = 0.2
 REACHABLE = 0.12
@@ -79,3 +79,33 @@ def test_people_at_rest_start_no_quicker(horizon_s: float, recordings: Path) -> 
     for names, least in ((("Head", "Neck", "Spine", "Hips", "LeftArm", "RightArm"), 0.99), (("Hand", "ForeArm"), 0.8)):
         columns = [row for row, name in enumerate(recorded.names) if any(one in name for one in names)]
         assert stayed[:, columns][resting[:, columns]].mean() >= least
+
+
+@pytest.mark.parametrize("horizon_s", [0.083, 0.133, 0.233, 0.3])
+def test_people_get_no_farther_from_where_they_go_straight_on(horizon_s: float, recordings: Path) -> None:
+    """Real motion: 99 % of hands, arms, trunk and head at any speed, and most of what is farther by little."""
+    recorded = read_trajectories(recordings / "mocap" / "01_01.bvh")
+    names = ("Hand", "Arm", "Head", "Neck", "Spine", "Hips")
+    columns = [row for row, name in enumerate(recorded.names) if any(one in name for one in names)]
+    positions, period_s = recorded.positions[:, columns], float(np.median(np.diff(recorded.times)))
+    before, ahead = round(0.033 / period_s), round(horizon_s / period_s)
+    velocities = (positions[before:] - positions[:-before])[:-ahead] / (before * period_s)
+    astray = positions[before + ahead :] - positions[before:-ahead] - velocities * horizon_s
+    speeds = np.linalg.norm(velocities, axis=-1).reshape(-1)
+    most = most_astray(speeds, np.array([horizon_s]))[0]
+    shares = np.linalg.norm(astray, axis=-1).reshape(-1) / most
+    for slow, fast in ((0, 0.1), (0.1, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, np.inf)):
+        chosen = shares[(speeds >= slow) & (speeds < fast)]
+        assert np.mean(chosen <= 1) >= 0.985
+        assert np.median(chosen) < 0.6
+
+
+def test_a_bound_that_surprises_have_widened_is_no_wider_than_people_get_but_for_what_flies() -> None:
+    known, flies, unknown = of(0.1), of(0.1, flying=True), of(UNKNOWN_SPEED)
+    at_rest, horizons = np.zeros(1), np.array([0.0, 0.05, 0.2])
+    most = known.most(at_rest, horizons)[:, 0]
+    assert most[0] == 0
+    assert most[1] < 0.04 < most[2] < 0.2
+    assert np.all(known.most(np.array([1.0]), horizons)[1:, 0] > most[1:])
+    assert np.isinf(flies.most(at_rest, horizons)).all()
+    assert np.isinf(unknown.most(at_rest, horizons)).all()

@@ -4,10 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin_node.forecast.measured import Measured
 from twin_node.forecast.prediction import Predictor
 from twin_node.forecast.tracks import Tracks
 
 HORIZONS = np.array([0.0, 0.1, 0.2])
+
+
+def shaken(measured: Measured | None) -> Predictor:
+    """A node that was shaken at random for two seconds, and has rested for half of one, at 30 Hz."""
+    tracks, predictor, rng = Tracks(), Predictor(), np.random.default_rng(0)
+    places = np.array([[0.0, 0.0, 0.5]])
+    for sample in range(75):
+        step = np.array([[rng.normal(0, 0.05) * (sample < 60), 0, 0]])
+        places = places + step
+        succession = tracks.follow(sample / 30, places, 30 * step)
+        predictor.advance(tracks.history, succession, float(HORIZONS[-1]), measured)
+    return predictor
 
 
 def followed(samples: int) -> Predictor:
@@ -33,3 +46,10 @@ def test_the_factor_is_on_what_is_learnt_and_not_on_what_can_be_reached() -> Non
     new, old = followed(3), followed(30)
     assert np.array_equal(new.predict(HORIZONS, 0.1).radii, new.predict(HORIZONS, 0.05).radii)
     assert np.allclose(2 * old.predict(HORIZONS, 0.5).radii, old.predict(HORIZONS, 1.0).radii)
+
+
+def test_what_is_seen_to_rest_is_not_given_room_for_what_it_did_before() -> None:
+    seen = Measured(np.array([0.1]), np.zeros(1, np.bool_), np.zeros(1, np.bool_))
+    unseen_m, seen_m = (shaken(measured).predict(HORIZONS, 3.0).radii[-1, 0] for measured in (None, seen))
+    assert unseen_m > 0.3
+    assert seen_m < 0.25

@@ -50,8 +50,9 @@ class Aftermath:
     coverage_before: float
     """The same of evidence less than the horizon before it, which could not know."""
     recovery_s: float
-    """Largest time over the seeds until the radius is no more than 1.5 times the largest that is normal for the motion:
-    of the second before the event, and of the motion's last second."""
+    """Longest time in a row, over the seeds, that the radius is more than 1.5 times the largest that is normal for the
+    motion: of the second before the event, and of the motion's last second. Disturbances that last, such as lost
+    samples, may surprise at any time after they begin."""
     radius_before_m: float
     radius_after_m: float
     """Medians of the bound over the second before the event, and over the motion's last."""
@@ -201,11 +202,10 @@ def _median_radius(one: _Observed, since: float, until: float) -> float:
 
 
 def _recovery_s(one: _Observed) -> float:
-    """Time from the event until the radius, after its peak, is normal again."""
+    """Longest time after the event that the radius stays wider than normal."""
     radii = one.foretold.radii.mean(axis=1)
     normal = radii[((one.times >= -1) & (one.times < 0)) | (one.times >= one.times[-1] - 1)].max()
-    after = np.flatnonzero(one.times >= 0)
-    since_peak = after[np.argmax(radii[after]) :]
-    back = since_peak[radii[since_peak] <= 1.5 * normal]
-    wide = radii[after].max() > 1.5 * normal
-    return float(one.times[back[0]]) if wide and len(back) else 0.0
+    wide = np.concatenate([[False], (radii > 1.5 * normal) & (one.times >= 0), [False]])
+    begins, ends = (np.flatnonzero(change) for change in (~wide[:-1] & wide[1:], wide[:-1] & ~wide[1:]))
+    times = np.append(one.times, one.times[-1])
+    return float(np.max(times[ends] - times[begins], initial=0.0))

@@ -94,13 +94,13 @@ class Bound:
         self._quantile = _FIRST_QUANTILE
 
     def observe(
-        self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float, knew: Bool | None = None
+        self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float, grown: Bool | None = None
     ) -> None:
         """Takes in the errors [n] (m) at `time` (s) of nodes with cues `then` [n, CUES] and radii [n] when forecast.
 
-        `elapsed_s`: time since the last observation. The radii are those that ought to have held the errors. `knew` [n]
-        is False for forecasts of before something new began, True for all if not given: they count as missed, and tell
-        nothing of errors to come.
+        `elapsed_s`: time since the last observation. The radii are those that ought to have held the errors. `grown`
+        [n] is False for forecasts of before something new began, or hardly after; True for all if not given. They count
+        as missed, and tell nothing of errors to come.
         """
         if len(errors) == 0:
             return
@@ -109,8 +109,8 @@ class Bound:
         level = self._miss_level + p.correction * elapsed_s * ((1 - p.coverage) - missed)
         self._miss_level = float(np.clip(level, 0, _MOST_LEVEL * (1 - p.coverage)))
         self._seen_s += elapsed_s
-        if knew is not None:
-            then, errors, radii = then[knew], errors[knew], radii[knew]
+        if grown is not None:
+            then, errors, radii = then[grown], errors[grown], radii[grown]
         if len(errors):
             self._learn(_Judged.of(time, then, errors, radii, elapsed_s), then, errors)
 

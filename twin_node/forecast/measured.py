@@ -20,6 +20,12 @@ _START_SPEED, _START_DELAY_S = 0.9, 0.045
 """How far from where it rests a limb may be: this speed (m/s), for as long as a forecast looks ahead less the delay. Of
 people at play it holds 99 % of where trunk and head go from rest within 0.33 s, and 84 to 96 % of hands and forearms
 (CMU motion capture 01_01); 1.1 m/s held 95 % of these, and cost a sixth more space."""
+_ASTRAY_AT_REST, _ASTRAY_RISE, _ASTRAY, _FAST, _ASTRAY_FAST = 2.0, 12.0, 5.3, 1.8, 2.2
+"""Times horizon^1.5 (s) that is how far (m) 99 % of hands, forearms, trunk and head get from where they go straight on,
+from 83 to 300 ms: 2.0 at rest, 2.3 to 3.6 at 0.1 to 0.2 m/s, 3.4 to 5.3 up to 1.8 m/s, 8 at 3 m/s (people at play, CMU
+motion capture 01_01, their velocity that of the last 33 ms)."""
+_MOST_SIGMAS = 0.5
+"""Standard deviations of the velocity that the largest radius holds: a line through 0.1 s halves them."""
 _FLIGHT_TRIED = 2.0
 """Horizons in which a flight is taken for one until its record says otherwise."""
 
@@ -63,6 +69,24 @@ class Measured:
         """[H, M] least radii (m) at horizons [H] in seconds: `start_radii` of all but what moves by itself."""
         least: Float64 = np.where(self.alone, 0.0, start_radii(horizons)[:, None])
         return least
+
+    def most(self, speeds: Float64, horizons: Float64) -> Float64:
+        """[H, M] largest radii (m) at horizons [H] in seconds about where nodes go at the `speeds` [M] (m/s) measured.
+
+        However wide the calibrated bound is: nobody gets that far. Without limit for what flies, which may hit
+        something and turn on the spot, and where the velocity is not known.
+        """
+        within = most_astray(speeds, horizons) + _MOST_SIGMAS * self.sigmas * horizons[:, None]
+        unbounded = self.flying | (self.sigmas >= _BLIND * UNKNOWN_SPEED)
+        most: Float64 = np.where(unbounded, np.inf, within)
+        return most
+
+
+def most_astray(speeds: Float64, horizons: Float64) -> Float64:
+    """[H, M] how far parts of people at `speeds` [M] (m/s) get from where these lead, m, in `horizons` [H] (s)."""
+    rate = np.minimum(_ASTRAY_AT_REST + _ASTRAY_RISE * speeds, _ASTRAY) + _ASTRAY_FAST * np.maximum(speeds - _FAST, 0)
+    astray: Float64 = rate * horizons[:, None] ** 1.5
+    return astray
 
 
 def start_radii(horizons: Float64) -> Float64:

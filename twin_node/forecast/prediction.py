@@ -102,6 +102,9 @@ _NOW_S = 0.002
 _STARTLED = 1.5
 """A node whose forecast is so many times further off than its bound at that time began something new: its record begins
 anew, and until there is one, the reachable set bounds it. What was forecast before says nothing of the motion since."""
+_GROWN = 0.5
+"""Horizons after which errors of what began something new tell of those to come: sooner it is bounded by its reach, and
+what it errs while nobody can know better would keep the bound of all wide for seconds."""
 _TURN = 0.1
 """What went less astray did not turn back, m: a part is as long, and velocities are noisy."""
 _WARY = 2.0
@@ -242,7 +245,10 @@ class Predictor:
         last = float(horizons[-1])
         radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
-        return Prediction(mixed, np.maximum(shares[:, None] * radii, self._start(horizons)), self._turning)
+        within = shares[:, None] * radii
+        if self._measured is not None:
+            within = np.minimum(within, self._measured.most(np.linalg.norm(self._history.line[0], axis=-1), horizons))
+        return Prediction(mixed, np.maximum(within, self._start(horizons)), self._turning)
 
     def _start(self, horizons: Float64) -> Float64:
         """[H, M] m, or 0 where nothing is known of velocities: how far what rests may get if it starts."""
@@ -333,12 +339,13 @@ class Predictor:
         single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
         self._weigh(known, single / KNOTS[knot], elapsed)
         expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
-        knew = issued.time >= np.maximum(self._records.began, self._records.turned)[known]
+        known_s = issued.time - np.maximum(self._records.began, self._records.turned)[known]
+        knew, grown = known_s >= 0, known_s >= _GROWN * issued.horizon_s
         startled = known[wrong > _STARTLED * expected]
         self._records.began[startled], self._records.judged[startled] = now, 0
         if knot == len(KNOTS) - 1:
             self._record(known[knew], wrong[knew], elapsed)
-            self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed, knew)
+            self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed, grown)
 
     def _errors(self, issued: _Issued, knot: int, known: Rows, moved: Float64, now: float) -> Float64:
         """Errors [n] in metres of one time's forecasts by a knot: the nodes `known` [n] have `moved` [n, 3].
