@@ -62,12 +62,20 @@ class Bits:
         """Flat indices [n], strictly increasing."""
         return self.listed(self).indices.astype(np.int64)
 
-    def listed(self, marks: Bits) -> Listed:
-        """The voxels, and which of them are marked too. Compiled; `listed_plainly` where that cannot be."""
+    @property
+    def count(self) -> int:
+        """Number of voxels."""
+        return int(np.bitwise_count(self.words).sum())
+
+    def listed(self, marks: Bits, count: int | None = None) -> Listed:
+        """The voxels, and which of them are marked too; `count`: how many there are, where that is known already.
+
+        Compiled; `listed_plainly` where that cannot be.
+        """
         compiled = kernels()
         if compiled is None:
             return self.listed_plainly(marks)
-        count = int(np.bitwise_count(self.words).sum())
+        count = self.count if count is None else count
         found = Listed(np.empty(count, np.uint32), np.empty(count, np.bool_))
         words, marked = np.ascontiguousarray(self.words), np.ascontiguousarray(marks.words)
         arrays: tuple[NDArray[np.generic], ...] = (words, marked, found.indices, found.marked)

@@ -109,8 +109,8 @@ def _spread_by(
     request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses)
     compiled.grow(request)
     spreads = []
-    for layer, marks in zip(reached, core, strict=True):
-        found = Bits(grid.dims, layer).listed(Bits(grid.dims, marks))
+    for layer, marks, count in zip(reached, core, counts.tolist(), strict=True):
+        found = Bits(grid.dims, layer).listed(Bits(grid.dims, marks), count)
         spreads.append(Spread(found.indices, found.marked))
     return tuple(spreads)
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.kernels import TraceRequest, kernels
 from twin_node.scene import Bool, Float32, Float64, UInt8, View
 
 
@@ -33,8 +34,8 @@ class ImageMotion:
     """Follows one camera's images of what moves."""
 
     def __init__(self) -> None:
-        self._now: _Image | None = None
-        self._before: _Image | None = None
+        self._now: Image | None = None
+        self._before: Image | None = None
         # Without refinement: it smears motion over what stands beside, and takes half of the time.
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(0)
@@ -43,7 +44,7 @@ class ImageMotion:
         """Takes in the next image and where it shows something moving [H, W]."""
         shown = near(moving, 1)
         grey = np.where(shown, cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
-        self._before, self._now = self._now, _Image(view.stamp, grey, shown, view.depth)
+        self._before, self._now = self._now, Image(view.stamp, grey, shown, view.depth)
 
     @property
     def elapsed_s(self) -> float | None:
@@ -67,20 +68,18 @@ class ImageMotion:
             here, there = np.ascontiguousarray(now.grey[window]), np.ascontiguousarray(before.grey[window])
             begin = np.zeros((*here.shape, 2), np.float32) if guess is None else np.ascontiguousarray(-guess[window])
             pixels[window] = -self._flow.calc(here, there, begin)
-        traced = _traced(now, before, pixels)
+        trace = traced(now, before, pixels)
         flying = np.zeros(now.grey.shape, np.bool_)
         for flight in _flights(now.blobs, before.blobs):
             flying |= flight.now
             pixels[flight.now] = flight.shift
-            if traced.receded is not None:
-                traced.receded[flight.now] = _gone_away(now, before, flight)
-        return Shifts(
-            pixels, traced.found | flying, traced.receded, now.depth, flying, (now.stamp - before.stamp) * 1e-9
-        )
+            if trace.receded is not None:
+                trace.receded[flight.now] = _gone_away(now, before, flight)
+        return Shifts(pixels, trace.found | flying, trace.receded, now.depth, flying, (now.stamp - before.stamp) * 1e-9)
 
 
 @dataclass(frozen=True)
-class _Image:
+class Image:
     """One image."""
 
     stamp: int
@@ -98,8 +97,29 @@ class _Image:
         return _blobs(self.moving)
 
 
-def _traced(now: _Image, before: _Image, pixels: Float32) -> _Traced:
-    """Follows what moves back along its way `pixels` [H, W, 2] into the image before."""
+def traced(now: Image, before: Image, pixels: Float32) -> Traced:
+    """Follows what moves back along its way `pixels` [H, W, 2] into the image before.
+
+    Compiled; `traced_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return traced_plainly(now, before, pixels)
+    height, width = now.grey.shape
+    found = Traced(np.empty((height, width), np.bool_), None)
+    depths: tuple[Float32, ...] = ()
+    if now.depth is not None and before.depth is not None and before.depth.shape == now.depth.shape:
+        found = Traced(found.found, np.empty((height, width), np.float32))
+        depths = tuple(np.ascontiguousarray(depth, np.float32) for depth in (now.depth, before.depth))
+    masks = tuple(np.ascontiguousarray(mask, np.bool_) for mask in (now.moving, before.moving))
+    given = (now.grey, before.grey, *masks, np.ascontiguousarray(pixels, np.float32), *(depths or (None, None)))
+    addresses = (None if array is None else array.ctypes.data for array in (*given, found.found, found.receded))
+    compiled.trace(TraceRequest(width, height, _ALIKE_GREY, *addresses))
+    return found
+
+
+def traced_plainly(now: Image, before: Image, pixels: Float32) -> Traced:
+    """What `traced` does."""
     height, width = now.grey.shape
     rows, columns = np.nonzero(now.moving)
     source = np.round(np.stack([columns, rows], axis=1) - pixels[rows, columns]).astype(np.int64)
@@ -110,15 +130,15 @@ def _traced(now: _Image, before: _Image, pixels: Float32) -> _Traced:
     found = np.zeros((height, width), np.bool_)
     found[rows, columns] = alike
     if now.depth is None or before.depth is None or before.depth.shape != now.depth.shape:
-        return _Traced(found, None)
+        return Traced(found, None)
     here, there = now.depth[rows, columns], before.depth[source[:, 1], source[:, 0]]
     receded = np.full((height, width), np.nan, np.float32)
     receded[rows, columns] = np.where(alike & (here > 0) & (there > 0), here - there, np.nan)
-    return _Traced(found, receded)
+    return Traced(found, receded)
 
 
 @dataclass(frozen=True)
-class _Traced:
+class Traced:
     """What an image shows to move, in the image before."""
 
     found: Bool
@@ -127,7 +147,7 @@ class _Traced:
     """[H, W] m by which its depth has grown, NaN where it is not known; None without depth."""
 
 
-def _gone_away(now: _Image, before: _Image, flight: _Flight) -> float:
+def _gone_away(now: Image, before: Image, flight: _Flight) -> float:
     """By how much the depth of a blob has grown, m; NaN where it was not measured both times."""
     assert now.depth is not None and before.depth is not None
     here, there = now.depth[flight.now], before.depth[flight.before]
@@ -178,12 +198,18 @@ class _Blobs:
 
 def _blobs(mask: Bool) -> _Blobs:
     """The blobs of a mask [H, W] that fill most of a box about them: bodies and their rims are none."""
-    _, labels, stats, middles = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    within = slice(top, top + height), slice(left, left + width)
+    labels = np.zeros(mask.shape, np.int32)
+    if width == 0:
+        return _Blobs(labels, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 2)))
+    _, labels[within], stats, middles = cv2.connectedComponentsWithStats(mask[within].astype(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)
-    width, height = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
-    compact = (areas >= _SMALLEST_BLOB) & (areas > _COMPACT * np.maximum(width, height) ** 2)
+    sides = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
+    compact = (areas >= _SMALLEST_BLOB) & (areas > _COMPACT * sides**2)
     numbers = np.flatnonzero(compact[1:]) + 1
-    return _Blobs(labels.astype(np.int32, copy=False), numbers, areas[numbers], middles[numbers].astype(np.float64))
+    inside = middles[numbers].astype(np.float64)
+    return _Blobs(labels, numbers, areas[numbers], inside + np.array([left, top]))
 
 
 _GREY = np.uint8(128)

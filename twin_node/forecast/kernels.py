@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 13
+INTERFACE_VERSION = 14
 
 
 class GrowRequest(ctypes.Structure):
@@ -157,6 +157,40 @@ class HideRequest(ctypes.Structure):
     )
 
 
+class TraceRequest(ctypes.Structure):
+    """`forecast::TraceRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height", "alike")),
+        *((name, c_void_p) for name in ("grey", "grey_before", "moving", "moved_before", "shifts")),
+        *((name, c_void_p) for name in ("depth", "depth_before", "found", "receded")),
+    )
+
+
+class ShowRequest(ctypes.Structure):
+    """`forecast::ShowRequest`."""
+
+    _fields_ = (
+        ("voxels", c_int64),
+        *((name, c_int32) for name in ("width", "height")),
+        ("part_size", c_float),
+        *((name, c_void_p) for name in ("places", "labels", "table_pixels", "table_depths", "moving")),
+        *((name, c_void_p) for name in ("pixels", "shown_labels", "count")),
+    )
+
+
+class TellRequest(ctypes.Structure):
+    """`forecast::TellRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("voxels", "parts", "fewest")),
+        *((name, c_float) for name in ("flow_noise", "most_receded")),
+        *((name, c_double) for name in ("known_share", "least")),
+        *((name, c_void_p) for name in ("pixels", "labels", "found", "flying", "moved", "receded", "depth")),
+        *((name, c_void_p) for name in ("shifts", "shown", "known", "flies", "recessions", "depths")),
+    )
+
+
 class SolveView(ctypes.Structure):
     """`forecast::SolveView`."""
 
@@ -227,6 +261,10 @@ class Kernels(NativeLibrary):
         self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
         self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
+        self._dll.forecast_trace.argtypes = [ctypes.POINTER(TraceRequest)]
+        self._dll.forecast_trace.restype = None
+        self._dll.forecast_show.argtypes = [ctypes.POINTER(ShowRequest)]
+        self._dll.forecast_tell.argtypes = [ctypes.POINTER(TellRequest)]
         self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
         self._dll.forecast_solve.restype = None
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
@@ -282,6 +320,18 @@ class Kernels(NativeLibrary):
     def mark(self, request: MarkRequest) -> None:
         """Marks the voxels that a view measures surfaces in; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_mark(request))
+
+    def trace(self, request: TraceRequest) -> None:
+        """Follows what moves back into the image before; takes one thread."""
+        self._dll.forecast_trace(request)
+
+    def show(self, request: ShowRequest) -> None:
+        """Lists the voxels that a view shows to move; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_show(request))
+
+    def tell(self, request: TellRequest) -> None:
+        """Says what these show of their parts; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_tell(request))
 
     def solve(self, request: SolveRequest) -> None:
         """Finds the velocities that views agree on; takes one thread."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.agreement import Estimate, Sighting, agreed
-from twin_node.forecast.image_motion import ImageMotion, Shifts, near
+from twin_node.forecast.image_motion import ImageMotion, near
 from twin_node.forecast.measured import UNKNOWN_SPEED
-from twin_node.forecast.parts import PART_SIZE, Parts
-from twin_node.forecast.tables import CameraTable, RigTables
+from twin_node.forecast.parts import Parts
+from twin_node.forecast.shown import Visible, told, visible
+from twin_node.forecast.tables import RigTables
 from twin_node.forecast.things import Things, Whole
 from twin_node.geometry import transform
 from twin_node.scene import Bool, Camera, Float32, Float64, TwinState
@@ -66,9 +66,9 @@ class PartVelocities:
             motion.see(view, mask)
             if motion.elapsed_s is not None and parts.count:
                 clear = mask if robot is None else mask & ~near(robot, _OCCLUSION_PIXELS)
-                visible = _visible(clear, self._tables.of(view.camera), places, labels)
+                shown = visible(clear, self._tables.of(view.camera), places, labels)
                 jacobian = _jacobian(view.camera, parts.centers)
-                looks.append(_Look(motion, motion.elapsed_s, view.camera, visible, jacobian))
+                looks.append(_Look(motion, motion.elapsed_s, view.camera, shown, jacobian))
         return looks
 
 
@@ -107,45 +107,29 @@ class Moving:
 
 
 @dataclass(frozen=True)
-class _Visible:
-    """Voxels of parts that a view shows to move."""
-
-    pixels: NDArray[np.int64]
-    """[n] flat."""
-    labels: NDArray[np.int64]
-    """[n] part of each."""
-
-
-@dataclass(frozen=True)
 class _Look:
     """One view's newest pair of images, and where it shows parts in the newer one."""
 
     motion: ImageMotion
     elapsed_s: float
     camera: Camera
-    visible: _Visible
+    visible: Visible
     jacobian: Float64
     """[M, 2, 3] pixels per metre."""
 
     def sighting(self, expected: Float64) -> Sighting:
         """What the view says, if it begins its search from velocities [M, 3] (m/s)."""
         shifts = self.motion.shifts(self._guess(expected))
-        count, pixels, labels = len(self.jacobian), self.visible.pixels, self.visible.labels
-        found = shifts.found.ravel()[pixels]
-        moved = shifts.pixels.reshape(-1, 2)[pixels]
-        weight = found * (np.linalg.norm(moved, axis=1) + _FLOW_NOISE) ** 2
-        receded, depths = _recession(shifts, self.visible, count)
-        shown = np.bincount(labels, minlength=count) > 0
-        known = np.bincount(labels, found, minlength=count) > _KNOWN * np.bincount(labels, minlength=count)
+        found = told(shifts, self.visible, len(self.jacobian))
         return Sighting(
             self.elapsed_s,
             self.jacobian,
-            np.stack([_mean(labels, moved[:, axis], weight, count) for axis in range(2)], axis=1),
-            np.where(known, self._variances(shifts), np.inf),
-            shown,
+            found.shifts,
+            np.where(found.known, self._variances(found.flies), np.inf),
+            found.shown,
             self.camera.viewmat[2, :3],
-            receded,
-            depths,
+            found.receded,
+            found.depths,
         )
 
     def has_lost(self, sighting: Sighting, velocities: Float64) -> bool:
@@ -156,13 +140,11 @@ class _Look:
         astray = np.isinf(sighting.variances) | (off > _ASTRAY * far)
         return bool(((far > _FOUND) & astray & sighting.shown).any())
 
-    def _variances(self, shifts: Shifts) -> Float64:
+    def _variances(self, flies: Bool) -> Float64:
         """[M] pixels^2: what is near moves far between two images, and flow does not find it again."""
-        count, labels = len(self.jacobian), self.visible.labels
         reach = np.linalg.norm(self.jacobian, axis=(1, 2)) / np.sqrt(2) * _FAST * self.elapsed_s
         flow = _FLOW_SIGMA * (1 + (reach / _LOST) ** 3)
-        flying = _mean(labels, shifts.flying.ravel()[self.visible.pixels], np.ones(len(labels)), count) > 0.5
-        variances: Float64 = np.where(flying, _FLIGHT_SIGMA, flow) ** 2
+        variances: Float64 = np.where(flies, _FLIGHT_SIGMA, flow) ** 2
         return variances
 
     def _guess(self, expected: Float64) -> Float32 | None:
@@ -183,43 +165,6 @@ def _solve(sightings: Sequence[Sighting], expected: Moving, whole: Whole) -> Mov
     """What the sightings, the wholes and what is expected agree on best."""
     found = agreed(sightings, Estimate(expected.velocities, expected.sigmas), whole)
     return Moving(found.velocities, found.sigmas, whole.flying, whole.followed)
-
-
-def _recession(shifts: Shifts, visible: _Visible, count: int) -> tuple[Float64, Float64]:
-    """By how much `count` parts went away from the camera, and their depth, m; infinite where that is not known."""
-    unknown = np.zeros(count), np.full(count, np.inf)
-    if shifts.receded is None or shifts.depth is None:
-        return unknown
-    receded, depth = shifts.receded.ravel()[visible.pixels], shifts.depth.ravel()[visible.pixels]
-    # what went further is another surface, in front or behind
-    sound = np.abs(receded) < _FASTEST * shifts.elapsed_s
-    labels = visible.labels[sound]
-    shown = np.bincount(labels, minlength=count) >= _FEWEST
-    mean = _mean(labels, receded[sound], np.ones(len(labels)), count)
-    depths = np.where(shown, _mean(labels, depth[sound], np.ones(len(labels)), count), np.inf)
-    return np.where(shown, mean, 0.0), depths
-
-
-def _mean(
-    labels: NDArray[np.int64], values: NDArray[np.floating[Any] | np.bool_], weights: Float64, count: int
-) -> Float64:
-    """[count] weighted means of values [n] by labels [n]; 0 for none."""
-    total = np.bincount(labels, weights, count)
-    mean: Float64 = np.bincount(labels, weights * values, count) / np.maximum(total, 1e-9)
-    return mean
-
-
-def _visible(mask: Bool, table: CameraTable, places: NDArray[np.int64], labels: NDArray[np.int64]) -> _Visible:
-    """Those of the voxels at `places` [n] that are nearest to the camera, where the mask shows something moving."""
-    seen = table.at(places)
-    inside = seen.pixels < table.outside
-    pixels = np.where(inside, seen.pixels, 0)
-    width, height = table.camera.width, table.camera.height
-    rows, columns = pixels // width // 2, pixels % width // 2
-    nearest = np.full((height // 2 + 1, width // 2 + 1), np.inf, np.float32)
-    np.minimum.at(nearest, (rows, columns), np.where(inside, seen.depth, np.inf).astype(np.float32))
-    visible = inside & (seen.depth < nearest[rows, columns] + PART_SIZE) & mask.ravel()[pixels]
-    return _Visible(pixels[visible].astype(np.int64), labels[visible])
 
 
 def _jacobian(camera: Camera, points: Float64) -> Float64:
@@ -253,8 +198,6 @@ _SAMPLING = 3
 """One voxel in so many is looked up in the images: a part has about 64."""
 _PATCH = 9
 """Side in pixels of the window in which a guess stands for what lies between voxels."""
-_FLOW_NOISE = 0.1
-"""Noise of optical flow, pixels: weights favour the pixels that move, for the hull holds still ones too."""
 _FLOW_SIGMA = 0.3
 """Error of the flow of a part, pixels (measured on the simulated cell: 0.2 to 0.4)."""
 _FLIGHT_SIGMA = 0.7
@@ -266,9 +209,3 @@ _FOUND, _ASTRAY = 5.0, 0.35
 than the second, as a share of the way."""
 _ACCELERATION = 5.0
 """By which velocities change, m/s^2."""
-_FASTEST = 8.0
-"""Along the optical axis what goes faster is taken for another surface, m/s."""
-_KNOWN = 0.3
-"""Share of a part's pixels that must be found in the image before."""
-_FEWEST = 2
-"""Voxels that must have been measured to know a part's depth."""

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 13;
+constexpr int32_t kInterfaceVersion = 14;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -147,6 +147,44 @@ struct HideRequest {
   float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
   uint64_t *maybe_full;                          // [nx, ny, words] not known to be empty, before and after
   uint64_t *reachable;                           // [nx, ny, words] something may come out
+};
+
+// What moves in one image, in the image before.
+struct TraceRequest {
+  int32_t width, height, alike;                // difference in brightness from which pixels show different things
+  const uint8_t *grey, *grey_before;           // [height, width]
+  const uint8_t *moving, *moved_before;        // [height, width] 0 or 1
+  const float *shifts;                         // [height, width, 2] pixels moved since
+  const float *depth, *depth_before;           // [height, width] m; null without depth in either
+  uint8_t *found;                              // [height, width] 1: showed something that moves and looks the same
+  float *receded;                              // [height, width] m by which its depth has grown, or NaN; null without
+};
+
+// Voxels of parts that a view shows to move.
+struct ShowRequest {
+  int64_t voxels;
+  int32_t width, height;
+  float part_size;               // m
+  const int64_t *places;         // [voxels] in the tables
+  const int64_t *labels;         // [voxels] part of each
+  const int32_t *table_pixels;   // flat pixel of every place; those outside the image come after its last
+  const float *table_depths;     // m
+  const uint8_t *moving;         // [height, width] 0 or 1
+  int64_t *pixels, *shown_labels, *count;  // [voxels], [voxels], [1]
+};
+
+// What those show of their parts: means over pixels.
+struct TellRequest {
+  int64_t voxels, parts, fewest;       // measured voxels from which a part's depth is known
+  float flow_noise, most_receded;      // pixels, m
+  double known_share, least;           // of a part's pixels that must be found; what sums are at least divided by
+  const int64_t *pixels, *labels;      // [voxels]
+  const uint8_t *found, *flying;       // [height, width] 0 or 1
+  const float *moved;                  // [height, width, 2] pixels
+  const float *receded, *depth;        // [height, width] m; null without depth
+  double *shifts;                      // [parts, 2] pixels
+  uint8_t *shown, *known, *flies;      // [parts]
+  double *recessions, *depths;         // [parts] m; 0 and infinite where they are not known
 };
 
 // What one view says of the motion of parts since its last image.

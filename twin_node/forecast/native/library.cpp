@@ -10,6 +10,7 @@
 #include "look.h"
 #include "mark.h"
 #include "own.h"
+#include "shown.h"
 #include "solve.h"
 
 namespace {
@@ -69,6 +70,16 @@ int32_t forecast_hide(const forecast::HideRequest *request) {
 
 int32_t forecast_mark(const forecast::MarkRequest *request) {
   return guarded([&] { forecast::mark(*request); });
+}
+
+void forecast_trace(const forecast::TraceRequest *request) { forecast::trace(*request); }
+
+int32_t forecast_show(const forecast::ShowRequest *request) {
+  return guarded([&] { forecast::show(*request); });
+}
+
+int32_t forecast_tell(const forecast::TellRequest *request) {
+  return guarded([&] { forecast::tell(*request); });
 }
 
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }
