@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <vector>
 
 #include "interface.h"
@@ -96,6 +97,13 @@ inline void widen(Bits &b, int64_t width) {
       for (const int64_t way : {-step, step}) join_at<Join::kAny>(before, b, beside, axis, way);
     }
   }
+}
+
+// Eight bytes of 0 or 1 as eight bits.
+inline uint64_t eight_bits(const uint8_t *bytes) {
+  uint64_t together = 0;
+  std::memcpy(&together, bytes, 8);
+  return together * 0x0102040810204080 >> 56;
 }
 
 // The even bits of a word next to each other.

@@ -22,9 +22,12 @@ struct Found {
   uint64_t unknown, may_move, likely_moves;
 };
 
+// Of numbers that are 0 or 1.
 inline uint64_t as_bits(const int32_t *flags) {
+  uint8_t bytes[kVoxels];
+  for (int i = 0; i < kVoxels; i++) bytes[i] = static_cast<uint8_t>(flags[i]);
   uint64_t bits = 0;
-  for (int i = 0; i < kVoxels; i++) bits |= static_cast<uint64_t>(flags[i] != 0) << i;
+  for (int i = 0; i < kVoxels; i += 8) bits |= eight_bits(bytes + i) << i;
   return bits;
 }
 
@@ -62,9 +65,9 @@ class BlockVerdicts {
     for (int i = 0; i < kVoxels; i++) {
       const int32_t explained = (moving_[i] >= kWitnesses) | surface_[i];
       const int32_t itself = (robot_[i] >= kWitnesses) & (robot_[i] == seen_[i]);
-      unknown_[i] = open_[i] & !explained & !itself;
+      unknown_[i] = open_[i] & (explained == 0) & (itself == 0);
       may_move_[i] = open_[i] & (explained != 0);
-      likely_moves_[i] = may_move_[i] & !beside_[i];
+      likely_moves_[i] = may_move_[i] & (beside_[i] == 0);
     }
     return {as_bits(unknown_), as_bits(may_move_), as_bits(likely_moves_)};
   }
@@ -83,7 +86,7 @@ class BlockVerdicts {
       if (blocks.near[block] < all.most) dividing_[dividing_count_++] = v;
       moving += (all.flags & kMoving) != 0;
       robot += (all.flags & kRobot) != 0;
-      surface |= all.flags & kSurface;
+      surface |= (all.flags & kSurface) && overview.surface().reaches(ends, blocks.near[block], blocks.far[block]);
     }
     return moving >= kWitnesses || robot >= kWitnesses || surface;
   }

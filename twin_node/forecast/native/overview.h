@@ -24,11 +24,53 @@ inline Extremes joined(const Extremes &a, const Extremes &b) {
   return {std::min(a.least, b.least), std::max(a.most, b.most), static_cast<uint8_t>(a.flags | b.flags)};
 }
 
+// Between which depths measured moving surfaces explain the rays of a window: over squares of `kSide` pixels.
+class SurfaceRange {
+ public:
+  explicit SurfaceRange(const Sight &sight)
+      : width_((sight.width + kSide - 1) / kSide),
+        ranges_(static_cast<size_t>(width_) * ((sight.height + kSide - 1) / kSide), {kFar, -kFar}) {
+    if (!sight.begin) return;
+    for (int32_t y = 0; y < sight.height; y++) {
+      const float *begin = sight.begin + static_cast<int64_t>(y) * sight.width;
+      const float *end = sight.end + static_cast<int64_t>(y) * sight.width;
+      for (int32_t x = 0; x < sight.width; x++) {
+        if (!(begin[x] < end[x])) continue;
+        Range &own = ranges_[y / kSide * width_ + x / kSide];
+        own = {std::min(own.begin, begin[x]), std::max(own.end, end[x])};
+      }
+    }
+  }
+
+  // Whether one may explain what lies in a window [first column, last column, first row, last row] at such depths, m.
+  bool reaches(const int32_t *window, float near, float far) const {
+    for (int32_t y = window[2] / kSide; y <= window[3] / kSide; y++) {
+      for (int32_t x = window[0] / kSide; x <= window[1] / kSide; x++) {
+        const Range &one = ranges_[y * width_ + x];
+        if (one.begin <= far && near < one.end) return true;
+      }
+    }
+    return false;
+  }
+
+ private:
+  static constexpr int32_t kSide = 8;
+  static constexpr float kFar = std::numeric_limits<float>::infinity();
+
+  struct Range {
+    float begin, end;
+  };
+
+  const int32_t width_;
+  std::vector<Range> ranges_;
+};
+
 // Extremes over squares of 1, 2, 4 ... cells of two by two pixels, one from every cell on; four make up any window.
 class Overview {
  public:
   explicit Overview(const Sight &sight)
-      : sight_(sight), width_((sight.width + 1) / 2), height_((sight.height + 1) / 2), outside_(of(sight.size - 1)) {
+      : sight_(sight), width_((sight.width + 1) / 2), height_((sight.height + 1) / 2), outside_(of(sight.size - 1)),
+        surface_(sight) {
     const size_t cells = static_cast<size_t>(width_) * height_;
     for (Level &level : levels_) level = {std::vector<float>(cells), std::vector<float>(cells), Bytes(cells)};
     take_in();
@@ -71,6 +113,8 @@ class Overview {
     }
     return all;
   }
+
+  const SurfaceRange &surface() const { return surface_; }
 
   // Of rays that are not in the image.
   const Extremes &outside() const { return outside_; }
@@ -128,6 +172,7 @@ class Overview {
   const Sight &sight_;
   const int32_t width_, height_;
   const Extremes outside_;
+  const SurfaceRange surface_;
   std::array<Level, kLevels> levels_;
 };
 
