@@ -173,8 +173,8 @@ class Autoregression:
         weights = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
         knots = np.concatenate([np.zeros((1, FEATURES)), weights])
         blend = _interpolation(shares, np.array([0.0, *KNOTS]))
-        forecast: Float64 = np.einsum("mcf,hf->hmc", features, blend @ knots, optimize=True)
-        return forecast
+        flat: Float64 = blend @ knots @ features.reshape(-1, FEATURES).T
+        return flat.reshape(len(shares), len(features), 3)
 
     def learn(self, knot: int, features: Float64, came_true: Float64, elapsed_s: float) -> None:
         """Takes in what became of nodes by a knot: their features then [M, 3, F] and displacement since [M, 3].

@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 14
+INTERFACE_VERSION = 15
 
 
 class GrowRequest(ctypes.Structure):
@@ -157,6 +157,22 @@ class HideRequest(ctypes.Structure):
     )
 
 
+class SplitRequest(ctypes.Structure):
+    """`forecast::SplitRequest`."""
+
+    _fields_ = (
+        ("voxels", c_int64),
+        *((name, c_int32) for name in ("nx", "ny", "nz", "side")),
+        *((name, c_void_p) for name in ("indices", "places", "labels", "sums", "count")),
+    )
+
+
+class LinkRequest(ctypes.Structure):
+    """`forecast::LinkRequest`."""
+
+    _fields_ = (("nodes", c_int64), ("links", c_int64), ("pairs", c_void_p), ("pieces", c_void_p))
+
+
 class TraceRequest(ctypes.Structure):
     """`forecast::TraceRequest`."""
 
@@ -261,6 +277,8 @@ class Kernels(NativeLibrary):
         self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
         self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
+        self._dll.forecast_split.argtypes = [ctypes.POINTER(SplitRequest)]
+        self._dll.forecast_link.argtypes = [ctypes.POINTER(LinkRequest)]
         self._dll.forecast_trace.argtypes = [ctypes.POINTER(TraceRequest)]
         self._dll.forecast_trace.restype = None
         self._dll.forecast_show.argtypes = [ctypes.POINTER(ShowRequest)]
@@ -320,6 +338,14 @@ class Kernels(NativeLibrary):
     def mark(self, request: MarkRequest) -> None:
         """Marks the voxels that a view measures surfaces in; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_mark(request))
+
+    def split(self, request: SplitRequest) -> None:
+        """Finds the parts that voxels are of; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_split(request))
+
+    def link(self, request: LinkRequest) -> None:
+        """Finds which nodes hang together; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_link(request))
 
     def trace(self, request: TraceRequest) -> None:
         """Follows what moves back into the image before; takes one thread."""

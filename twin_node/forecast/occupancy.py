@@ -131,7 +131,8 @@ class Forecaster:
         evidence = self._observer.observe(state)
         self._hidden = evidence.hidden
         may_start = evidence.resting if has_depth else np.zeros(0, np.int64)
-        self._sighted = Sighted(self._observer.grid, np.union1d(evidence.parts.indices, may_start))
+        seen = evidence.parts.indices
+        self._sighted = Sighted(self._observer.grid, np.union1d(seen, may_start) if len(may_start) else seen)
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         motion = evidence.motion
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of

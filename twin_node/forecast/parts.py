@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.growth import Points
+from twin_node.forecast.kernels import SplitRequest, kernels
 from twin_node.scene import Bool, Float64, Grid
 
 PART_SIZE = 0.08
@@ -46,8 +47,29 @@ class Parts:
 
 
 def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
-    """Parts of the voxels `indices` [n], `likely` [n] occupied: one per occupied cell of a coarser lattice."""
-    side = max(1, round(PART_SIZE / grid.voxel_size))
+    """Parts of the voxels `indices` [n], `likely` [n] occupied: one per occupied cell of a coarser lattice.
+
+    Compiled; `split_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return split_plainly(grid, indices, likely)
+    side, voxels = _side(grid), np.ascontiguousarray(indices)
+    places, labels, count = (
+        np.empty((3, len(indices)), np.int32),
+        np.empty(len(indices), np.int64),
+        np.zeros(1, np.int64),
+    )
+    sums = np.empty((len(indices), 4))
+    addresses = (array.ctypes.data for array in (voxels, places, labels, sums, count))
+    compiled.split(SplitRequest(len(voxels), *grid.dims, side, *addresses))
+    sums = sums[: count[0]]
+    return Parts(indices, places, labels, likely, _middles(grid, sums[:, :3], sums[:, 3:]))
+
+
+def split_plainly(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
+    """What `split` does."""
+    side = _side(grid)
     lattice = tuple(-(-n // side) for n in grid.dims)
     places = np.stack(np.unravel_index(indices, grid.dims)).astype(np.int32)
     cells = np.ravel_multi_index(tuple(places // side), lattice)
@@ -56,5 +78,16 @@ def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
     numbers = np.zeros(len(counts), np.int64)
     numbers[occupied] = np.arange(len(occupied))
     sums = np.stack([np.bincount(cells, axis, len(counts))[occupied] for axis in places], axis=1)
-    centers = grid.origin + (sums / counts[occupied, None] + 0.5) * grid.voxel_size
-    return Parts(indices, places, numbers[cells], likely, centers)
+    middles = _middles(grid, sums.astype(np.float64), counts[occupied, None].astype(np.float64))
+    return Parts(indices, places, numbers[cells], likely, middles)
+
+
+def _side(grid: Grid) -> int:
+    """Voxels along a part."""
+    return max(1, round(PART_SIZE / grid.voxel_size))
+
+
+def _middles(grid: Grid, sums: Float64, counts: Float64) -> Float64:
+    """Means [M, 3] in metres of voxels, by the sums [M, 3] of their coordinates and their counts [M, 1]."""
+    middles: Float64 = grid.origin + (sums / counts + 0.5) * grid.voxel_size
+    return middles

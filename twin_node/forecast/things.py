@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.kernels import LinkRequest, kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.scene import Bool, Float64, Grid
 
@@ -120,10 +121,29 @@ def _things(parts: Parts) -> NDArray[np.int64]:
         return labels
     tree = cKDTree(parts.centers[solid])
     pairs = tree.query_pairs(_TOGETHER * PART_SIZE, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(solid), len(solid)))
-    mine = np.append(connected_components(links, directed=False)[1], -1)
+    mine = np.append(hanging_together(len(solid), pairs), -1)
     labels[:] = mine[tree.query(parts.centers, distance_upper_bound=_TOGETHER * PART_SIZE)[1]]
     return labels
+
+
+def hanging_together(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """[count] piece of each node, in the order of their first nodes, where `pairs` [n, 2] hang together.
+
+    Compiled; `hanging_together_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return hanging_together_plainly(count, pairs)
+    pieces, links = np.empty(count, np.int64), np.ascontiguousarray(pairs, np.int64)
+    compiled.link(LinkRequest(count, len(links), links.ctypes.data, pieces.ctypes.data))
+    return pieces
+
+
+def hanging_together_plainly(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What `hanging_together` does."""
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    pieces: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
+    return pieces
 
 
 def _pairs(before: _Seen, now: _Seen, elapsed_s: float) -> list[tuple[int, int]]:

@@ -66,17 +66,19 @@ class Tracks:
         """
         step = time - self.times[-1] if len(self.times) else 0.0
         places = centers - velocities * step
-        rows, kin = self._nearest(places, REACH), self._nearest(places, KIN)
+        rows, kin = self._nearest(places)
         self._inherit(time, rows, places, shift=True)
         self._append(time, centers, velocities)
         return Succession(rows, kin)
 
-    def _nearest(self, places: Float64, reach: float) -> Rows:
-        """Row [n] of the node nearest to each place; -1 where none is within reach."""
+    def _nearest(self, places: Float64) -> tuple[Rows, Rows]:
+        """Row [n] of the node nearest to each place, within `REACH` and within `KIN`; -1 where there is none."""
         if self.count == 0 or len(places) == 0:
-            return np.full(len(places), -1, np.int64)
-        found = np.asarray(cKDTree(self.positions[-1]).query(places, distance_upper_bound=reach)[1], dtype=np.int64)
-        return np.where(found == self.count, -1, found)
+            none = np.full(len(places), -1, np.int64)
+            return none, none
+        distances, found = cKDTree(self.positions[-1]).query(places, distance_upper_bound=KIN)
+        kin = np.where(found == self.count, -1, found)
+        return np.where(distances < REACH, kin, -1), kin
 
     def _inherit(self, time: float, rows: Rows, before: Float64, shift: bool) -> None:
         """Re-indexes paths by rows; new nodes have stood at `before` [M', 3]; `shift` moves others there too."""

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 14;
+constexpr int32_t kInterfaceVersion = 15;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -147,6 +147,24 @@ struct HideRequest {
   float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
   uint64_t *maybe_full;                          // [nx, ny, words] not known to be empty, before and after
   uint64_t *reachable;                           // [nx, ny, words] something may come out
+};
+
+// The parts that voxels are of: one per cell of `side` voxels that holds any, in the order of cells.
+struct SplitRequest {
+  int64_t voxels;
+  int32_t nx, ny, nz, side;
+  const int64_t *indices;  // [voxels] flat
+  int32_t *places;         // [3, voxels] coordinates
+  int64_t *labels;         // [voxels] part of each
+  double *sums;            // [parts, 4] of coordinates, and of voxels; room for as many as there are voxels
+  int64_t *count;          // [1] parts
+};
+
+// Which nodes hang together.
+struct LinkRequest {
+  int64_t nodes, links;
+  const int64_t *pairs;  // [links, 2]
+  int64_t *pieces;       // [nodes] piece of each, in the order of their first nodes
 };
 
 // What moves in one image, in the image before.

@@ -10,6 +10,7 @@
 #include "look.h"
 #include "mark.h"
 #include "own.h"
+#include "parts.h"
 #include "shown.h"
 #include "solve.h"
 
@@ -70,6 +71,14 @@ int32_t forecast_hide(const forecast::HideRequest *request) {
 
 int32_t forecast_mark(const forecast::MarkRequest *request) {
   return guarded([&] { forecast::mark(*request); });
+}
+
+int32_t forecast_split(const forecast::SplitRequest *request) {
+  return guarded([&] { forecast::split(*request); });
+}
+
+int32_t forecast_link(const forecast::LinkRequest *request) {
+  return guarded([&] { forecast::link(*request); });
 }
 
 void forecast_trace(const forecast::TraceRequest *request) { forecast::trace(*request); }
