@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +12,16 @@ from model_scenes import table
 from test_steps import THRESHOLD, look_at, observe
 
 from twin_node.model import birth_depths
-from twin_node.model.birth_depths import CLOSER, UNKNOWN, Pixels, known_depths
-from twin_node.model.births import Births
+from twin_node.model.birth_depths import CLOSER, FARTHEST, NEAREST, UNKNOWN, Pixels, known_depths
+from twin_node.model.births import Births, find_births_plainly
 from twin_node.model.compiled_births import find_births
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
+from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
+from twin_node.scene import Float64
 
+Find = Callable[[Sequence[Observed], Sequence[Rendering], float, BirthParameters], Births]
 RED, BLUE = np.array([0.8, 0.1, 0.1]), np.array([0.1, 0.1, 0.8])
 
 
@@ -67,3 +71,21 @@ def test_neighbours_that_look_alike_settle_the_depth_of_noisy_pixels(monkeypatch
     monkeypatch.setattr(birth_depths, "NEIGHBOUR_PX", 0.1)
     alone = [off_the_block(noisy_births(seed)) for seed in range(4)]
     assert np.mean(together) < 0.8 * np.mean(alone)
+
+
+@pytest.mark.parametrize("find", [find_births, find_births_plainly])
+def test_what_no_other_view_looks_at_is_born_in_the_middle_of_where_none_looks(find: Find) -> None:
+    observed = observe(table(), 0.1)
+    blind = [observed[0], *(replace(one, usable=np.zeros_like(one.usable)) for one in observed[1:])]
+    shares = depth_shares(find(blind, look_at(table()), THRESHOLD, BirthParameters()), observed[0])
+    assert np.median(shares) == pytest.approx((NEAREST + FARTHEST) / 2, abs=0.03)
+    alone = depth_shares(find(observed[:1], look_at(table())[:1], THRESHOLD, BirthParameters()), observed[0])
+    assert np.median(alone) == pytest.approx(UNKNOWN, abs=0.03), "a camera without others guesses as before"
+
+
+def depth_shares(births: Births, one: Observed) -> Float64:
+    """[n] depths of what the first view bears before the background, as shares of the background's."""
+    seen = look(one.view.camera, births.means[(births.views == 0) & ~births.on_background])
+    shares: Float64 = seen.depth / one.background.depth[seen.rows, seen.columns]
+    assert len(shares) > 20
+    return shares

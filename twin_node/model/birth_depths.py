@@ -65,7 +65,9 @@ def agreed(
     """Where blocks of view `index` lie along their `rays` [n, 3]: of `samples` depths those with the best support.
 
     What the other views say of a block counts for the blocks around that look like it too, at the same share of the
-    background's depth: of one pixel an even surface tells little, and what each chose for itself fell apart.
+    background's depth: of one pixel an even surface tells little, and what each chose for itself fell apart. Where none
+    of them looks at the depth that is chosen, the block lies in the middle of all that none looks at: an arm high over
+    a table is seen by the camera above it alone, and near the depths known of other things it would hang before them.
     """
     one = observed[index]
     far = one.background.depth[pixels.rows, pixels.columns]
@@ -79,10 +81,20 @@ def agreed(
     known = known_depths(one, rendering, pixels, far)
     refuted = votes < -0.5 * REFUTED
     scores = np.where(refuted, votes, shared) - LOCALITY * np.abs(np.log(levels / known[:, None]))
-    at = (np.arange(len(scores)), scores.argmax(1))
+    best = scores.argmax(1)
+    at = (np.arange(len(scores)), best)
     alone = scores[at] < -0.5 * REFUTED
     on_background = alone | ~one.near_moving[pixels.rows, pixels.columns]
+    if len(observed) > 1:
+        at = (at[0], _settled(best, votes == 0))
     return Depths(np.where(on_background, 0.995 * far, levels[at]), on_background)
+
+
+def _settled(best: NDArray[np.intp], unseen: Bool) -> NDArray[np.intp]:
+    """[n] the `best` [n] of L levels; the middle of those that are `unseen` [n, L] where it is one of them."""
+    passed = unseen.cumsum(1)
+    middle = (passed >= (passed[:, -1:] + 1) // 2).argmax(1)
+    return np.where(unseen[np.arange(len(best)), best], middle, best)
 
 
 def affinity(square_px: NDArray[np.int64], differences: Float64) -> Float64:

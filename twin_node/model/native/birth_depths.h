@@ -167,17 +167,28 @@ class BirthDepths {
       for (size_t k = 0; k < shares_.size(); k++) shared[k] += weight * std::max(votes_of(j)[k], rules_.dissent);
     }
     const double known = known_depth(block, far(i));
-    double best = 0, most = -std::numeric_limits<double>::infinity();
+    size_t best = 0;
+    double most = -std::numeric_limits<double>::infinity();
     for (size_t k = 0; k < shares_.size(); k++) {
       const double own = votes_of(i)[k], vote = own < -kHalf * rules_.refuted ? own : shared[k] / total;
       const double score = vote - rules_.locality * std::fabs(std::log(far(i) * shares_[k] / known));
       if (score > most) {
         most = score;
-        best = far(i) * shares_[k];
+        best = k;
       }
     }
     const bool on = most < -kHalf * rules_.refuted || !v_.near_moving[first(block)];
-    return {on ? kBeforeIt * far(i) : best, on};
+    return {far(i) * (on ? kBeforeIt : shares_[settled(votes_of(i), best)]), on};
+  }
+
+  // The best level, or the middle of those that no other view looks at where it is one of them.
+  size_t settled(const double *votes, size_t best) const {
+    if (count_ == 1 || votes[best] != 0) return best;
+    const auto unseen = std::count(votes, votes + shares_.size(), 0.);
+    std::ptrdiff_t passed = 0;
+    size_t level = 0;
+    while ((passed += votes[level] == 0) < (unseen + 1) / 2) level++;
+    return level;
   }
 
   const BirthRules &rules_;
