@@ -1,6 +1,10 @@
 """The spool keeps ticks in order and within bounds."""
 
-from twin_node.nodes.spool import MAX_SETS, Spool, Tick
+import threading
+
+import pytest
+
+from twin_node.nodes.spool import MAX_SETS, WAITING, Spool, Tick
 from twin_node.scene import FrameSet
 
 SECOND = 1_000_000_000
@@ -25,3 +29,20 @@ def test_an_hour_is_kept_in_whole_seconds_spread_over_it() -> None:
     assert MAX_SETS * 0.9 <= len(kept) <= MAX_SETS * 1.1
     assert kept[:30] == list(range(30))
     assert kept[-1] > 3400 * 30
+
+
+def test_what_cannot_be_written_is_told_to_who_reads_and_to_who_adds() -> None:
+    with Spool(0, SECOND, 30) as spool:
+        unwritable = threading.Lock()
+        spool.add(Tick(FrameSet(stamp=1, views=(unwritable,), sequence=1)))  # type: ignore[arg-type]
+        with pytest.raises(TypeError, match="lock"):
+            list(spool)
+        with pytest.raises(TypeError, match="lock"):
+            spool.add(Tick(FrameSet(stamp=2, views=(), sequence=2)))
+
+
+def test_more_ticks_than_may_wait_are_all_written() -> None:
+    with Spool(0, SECOND, 30) as spool:
+        for stamp in range(3 * WAITING):
+            spool.add(Tick(FrameSet(stamp=stamp, views=(), sequence=stamp)))
+        assert len(spool) == 3 * WAITING
