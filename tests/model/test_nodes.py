@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from twin_node.model.adoption import nearest, nearest_plainly
+from twin_node.model.adoption import grouped, grouped_plainly, nearest, nearest_plainly
 from twin_node.model.kernels import kernels
 from twin_node.model.nodes import MAX_SPEED, Nodes, advanced, advanced_plainly
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
@@ -130,3 +130,12 @@ def test_the_nearest_by_kernel_are_those_by_tree(width: int, places: int, things
     found = nearest(at, own)
     assert np.array_equal(found, nearest_plainly(at, own))
     assert not len(found) or not things or width == 6 or (found >= 0).any()
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize("count", [0, 1, 120])
+def test_groups_by_kernel_are_those_in_numpy(count: int) -> None:
+    places = np.random.default_rng(6).uniform(0, 4, (count, 3))
+    found = grouped(places)
+    assert np.array_equal(found, grouped_plainly(places))
+    assert count < 2 or 1 < found.max() < count - 1

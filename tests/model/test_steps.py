@@ -21,7 +21,7 @@ from twin_node.model.fitting import SKIRT_PX, held_pixels
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.kernels import kernels
-from twin_node.model.observation import Observed, Observer
+from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_plainly
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.plane import Plane
 from twin_node.model.rendering import Rendering, Splats, render
@@ -253,3 +253,20 @@ def test_what_can_stand_before_a_moving_thing_is_found_and_no_more() -> None:
     assert not len(backgrounds.occluders(known, [above] * 3))
     before = backgrounds.occluders(known, [under] * 3)
     assert 0 < len(before) < len(store) / 4
+
+
+@pytest.mark.parametrize("is_first", [False, True])
+def test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(is_first: bool) -> None:
+    rng, shape = np.random.default_rng(8), (9, 14)
+    rules, before = Comparing(0.1, 0.033, 0.05, is_first), None
+    for _ in range(4):
+        image, background = rng.integers(0, 256, (*shape, 3), np.uint8), rng.random((*shape, 3), np.float32)
+        near = background.copy()
+        near[:, :7] = image[:, :7] / 255 + rng.normal(0, 0.02, (9, 7, 3))
+        one = Pixels(image, near, rng.random(shape) > 0.1, rng.random(shape) > 0.8, before)
+        (found,), expected = compare([one], rules), compare_plainly(one, rules)
+        for name, values in vars(found).items():
+            assert np.array_equal(values, vars(expected)[name]), name
+        before, rules = found, replace(rules, is_first=False)
+    assert found.stale.any()
+    assert not found.stale.all()

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from twin_node.model.births import Births
 from twin_node.model.gaussians import Newborns
-from twin_node.model.kernels import NearestRequest, kernels
+from twin_node.model.kernel_requests import GroupRequest, NearestRequest
+from twin_node.model.kernels import kernels
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate
@@ -104,13 +105,32 @@ def _found_together(
 ) -> None:
     """Founds nodes for those of `points` [n, 3] that nobody carries, where enough `looks` [n, d] are within 1."""
     homeless = np.nonzero(carriers.nodes < 0)[0]
-    while len(homeless) and nodes.free:
-        close = np.square(looks[homeless] - looks[homeless[0]]).sum(-1) < 1.0
-        group = homeless[close]
-        if len(group) >= parameters.node_members:
-            row = _found(torch.from_numpy(points[group].mean(0)), members, nodes, parameters.node_radius_m)
-            carriers.nodes[group], carriers.founders[group] = row, int(nodes.ids[row])
-        homeless = homeless[~close]
+    groups = grouped(looks[homeless])
+    for number in np.flatnonzero(np.bincount(groups) >= parameters.node_members):
+        if not nodes.free:
+            return
+        group = homeless[groups == number]
+        row = _found(torch.from_numpy(points[group].mean(0)), members, nodes, parameters.node_radius_m)
+        carriers.nodes[group], carriers.founders[group] = row, int(nodes.ids[row])
+
+
+def grouped(places: Float64) -> NDArray[np.int64]:
+    """[n] numbers of groups, in order: of the first of `places` [n, d] in none, and of all in none within 1 of it."""
+    library = kernels()
+    if library is None:
+        return grouped_plainly(places)
+    at, groups = np.ascontiguousarray(places), np.empty(len(places), np.int64)
+    library.group(GroupRequest(*at.shape, at.ctypes.data, groups.ctypes.data))
+    return groups
+
+
+def grouped_plainly(places: Float64) -> NDArray[np.int64]:
+    """The same in NumPy: the reference of the compiled kernel."""
+    groups, left, number = np.full(len(places), -1, np.int64), np.arange(len(places)), 0
+    while len(left):
+        close = np.square(places[left] - places[left[0]]).sum(-1) < 1.0
+        groups[left[close]], left, number = number, left[~close], number + 1
+    return groups
 
 
 def _looks(points: Float64, rgb: Float32, reach_m: float) -> Float64:

@@ -55,6 +55,8 @@ class Background(_Shown):
     camera: Camera
     static: Seen
     """Where the STATIC Gaussians, `Backgrounds.rows`, fall."""
+    cells: NDArray[np.int64]
+    """[n] which of the image's cells each of them falls in."""
     reach_px: Float32
     """[n] pixels that each of them reaches into the image from `static`'s row and column; negative: not at all."""
 
@@ -144,7 +146,8 @@ class Backgrounds:
             static = look(camera, means)
             seen = {name: getattr(shown[camera.name], name) for name in _Shown.__dataclass_fields__}
             reach_px = pixels_reached(camera, static, means, reach)
-            surveyed[camera.name] = Background(**seen, camera=camera, static=static, reach_px=reach_px)
+            cells = cells_at(camera, static)
+            surveyed[camera.name] = Background(**seen, camera=camera, static=static, cells=cells, reach_px=reach_px)
         self._known = surveyed
         self._waiting = [name for name in self._waiting if name in surveyed]
         self._changed = self._outdated = False
@@ -163,20 +166,19 @@ class Backgrounds:
         rays = known.rays if known is not None and same else pixel_rays(camera)
         depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
         backdrop = torch.cat([seen.rgb, torch.from_numpy(depth).to(seen.rgb)[..., None]], -1)
-        return _Shown(seen.rgb.cpu().numpy(), depth, seen.alpha.cpu().numpy(), backdrop, surface, rays)
+        return _Shown(
+            np.ascontiguousarray(seen.rgb.cpu().numpy()), depth, seen.alpha.cpu().numpy(), backdrop, surface, rays
+        )
 
     def occluders(self, backgrounds: Sequence[Background], moving: Sequence[Float64]) -> Tensor:
         """[k] those of `rows` that can stand before something that moves; `moving` holds its means [n, 3] per view."""
         before = np.zeros(len(self.rows), bool)
         for background, means in zip(backgrounds, moving, strict=True):
-            seen, static = look(background.camera, means), background.static
-            deepest = np.zeros((background.camera.height // CELL_PX + 1, background.camera.width // CELL_PX + 1))
-            inside = seen.inside
-            at = (seen.rows[inside] // CELL_PX, seen.columns[inside] // CELL_PX)
-            np.maximum.at(deepest, at, seen.depth[inside])
-            around = cv2.dilate(deepest, np.ones((3, 3), np.uint8))
-            shown = background.reach_px >= 0
-            before |= shown & (static.depth < around[static.rows // CELL_PX, static.columns // CELL_PX])
+            seen, shape = look(background.camera, means), cells_shape(background.camera)
+            deepest = np.zeros(shape)
+            np.maximum.at(deepest.ravel(), cells_at(background.camera, seen)[seen.inside], seen.depth[seen.inside])
+            around = cv2.dilate(deepest, np.ones((3, 3), np.uint8)).ravel()
+            before |= (background.reach_px >= 0) & (background.static.depth < around[background.cells])
         return self.rows[torch.from_numpy(before).to(self.rows.device)]
 
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
@@ -189,6 +191,17 @@ class Backgrounds:
         shell = self._shell.depth(camera)
         plane = shell if self._plane is None else self._plane.depth(camera)
         return np.where((plane > 0.05) & (plane < shell), plane, shell)
+
+
+def cells_shape(camera: Camera) -> tuple[int, int]:
+    """Rows and columns of cells of an image."""
+    return camera.height // CELL_PX + 1, camera.width // CELL_PX + 1
+
+
+def cells_at(camera: Camera, seen: Seen) -> NDArray[np.int64]:
+    """[n] the cells that points fall in, counted row by row."""
+    cells: NDArray[np.int64] = seen.rows // CELL_PX * cells_shape(camera)[1] + seen.columns // CELL_PX
+    return cells
 
 
 def pixels_reached(camera: Camera, seen: Seen, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Float32:

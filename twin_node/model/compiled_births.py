@@ -11,7 +11,8 @@ from twin_node.model import birth_depths, births
 from twin_node.model.backgrounds import OCCLUSION
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.births import SOLID, SPREAD, Births, find_births_plainly, joined
-from twin_node.model.kernels import BirthRules, BirthView, kernels
+from twin_node.model.kernel_requests import BirthRules, BirthView
+from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rendering import Rendering

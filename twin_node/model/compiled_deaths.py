@@ -18,7 +18,8 @@ from twin_node.model.deaths import (
     judge_static_plainly,
     refuted_moving_plainly,
 )
-from twin_node.model.kernels import DeathRules, DeathView, RefutedRequest, StaticRequest, kernels
+from twin_node.model.kernel_requests import DeathRules, DeathView, RefutedRequest, StaticRequest
+from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool

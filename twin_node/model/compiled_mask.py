@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.model.camera_mask import CameraMask, MovingMaskParameters, seen_by
-from twin_node.model.kernels import MaskRequest, MaskRules, kernels
+from twin_node.model.kernel_requests import MaskRequest, MaskRules
+from twin_node.model.kernels import kernels
 from twin_node.scene import Bool, Float32, View
 
 LARGEST_CLOSING = 31

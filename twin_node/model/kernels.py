@@ -1,182 +1,40 @@
-"""Loads the compiled kernels of the model and calls them; the structs mirror `native/interface.h`."""
+"""Loads the compiled kernels of the model and calls them; what is asked of them is in `kernel_requests`."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
+from twin_node.model.kernel_requests import (
+    INTERFACE_VERSION,
+    AdvanceRequest,
+    BirthRequest,
+    BirthRules,
+    BirthView,
+    CellRequest,
+    CreepRequest,
+    ExtentRequest,
+    GroupRequest,
+    JudgeRequest,
+    MaskRequest,
+    MaskRequests,
+    MoveRequest,
+    NearestRequest,
+    ObservedView,
+    ObserveRequest,
+    ObserveRules,
+    PublishRequest,
+    RefutedRequest,
+    StaticRequest,
+    SumRequest,
+    VelocityRequest,
+)
 from twin_node.model.parameters import ModelError
 from twin_node.native_library import NativeLibrary, best_or_none
 from twin_node.splat.library import thread_count
-
-INTERFACE_VERSION = 4
-
-
-class MaskRules(ctypes.Structure):
-    """`model::MaskRules`."""
-
-    _fields_ = (
-        *((name, c_double) for name in ("change_sigmas", "change_levels", "settle_ns", "smallest_area")),
-        *((name, c_double) for name in ("shadow_darkest", "reflection_brightest")),
-        *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "learning_rate", "depth_levels")),
-        *((name, c_int32) for name in ("rings", "closing")),
-        ("kernel", c_void_p),
-    )
-
-
-class MaskRequest(ctypes.Structure):
-    """`model::MaskRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height")),
-        ("elapsed_ns", c_float),
-        ("rules", ctypes.POINTER(MaskRules)),
-        *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
-        *((name, c_void_p) for name in ("background", "depth", "still_ns", "known", "trusted", "confirmed", "mask")),
-        *((name, c_void_p) for name in ("ground", "moving", "sigma")),
-    )
-
-
-class MaskRequests(ctypes.Structure):
-    """`model::MaskRequests`."""
-
-    _fields_ = (("count", c_int32), ("threads", c_int32), ("cameras", ctypes.POINTER(MaskRequest)))
-
-
-class BirthRules(ctypes.Structure):
-    """`model::BirthRules`."""
-
-    _fields_ = (
-        *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge_px", "refuted")),
-        *((name, c_double) for name in ("locality", "neighbour_px", "fewest", "dissent", "occlusion", "spread")),
-        ("quota", c_int64),
-        ("samples", c_int32),
-    )
-
-
-class BirthView(ctypes.Structure):
-    """`model::BirthView`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height")),
-        *((name, c_void_p) for name in ("viewmat", "K", "T_base_cam", "rgb", "shown", "far", "rays", "alpha")),
-        *((name, c_void_p) for name in ("surprise", "active", "usable", "near_moving", "stale", "measured")),
-        *((name, c_void_p) for name in ("means", "radii", "colours", "on_background", "lasting", "born")),
-    )
-
-
-class BirthRequest(ctypes.Structure):
-    """`model::BirthRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("count", "threads")),
-        ("rules", ctypes.POINTER(BirthRules)),
-        ("views", ctypes.POINTER(BirthView)),
-    )
-
-
-class AdvanceRequest(ctypes.Structure):
-    """`model::AdvanceRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("times", "nodes")),
-        *((name, c_void_p) for name in ("seconds", "positions", "quats", "velocities", "turns", "advanced", "rotated")),
-    )
-
-
-class PublishRequest(ctypes.Structure):
-    """`model::PublishRequest`; of `model::NodesNow` the fields."""
-
-    _fields_ = (
-        ("count", c_int64),
-        *((name, c_void_p) for name in ("rows", "values", "carriers", "id_of", "tier_of", "position_of")),
-        *((name, c_void_p) for name in ("node_positions", "node_quats", "node_velocities", "node_turns")),
-        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb", "velocities")),
-        *((name, c_void_p) for name in ("tiers", "ids", "published")),
-    )
-
-
-class ExtentRequest(ctypes.Structure):
-    """`model::ExtentRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "nodes")),
-        *((name, c_void_p) for name in ("rows", "carriers", "values", "centroids", "weights", "radii")),
-    )
-
-
-class CellRequest(ctypes.Structure):
-    """`model::CellRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "axis_bits")),
-        ("side", c_double),
-        *((name, c_void_p) for name in ("rows", "carriers", "founders", "values", "means")),
-        *((name, c_void_p) for name in ("keys", "nodes", "of", "centres", "rgb", "found")),
-    )
-
-
-class CreepRequest(ctypes.Structure):
-    """`model::CreepRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "cells", "capacity")),
-        *((name, c_void_p) for name in ("rows", "ids", "values", "of", "homes")),
-        *((name, c_void_p) for name in ("known_ids", "known_homes", "known_means", "crept")),
-    )
-
-
-class NearestRequest(ctypes.Structure):
-    """`model::NearestRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("places", "owns", "width")),
-        *((name, c_void_p) for name in ("at", "own", "found")),
-    )
-
-
-class DeathRules(ctypes.Structure):
-    """`model::DeathRules`."""
-
-    _fields_ = tuple((name, c_double) for name in ("occlusion", "seen_through", "reach", "nearest_m", "threshold"))
-
-
-class DeathView(ctypes.Structure):
-    """`model::DeathView`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height")),
-        *((name, c_void_p) for name in ("viewmat", "K", "far", "surface", "usable", "active", "near_moving", "moving")),
-        *((name, c_void_p) for name in ("surprise", "nearest", "shown", "columns", "rows", "depths", "inside")),
-    )
-
-
-class RefutedRequest(ctypes.Structure):
-    """`model::RefutedRequest`."""
-
-    _fields_ = (
-        ("count", c_int64),
-        *((name, c_int32) for name in ("view_count", "threads")),
-        ("rules", ctypes.POINTER(DeathRules)),
-        ("views", ctypes.POINTER(DeathView)),
-        *((name, c_void_p) for name in ("means", "axes", "radii", "carried", "refuted")),
-    )
-
-
-class StaticRequest(ctypes.Structure):
-    """`model::StaticRequest`."""
-
-    _fields_ = (
-        ("count", c_int64),
-        *((name, c_int32) for name in ("view_count", "threads")),
-        ("rules", ctypes.POINTER(DeathRules)),
-        ("views", ctypes.POINTER(DeathView)),
-        *((name, c_void_p) for name in ("left", "moving")),
-    )
 
 
 class Kernels(NativeLibrary):
@@ -199,6 +57,17 @@ class Kernels(NativeLibrary):
         self._dll.model_publish.restype = None
         self._dll.model_extents.argtypes = [ctypes.POINTER(ExtentRequest)]
         self._dll.model_extents.restype = None
+        self._dll.model_judge_velocities.argtypes = [ctypes.POINTER(JudgeRequest)]
+        self._dll.model_judge_velocities.restype = None
+        self._dll.model_solve_velocities.argtypes = [ctypes.POINTER(VelocityRequest)]
+        self._dll.model_solve_velocities.restype = None
+        self._dll.model_move_velocities.argtypes = [ctypes.POINTER(MoveRequest)]
+        self._dll.model_move_velocities.restype = None
+        self._dll.model_group.argtypes = [ctypes.POINTER(GroupRequest)]
+        self._dll.model_group.restype = None
+        self._dll.model_add_up.argtypes = [ctypes.POINTER(SumRequest)]
+        self._dll.model_add_up.restype = None
+        self._dll.model_observe.argtypes = [ctypes.POINTER(ObserveRequest)]
         self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
         self._dll.model_creep.argtypes = [ctypes.POINTER(CreepRequest)]
 
@@ -207,6 +76,16 @@ class Kernels(NativeLibrary):
         self._require_not_forked()
         cameras = (MaskRequest * len(requests))(*requests)
         _check(self._dll.model_mask(MaskRequests(len(requests), thread_count(), cameras)))
+
+    def observe(self, rules: ObserveRules, views: Sequence[ObservedView]) -> None:
+        """Puts some views beside their backgrounds. Raises `MemoryError`."""
+        self._require_not_forked()
+        given = (ObservedView * len(views))(*views)
+        _check(self._dll.model_observe(ObserveRequest(len(views), thread_count(), ctypes.pointer(rules), given)))
+
+    def add_up(self, request: SumRequest) -> None:
+        """Adds rows up by their owners; takes one thread."""
+        self._dll.model_add_up(request)
 
     def births(self, rules: BirthRules, views: Sequence[BirthView]) -> None:
         """Finds what is born of some views that see each other's things. Raises `MemoryError`."""
@@ -233,6 +112,10 @@ class Kernels(NativeLibrary):
         """Finds what is nearest; takes one thread."""
         self._dll.model_nearest(request)
 
+    def group(self, request: GroupRequest) -> None:
+        """Deals places out to groups; takes one thread."""
+        self._dll.model_group(request)
+
     def publish(self, request: PublishRequest) -> None:
         """Writes Gaussians as other rooms read them; takes one thread."""
         self._dll.model_publish(request)
@@ -240,6 +123,18 @@ class Kernels(NativeLibrary):
     def extents(self, request: ExtentRequest) -> None:
         """Finds how far nodes reach; takes one thread."""
         self._dll.model_extents(request)
+
+    def judge_velocities(self, request: JudgeRequest) -> None:
+        """Judges bodies by what was said of their velocities; takes one thread."""
+        self._dll.model_judge_velocities(request)
+
+    def solve_velocities(self, request: VelocityRequest) -> None:
+        """Finds the most likely velocities; takes one thread."""
+        self._dll.model_solve_velocities(request)
+
+    def move_velocities(self, request: MoveRequest) -> None:
+        """Tells equations about other points; takes one thread."""
+        self._dll.model_move_velocities(request)
 
     def cells(self, request: CellRequest) -> None:
         """Deals Gaussians out to cells; takes one thread. Raises `MemoryError`."""

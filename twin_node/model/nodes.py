@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from twin_node.model.kernels import AdvanceRequest, kernels
+from twin_node.model.kernel_requests import AdvanceRequest
+from twin_node.model.kernels import kernels
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
 from twin_node.scene import Tier
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from twin_node.model.observation import Observed
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
+from twin_node.model.velocity_equations import add_up
 from twin_node.scene import Camera, Float32, Float64
 from twin_node.splat.points import MOTIONS, Carried, Equations, Seen, Weighing, gather_motion, has_points
 
@@ -106,12 +107,8 @@ class NormalEquations:
     def summed(self, owners: NDArray[np.int64], count: int) -> NormalEquations:
         """Those of `count` nodes that the bodies of these belong to: `owners` [M]."""
         total = NormalEquations(count)
-        if len(owners):
-            order = np.argsort(owners, kind="stable")
-            present = owners[order]
-            starts = np.flatnonzero(np.diff(present, prepend=-1))
-            for name, values in vars(total.sums).items():
-                values[present[starts]] = np.add.reduceat(vars(self.sums)[name][order], starts)
+        for name, values in vars(total.sums).items():
+            add_up(vars(self.sums)[name], owners, values)
         return total
 
     def solve(self, size: int, sigmas: NDArray[np.float64]) -> Solved:

@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 
 from twin_node.model.backgrounds import Background, grow
-from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, View
+from twin_node.model.kernel_requests import ObservedView, ObserveRules
+from twin_node.model.kernels import kernels
+from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, UInt8, View
 
 MISFIT_GROWTH = 0.02
 """Noise (0 to 1) that the smallest misfit seen at a pixel is granted: five grey levels."""
@@ -48,15 +50,56 @@ class Observed:
     """[H, W] the background has been wrong here for a while although nothing moves: it has to be learnt anew."""
 
 
+@dataclass(frozen=True)
+class Pixels:
+    """One view's pixels beside its background, before they are compared."""
+
+    image: UInt8
+    """[H, W, 3]."""
+    background: Float32
+    """[H, W, 3] 0 to 1."""
+    usable: Bool
+    """[H, W], see `Observed`, as the next one."""
+    near_moving: Bool
+    before: Compared | None
+    """Those of the set before; None where there are none of this size."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What a view differs by from its background; all but the last as in `Observed`, images [H, W, ...]."""
+
+    rgb: Float32
+    surprise: Float32
+    misfit: Float32
+    wrong_s: Float32
+    """[H, W] for how long the background has been wrong, s."""
+    stale: Bool
+    active: Bool
+
+
+@dataclass(frozen=True)
+class Comparing:
+    """What counts as a difference."""
+
+    threshold: float
+    """0 to 1."""
+    elapsed_s: float
+    """Since the set before, s."""
+    stale_s: float
+    """For how long the background may be wrong although nothing moves, s."""
+    is_first: bool
+    """Whether no set has been seen before: what the background's fit leaves over of it is no surprise."""
+
+
 class Observer:
     """Puts a set's images, masks and backgrounds side by side; remembers for how long the background has been wrong."""
 
     def __init__(self, threshold: float, stale_s: float) -> None:
         self._threshold = threshold
         self._stale_s = stale_s
-        self._wrong_s: dict[str, Float32] = {}
-        self._misfit: dict[str, Float32] = {}
-        self._seeding = True
+        self._before: dict[str, Compared] = {}
+        self._is_first = True
 
     def observe(
         self,
@@ -67,55 +110,87 @@ class Observer:
         dt_s: float,
     ) -> list[Observed]:
         """What is known about each view of `frames`, `dt_s` after the set before."""
-        out = []
-        for view, mask, robot, background in zip(frames.views, moving, robots, backgrounds, strict=True):
-            usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
-            usable = usable if robot is None else usable & ~robot
-            rgb = np.divide(view.rgb, np.float32(255), dtype=np.float32)
-            surprise = self._surprise(view.camera.name, rgb, background, usable)
-            grown = grow(mask, margin_px(view.camera, background.depth))
-            wrong = surprise > self._threshold
-            stale = self._stale(view.camera.name, wrong & ~grown, dt_s)
-            offset_s = (view.stamp - frames.stamp) * 1e-9
-            active = (grown | wrong) & usable
-            out.append(
-                Observed(
-                    view,
-                    rgb,
-                    offset_s,
-                    background,
-                    mask,
-                    grown,
-                    usable,
-                    surprise,
-                    self._misfit[view.camera.name],
-                    active,
-                    _nearest(view.depth),
-                    stale,
-                )
+        rules = Comparing(self._threshold, dt_s, self._stale_s, self._is_first)
+        self._is_first = False
+        views = [self._pixels(*given) for given in zip(frames.views, moving, robots, backgrounds, strict=True)]
+        found = compare(views, rules)
+        self._before.update({view.camera.name: one for view, one in zip(frames.views, found, strict=True)})
+        return [
+            Observed(
+                view,
+                one.rgb,
+                (view.stamp - frames.stamp) * 1e-9,
+                background,
+                mask,
+                pixels.near_moving,
+                pixels.usable,
+                one.surprise,
+                one.misfit,
+                one.active,
+                _nearest(view.depth),
+                one.stale,
             )
-        self._seeding = False
-        return out
+            for view, mask, background, pixels, one in zip(frames.views, moving, backgrounds, views, found, strict=True)
+        ]
 
-    def _surprise(self, name: str, rgb: Float32, background: Background, usable: Bool) -> Float32:
-        """[H, W] what the image differs by beyond what the background's own fit to the first images left over.
+    def _pixels(self, view: View, mask: Bool, robot: Bool | None, background: Background) -> Pixels:
+        usable = np.ones(mask.shape, bool) if view.valid is None else view.valid
+        usable = usable if robot is None else usable & ~robot
+        before = self._before.get(view.camera.name)
+        if before is not None and before.misfit.shape != mask.shape:
+            before = None
+        grown = grow(mask, margin_px(view.camera, background.depth))
+        return Pixels(view.rgb, background.rgb, usable, grown, before)
 
-        Nothing is left over where no fit was: there is no background yet behind the arm, or where no pixel was valid.
-        """
-        difference = largest_channel(rgb, background.rgb)
-        known = self._misfit.get(name)
-        if known is None or known.shape != difference.shape:
-            known = difference * usable if self._seeding else np.zeros_like(difference)
-        misfit = self._misfit[name] = np.minimum(known, difference + np.float32(MISFIT_GROWTH))
-        surprise: Float32 = np.maximum(difference - misfit, np.float32(0)) * usable
-        return surprise
 
-    def _stale(self, name: str, wrong: Bool, dt_s: float) -> Bool:
-        before = self._wrong_s.get(name)
-        if before is None or before.shape != wrong.shape:
-            before = np.zeros(wrong.shape, np.float32)
-        now = self._wrong_s[name] = np.where(wrong, before + np.float32(dt_s), np.float32(0))
-        return now > self._stale_s
+def compare(views: Sequence[Pixels], rules: Comparing) -> list[Compared]:
+    """What views differ by from their backgrounds, beyond what the backgrounds' own fit to the first images left over.
+
+    Nothing is left over where no fit was: there is no background yet behind the arm, or where no pixel was valid.
+    """
+    library = kernels()
+    if library is None:
+        return [compare_plainly(one, rules) for one in views]
+    given = ObserveRules(rules.threshold, MISFIT_GROWTH, rules.elapsed_s, rules.stale_s, rules.is_first)
+    calls = [_Call(one) for one in views]
+    library.observe(given, [call.view for call in calls])
+    return [call.found for call in calls]
+
+
+class _Call:
+    """One view's request, and the arrays that it points to."""
+
+    def __init__(self, one: Pixels) -> None:
+        shape = one.usable.shape
+        self.found = Compared(
+            rgb=np.empty((*shape, 3), np.float32),
+            surprise=np.empty(shape, np.float32),
+            misfit=np.empty(shape, np.float32),
+            wrong_s=np.empty(shape, np.float32),
+            stale=np.empty(shape, bool),
+            active=np.empty(shape, bool),
+        )
+        self._held = [np.ascontiguousarray(a) for a in (one.image, one.background, one.usable, one.near_moving)]
+        before = (None, None) if one.before is None else (one.before.misfit, one.before.wrong_s)
+        arrays = (*self._held, *before, *vars(self.found).values())
+        self.view = ObservedView(one.usable.size, *(None if a is None else a.ctypes.data for a in arrays))
+
+
+def compare_plainly(one: Pixels, rules: Comparing) -> Compared:
+    """The same of one view in NumPy: the reference of the compiled kernel."""
+    rgb = np.divide(one.image, np.float32(255), dtype=np.float32)
+    difference = largest_channel(rgb, one.background)
+    nothing = np.zeros_like(difference)
+    if one.before is None:
+        known, before_s = difference * one.usable if rules.is_first else nothing, nothing
+    else:
+        known, before_s = one.before.misfit, one.before.wrong_s
+    misfit = np.minimum(known, difference + np.float32(MISFIT_GROWTH))
+    surprise: Float32 = np.maximum(difference - misfit, np.float32(0)) * one.usable
+    wrong = surprise > rules.threshold
+    wrong_s = np.where(wrong & ~one.near_moving, before_s + np.float32(rules.elapsed_s), np.float32(0))
+    active = (one.near_moving | wrong) & one.usable
+    return Compared(rgb, surprise, misfit, wrong_s, wrong_s > rules.stale_s, active)
 
 
 def margin_px(camera: Camera, depth: Float64) -> int:

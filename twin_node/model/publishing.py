@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
-from twin_node.model.kernels import ExtentRequest, PublishRequest, kernels
+from twin_node.model.kernel_requests import ExtentRequest, PublishRequest
+from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate

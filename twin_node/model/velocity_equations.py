@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.model.kernel_requests import JudgeRequest, MoveRequest, SumRequest, VelocityRequest
+from twin_node.model.kernels import kernels
 from twin_node.scene import Bool, Float64
 
 SPEED, TURN = 0.3, 1.0
@@ -14,6 +16,8 @@ SPEED, TURN = 0.3, 1.0
 LOOSE_TURN = 2.0
 """rad/s (1 sigma) that turns are held to where they are measured: a body of a hand's size tells little of its turning,
 and the usual turn draws what it does tell to rest."""
+USUAL, LOOSE = np.array([SPEED] * 3 + [TURN] * 3), np.array([SPEED] * 3 + [LOOSE_TURN] * 3)
+"""[6] m/s and rad/s, both as 1 sigma of each parameter."""
 CORRELATED = 4.0
 """Observations of a node that say the same: the flow is sought in patches of 8 pixels."""
 PARAMETERS = 6
@@ -54,14 +58,9 @@ class VelocityEquations:
 
     def summed(self, bodies: NDArray[np.int64], count: int) -> VelocityEquations:
         """Those of `count` bodies, of which each of the n is one of a part of: `bodies` [n]."""
-        shape = (count, PARAMETERS, PARAMETERS)
-        total = VelocityEquations(np.zeros(shape), np.zeros((count, PARAMETERS)), np.zeros(count), np.zeros(count))
-        if len(bodies):
-            order = np.argsort(bodies, kind="stable")
-            owners = bodies[order]
-            starts = np.flatnonzero(np.diff(owners, prepend=-1))
-            for name, values in vars(total).items():
-                values[owners[starts]] = np.add.reduceat(vars(self)[name][order], starts)
+        total = nothing(count)
+        for name, values in vars(total).items():
+            add_up(vars(self)[name], bodies, values)
         return total
 
     def gathered(self, belongs: Bool) -> VelocityEquations:
@@ -79,6 +78,16 @@ class VelocityEquations:
 
     def about(self, points: Float64) -> VelocityEquations:
         """The same with the velocities of the points [n, 3] (m) as unknowns."""
+        library = kernels()
+        if library is None:
+            return self.about_plainly(points)
+        H, g, at = (np.ascontiguousarray(values, np.float64) for values in (self.H, self.g, points))
+        own = VelocityEquations(np.empty_like(H), np.empty_like(g), self.squares, self.counts)
+        library.move_velocities(MoveRequest(len(self), *(a.ctypes.data for a in (H, g, at, own.H, own.g))))
+        return own
+
+    def about_plainly(self, points: Float64) -> VelocityEquations:
+        """The same in NumPy: the reference of the compiled kernel."""
         shift = _shift(-points)
         turned = np.swapaxes(shift, 1, 2)
         return VelocityEquations(
@@ -157,11 +166,21 @@ def judge(said: VelocityEquations, points: Float64) -> Judged:
     Where what is said of one part of a body errs more than of another, each comes `over` its own: a white arm, at whose
     edges flow errs, would otherwise drown what a textured block beside it says.
     """
-    own = said.about(points)
-    scale = np.array([SPEED] * 3 + [TURN] * 3)
-    known = np.eye(PARAMETERS) + scale[:, None] * own.H * scale
+    library = kernels()
+    if library is None:
+        return judge_plainly(said, points)
+    given = [np.ascontiguousarray(values, np.float64) for values in (USUAL, said.H, said.g, said.squares, points)]
+    judged = Judged(*np.empty((5, len(said))))
+    library.judge_velocities(JudgeRequest(len(said), *(a.ctypes.data for a in (*given, *vars(judged).values()))))
+    return judged
+
+
+def judge_plainly(said: VelocityEquations, points: Float64) -> Judged:
+    """The same in NumPy: the reference of the compiled kernel."""
+    own = said.about_plainly(points)
+    known = np.eye(PARAMETERS) + USUAL[:, None] * own.H * USUAL
     root = np.linalg.inv(np.linalg.cholesky(known))
-    explained = np.square(root @ (scale * own.g)[..., None]).sum((1, 2))
+    explained = np.square(root @ (USUAL * own.g)[..., None]).sum((1, 2))
     at_rest = -own.squares / 2
     evidence = at_rest + explained / 2 + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(-1)
     told = PARAMETERS - np.square(root).sum((1, 2))
@@ -191,9 +210,30 @@ def usual_misfit(counts: Float64, judged: Judged) -> float:
 
 def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
     """[n, 6] the most likely velocities of bodies about `points` [n, 3] m: m/s and rad/s."""
-    own = said.about(points)
-    scale = np.array([SPEED] * 3 + [LOOSE_TURN] * 3)
-    return np.asarray(np.linalg.solve(own.H + np.diag(1 / scale**2), own.g[..., None])[..., 0], np.float64)
+    library = kernels()
+    if library is None:
+        return velocities_plainly(said, points)
+    given = [np.ascontiguousarray(values, np.float64) for values in (LOOSE, said.H, said.g, points)]
+    velocities = np.empty((len(said), PARAMETERS))
+    library.solve_velocities(VelocityRequest(len(said), *(a.ctypes.data for a in (*given, velocities))))
+    return velocities
+
+
+def velocities_plainly(said: VelocityEquations, points: Float64) -> Float64:
+    """The same in NumPy: the reference of the compiled kernel."""
+    own = said.about_plainly(points)
+    return np.asarray(np.linalg.solve(own.H + np.diag(1 / LOOSE**2), own.g[..., None])[..., 0], np.float64)
+
+
+def add_up(values: Float64, owners: NDArray[np.int64], sums: Float64) -> None:
+    """Adds each of `values` [n, ...] to the one of `sums` [m, ...] that belongs to its owner, `owners` [n]."""
+    library = kernels()
+    if library is None:
+        np.add.at(sums, owners, values)
+        return
+    given, whose = np.ascontiguousarray(values, np.float64), np.ascontiguousarray(owners, np.int64)
+    pointers = (whose.ctypes.data, given.ctypes.data, sums.ctypes.data)
+    library.add_up(SumRequest(len(whose), given[:1].size, *pointers))
 
 
 def _shift(points: Float64) -> Float64:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from twin_node.model.backgrounds import Backgrounds
@@ -74,7 +75,8 @@ class WindowModel:
     @property
     def tier_counts(self) -> Mapping[Tier, int]:
         """Living Gaussians per tier."""
-        return {tier: self._gaussians.count(tier) for tier in Tier}
+        living = self._gaussians.tiers[self._gaussians.alive].cpu().numpy()
+        return dict(zip(Tier, np.bincount(living, minlength=len(Tier)).tolist(), strict=True))
 
     @property
     def capacity(self) -> int:

@@ -1,11 +1,11 @@
-// What crosses the boundary of the library: plain structs, mirrored in `model/kernels.py`.
+// What crosses the boundary of the library: plain structs, mirrored in `model/kernel_requests.py`.
 #pragma once
 
 #include <cstdint>
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 4;
+constexpr int32_t kInterfaceVersion = 7;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -37,6 +37,30 @@ struct MaskRequest {
 struct MaskRequests {
   int32_t count, threads;
   const MaskRequest *cameras;  // [count]
+};
+
+// What counts as other than the background; see `observation.py`.
+struct ObserveRules {
+  float threshold, growth, elapsed_s, stale_s;
+  int32_t is_first;  // whether no image has been seen before
+};
+
+// One view, and what is remembered of its pixels.
+struct ObservedView {
+  int64_t pixels;
+  const uint8_t *image;                  // [H, W, 3]
+  const float *background;               // [H, W, 3]
+  const uint8_t *usable, *near_moving;   // [H, W]
+  const float *known, *before_s;         // [H, W] `misfit` and `wrong_s` of the set before, or null
+  float *rgb, *surprise;                 // [H, W, 3], [H, W] written, as the next ones
+  float *misfit, *wrong_s;               // [H, W]
+  uint8_t *stale, *active;               // [H, W]
+};
+
+struct ObserveRequest {
+  int32_t count, threads;
+  const ObserveRules *rules;
+  const ObservedView *views;  // [count]
 };
 
 // What counts as unexplained, and what speaks for a depth; see `births.py`.
@@ -125,11 +149,48 @@ struct CreepRequest {
   double *crept;                             // [cells, 3] written
 };
 
+// Rows of numbers, to be added up by who owns them.
+struct SumRequest {
+  int64_t count, width;
+  const int64_t *owners;  // [count]
+  const double *values;   // [count, width]
+  double *sums;           // [owners, width] added to
+};
+
+// What was said of the velocities of bodies, to be judged about a point of each; see `velocity_equations.py`.
+struct JudgeRequest {
+  int64_t count;
+  const double *scale;                                // [6] m/s and rad/s that is expected, 1 sigma
+  const double *H, *g, *squares, *points;             // [count, 6, 6], [count, 6], [count], [count, 3] m
+  double *evidence, *at_rest, *fit, *costs, *told;    // [count] written
+};
+
+// The same, to be solved.
+struct VelocityRequest {
+  int64_t count;
+  const double *scale, *H, *g, *points;
+  double *velocities;  // [count, 6] written
+};
+
+// The same, to be told with the velocities of other points as unknowns.
+struct MoveRequest {
+  int64_t count;
+  const double *H, *g, *points;
+  double *moved_H, *moved_g;  // [count, 6, 6], [count, 6] written
+};
+
 // Places, and things of which the nearest is wanted.
 struct NearestRequest {
   int64_t places, owns, width;
   const double *at, *own;  // [places, width], [width, owns] in units of the distance that is too far
   int64_t *found;          // [places] rows of `own`, -1 for none
+};
+
+// Places that are dealt out to groups: the first that is in none, and all others in none that are near it, time and again.
+struct GroupRequest {
+  int64_t places, width;
+  const double *at;    // [places, width] in units of the distance that is too far
+  int64_t *groups;     // [places] written: numbers of the groups, in order
 };
 
 // What refutes a Gaussian; see `deaths.py`.

@@ -8,8 +8,10 @@
 #include "deaths.h"
 #include "mask.h"
 #include "nearest.h"
+#include "observing.h"
 #include "poses.h"
 #include "publishing.h"
+#include "velocities.h"
 
 namespace {
 
@@ -52,6 +54,21 @@ int32_t model_creep(const model::CreepRequest *request) {
 
 int32_t model_cells(const model::CellRequest *request) {
   return side_by_side(1, 1, [&](int) { model::find_cells(*request); });
+}
+
+void model_judge_velocities(const model::JudgeRequest *request) { model::judge_velocities(*request); }
+
+void model_solve_velocities(const model::VelocityRequest *request) { model::solve_velocities(*request); }
+
+void model_move_velocities(const model::MoveRequest *request) { model::move_velocities(*request); }
+
+void model_group(const model::GroupRequest *request) { model::group(*request); }
+
+void model_add_up(const model::SumRequest *request) { model::add_up(*request); }
+
+int32_t model_observe(const model::ObserveRequest *request) {
+  return side_by_side(request->threads, request->count,
+                      [&](int i) { model::observe(*request->rules, request->views[i]); });
 }
 
 int32_t model_refute(const model::RefutedRequest *request) {

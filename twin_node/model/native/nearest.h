@@ -1,4 +1,4 @@
-// What of few things is nearest to each of few others: no tree pays for itself.
+// What of few things is nearest to each of few others, and which are near each other: no tree pays for itself.
 #pragma once
 
 #include <algorithm>
@@ -41,6 +41,24 @@ inline void nearest(const NearestRequest &r) {
       least = nearest;
       r.found[i] = first + (std::find(apart, apart + count, nearest) - apart);
     }
+  }
+}
+
+// Deals places out to groups.
+inline void group(const GroupRequest &r) {
+  std::fill_n(r.groups, r.places, -1);
+  int64_t groups = 0;
+  for (int64_t i = 0; i < r.places; i++) {
+    if (r.groups[i] >= 0) continue;
+    for (int64_t j = i; j < r.places; j++) {
+      double apart = 0;
+      for (int64_t k = 0; k < r.width; k++) {
+        const double along = r.at[j * r.width + k] - r.at[i * r.width + k];
+        apart += along * along;
+      }
+      if (r.groups[j] < 0 && apart < 1) r.groups[j] = groups;
+    }
+    groups++;
   }
 }
 

@@ -1,0 +1,234 @@
+"""What is asked of the compiled kernels of the model: the structs mirror `native/interface.h`."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
+
+INTERFACE_VERSION = 7
+
+
+class MaskRules(ctypes.Structure):
+    """`model::MaskRules`."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("change_sigmas", "change_levels", "settle_ns", "smallest_area")),
+        *((name, c_double) for name in ("shadow_darkest", "reflection_brightest")),
+        *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "learning_rate", "depth_levels")),
+        *((name, c_int32) for name in ("rings", "closing")),
+        ("kernel", c_void_p),
+    )
+
+
+class MaskRequest(ctypes.Structure):
+    """`model::MaskRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        ("elapsed_ns", c_float),
+        ("rules", ctypes.POINTER(MaskRules)),
+        *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
+        *((name, c_void_p) for name in ("background", "depth", "still_ns", "known", "trusted", "confirmed", "mask")),
+        *((name, c_void_p) for name in ("ground", "moving", "sigma")),
+    )
+
+
+class MaskRequests(ctypes.Structure):
+    """`model::MaskRequests`."""
+
+    _fields_ = (("count", c_int32), ("threads", c_int32), ("cameras", ctypes.POINTER(MaskRequest)))
+
+
+class BirthRules(ctypes.Structure):
+    """`model::BirthRules`."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge_px", "refuted")),
+        *((name, c_double) for name in ("locality", "neighbour_px", "fewest", "dissent", "occlusion", "spread")),
+        ("quota", c_int64),
+        ("samples", c_int32),
+    )
+
+
+class BirthView(ctypes.Structure):
+    """`model::BirthView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("viewmat", "K", "T_base_cam", "rgb", "shown", "far", "rays", "alpha")),
+        *((name, c_void_p) for name in ("surprise", "active", "usable", "near_moving", "stale", "measured")),
+        *((name, c_void_p) for name in ("means", "radii", "colours", "on_background", "lasting", "born")),
+    )
+
+
+class BirthRequest(ctypes.Structure):
+    """`model::BirthRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "threads")),
+        ("rules", ctypes.POINTER(BirthRules)),
+        ("views", ctypes.POINTER(BirthView)),
+    )
+
+
+class AdvanceRequest(ctypes.Structure):
+    """`model::AdvanceRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("times", "nodes")),
+        *((name, c_void_p) for name in ("seconds", "positions", "quats", "velocities", "turns", "advanced", "rotated")),
+    )
+
+
+class PublishRequest(ctypes.Structure):
+    """`model::PublishRequest`; of `model::NodesNow` the fields."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_void_p) for name in ("rows", "values", "carriers", "id_of", "tier_of", "position_of")),
+        *((name, c_void_p) for name in ("node_positions", "node_quats", "node_velocities", "node_turns")),
+        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb", "velocities")),
+        *((name, c_void_p) for name in ("tiers", "ids", "published")),
+    )
+
+
+class ExtentRequest(ctypes.Structure):
+    """`model::ExtentRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "nodes")),
+        *((name, c_void_p) for name in ("rows", "carriers", "values", "centroids", "weights", "radii")),
+    )
+
+
+class CellRequest(ctypes.Structure):
+    """`model::CellRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "axis_bits")),
+        ("side", c_double),
+        *((name, c_void_p) for name in ("rows", "carriers", "founders", "values", "means")),
+        *((name, c_void_p) for name in ("keys", "nodes", "of", "centres", "rgb", "found")),
+    )
+
+
+class CreepRequest(ctypes.Structure):
+    """`model::CreepRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "cells", "capacity")),
+        *((name, c_void_p) for name in ("rows", "ids", "values", "of", "homes")),
+        *((name, c_void_p) for name in ("known_ids", "known_homes", "known_means", "crept")),
+    )
+
+
+class ObserveRules(ctypes.Structure):
+    """`model::ObserveRules`."""
+
+    _fields_ = (*((name, c_float) for name in ("threshold", "growth", "elapsed_s", "stale_s")), ("is_first", c_int32))
+
+
+class ObservedView(ctypes.Structure):
+    """`model::ObservedView`."""
+
+    _fields_ = (
+        ("pixels", c_int64),
+        *((name, c_void_p) for name in ("image", "background", "usable", "near_moving", "known", "before_s")),
+        *((name, c_void_p) for name in ("rgb", "surprise", "misfit", "wrong_s", "stale", "active")),
+    )
+
+
+class ObserveRequest(ctypes.Structure):
+    """`model::ObserveRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "threads")),
+        ("rules", ctypes.POINTER(ObserveRules)),
+        ("views", ctypes.POINTER(ObservedView)),
+    )
+
+
+class SumRequest(ctypes.Structure):
+    """`model::SumRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "width")),
+        *((name, c_void_p) for name in ("owners", "values", "sums")),
+    )
+
+
+class JudgeRequest(ctypes.Structure):
+    """`model::JudgeRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_void_p) for name in ("scale", "H", "g", "squares", "points")),
+        *((name, c_void_p) for name in ("evidence", "at_rest", "fit", "costs", "told")),
+    )
+
+
+class VelocityRequest(ctypes.Structure):
+    """`model::VelocityRequest`."""
+
+    _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("scale", "H", "g", "points", "velocities")))
+
+
+class MoveRequest(ctypes.Structure):
+    """`model::MoveRequest`."""
+
+    _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("H", "g", "points", "moved_H", "moved_g")))
+
+
+class NearestRequest(ctypes.Structure):
+    """`model::NearestRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("places", "owns", "width")),
+        *((name, c_void_p) for name in ("at", "own", "found")),
+    )
+
+
+class GroupRequest(ctypes.Structure):
+    """`model::GroupRequest`."""
+
+    _fields_ = (("places", c_int64), ("width", c_int64), ("at", c_void_p), ("groups", c_void_p))
+
+
+class DeathRules(ctypes.Structure):
+    """`model::DeathRules`."""
+
+    _fields_ = tuple((name, c_double) for name in ("occlusion", "seen_through", "reach", "nearest_m", "threshold"))
+
+
+class DeathView(ctypes.Structure):
+    """`model::DeathView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("viewmat", "K", "far", "surface", "usable", "active", "near_moving", "moving")),
+        *((name, c_void_p) for name in ("surprise", "nearest", "shown", "columns", "rows", "depths", "inside")),
+    )
+
+
+class RefutedRequest(ctypes.Structure):
+    """`model::RefutedRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("view_count", "threads")),
+        ("rules", ctypes.POINTER(DeathRules)),
+        ("views", ctypes.POINTER(DeathView)),
+        *((name, c_void_p) for name in ("means", "axes", "radii", "carried", "refuted")),
+    )
+
+
+class StaticRequest(ctypes.Structure):
+    """`model::StaticRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("view_count", "threads")),
+        ("rules", ctypes.POINTER(DeathRules)),
+        ("views", ctypes.POINTER(DeathView)),
+        *((name, c_void_p) for name in ("left", "moving")),
+    )

@@ -1,0 +1,123 @@
+// What the flow says about the velocities of bodies: normal equations in 6 parameters, judged and solved.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "interface.h"
+
+namespace model {
+
+constexpr int kTwist = 6;
+
+inline void add_up(const SumRequest &r) {
+  for (int64_t n = 0; n < r.count; n++) {
+    double *sum = r.sums + r.width * r.owners[n];
+    for (int64_t k = 0; k < r.width; k++) sum[k] += r.values[r.width * n + k];
+  }
+}
+
+// The equations of one body with the velocity of the point `at` as unknown, not that of the origin: v = v' - at x w.
+inline void move_to(const double *H, const double *g, const double *at, double *moved_H, double *moved_g) {
+  const double x = -at[0], y = -at[1], z = -at[2];
+  double by[kTwist][kTwist] = {}, half[kTwist][kTwist];
+  for (int k = 0; k < kTwist; k++) by[k][k] = 1;
+  by[0][4] = z, by[0][5] = -y, by[1][5] = x;
+  by[1][3] = -z, by[2][3] = y, by[2][4] = -x;
+  for (int i = 0; i < kTwist; i++) {
+    moved_g[i] = 0;
+    for (int j = 0; j < kTwist; j++) {
+      moved_g[i] += by[j][i] * g[j];
+      half[i][j] = 0;
+      for (int k = 0; k < kTwist; k++) half[i][j] += by[k][i] * H[kTwist * k + j];
+    }
+  }
+  for (int i = 0; i < kTwist; i++) {
+    for (int j = 0; j < kTwist; j++) {
+      double sum = 0;
+      for (int k = 0; k < kTwist; k++) sum += half[i][k] * by[k][j];
+      moved_H[kTwist * i + j] = sum;
+    }
+  }
+}
+
+// The lower triangle L of a positive definite matrix, A = L L'.
+inline void decompose(const double (&A)[kTwist][kTwist], double (&L)[kTwist][kTwist]) {
+  for (int i = 0; i < kTwist; i++) {
+    for (int j = 0; j <= i; j++) {
+      double sum = A[i][j];
+      for (int k = 0; k < j; k++) sum -= L[i][k] * L[j][k];
+      L[i][j] = i == j ? std::sqrt(sum) : sum / L[j][j];
+    }
+  }
+}
+
+// The inverse of a lower triangle.
+inline void invert(const double (&L)[kTwist][kTwist], double (&R)[kTwist][kTwist]) {
+  for (int j = 0; j < kTwist; j++) {
+    for (int i = 0; i < kTwist; i++) {
+      double sum = i == j ? 1 : 0;
+      for (int k = j; k < i; k++) sum -= L[i][k] * R[k][j];
+      R[i][j] = i < j ? 0 : sum / L[i][i];
+    }
+  }
+}
+
+inline void judge_velocities(const JudgeRequest &r) {
+  for (int64_t n = 0; n < r.count; n++) {
+    double H[kTwist * kTwist], g[kTwist], known[kTwist][kTwist], L[kTwist][kTwist], R[kTwist][kTwist];
+    move_to(r.H + kTwist * kTwist * n, r.g + kTwist * n, r.points + 3 * n, H, g);
+    for (int i = 0; i < kTwist; i++) {
+      for (int j = 0; j < kTwist; j++) known[i][j] = (i == j) + r.scale[i] * H[kTwist * i + j] * r.scale[j];
+    }
+    decompose(known, L);
+    invert(L, R);
+    double explained = 0, squares = 0, cost = 0;
+    for (int i = 0; i < kTwist; i++) {
+      double along = 0;
+      for (int j = 0; j <= i; j++) {
+        along += R[i][j] * r.scale[j] * g[j];
+        squares += R[i][j] * R[i][j];
+      }
+      explained += along * along;
+      cost += std::log(R[i][i]);
+    }
+    r.at_rest[n] = -r.squares[n] / 2;
+    r.fit[n] = r.at_rest[n] + explained / 2;
+    r.evidence[n] = r.fit[n] + cost;
+    r.costs[n] = r.squares[n] - explained;
+    r.told[n] = kTwist - squares;
+  }
+}
+
+inline void solve_velocities(const VelocityRequest &r) {
+  for (int64_t n = 0; n < r.count; n++) {
+    double H[kTwist * kTwist], g[kTwist], known[kTwist][kTwist], L[kTwist][kTwist];
+    move_to(r.H + kTwist * kTwist * n, r.g + kTwist * n, r.points + 3 * n, H, g);
+    for (int i = 0; i < kTwist; i++) {
+      for (int j = 0; j < kTwist; j++) known[i][j] = H[kTwist * i + j];
+      known[i][i] += 1 / (r.scale[i] * r.scale[i]);
+    }
+    decompose(known, L);
+    double *velocity = r.velocities + kTwist * n;
+    for (int i = 0; i < kTwist; i++) {
+      double sum = g[i];
+      for (int k = 0; k < i; k++) sum -= L[i][k] * velocity[k];
+      velocity[i] = sum / L[i][i];
+    }
+    for (int i = kTwist - 1; i >= 0; i--) {
+      double sum = velocity[i];
+      for (int k = i + 1; k < kTwist; k++) sum -= L[k][i] * velocity[k];
+      velocity[i] = sum / L[i][i];
+    }
+  }
+}
+
+inline void move_velocities(const MoveRequest &r) {
+  for (int64_t n = 0; n < r.count; n++) {
+    const int64_t matrix = kTwist * kTwist * n;
+    move_to(r.H + matrix, r.g + kTwist * n, r.points + 3 * n, r.moved_H + matrix, r.moved_g + kTwist * n);
+  }
+}
+
+}  // namespace model
