@@ -27,12 +27,12 @@ class History:
 
     def at(self, time: float) -> Float64:
         """Positions [M, 3] at a time, interpolated; the first or last ones outside the samples."""
-        after = int(np.clip(np.searchsorted(self.times, time), 1, max(len(self.times) - 1, 1)))
+        after = min(max(int(np.searchsorted(self.times, time)), 1), max(len(self.times) - 1, 1))
         if len(self.times) < 2:
             only: Float64 = self.positions[-1]
             return only
         before = after - 1
-        share = np.clip((time - self.times[before]) / (self.times[after] - self.times[before]), 0, 1)
+        share = min(max(float((time - self.times[before]) / (self.times[after] - self.times[before])), 0.0), 1.0)
         between: Float64 = (1 - share) * self.positions[before] + share * self.positions[after]
         return between
 
@@ -167,14 +167,21 @@ class Autoregression:
         self._memory_s = memory_s
         self._gram = np.tile(np.eye(FEATURES) * 1e-4, (len(KNOTS), 1, 1))
         self._moment = np.zeros((len(KNOTS), FEATURES))
+        self._solved: Float64 | None = None
 
     def forecast(self, features: Float64, shares: Float64) -> Float64:
         """Displacements [H, M, 3] of nodes with `autoregression_features` [M, 3, F], at shares [H] of the horizon."""
-        weights = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
-        knots = np.concatenate([np.zeros((1, FEATURES)), weights])
+        knots = np.concatenate([np.zeros((1, FEATURES)), self._weights()])
         blend = _interpolation(shares, np.array([0.0, *KNOTS]))
         flat: Float64 = blend @ knots @ features.reshape(-1, FEATURES).T
         return flat.reshape(len(shares), len(features), 3)
+
+    def _weights(self) -> Float64:
+        """[K, F] as of what was learnt last."""
+        if self._solved is None:
+            solved: Float64 = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
+            self._solved = solved
+        return self._solved
 
     def learn(self, knot: int, features: Float64, came_true: Float64, elapsed_s: float) -> None:
         """Takes in what became of nodes by a knot: their features then [M, 3, F] and displacement since [M, 3].
@@ -183,6 +190,7 @@ class Autoregression:
         """
         if len(features) == 0:
             return
+        self._solved = None
         kept = np.exp(-elapsed_s / self._memory_s)
         flat = features.reshape(-1, FEATURES)
         weight = elapsed_s / LAG_S / len(features)

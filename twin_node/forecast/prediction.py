@@ -164,6 +164,8 @@ class Predictor:
         self._measured: Measured | None = None
         self._records = _Records()
         self._trust = np.ones(len(EXPERT_NAMES))
+        self._mixture: Float64 | None = None
+        """`_recorded`, until the records or the trust change."""
         self._missed = np.zeros(len(EXPERT_NAMES))
         self._issued: deque[_Issued] = deque()
         self._profile = np.array(KNOTS) * _USUAL_ERROR
@@ -187,10 +189,11 @@ class Predictor:
     @property
     def _recorded(self) -> Float64:
         """[E, M] weights by the records."""
-        pooled = self._around.body(self._records.squared.T).T
-        weights = mix((1 - _POOLED) * self._records.squared + _POOLED * pooled) * self._trust[:, None]
-        normalised: Float64 = weights / weights.sum(axis=0)
-        return normalised
+        if self._mixture is None:
+            pooled = self._around.body(self._records.squared.T).T
+            weights = mix((1 - _POOLED) * self._records.squared + _POOLED * pooled) * self._trust[:, None]
+            self._mixture = weights / weights.sum(axis=0)
+        return self._mixture
 
     def advance(
         self,
@@ -208,7 +211,7 @@ class Predictor:
         """
         self._horizon_s, self._measured, self._factor = horizon_s, measured, factor
         self._history = history
-        self._around = Neighbours(history.positions[-1])
+        self._around, self._mixture = Neighbours(history.positions[-1]), None
         self._records = self._records.inherited(succession.records, history.times[-1])
         for issued in self._issued:
             issued.rows = np.where(succession.paths < 0, -1, np.append(issued.rows, -1)[succession.paths])
@@ -223,6 +226,7 @@ class Predictor:
         """
         rate = 1 - np.exp(-elapsed_s / _RECORD_S) if self._missed.any() else 1.0
         self._missed = self._missed + rate * (missed - self._missed)
+        self._mixture = None
         best = float(self._missed.min())
         self._trust = np.exp(-(self._missed - best) / (_TRUST_SHARPNESS * best + _TRUST_SHARE))
 
@@ -374,6 +378,7 @@ class Predictor:
         Errors at all knots count: the earlier ones tell sooner which expert is right after motion has changed.
         """
         rate = 1 - np.exp(-elapsed_s / _RECORD_S)
+        self._mixture = None
         self._records.squared[:, known] += rate * (single**2 - self._records.squared[:, known])
 
     def _record(self, known: Rows, wrong: Float64, elapsed_s: float) -> None:

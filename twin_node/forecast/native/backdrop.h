@@ -10,17 +10,26 @@
 
 namespace forecast {
 
-// The backdrop after one more image.
-FORECAST_ROUNDED inline void revise(const ReviseRequest &r) {
+// The backdrop after one more image; `is_robot` of a pixel's number.
+template <class IsRobot>
+FORECAST_ROUNDED inline void revise(const ReviseRequest &r, const IsRobot &is_robot) {
   FORECAST_ROUNDED_BODY
   const float above = static_cast<float>(1 + r.step_share), below = static_cast<float>(1 - r.step_share);
   for (int64_t i = 0; i < r.pixels; i++) {
     const float before = r.before[i], depth = r.depth[i];
-    const bool bare = !(r.robot && r.robot[i]), moving = r.moving[i], known = bare & (depth > 0);
+    const bool bare = !is_robot(i), moving = r.moving[i] != 0, known = bare & (depth > 0);
     const bool past = depth > before * above + r.step, near = depth > before * below - r.step;
-    const float drawn = before + (known & !moving & near ? r.learning_rate * (depth - before) : 0.0f);
+    const float step = r.learning_rate * (depth - before), drawn = before + (known & !moving & near ? step : 0.0f);
     const float revised = known & (past | !(moving | near)) ? depth : drawn;
     r.after[i] = bare & !moving & (depth == 0) & (revised == r.unseen) ? r.unmeasured : revised;
+  }
+}
+
+inline void revise(const ReviseRequest &r) {
+  if (r.robot) {
+    revise(r, [&](int64_t i) { return r.robot[i] != 0; });
+  } else {
+    revise(r, [](int64_t) { return false; });
   }
 }
 
