@@ -179,8 +179,8 @@ class Autoregression:
     def _weights(self) -> Float64:
         """[K, F] as of what was learnt last."""
         if self._solved is None:
-            solved: Float64 = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
-            self._solved = solved
+            solved = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
+            self._solved = np.asarray(solved, np.float64)
         return self._solved
 
     def learn(self, knot: int, features: Float64, came_true: Float64, elapsed_s: float) -> None:
