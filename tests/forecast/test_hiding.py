@@ -158,4 +158,5 @@ def test_compiled_hiding_places_are_the_plain_ones(seed: int, dims: tuple[int, i
         seen = Seen(elapsed_s, *(Bits.of_mask(dims, one) for one in masks))
         assert np.array_equal(follow(grid, compiled, seen).words, follow_plainly(grid, plain, seen).words)
         assert np.array_equal(compiled.ages_s, plain.ages_s)
+        assert np.array_equal(compiled.reached.words, plain.reached.words)
         assert np.array_equal(compiled.maybe_full.words, plain.maybe_full.words)

@@ -66,14 +66,17 @@ class Memory:
 
     ages_s: Float32
     """[nx / 2, ny / 2, nz / 2] since each cell of two by two by two voxels was last reached by what is attached, s."""
+    reached: Bits
+    """Those of these cells whose ages are known: of all others they are `_NEVER`."""
     maybe_full: Bits
     """Voxels that are not known to be empty."""
 
     @staticmethod
     def of_nothing(grid: Grid) -> Memory:
         """Before anything was seen."""
-        cells = tuple(-(-n // 2) for n in grid.dims)
-        return Memory(np.full(cells, _NEVER, np.float32), Bits.all(grid.dims))
+        nx, ny, nz = (-(-n // 2) for n in grid.dims)
+        ages_s = np.full((nx, ny, nz), _NEVER, np.float32)
+        return Memory(ages_s, Bits.none((nx, ny, nz)), Bits.all(grid.dims))
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,8 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
         return follow_plainly(grid, memory, seen)
     reachable = Bits.none(grid.dims)
     given = tuple(np.ascontiguousarray(mask.words) for mask in (seen.unknown, seen.moving, seen.standing))
-    arrays: tuple[NDArray[np.generic], ...] = (*given, memory.ages_s, memory.maybe_full.words, reachable.words)
+    kept: tuple[NDArray[np.generic], ...] = (memory.ages_s, memory.reached.words, memory.maybe_full.words)
+    arrays = (*given, *kept, reachable.words)
     addresses = (array.ctypes.data for array in arrays)
     steps = (_hand(grid), _reach(grid, seen.elapsed_s))
     compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses))
@@ -109,6 +113,7 @@ def follow_plainly(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     unknown, moving = seen.unknown.words, seen.moving.words
     ways = _ways(grid, unknown, moving, seen.standing.words)
     memory.ages_s[:] = _spread(grid, memory.ages_s + np.float32(seen.elapsed_s), seen.elapsed_s, ways, moving)
+    memory.reached.words[:] = Bits.of_mask(memory.reached.dims, memory.ages_s < _NEVER).words
     reached = _least_around(memory.ages_s, 1) <= ATTACHED_S
     nx, ny, nz = grid.dims
     open_ = Bits.of_mask(grid.dims, reached.repeat(2, 0).repeat(2, 1).repeat(2, 2)[:nx, :ny, :nz].reshape(-1))

@@ -11,7 +11,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.native_library import NativeLibrary, best_or_none
 
-INTERFACE_VERSION = 15
+INTERFACE_VERSION = 16
 
 
 class GrowRequest(ctypes.Structure):
@@ -153,7 +153,7 @@ class HideRequest(ctypes.Structure):
     _fields_ = (
         *((name, c_int32) for name in ("nx", "ny", "nz", "width", "reach")),
         *((name, c_float) for name in ("elapsed_s", "rest_s", "never")),
-        *((name, c_void_p) for name in ("unknown", "moving", "standing", "ages", "maybe_full", "reachable")),
+        *((name, c_void_p) for name in ("unknown", "moving", "standing", "ages", "reached", "maybe_full", "reachable")),
     )
 
 

@@ -46,10 +46,9 @@ class Pieces {
     }
   }
 
-  // Gives every cell its piece's least value, and `otherwise` to all outside of pieces; the cells whose values are less.
+  // Gives every cell its piece's least value; the cells whose values are not `otherwise`, which stays with all others.
   Bits write(float *values, int64_t nx, int64_t ny, int64_t nz, float otherwise) {
     Bits written(nx, ny, nz);
-    std::fill(values, values + nx * ny * nz, otherwise);
     for (int64_t column = 0; column + 1 < static_cast<int64_t>(starts_.size()); column++) {
       for (int64_t i = starts_[column]; i < starts_[column + 1]; i++) {
         const float least = stretches_[root(i)].least;
@@ -130,16 +129,20 @@ inline std::vector<Reached> reached_lately(const HideRequest &r, const Bits &mov
       column[(cz - 1) / 64] |= uint64_t{1} << (cz - 1) % 64;
     }
   }
-  const float *ages = r.ages;
-  for (int64_t column = 0; column < cx * cy; column++, ages += cz) {
-    int any = 0;
-    for (int64_t z = 0; z < cz; z++) any |= ages[z] + r.elapsed_s <= r.rest_s;
-    for (int64_t z = 0; any && z < cz; z++) {
+  size_t last = 0;  // that a cell belonged to: neighbours were mostly reached together
+  for (int64_t word = 0; word < cx * cy * now.words; word++) {
+    const float *ages = r.ages + word / now.words * cz + word % now.words * 64;
+    for (uint64_t left = r.reached[word]; left; left &= left - 1) {
+      const int z = __builtin_ctzll(left);
       const float age = ages[z] + r.elapsed_s;
-      if (!(age <= r.rest_s)) continue;
-      auto own = std::find_if(reached.begin(), reached.end(), [&](const Reached &one) { return one.age >= age; });
-      if (own == reached.end() || own->age > age) own = reached.insert(own, {age, Bits(cx, cy, cz)});
-      own->cells.bits[column * now.words + z / 64] |= uint64_t{1} << z % 64;
+      if (age > r.rest_s) continue;
+      if (reached[last].age != age) {
+        const auto is_older = [&](const Reached &one) { return one.age >= age; };
+        auto own = std::find_if(reached.begin(), reached.end(), is_older);
+        if (own == reached.end() || own->age > age) own = reached.insert(own, {age, Bits(cx, cy, cz)});
+        last = own - reached.begin();
+      }
+      reached[last].cells.bits[word] |= uint64_t{1} << z;
     }
   }
   return reached;
@@ -159,13 +162,24 @@ inline Bits passable(const HideRequest &r, const Bits &moving) {
   return passable;
 }
 
+// Forgets the ages of all cells, [columns, cz] in columns of words.
+inline void clear(const HideRequest &r, int64_t cz, int64_t words) {
+  const int64_t size = (r.nx + 1) / 2 * ((r.ny + 1) / 2) * words;
+  for (int64_t word = 0; word < size; word++) {
+    float *ages = r.ages + word / words * cz + word % words * 64;
+    for (uint64_t left = r.reached[word]; left; left &= left - 1) ages[__builtin_ctzll(left)] = r.never;
+  }
+}
+
 inline void hide(const HideRequest &r) {
   const Bits moving(r.nx, r.ny, r.nz, r.moving);
   std::vector<Reached> reached = reached_lately(r, halved(moving, r.nz));
   for (Reached &one : reached) widen(one.cells, r.reach);
   const Bits ways = halved(passable(r, moving), r.nz);
   const int64_t cz = (r.nz + 1) / 2;
+  clear(r, cz, ways.words);
   Bits open = Pieces(ways, cz, reached, r.never).write(r.ages, ways.nx, ways.ny, cz, r.never);
+  std::copy(open.bits.begin(), open.bits.end(), r.reached);
   join_around<Join::kAny>(open, -1, 1);
   for (int64_t x = 0; x < r.nx; x++) {
     for (int64_t y = 0; y < r.ny; y++) {

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 15;
+constexpr int32_t kInterfaceVersion = 16;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -145,6 +145,7 @@ struct HideRequest {
   float elapsed_s, rest_s, never;                // since before, s; what was reached longer ago lies still, s
   const uint64_t *unknown, *moving, *standing;   // [nx, ny, words]
   float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
+  uint64_t *reached;                             // [columns of cells, words] where that is not `never`
   uint64_t *maybe_full;                          // [nx, ny, words] not known to be empty, before and after
   uint64_t *reachable;                           // [nx, ny, words] something may come out
 };
