@@ -32,70 +32,68 @@ inline uint64_t joined(uint64_t one, uint64_t other) {
   return join == Join::kAll ? one & other : one | other;
 }
 
-// Words joined with those `offset` further on, of lines that begin at every multiple of `line`; none lie beyond a line.
+// `size` words joined with those `offset` further on, of lines that begin at every multiple of `line`; none lie beyond a
+// line.
 template <Join join>
-inline void join_along(
-    const std::vector<uint64_t> &before, std::vector<uint64_t> &words, int64_t line, int64_t offset) {
-  for (int64_t begin = 0; begin < static_cast<int64_t>(words.size()); begin += line) {
-    uint64_t *own = &words[begin];
-    const uint64_t *from = &before[begin];
-    const int64_t first = std::clamp<int64_t>(-offset, 0, line);
-    const int64_t last = std::clamp<int64_t>(line - offset, first, line);
+inline void join_along(const uint64_t *before, uint64_t *words, int64_t size, int64_t line, int64_t offset) {
+  const int64_t first = std::clamp<int64_t>(-offset, 0, line);
+  const int64_t last = std::clamp<int64_t>(line - offset, first, line);
+  for (int64_t begin = 0; begin < size; begin += line) {
+    uint64_t *own = words + begin;
+    const uint64_t *from = before + begin;
     if (join == Join::kAll) std::fill(own, own + first, 0), std::fill(own + last, own + line, 0);
     for (int64_t i = first; i < last; i++) own[i] = joined<join>(own[i], from[i + offset]);
   }
 }
 
-// Bits of columns of words joined with those `step` further up, -63 to 63; `beside` is room for as many words.
+// Bits of columns of words, `size` in all, joined with those `step` further up, -63 to 63; `beside` is room for as many.
 template <Join join>
 inline void join_up(
-    const std::vector<uint64_t> &before, std::vector<uint64_t> &words, std::vector<uint64_t> &beside, int64_t column,
-    int64_t step) {
-  const int64_t shift = std::abs(step), size = static_cast<int64_t>(words.size());
+    const uint64_t *before, uint64_t *words, uint64_t *beside, int64_t size, int64_t column, int64_t step) {
+  const int64_t shift = std::abs(step);
   const int64_t up = step > 0 ? 1 : 0, down = 1 - up;  // words are moved as a whole, then columns parted again
-  std::copy(before.begin() + up, before.end() - down, beside.begin() + down);
+  std::copy(before + up, before + size - down, beside + down);
   for (int64_t end = up ? column - 1 : 0; end < size; end += column) beside[end] = 0;
-  const uint64_t *own = before.data(), *next = beside.data();
-  uint64_t *to = words.data();
   if (up) {
-    for (int64_t i = 0; i < size; i++) to[i] = joined<join>(to[i], own[i] >> shift | next[i] << (64 - shift));
+    for (int64_t i = 0; i < size; i++) words[i] = joined<join>(words[i], before[i] >> shift | beside[i] << (64 - shift));
   } else {
-    for (int64_t i = 0; i < size; i++) to[i] = joined<join>(to[i], own[i] << shift | next[i] >> (64 - shift));
+    for (int64_t i = 0; i < size; i++) words[i] = joined<join>(words[i], before[i] << shift | beside[i] >> (64 - shift));
   }
 }
 
-// Columns along z joined with those so many places further along an axis: x, y or z. `beside` is room for as many words.
+// Every bit joined with those so many places further along each axis, from -63 to 63; outside there are none.
 template <Join join>
-inline void join_at(
-    const std::vector<uint64_t> &before, Bits &b, std::vector<uint64_t> &beside, int axis, int64_t step) {
+inline void join_at(Bits &b, const std::vector<int64_t> &steps) {
   const int64_t row = b.ny * b.words;
-  if (axis == 0) join_along<join>(before, b.bits, b.nx * row, step * row);
-  if (axis == 1) join_along<join>(before, b.bits, row, step * b.words);
-  if (axis == 2) join_up<join>(before, b.bits, beside, b.words, step);
+  std::vector<uint64_t> before(row), beside(row);
+  for (int64_t x = 0; x < b.nx; x++) {  // a plane at a time stays in the cache
+    uint64_t *plane = b.at(x, 0);
+    std::copy_n(plane, row, before.begin());
+    for (const int64_t step : steps) join_along<join>(before.data(), plane, row, row, step * b.words);
+    std::copy_n(plane, row, before.begin());
+    for (const int64_t step : steps) join_up<join>(before.data(), plane, beside.data(), row, b.words, step);
+  }
+  before = b.bits;
+  const int64_t size = b.nx * row;
+  for (const int64_t step : steps) join_along<join>(before.data(), b.bits.data(), size, size, step * row);
 }
 
-// Every bit joined with those from `first` to `last` places further up each axis; outside there are none.
+// Every bit joined with those from `first` to `last` places further up each axis.
 template <Join join>
 inline void join_around(Bits &b, int64_t first, int64_t last) {
-  std::vector<uint64_t> before, beside(b.bits.size());
-  for (int axis = 0; axis < 3; axis++) {
-    before = b.bits;
-    for (int64_t step = first; step <= last; step++) {
-      if (step != 0) join_at<join>(before, b, beside, axis, step);
-    }
+  std::vector<int64_t> steps;
+  for (int64_t step = first; step <= last; step++) {
+    if (step != 0) steps.push_back(step);
   }
+  join_at<join>(b, steps);
 }
 
 // Sets the cubes of so many bits around each.
 inline void widen(Bits &b, int64_t width) {
   constexpr int64_t kMostStep = 63;
-  std::vector<uint64_t> before, beside(b.bits.size());
   for (int64_t done = 0, step; done < width; done += step) {
     step = std::min({width - done, 2 * done + 1, kMostStep});  // such cubes leave nothing between them
-    for (int axis = 0; axis < 3; axis++) {
-      before = b.bits;
-      for (const int64_t way : {-step, step}) join_at<Join::kAny>(before, b, beside, axis, way);
-    }
+    join_at<Join::kAny>(b, {-step, step});
   }
 }
 
