@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from twin_node.model.adoption import grouped, grouped_plainly, nearest, nearest_plainly
+from twin_node.model.carriage import carry, carry_plainly
 from twin_node.model.kernels import kernels
 from twin_node.model.nodes import MAX_SPEED, Nodes, advanced, advanced_plainly
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
@@ -139,3 +140,23 @@ def test_groups_by_kernel_are_those_in_numpy(count: int) -> None:
     found = grouped(places)
     assert np.array_equal(found, grouped_plainly(places))
     assert count < 2 or 1 < found.max() < count - 1
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+def test_how_nodes_have_moved_and_what_they_carry_are_by_kernel_what_they_are_in_torch() -> None:
+    draw, nodes = torch.Generator().manual_seed(9), Nodes(6, 4)
+    quats = quat_from_vector(torch.randn(6, 3, generator=draw, dtype=torch.float64))
+    nodes.positions, nodes.quats = torch.randn(6, 3, generator=draw, dtype=torch.float64), quats
+    nodes.remember()
+    turns = torch.randn(6, 3, generator=draw, dtype=torch.float64)
+    turns[0], turns[1] = 0, 1e-9
+    nodes.quats, nodes.positions = quat_product(quat_from_vector(turns), quats), nodes.positions + 0.1
+    nodes.quats[2] *= -1
+    assert torch.allclose(nodes.moved, nodes.moved_plainly(), atol=1e-12)
+    assert torch.allclose(nodes.moved[:, 3:], turns, atol=1e-9)
+    poses, carriers = nodes.extrapolated([0.0, 0.1]), torch.tensor([3, -1, 0, 5])
+    compiled, plain = (vars(find(poses, carriers)) for find in (carry, carry_plainly))
+    for name, found in compiled.items():
+        expected = plain[name]
+        assert found.dtype == expected.dtype
+        assert torch.allclose(found, expected, atol=1e-6)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.kernel_requests import CarryRequest
+from twin_node.model.kernels import kernels
 from twin_node.model.nodes import Poses
 from twin_node.model.rotations import left_product, rotation_matrix
 
@@ -71,6 +73,18 @@ class Carriage:
 
 def carry(poses: Poses, carriers: Tensor) -> Carriage:
     """The carriage of Gaussians whose nodes are `carriers` [n]; -1 stands still in `base_link`."""
+    library = kernels()
+    if library is None or carriers.device.type != "cpu":
+        return carry_plainly(poses, carriers)
+    times, nodes = poses.positions.shape[:2]
+    turns, shifts, products = (torch.empty(times, nodes + 1, *shape) for shape in ((3, 3), (3,), (4, 4)))
+    held = (poses.positions.contiguous(), poses.quats.contiguous(), turns, shifts, products)
+    library.carry(CarryRequest(times, nodes, *(t.data_ptr() for t in held)))
+    return Carriage(turns, shifts, products, carriers.remainder(nodes + 1))  # -1 is the row at rest
+
+
+def carry_plainly(poses: Poses, carriers: Tensor) -> Carriage:
+    """The same in torch, on any device: the reference of the compiled kernel."""
     times = poses.positions.shape[0]
     rest = poses.quats.new_tensor([1.0, 0, 0, 0]).expand(times, 1, 4)
     quats = torch.cat([poses.quats, rest], 1).to(carriers.device)

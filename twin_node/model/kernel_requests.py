@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 7
+INTERFACE_VERSION = 8
 
 
 class MaskRules(ctypes.Structure):
@@ -77,6 +77,24 @@ class AdvanceRequest(ctypes.Structure):
     _fields_ = (
         *((name, c_int64) for name in ("times", "nodes")),
         *((name, c_void_p) for name in ("seconds", "positions", "quats", "velocities", "turns", "advanced", "rotated")),
+    )
+
+
+class MovedRequest(ctypes.Structure):
+    """`model::MovedRequest`."""
+
+    _fields_ = (
+        ("nodes", c_int64),
+        *((name, c_void_p) for name in ("positions", "quats", "positions_then", "quats_then", "moved")),
+    )
+
+
+class CarryRequest(ctypes.Structure):
+    """`model::CarryRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("times", "nodes")),
+        *((name, c_void_p) for name in ("positions", "quats", "turns", "shifts", "products")),
     )
 
 

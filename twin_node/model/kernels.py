@@ -14,6 +14,7 @@ from twin_node.model.kernel_requests import (
     BirthRequest,
     BirthRules,
     BirthView,
+    CarryRequest,
     CellRequest,
     CreepRequest,
     ExtentRequest,
@@ -21,6 +22,7 @@ from twin_node.model.kernel_requests import (
     JudgeRequest,
     MaskRequest,
     MaskRequests,
+    MovedRequest,
     MoveRequest,
     NearestRequest,
     ObservedView,
@@ -51,6 +53,10 @@ class Kernels(NativeLibrary):
         self._dll.model_judge.argtypes = [ctypes.POINTER(StaticRequest)]
         self._dll.model_advance.argtypes = [ctypes.POINTER(AdvanceRequest)]
         self._dll.model_advance.restype = None
+        self._dll.model_moved.argtypes = [ctypes.POINTER(MovedRequest)]
+        self._dll.model_moved.restype = None
+        self._dll.model_carry.argtypes = [ctypes.POINTER(CarryRequest)]
+        self._dll.model_carry.restype = None
         self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.model_nearest.restype = None
         self._dll.model_publish.argtypes = [ctypes.POINTER(PublishRequest)]
@@ -107,6 +113,14 @@ class Kernels(NativeLibrary):
     def advance(self, request: AdvanceRequest) -> None:
         """Moves nodes on; takes one thread."""
         self._dll.model_advance(request)
+
+    def moved(self, request: MovedRequest) -> None:
+        """Finds how nodes have moved; takes one thread."""
+        self._dll.model_moved(request)
+
+    def carry(self, request: CarryRequest) -> None:
+        """Writes what nodes do to what they carry; takes one thread."""
+        self._dll.model_carry(request)
 
     def nearest(self, request: NearestRequest) -> None:
         """Finds what is nearest; takes one thread."""

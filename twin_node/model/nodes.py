@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from twin_node.model.kernel_requests import AdvanceRequest
+from twin_node.model.kernel_requests import AdvanceRequest, MovedRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
 from twin_node.scene import Tier
@@ -127,6 +127,17 @@ class Nodes:
     @property
     def moved(self) -> Tensor:
         """[M, 6] m and rad (in `base_link`) from the poses remembered last to the present ones."""
+        library = kernels()
+        if library is None:
+            return self.moved_plainly()
+        moved = torch.empty(self.capacity, 6, dtype=torch.float64)
+        then = (self._history_positions[self._slot], self._history_quats[self._slot])
+        held = [t.contiguous() for t in (self.positions, self.quats, *then)]
+        library.moved(MovedRequest(self.capacity, *(t.data_ptr() for t in (*held, moved))))
+        return moved
+
+    def moved_plainly(self) -> Tensor:
+        """The same in torch: the reference of the compiled kernel."""
         turn = vector_from_quat(quat_product(self.quats, conjugate(self._history_quats[self._slot])))
         return torch.cat([self.positions - self._history_positions[self._slot], turn], 1)
 

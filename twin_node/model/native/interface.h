@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 7;
+constexpr int32_t kInterfaceVersion = 8;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -98,6 +98,20 @@ struct AdvanceRequest {
   const double *seconds;                              // [times]
   const double *positions, *quats, *velocities, *turns;  // [nodes, 3], [nodes, 4], [nodes, 3] m/s, [nodes, 3] rad/s
   double *advanced, *rotated;                         // [times, nodes, 3], [times, nodes, 4] written
+};
+
+// Nodes as they are and as they were.
+struct MovedRequest {
+  int64_t nodes;
+  const double *positions, *quats, *positions_then, *quats_then;  // [nodes, 3], [nodes, 4]
+  double *moved;                                                  // [nodes, 6] m and rad, written
+};
+
+// Nodes at some times, whose rotations are wanted as matrices.
+struct CarryRequest {
+  int64_t times, nodes;
+  const double *positions, *quats;   // [times, nodes, 3], [times, nodes, 4]
+  float *turns, *shifts, *products;  // [times, nodes + 1, 3, 3], [times, nodes + 1, 3], [times, nodes + 1, 4, 4] written
 };
 
 // Nodes as they are.

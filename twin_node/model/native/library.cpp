@@ -42,6 +42,10 @@ int32_t model_mask(const model::MaskRequests *requests) {
 
 void model_advance(const model::AdvanceRequest *request) { model::advance(*request); }
 
+void model_moved(const model::MovedRequest *request) { model::find_moved(*request); }
+
+void model_carry(const model::CarryRequest *request) { model::carry(*request); }
+
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
 
 void model_publish(const model::PublishRequest *request) { model::publish(*request); }
