@@ -84,16 +84,3 @@ def test_states_without_joints_lose_nothing() -> None:
     without = replace(state, frames=replace(state.frames, joints=None))
     one, other = Forecaster(GRID, arm=ARM).update(without, 0), Forecaster(GRID).update(without, 0)
     assert np.array_equal(one.layers[0].indices, other.layers[0].indices)
-
-
-def test_what_all_cameras_see_on_the_arm_is_its_shadow_where_the_arm_is_known() -> None:
-    state = state_of(0, None)
-    masks = tuple(np.ones_like(mask) for mask in state.moving_masks)
-    hidden = replace(state, robot_masks=masks, frames=replace(state.frames, joints=JOINTS))
-    by_masks, by_joints = (
-        decode_runs(Forecaster(GRID, arm=arm).update(hidden, 0).unknown_runs, GRID.size) for arm in (None, ARM)
-    )
-    own = own_space(GRID, ARM, JOINTS).mask()
-    assert not by_joints[own].any()
-    assert by_joints[~own].all()
-    assert not by_masks.all()

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import RigTables
-from twin_node.forecast.verdicts import ROBOT, Carved, Sight, carved
+from twin_node.forecast.verdicts import Carved, Sight, carved
 from twin_node.scene import Bool, TwinState
 
 _PIXEL_ERROR = 0.5
@@ -27,17 +25,14 @@ class Carver:
         self._backdrops = Backdrops()
         self._last: tuple[TwinState, list[Sight]] | None = None
 
-    def carve(self, state: TwinState, speed: float, arm_is_known: bool = False) -> Carved:
+    def carve(self, state: TwinState, speed: float) -> Carved:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
 
         States come in rising order of stamps: what each depth camera saw behind moving things before is remembered.
-        `arm_is_known`: where the arm is, is known otherwise. What all cameras see on the arm counts as the arm if not.
         """
         self._backdrops.update(state)
         sights = self._sights(state, speed)
         self._last = (state, sights)
-        if arm_is_known:
-            sights = [replace(sight, flags=sight.flags & ~ROBOT) for sight in sights]
         return carved(self._blocks, sights)
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:

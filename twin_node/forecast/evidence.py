@@ -88,7 +88,7 @@ class Observer:
 
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
-        carved = self._carved(state)
+        carved = self._without_arm(state, self._carver.carve(state, self._speed()))
         moving = carved.may_move.listed(carved.likely_moves)
         parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
         motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
@@ -114,13 +114,11 @@ class Observer:
         """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of flat `indices` [n] in the outer."""
         return self.margin.places(np.stack(np.unravel_index(indices, self.grid.dims)).astype(np.int32))
 
-    def _carved(self, state: TwinState) -> Carved:
-        """What the views say; where the arm is known, its own space is taken out, and all of its shadow is unknown."""
-        joints = state.frames.joints
-        if self._arm is None or joints is None:
-            return self._carver.carve(state, self._speed())
-        carved = self._carver.carve(state, self._speed(), arm_is_known=True)
-        return carved.without(own_space(self.grid, self._arm, joints))
+    def _without_arm(self, state: TwinState, carved: Carved) -> Carved:
+        """What is left when the arm's own space is taken out: its shadow stays unknown."""
+        if self._arm is None or state.frames.joints is None:
+            return carved
+        return carved.without(own_space(self.grid, self._arm, state.frames.joints))
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""
