@@ -84,3 +84,17 @@ def test_states_without_joints_lose_nothing() -> None:
     without = replace(state, frames=replace(state.frames, joints=None))
     one, other = Forecaster(GRID, arm=ARM).update(without, 0), Forecaster(GRID).update(without, 0)
     assert np.array_equal(one.layers[0].indices, other.layers[0].indices)
+
+
+def test_what_all_cameras_see_on_the_arm_but_it_is_not_is_unknown_where_the_arm_is_known() -> None:
+    state = state_of(0, None)
+    masks = tuple(np.ones_like(mask) for mask in state.moving_masks)
+    hidden = replace(state, robot_masks=masks, frames=replace(state.frames, joints=JOINTS))
+    by_masks, by_joints = (Forecaster(GRID, arm=arm) for arm in (None, ARM))
+    unknown = [decode_runs(one.update(hidden, 0).unknown_runs, GRID.size) for one in (by_masks, by_joints)]
+    own = own_space(GRID, ARM, JOINTS).mask()
+    assert not unknown[1][own].any()
+    assert unknown[1][~own].all()
+    assert not unknown[0].all()
+    reachable = [one.hidden.reachable.mask() for one in (by_masks, by_joints) if one.hidden is not None]
+    assert np.array_equal(reachable[1], reachable[0] & ~own), "it is no hiding place"

@@ -17,6 +17,7 @@ from twin_node.forecast.verdicts import (
     FREE,
     LIKELY_MOVES,
     MAY_MOVE,
+    ON_ARM,
     UNKNOWN,
     Carved,
     Sight,
@@ -76,7 +77,7 @@ def test_blocks_larger_in_the_image_than_any_window_are_decided_voxel_by_voxel()
 def test_every_verdict_occurs() -> None:
     rng = np.random.default_rng(1)
     found = verdicts_plainly(BLOCKS, [random_sight(table, rng) for table in TABLES])
-    assert set(np.unique(found)) == {FREE, UNKNOWN, MAY_MOVE, LIKELY_MOVES}
+    assert set(np.unique(found)) == {FREE, ON_ARM, UNKNOWN, MAY_MOVE, LIKELY_MOVES}
 
 
 def test_what_is_taken_is_free() -> None:

@@ -38,7 +38,7 @@ class Evidence:
     static: OccupancyLayer
     """What stands."""
     unknown_runs: UInt32
-    """[r, 2] runs of flat indices that nothing frees and nothing explains."""
+    """[r, 2] runs of flat indices that nothing frees and nothing explains, and what the arm hides from all views."""
     hidden: Hidden
     """What may be in these."""
     resting: NDArray[np.int64]
@@ -105,7 +105,7 @@ class Observer:
             parts=replace(parts, places=self.margin.places(parts.places)),
             motion=motion,
             static=self._standing.inner,
-            unknown_runs=self.margin.cropped(unknown).runs(),
+            unknown_runs=self.margin.cropped(unknown | self._behind_arm(state, carved).without(stands)).runs(),
             hidden=Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full)),
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
@@ -119,6 +119,14 @@ class Observer:
         if self._arm is None or state.frames.joints is None:
             return carved
         return carved.without(own_space(self.grid, self._arm, state.frames.joints))
+
+    def _behind_arm(self, state: TwinState, carved: Carved) -> Bits:
+        """What all views see on the arm, but is not: none if the arm is not known, for then it counts as the arm.
+
+        It is told as unknown, and is no hiding place: it surrounds the arm closely, and would join all of its shadows.
+        """
+        is_known = self._arm is not None and state.frames.joints is not None
+        return carved.on_arm if is_known else Bits.none(self.grid.dims)
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: the 95th percentile over the parts."""

@@ -108,7 +108,7 @@ class CarveRequest(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("sights", "unknown", "may_move", "likely_moves")),
+        *((name, c_void_p) for name in ("sights", "unknown", "may_move", "likely_moves", "on_arm")),
     )
 
 

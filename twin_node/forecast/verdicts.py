@@ -18,9 +18,9 @@ from twin_node.splat.library import thread_count
 MOVING, ROBOT, SEEN, BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
 """Bits of a pixel: the widened moving mask where no surface is measured, the arm, a valid pixel, a valid pixel that
 shows nothing that moves."""
-FREE, UNKNOWN, MAY_MOVE, LIKELY_MOVES = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
-"""Verdicts on a voxel: some view frees it (or it is the arm); nothing explains it; what moves explains it; that, and no
-view sees past what moves."""
+FREE, ON_ARM, UNKNOWN, MAY_MOVE, LIKELY_MOVES = (np.uint8(number) for number in range(5))
+"""Verdicts on a voxel: some view frees it; all that see it see the arm there; nothing explains it; what moves explains
+it; that, and no view sees past what moves."""
 WITNESSES = 2
 """Views that must show the same to be believed where no surface is measured."""
 
@@ -58,10 +58,12 @@ class Carved:
     """Of these, where no camera sees past the moving thing: the rims that errors add are left out."""
     unknown: Bits
     """What nothing frees and nothing explains."""
+    on_arm: Bits
+    """What nothing frees, and all views that see it see the arm there: the arm itself, or what it hides from all."""
 
     def without(self, taken: Bits) -> Carved:
         """What is left where some voxels count as free."""
-        masks = (self.may_move, self.likely_moves, self.unknown)
+        masks = (self.may_move, self.likely_moves, self.unknown, self.on_arm)
         return Carved(*(mask.without(taken) for mask in masks))
 
 
@@ -78,8 +80,8 @@ def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
         camera = sight.table.camera
         given[row] = kernels.Sight(*table, *whole, *pixels, len(sight.flags), camera.width, camera.height)
     dims = blocks.grid.dims
-    found = Carved(Bits.none(dims), Bits.none(dims), Bits.none(dims))
-    masks = (mask.words.ctypes.data for mask in (found.unknown, found.may_move, found.likely_moves))
+    found = Carved(Bits.none(dims), Bits.none(dims), Bits.none(dims), Bits.none(dims))
+    masks = (mask.words.ctypes.data for mask in (found.unknown, found.may_move, found.likely_moves, found.on_arm))
     compiled.carve(kernels.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
     return found
 
@@ -106,7 +108,7 @@ def _address(array: NDArray[np.generic] | None) -> int | None:
 def carved_plainly(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     """What `carved` does."""
     verdicts, dims = verdicts_plainly(blocks, sights), blocks.grid.dims
-    masks = (verdicts >= MAY_MOVE, verdicts == LIKELY_MOVES, verdicts == UNKNOWN)
+    masks = (verdicts >= MAY_MOVE, verdicts == LIKELY_MOVES, verdicts == UNKNOWN, verdicts == ON_ARM)
     return Carved(*(Bits.of_mask(dims, mask) for mask in masks))
 
 
@@ -132,6 +134,6 @@ def verdicts_plainly(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
     robot_itself = (robot_views >= WITNESSES) & (robot_views == seen_views)
     verdicts: UInt8 = np.zeros(blocks.grid.size, np.uint8)
     verdicts[blocks.indices(left)] = np.where(
-        moving, np.where(beside, MAY_MOVE, LIKELY_MOVES), np.where(robot_itself, FREE, UNKNOWN)
+        moving, np.where(beside, MAY_MOVE, LIKELY_MOVES), np.where(robot_itself, ON_ARM, UNKNOWN)
     )
     return verdicts

@@ -19,7 +19,7 @@ constexpr int kWitnesses = 2;
 
 // Masks of the voxels of one block, x before y before z.
 struct Found {
-  uint64_t unknown, may_move, likely_moves;
+  uint64_t unknown, may_move, likely_moves, on_arm;
 };
 
 // Of numbers that are 0 or 1.
@@ -58,18 +58,19 @@ class BlockVerdicts {
   // Of a block that is not freed as a whole.
   Found of(int64_t block) {
     const bool explicable = divided(&Sight::small, block);
-    if (freed_voxel_by_voxel(block * kVoxels)) return {0, 0, 0};
-    if (!explicable) return {as_bits(open_), 0, 0};
+    if (freed_voxel_by_voxel(block * kVoxels)) return {0, 0, 0, 0};
+    if (!explicable) return {as_bits(open_), 0, 0, 0};
     for (int i = 0; i < kVoxels; i++) moving_[i] = robot_[i] = seen_[i] = surface_[i] = beside_[i] = 0;
     for (int v = 0; v < r_.views; v++) look(r_.sights[v], flags_[v].data(), block * kVoxels);
     for (int i = 0; i < kVoxels; i++) {
       const int32_t explained = (moving_[i] >= kWitnesses) | surface_[i];
       const int32_t itself = (robot_[i] >= kWitnesses) & (robot_[i] == seen_[i]);
+      on_arm_[i] = open_[i] & (explained == 0) & itself;
       unknown_[i] = open_[i] & (explained == 0) & (itself == 0);
       may_move_[i] = open_[i] & (explained != 0);
       likely_moves_[i] = may_move_[i] & (beside_[i] == 0);
     }
-    return {as_bits(unknown_), as_bits(may_move_), as_bits(likely_moves_)};
+    return {as_bits(unknown_), as_bits(may_move_), as_bits(likely_moves_), as_bits(on_arm_)};
   }
 
  private:
@@ -129,7 +130,7 @@ class BlockVerdicts {
   std::vector<int> dividing_;  // views that may free parts of the block, the first so many of it
   int dividing_count_ = 0;
   int32_t open_[kVoxels], moving_[kVoxels], robot_[kVoxels], seen_[kVoxels], surface_[kVoxels], beside_[kVoxels];
-  int32_t unknown_[kVoxels], may_move_[kVoxels], likely_moves_[kVoxels];
+  int32_t unknown_[kVoxels], may_move_[kVoxels], likely_moves_[kVoxels], on_arm_[kVoxels];
   int likeliest_ = 0;
 };
 
@@ -177,6 +178,7 @@ class Slab {
     if (found.unknown) write(r_.unknown, found.unknown, i, j, k);
     if (found.may_move) write(r_.may_move, found.may_move, i, j, k);
     if (found.likely_moves) write(r_.likely_moves, found.likely_moves, i, j, k);
+    if (found.on_arm) write(r_.on_arm, found.on_arm, i, j, k);
   }
 
   // Enters what was found of a block in a mask of the grid, which it may stand out of.

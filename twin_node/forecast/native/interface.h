@@ -103,7 +103,7 @@ struct FillRequest {
 struct CarveRequest {
   int32_t views, nx, ny, nz, threads;
   const Sight *sights;  // [views]
-  uint64_t *unknown, *may_move, *likely_moves;  // [nx, ny, words] come zeroed
+  uint64_t *unknown, *may_move, *likely_moves, *on_arm;  // [nx, ny, words] come zeroed
 };
 
 // Boxes in voxels; has room for as many as its maker can find.
