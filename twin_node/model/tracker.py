@@ -145,15 +145,16 @@ class Tracker:
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
         better without. Where `proceed` leaves no time, nothing is done: what is not born now is with the next set. If
-        that goes on, births are not put off again, and of the rest some slices are done for every set; learning what
-        stands and drawing it anew take turns, and go on where they were.
+        that goes on, births are not put off again, nothing is pruned, and of the rest some slices are done for every
+        set; learning what stands and drawing it anew take turns, and go on where they were.
         """
         due, self._due = self._due, None
         if due is None:
             return True
         self._hurried = 0 if proceed() else self._hurried + 1
         if self._hurried != 1:
-            self._prune(due.observed)
+            if not self._hurried:
+                self._prune(due.observed)
             self._born = self._bear(due.observed, due.renderings)
             self._nodes.remember()
             on_stage("bear")
