@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.forecast import kernels
+from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.measured import UNKNOWN_SPEED
 from twin_node.forecast.things import Whole
 from twin_node.scene import Bool, Float64
@@ -59,22 +59,22 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> E
     compiled = kernels.kernels()
     if compiled is None:
         return agreed_plainly(sightings, expected, whole)
-    given = (kernels.SolveView * len(sightings))()
+    given = (kernel_requests.SolveView * len(sightings))()
     held = [_arrays(one) for one in sightings]  # alive until the call is over
     for row, (one, arrays) in enumerate(zip(sightings, held, strict=True)):
         axis = (ctypes.c_double * 3)(*one.axis)
-        given[row] = kernels.SolveView(*(array.ctypes.data for array in arrays), one.elapsed_s, axis)
+        given[row] = kernel_requests.SolveView(*(array.ctypes.data for array in arrays), one.elapsed_s, axis)
     told = (expected.velocities, expected.sigmas, whole.velocities, whole.trusts)
     arrays = tuple(np.ascontiguousarray(array, np.float64) for array in told)
     found = Estimate(np.empty((len(expected.sigmas), 3)), np.empty(len(expected.sigmas)))
     addresses = (array.ctypes.data for array in (*arrays, found.velocities, found.sigmas))
     sizes = (len(expected.sigmas), len(sightings), _TURNS, UNKNOWN_SPEED)
-    compiled.solve(kernels.SolveRequest(*sizes, ctypes.addressof(given), *addresses))
+    compiled.solve(kernel_requests.SolveRequest(*sizes, ctypes.addressof(given), *addresses))
     return found
 
 
 def _arrays(one: Sighting) -> tuple[Float64, ...]:
-    """In the order of `kernels.SolveView`."""
+    """In the order of `kernel_requests.SolveView`."""
     given = (one.jacobian, one.shifts, 1 / one.variances, one.receded, one.depth_trusts)
     return tuple(np.ascontiguousarray(array, np.float64) for array in given)
 

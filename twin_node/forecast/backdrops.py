@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twin_node.forecast.kernels import FillRequest, ReviseRequest, kernels
+from twin_node.forecast.kernel_requests import FillRequest, ReviseRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Float32, TwinState, View
 
 UNSEEN = np.float32(1e6)

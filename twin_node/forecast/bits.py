@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.grid import encode_runs
-from twin_node.forecast.kernels import ListRequest, RunsRequest, kernels
+from twin_node.forecast.kernel_requests import ListRequest, RunsRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, UInt32
 
 Words = NDArray[np.uint64]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast import kernels
+from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.bits import Bits
 from twin_node.scene import Bool, Grid
 
@@ -68,7 +68,7 @@ def smallest_boxes(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
         return smallest_boxes_plainly(grid, indices)
     indices = np.ascontiguousarray(indices, np.uint32)
     room = _Room(min(len(indices), _cells(grid)))
-    compiled.hold(kernels.HoldRequest(len(indices), *grid.dims, indices.ctypes.data, room.list))
+    compiled.hold(kernel_requests.HoldRequest(len(indices), *grid.dims, indices.ctypes.data, room.list))
     return room.boxes
 
 
@@ -94,7 +94,7 @@ def voxels_per_cell(grid: Grid, mask: Bits) -> NDArray[np.int32]:
         return voxels_per_cell_plainly(grid, mask)
     words = np.ascontiguousarray(mask.words)
     counts: NDArray[np.int32] = np.zeros(_cells(grid), np.int32)
-    compiled.count(kernels.CountRequest(*grid.dims, words.ctypes.data, counts.ctypes.data))
+    compiled.count(kernel_requests.CountRequest(*grid.dims, words.ctypes.data, counts.ctypes.data))
     return counts
 
 
@@ -120,7 +120,7 @@ def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Bo
     arrays = (*(np.ascontiguousarray(array, np.int64) for array in given), _PRICES)
     room = _Room(most)
     sizes = (len(boxes), len(before), *grid.dims, most, len(_PRICES), HIGHEST_LEVEL, _LOYALTY)
-    compiled.fit(kernels.FitRequest(*sizes, *(array.ctypes.data for array in arrays), room.list))
+    compiled.fit(kernel_requests.FitRequest(*sizes, *(array.ctypes.data for array in arrays), room.list))
     return room.boxes
 
 
@@ -146,10 +146,10 @@ class _Room:
         self._count = np.zeros(1, np.int64)
 
     @property
-    def list(self) -> kernels.BoxList:
+    def list(self) -> kernel_requests.BoxList:
         """Their addresses: good for as long as this lives."""
         arrays = (self._levels, *self._corners, self._count)
-        return kernels.BoxList(*(array.ctypes.data for array in arrays))
+        return kernel_requests.BoxList(*(array.ctypes.data for array in arrays))
 
     @property
     def boxes(self) -> Boxes:

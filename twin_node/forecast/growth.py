@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from twin_node.forecast.bits import Bits
-from twin_node.forecast.kernels import GrowRequest, Kernels, kernels
+from twin_node.forecast.kernel_requests import GrowRequest
+from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
 from twin_node.splat.library import thread_count
 

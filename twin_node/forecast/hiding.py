@@ -12,7 +12,8 @@ from scipy import ndimage
 
 from twin_node.forecast.bits import WORD, Bits, Words
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.kernels import HideRequest, kernels
+from twin_node.forecast.kernel_requests import HideRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Float32, Grid
 
 HAND_M = 0.04

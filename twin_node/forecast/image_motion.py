@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.kernels import TraceRequest, kernels
+from twin_node.forecast.kernel_requests import TraceRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Float32, Float64, UInt8, View
 
 

@@ -1,256 +1,36 @@
-"""Loads the compiled kernels of the forecast and calls them; the structs mirror `native/interface.h`."""
+"""Loads the compiled kernels of the forecast and calls them."""
 
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
+from twin_node.forecast.kernel_requests import (
+    INTERFACE_VERSION,
+    CarveRequest,
+    CountRequest,
+    FillRequest,
+    FitRequest,
+    GrowRequest,
+    HideRequest,
+    HoldRequest,
+    LinkRequest,
+    ListRequest,
+    LookRequest,
+    MarkRequest,
+    ReviseRequest,
+    RunsRequest,
+    ShowRequest,
+    SolveRequest,
+    SplitRequest,
+    TakeRequest,
+    TellRequest,
+    TraceRequest,
+)
 from twin_node.native_library import NativeLibrary, best_or_none
-
-INTERFACE_VERSION = 16
-
-
-class GrowRequest(ctypes.Structure):
-    """`forecast::GrowRequest`."""
-
-    _fields_ = (
-        ("points", c_int64),
-        *((name, c_int32) for name in ("layers", "parts", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("places", "labels", "cores", "shifts", "reaches", "reached", "core", "counts")),
-    )
-
-
-class ListRequest(ctypes.Structure):
-    """`forecast::ListRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("nx", "ny", "nz")),
-        *((name, c_void_p) for name in ("words", "marks", "indices", "marked")),
-    )
-
-
-class RunsRequest(ctypes.Structure):
-    """`forecast::RunsRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("nx", "ny", "nz")),
-        *((name, c_void_p) for name in ("words", "runs", "count")),
-    )
-
-
-class BlockSightings(ctypes.Structure):
-    """`forecast::BlockSightings`."""
-
-    _fields_ = tuple((name, c_void_p) for name in ("near", "far", "windows", "whole"))
-
-
-class Sight(ctypes.Structure):
-    """`forecast::Sight`."""
-
-    _fields_ = (
-        *((name, c_void_p) for name in ("pixels", "depths")),
-        *((name, BlockSightings) for name in ("small", "large")),
-        *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
-        ("size", c_int64),
-        *((name, c_int32) for name in ("width", "height")),
-    )
-
-
-class LookView(ctypes.Structure):
-    """`forecast::LookView`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height")),
-        *((name, c_double) for name in ("focal", "error_pixels")),
-        *((name, c_void_p) for name in ("depth", "backdrop", "moving", "robot", "valid")),
-        *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
-    )
-
-
-class LookRequest(ctypes.Structure):
-    """`forecast::LookRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("views", "threads", "radii", "speck")),
-        ("radius", c_void_p),
-        *((name, c_double) for name in ("depth_margin", "depth_share", "thickness", "thickness_share", "slant")),
-        ("looks", c_void_p),
-    )
-
-
-class ReviseRequest(ctypes.Structure):
-    """`forecast::ReviseRequest`."""
-
-    _fields_ = (
-        ("pixels", c_int64),
-        ("step_share", c_double),
-        *((name, c_float) for name in ("learning_rate", "step", "unseen", "unmeasured")),
-        *((name, c_void_p) for name in ("depth", "moving", "robot", "before", "after")),
-    )
-
-
-class FillRequest(ctypes.Structure):
-    """`forecast::FillRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height", "reach")),
-        *((name, c_float) for name in ("unseen", "unmeasured")),
-        *((name, c_void_p) for name in ("kept", "filled")),
-    )
-
-
-class CarveRequest(ctypes.Structure):
-    """`forecast::CarveRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("sights", "unknown", "may_move", "likely_moves", "on_arm")),
-    )
-
-
-class BoxList(ctypes.Structure):
-    """`forecast::BoxList`."""
-
-    _fields_ = tuple((name, c_void_p) for name in ("levels", "cells", "lower", "upper", "count"))
-
-
-class HoldRequest(ctypes.Structure):
-    """`forecast::HoldRequest`."""
-
-    _fields_ = (
-        ("voxels", c_int64),
-        *((name, c_int32) for name in ("nx", "ny", "nz")),
-        ("indices", c_void_p),
-        ("found", BoxList),
-    )
-
-
-class CountRequest(ctypes.Structure):
-    """`forecast::CountRequest`."""
-
-    _fields_ = (*((name, c_int32) for name in ("nx", "ny", "nz")), ("words", c_void_p), ("counts", c_void_p))
-
-
-class FitRequest(ctypes.Structure):
-    """`forecast::FitRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("boxes", "befores")),
-        *((name, c_int32) for name in ("nx", "ny", "nz", "most", "prices", "highest_level")),
-        ("loyalty", c_double),
-        *((name, c_void_p) for name in ("cells", "lower", "upper", "before", "price")),
-        ("found", BoxList),
-    )
-
-
-class HideRequest(ctypes.Structure):
-    """`forecast::HideRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("nx", "ny", "nz", "width", "reach")),
-        *((name, c_float) for name in ("elapsed_s", "rest_s", "never")),
-        *((name, c_void_p) for name in ("unknown", "moving", "standing", "ages", "reached", "maybe_full", "reachable")),
-    )
-
-
-class SplitRequest(ctypes.Structure):
-    """`forecast::SplitRequest`."""
-
-    _fields_ = (
-        ("voxels", c_int64),
-        *((name, c_int32) for name in ("nx", "ny", "nz", "side")),
-        *((name, c_void_p) for name in ("indices", "places", "labels", "sums", "count")),
-    )
-
-
-class LinkRequest(ctypes.Structure):
-    """`forecast::LinkRequest`."""
-
-    _fields_ = (("nodes", c_int64), ("links", c_int64), ("pairs", c_void_p), ("pieces", c_void_p))
-
-
-class TraceRequest(ctypes.Structure):
-    """`forecast::TraceRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height", "alike")),
-        *((name, c_void_p) for name in ("grey", "grey_before", "moving", "moved_before", "shifts")),
-        *((name, c_void_p) for name in ("depth", "depth_before", "found", "receded")),
-    )
-
-
-class ShowRequest(ctypes.Structure):
-    """`forecast::ShowRequest`."""
-
-    _fields_ = (
-        ("voxels", c_int64),
-        *((name, c_int32) for name in ("width", "height")),
-        ("part_size", c_float),
-        *((name, c_void_p) for name in ("places", "labels", "table_pixels", "table_depths", "moving")),
-        *((name, c_void_p) for name in ("pixels", "shown_labels", "count")),
-    )
-
-
-class TellRequest(ctypes.Structure):
-    """`forecast::TellRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("voxels", "parts", "fewest")),
-        *((name, c_float) for name in ("flow_noise", "most_receded")),
-        *((name, c_double) for name in ("known_share", "least")),
-        *((name, c_void_p) for name in ("pixels", "labels", "found", "flying", "moved", "receded", "depth")),
-        *((name, c_void_p) for name in ("shifts", "shown", "known", "flies", "recessions", "depths")),
-    )
-
-
-class SolveView(ctypes.Structure):
-    """`forecast::SolveView`."""
-
-    _fields_ = (
-        *((name, c_void_p) for name in ("jacobian", "shifts", "trusts", "receded", "depth_trusts")),
-        ("elapsed_s", c_double),
-        ("axis", c_double * 3),
-    )
-
-
-class SolveRequest(ctypes.Structure):
-    """`forecast::SolveRequest`."""
-
-    _fields_ = (
-        ("parts", c_int64),
-        *((name, c_int32) for name in ("views", "turns")),
-        ("most", c_double),
-        *((name, c_void_p) for name in ("seen", "prior", "prior_sigmas", "whole", "whole_trusts")),
-        *((name, c_void_p) for name in ("velocities", "sigmas")),
-    )
-
-
-class MarkRequest(ctypes.Structure):
-    """`forecast::MarkRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height", "finer", "nx", "ny", "nz")),
-        ("voxel_size", c_double),
-        *(
-            (name, c_void_p)
-            for name in ("origin", "depth", "chosen", "across", "down", "focal", "T_base_cam", "marked")
-        ),
-    )
-
-
-class TakeRequest(ctypes.Structure):
-    """`forecast::TakeRequest`."""
-
-    _fields_ = (
-        ("capsules", c_int64),
-        *((name, c_int32) for name in ("nx", "ny", "nz")),
-        ("voxel_size", c_double),
-        *((name, c_void_p) for name in ("origin", "ends", "radii", "taken")),
-    )
 
 
 class Kernels(NativeLibrary):

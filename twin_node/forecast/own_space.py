@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from twin_node.forecast.bits import Bits
-from twin_node.forecast.kernels import TakeRequest, kernels
+from twin_node.forecast.kernel_requests import TakeRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import Float64, Grid, JointSample
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.growth import Points
-from twin_node.forecast.kernels import SplitRequest, kernels
+from twin_node.forecast.kernel_requests import SplitRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Float64, Grid
 
 PART_SIZE = 0.08

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.image_motion import Shifts
-from twin_node.forecast.kernels import ShowRequest, TellRequest, kernels
+from twin_node.forecast.kernel_requests import ShowRequest, TellRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.tables import CameraTable
 from twin_node.scene import Bool, Float64

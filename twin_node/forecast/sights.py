@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast import kernels
+from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.tables import CameraTable
 from twin_node.forecast.verdicts import BESIDE, MOVING, ROBOT, SEEN, Sight, Surface
 from twin_node.scene import Bool, Float32, UInt8, View
@@ -66,17 +66,19 @@ def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sigh
     compiled = kernels.kernels()
     if compiled is None:
         return [sight_plainly(look, parameters) for look in looks]
-    given = (kernels.LookView * len(looks))()
+    given = (kernel_requests.LookView * len(looks))()
     sights = [_room(look) for look in looks]
     held = [_arrays(look, sight) for look, sight in zip(looks, sights, strict=True)]  # alive until the call is over
     for row, (look, arrays) in enumerate(zip(looks, held, strict=True)):
         camera = look.view.camera
         addresses = (None if array is None else array.ctypes.data for array in arrays)
-        given[row] = kernels.LookView(camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses)
+        given[row] = kernel_requests.LookView(
+            camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses
+        )
     p, radii = parameters, np.array(_RADII)
     counts = (len(looks), thread_count(), len(radii), _SPECK)
     lengths = (p.depth_margin, p.depth_share, p.thickness, p.thickness_share, _SLANT_M)
-    compiled.look(kernels.LookRequest(*counts, radii.ctypes.data, *lengths, ctypes.addressof(given)))
+    compiled.look(kernel_requests.LookRequest(*counts, radii.ctypes.data, *lengths, ctypes.addressof(given)))
     return sights
 
 
@@ -89,7 +91,7 @@ def _room(look: Look) -> Sight:
 
 
 def _arrays(look: Look, sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
-    """In the order of `kernels.LookView`."""
+    """In the order of `kernel_requests.LookView`."""
     depths, masks = (look.view.depth, look.backdrop), (look.moving, look.robot, look.view.valid)
     surface = (None, None) if sight.surface is None else (sight.surface.begin, sight.surface.end)
     return (

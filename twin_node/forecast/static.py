@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver
-from twin_node.forecast.kernels import MarkRequest, kernels
+from twin_node.forecast.kernel_requests import MarkRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Float32, Grid, OccupancyLayer, Tier, TwinState, View
 
 

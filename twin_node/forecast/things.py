@@ -11,7 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.kernels import LinkRequest, kernels
+from twin_node.forecast.kernel_requests import LinkRequest
+from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.scene import Bool, Float64, Grid
 

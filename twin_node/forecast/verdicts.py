@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast import kernels
+from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.tables import Blocks, CameraTable
 from twin_node.scene import Float32, UInt8
@@ -72,22 +72,22 @@ def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     compiled = kernels.kernels()
     if compiled is None:
         return carved_plainly(blocks, sights)
-    given = (kernels.Sight * len(sights))()
+    given = (kernel_requests.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
     for row, (sight, arrays) in enumerate(zip(sights, held, strict=True)):
         table, small, large, pixels = ([_address(array) for array in some] for some in arrays)
-        whole = (kernels.BlockSightings(*small), kernels.BlockSightings(*large))
+        whole = (kernel_requests.BlockSightings(*small), kernel_requests.BlockSightings(*large))
         camera = sight.table.camera
-        given[row] = kernels.Sight(*table, *whole, *pixels, len(sight.flags), camera.width, camera.height)
+        given[row] = kernel_requests.Sight(*table, *whole, *pixels, len(sight.flags), camera.width, camera.height)
     dims = blocks.grid.dims
     found = Carved(Bits.none(dims), Bits.none(dims), Bits.none(dims), Bits.none(dims))
     masks = (mask.words.ctypes.data for mask in (found.unknown, found.may_move, found.likely_moves, found.on_arm))
-    compiled.carve(kernels.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
+    compiled.carve(kernel_requests.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
     return found
 
 
 def _arrays(sight: Sight) -> tuple[Sequence[NDArray[np.generic] | None], ...]:
-    """In the order of `kernels.Sight`: of voxels, blocks, large blocks and pixels."""
+    """In the order of `kernel_requests.Sight`: of voxels, blocks, large blocks and pixels."""
     measured = (None, None) if sight.surface is None else (sight.surface.begin, sight.surface.end)
     voxels = sight.table.voxels
     return (

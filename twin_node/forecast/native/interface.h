@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 16;
+constexpr int32_t kInterfaceVersion = 17;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
