@@ -41,14 +41,20 @@ def test_a_reach_is_never_less_than_acceleration_s_nor_more_than_a_fall_and_a_pe
     sigma: float, spread: float, speed: float, flying: bool
 ) -> None:
     radius = reach(of(sigma, flying), spread, speed)
-    assert REACHABLE <= radius <= 9.82 * HORIZON**2 / 2 + PERSON_SPEED * HORIZON
+    assert (0.5 if flying else 1.0) * REACHABLE <= radius <= 9.82 * HORIZON**2 / 2 + PERSON_SPEED * HORIZON
 
 
 def test_what_is_fast_and_not_known_to_fly_may_fall() -> None:
     fallen = 9.81 * HORIZON**2 / 2
     assert np.isclose(reach(of(0.0), speed=2.0), fallen)
-    assert np.isclose(reach(of(0.0, flying=True), speed=2.0), REACHABLE)
+    assert np.isclose(reach(of(0.0, flying=True), speed=2.0), 0.5 * REACHABLE)
     assert np.isclose(reach(of(0.0), speed=1.0), REACHABLE)
+
+
+def test_what_flies_is_as_uncertain_sooner() -> None:
+    both = Measured(np.zeros(2), np.array([False, True]), np.zeros(2, np.bool_))
+    shares = both.sooner(np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.2, 1.0]))
+    assert np.allclose(shares, [[0, 0], [0.2, 0.5], [1, 1]])
 
 
 def test_newcomers_are_untried_or_flying_until_a_record_says_otherwise() -> None:

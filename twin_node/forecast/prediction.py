@@ -251,6 +251,7 @@ class Predictor:
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
         within = shares[:, None] * radii
         if self._measured is not None:
+            within = self._measured.sooner(horizons / last, shares) * radii
             within = np.minimum(within, self._measured.most(np.linalg.norm(self._history.line[0], axis=-1), horizons))
         return Prediction(mixed, np.maximum(within, self._start(horizons)), self._turning)
 
