@@ -41,13 +41,13 @@ def test_a_reach_is_never_less_than_acceleration_s_nor_more_than_a_fall_and_a_pe
     sigma: float, spread: float, speed: float, flying: bool
 ) -> None:
     radius = reach(of(sigma, flying), spread, speed)
-    assert (0.5 if flying else 1.0) * REACHABLE <= radius <= 9.82 * HORIZON**2 / 2 + PERSON_SPEED * HORIZON
+    assert REACHABLE <= radius <= 9.82 * HORIZON**2 / 2 + PERSON_SPEED * HORIZON
 
 
 def test_what_is_fast_and_not_known_to_fly_may_fall() -> None:
     fallen = 9.81 * HORIZON**2 / 2
     assert np.isclose(reach(of(0.0), speed=2.0), fallen)
-    assert np.isclose(reach(of(0.0, flying=True), speed=2.0), 0.5 * REACHABLE)
+    assert np.isclose(reach(of(0.0, flying=True), speed=2.0), REACHABLE)
     assert np.isclose(reach(of(0.0), speed=1.0), REACHABLE)
 
 

@@ -26,8 +26,6 @@ from 83 to 300 ms: 2.0 at rest, 2.3 to 3.6 at 0.1 to 0.2 m/s, 3.4 to 5.3 up to 1
 motion capture 01_01, their velocity that of the last 33 ms)."""
 _MOST_SIGMAS = 0.5
 """Standard deviations of the velocity that the largest radius holds: a line through 0.1 s halves them."""
-_FLIGHT_SHARE = 0.5
-"""Share of the acceleration taken into account that what flies may have beside its weight: drag and spin."""
 _FLIGHT_TRIED = 2.0
 """Horizons in which a flight is taken for one until its record says otherwise."""
 
@@ -56,17 +54,15 @@ class Measured:
     def reach(self, spread: Float64, speeds: Float64, reachable: float, horizon_s: float) -> Float64:
         """[M] radii in metres of nodes without any record about where they go at the velocity that was measured.
 
-        `reachable` (m) by acceleration, half of that by what flies, and what the error of the velocity adds on the way:
-        no more than the experts differ (`spread` [M], m), unless nothing is known of it, and no faster than a person
-        goes. What is faster (`speeds` [M], m/s), and not known to fly, may fall all the same.
+        `reachable` (m) by acceleration, and what the error of the velocity adds on the way: no more than the experts
+        differ (`spread` [M], m), unless nothing is known of it, and no faster than a person goes. What is faster
+        (`speeds` [M], m/s), and not known to fly, may fall all the same.
         """
         astray = np.minimum(_SIGMAS * self.sigmas, PERSON_SPEED) * horizon_s
         is_known = self.sigmas < _BLIND * UNKNOWN_SPEED
         fallen = float(np.linalg.norm(GRAVITY)) * horizon_s**2 / 2
         may_fall = ~self.flying & (speeds > PERSON_SPEED)
-        radii: Float64 = np.where(
-            may_fall, max(fallen, reachable), reachable * np.where(self.flying, _FLIGHT_SHARE, 1.0)
-        )
+        radii: Float64 = np.where(may_fall, max(fallen, reachable), reachable)
         return radii + np.where(is_known, np.minimum(astray, spread), astray)
 
     def sooner(self, times: Float64, profile: Float64) -> Float64:
