@@ -53,3 +53,17 @@ def test_what_is_seen_to_rest_is_not_given_room_for_what_it_did_before() -> None
     unseen_m, seen_m = (shaken(measured).predict(HORIZONS, 3.0).radii[-1, 0] for measured in (None, seen))
     assert unseen_m > 0.3
     assert seen_m < 0.25
+
+
+def test_nothing_is_forecast_below_the_floor() -> None:
+    tracks, bounded, free = Tracks(), Predictor(floor=0.1), Predictor()
+    down = np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -3.0]])
+    for sample in range(12):
+        places = np.array([[0.0, 0.0, 1.3], [0.5, 0.0, 1.1]]) + down * sample / 30
+        succession = tracks.follow(sample / 30, places, down)
+        for predictor in (bounded, free):
+            predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+    heights = [tracks.positions[-1][:, 2] + one.predict(HORIZONS).displacements[..., 2] for one in (bounded, free)]
+    assert places[1, 2] < 0.1 < places[0, 2]
+    assert np.all(heights[0] >= [0.1 - 1e-9, places[1, 2] - 1e-9])
+    assert np.all(heights[1][-1] < -0.2)

@@ -154,7 +154,7 @@ class Predictor:
     def __init__(self, parameters: BoundParameters | None = None, turns: bool = False, floor: float = -np.inf) -> None:
         """`turns`: nodes that turn back are told from others, and judged by all of their way (`Prediction.turning`).
 
-        `floor`: height in metres below which nothing falls.
+        `floor`: height in metres below which nothing goes.
         """
         self.bound = Bound(parameters)
         self._turns, self._floor = turns, floor
@@ -246,6 +246,8 @@ class Predictor:
         `factor`: on calibrated bounds.
         """
         mixed = np.einsum("em,ehmc->hmc", self.weights, self.single(horizons), optimize=True)
+        left = np.minimum(self._floor - self._history.positions[-1][:, 2], 0)
+        mixed[..., 2] = np.maximum(mixed[..., 2], left)  # else what is about to bounce would be forecast below the grid
         last = float(horizons[-1])
         radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
