@@ -8,7 +8,8 @@ import numpy as np
 
 from twin_node.forecast.bound import BoundParameters
 from twin_node.forecast.experts import EXPERT_NAMES
-from twin_node.forecast.prediction import Predictor, Rows
+from twin_node.forecast.prediction import Predictor
+from twin_node.forecast.records import Rows
 from twin_node.forecast.tracks import Tracks
 from twin_node.scene import Float64
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin_node.forecast.bound import LEAST, Bound, BoundParameters, CueLengths, cues
 from twin_node.forecast.experts import (
@@ -21,10 +20,9 @@ from twin_node.forecast.experts import (
 )
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Neighbours
+from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
 from twin_node.forecast.turning import NARROWER, off_the_way
 from twin_node.scene import Bool, Float64
-
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -50,53 +48,9 @@ class Prediction:
     are now as ahead (`turning.whole_ways`)."""
 
 
-@dataclass
-class _Records:
-    """What is known of each node's forecasts."""
-
-    squared: Float64 = field(default_factory=lambda: np.zeros((len(EXPERT_NAMES), 0)))
-    """[E, M] recent mean square errors of the experts, m^2."""
-    errors: Float64 = field(default_factory=lambda: np.zeros(0))
-    """[M] recent error of the mixture, m: quick to grow, slow to shrink."""
-    born: Float64 = field(default_factory=lambda: np.zeros(0))
-    """[M] s when the node was first known."""
-    began: Float64 = field(default_factory=lambda: np.zeros(0))
-    """[M] s when the record began: then, or when the node began something new."""
-    turned: Float64 = field(default_factory=lambda: np.zeros(0))
-    """[M] s when the node last turned back against its forecast; -inf if never."""
-    judged: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
-    """[M] forecasts in the record."""
-
-    def inherited(self, rows: Rows, time: float) -> _Records:
-        """The records of nodes that take over those in `rows` [M']; untried ones for -1."""
-        new = rows < 0
-        if len(self.errors) == 0:
-            count = len(rows)
-            squared = np.tile(_UNTRIED[:, None] ** 2, (1, count))
-            born, began = np.full((2, count), time)
-            never = np.full(count, -np.inf)
-            return _Records(squared, np.full(count, _USUAL_ERROR), born, began, never, np.zeros(count, np.int64))
-        return _Records(
-            np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
-            np.where(new, _USUAL_ERROR, self.errors[rows]),
-            np.where(new, time, self.born[rows]),
-            np.where(new, time, self.began[rows]),
-            np.where(new, -np.inf, self.turned[rows]),
-            np.where(new, 0, self.judged[rows]),
-        )
-
-
-_UNTRIED = np.array([0.17, 0.16, 0.13, 0.24, 0.12, 0.3])
-"""Errors ascribed to experts before they are judged, m: theirs on human motion at 200 ms (`bench forecast`)."""
-_USUAL_ERROR = 0.12
-"""Error ascribed to their mixture, m: that of the best."""
 _STRAIGHT_ON = np.array([[name == "constant_velocity"] for name in EXPERT_NAMES], np.float64)
 _FALLING = np.array([[name == "free_fall"] for name in EXPERT_NAMES], np.float64)
 """[E, 1] weights of what is bounded by its reach alone: of most things, and of what flies."""
-_RECORD_S = 0.65
-"""Time constant of the experts' records, s."""
-_RISE_S, _FALL_S = 0.05, 0.6
-"""Time constants in which the error of the mixture grows and shrinks, s."""
 _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
 _STARTLED = 1.5
@@ -162,13 +116,13 @@ class Predictor:
         self.autoregression = Autoregression()
         self._horizon_s = 0.2
         self._measured: Measured | None = None
-        self._records = _Records()
+        self._records = Records()
         self._trust = np.ones(len(EXPERT_NAMES))
         self._mixture: Float64 | None = None
         """`_recorded`, until the records or the trust change."""
         self._missed = np.zeros(len(EXPERT_NAMES))
         self._issued: deque[_Issued] = deque()
-        self._profile = np.array(KNOTS) * _USUAL_ERROR
+        self._profile = np.array(KNOTS) * USUAL_ERROR
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
         self._around = Neighbours(np.zeros((0, 3)))
         self._features = np.zeros((0, 3, 0))
@@ -224,7 +178,7 @@ class Predictor:
 
         Paths of parts of a hull are put together from velocities; this tells whether they lead where things turn up.
         """
-        rate = 1 - np.exp(-elapsed_s / _RECORD_S) if self._missed.any() else 1.0
+        rate = 1 - np.exp(-elapsed_s / RECORD_S) if self._missed.any() else 1.0
         self._missed = self._missed + rate * (missed - self._missed)
         self._mixture = None
         best = float(self._missed.min())
@@ -251,10 +205,10 @@ class Predictor:
         last = float(horizons[-1])
         radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
-        within = shares[:, None] * radii
-        if self._measured is not None:
-            within = self._measured.sooner(horizons / last, shares) * radii
-            within = np.minimum(within, self._measured.most(np.linalg.norm(self._history.line[0], axis=-1), horizons))
+        if self._measured is None:
+            return Prediction(mixed, shares[:, None] * radii, self._turning)
+        within = self._measured.sooner(horizons / last, shares) * radii
+        within = np.minimum(within, self._measured.most(np.linalg.norm(self._history.line[0], axis=-1), horizons))
         return Prediction(mixed, np.maximum(within, self._start(horizons)), self._turning)
 
     def _start(self, horizons: Float64) -> Float64:
@@ -344,14 +298,15 @@ class Predictor:
             kept = np.exp(-elapsed / self.bound.parameters.memory_s)
             self._profile[knot] = kept * self._profile[knot] + (1 - kept) * wrong.mean()
         single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
-        self._weigh(known, single / KNOTS[knot], elapsed)
+        self._records.weigh(known, single / KNOTS[knot], elapsed)
+        self._mixture = None
         expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
         known_s = issued.time - np.maximum(self._records.began, self._records.turned)[known]
         knew, grown = known_s >= 0, known_s >= _GROWN * issued.horizon_s
         startled = known[wrong > _STARTLED * expected]
         self._records.began[startled], self._records.judged[startled] = now, 0
         if knot == len(KNOTS) - 1:
-            self._record(known[knew], wrong[knew], elapsed)
+            self._records.enter(known[knew], wrong[knew], elapsed)
             self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed, grown)
 
     def _errors(self, issued: _Issued, knot: int, known: Rows, moved: Float64, now: float) -> Float64:
@@ -374,23 +329,6 @@ class Predictor:
         )
         self._records.turned[known[turned]] = now
         return np.where(issued.turning[rows], np.minimum(wrong, aside), wrong)
-
-    def _weigh(self, known: Rows, single: Float64, elapsed_s: float) -> None:
-        """Enters errors of the experts [E, n], as if at the horizon, in the records of the nodes `known` [n].
-
-        Errors at all knots count: the earlier ones tell sooner which expert is right after motion has changed.
-        """
-        rate = 1 - np.exp(-elapsed_s / _RECORD_S)
-        self._mixture = None
-        self._records.squared[:, known] += rate * (single**2 - self._records.squared[:, known])
-
-    def _record(self, known: Rows, wrong: Float64, elapsed_s: float) -> None:
-        """Enters errors of the mixture [n] at the horizon in the records of the nodes `known` [n]."""
-        records, before = self._records, self._records.errors[known]
-        first = 1 / (1 + records.judged[known])  # an average of what there is, until there is more than records hold
-        rate = np.maximum(1 - np.exp(-elapsed_s / np.where(wrong > before, _RISE_S, _FALL_S)), first)
-        records.errors[known] = before + rate * (wrong - before)
-        records.judged[known] += 1
 
 
 def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:

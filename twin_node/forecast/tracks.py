@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.experts import History
-from twin_node.forecast.prediction import Rows, Succession
+from twin_node.forecast.prediction import Succession
+from twin_node.forecast.records import Rows
 from twin_node.scene import Float64
 
 REACH = 0.12

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "../../native/quaternions.h"
 #include "interface.h"
 
 namespace model {
@@ -23,14 +24,6 @@ inline void quat_from_vector(const double *omega, double *quat) {
   for (int k = 0; k < 3; k++) quat[1 + k] = half[k] * sinc;
 }
 
-// a * b: the rotation b followed by a.
-inline void multiply(const double *a, const double *b, double *out) {
-  out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
-  out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
-  out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
-  out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
-}
-
 // Where each node is, and how it is turned, at each time from now.
 inline void advance(const AdvanceRequest &r) {
   for (int64_t time = 0; time < r.times; time++) {
@@ -42,7 +35,7 @@ inline void advance(const AdvanceRequest &r) {
         turned[k] = r.turns[3 * node + k] * r.seconds[time];
       }
       quat_from_vector(turned, turn);
-      multiply(turn, r.quats + 4 * node, r.rotated + 4 * at);
+      quaternions::multiply(turn, r.quats + 4 * node, r.rotated + 4 * at);
     }
   }
 }
@@ -53,7 +46,7 @@ inline void find_moved(const MovedRequest &r) {
     const double *then = r.quats_then + 4 * node;
     const double back[4] = {then[0], -then[1], -then[2], -then[3]};
     double turn[4], *moved = r.moved + 6 * node;
-    multiply(r.quats + 4 * node, back, turn);
+    quaternions::multiply(r.quats + 4 * node, back, turn);
     const double sign = turn[0] < 0 ? -1 : 1;
     const double norm = std::sqrt(turn[1] * turn[1] + turn[2] * turn[2] + turn[3] * turn[3]);
     const double share = norm < kSmallSine ? 2 : 2 * std::atan2(norm, sign * turn[0]) / norm;

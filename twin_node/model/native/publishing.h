@@ -4,26 +4,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "../../native/quaternions.h"
 #include "interface.h"
-#include "poses.h"
 
 namespace model {
 
 constexpr int kColumns = 14;  // of a row of values: mean, quat, log scale, logit, colour
-
-// v turned by the unit quaternion q, in place.
-inline void turn(const double *q, double *v) {
-  double t[3], u[3];
-  for (int i = 0; i < 3; i++) {
-    const int j = (i + 1) % 3, k = (i + 2) % 3;
-    t[i] = 2 * (q[1 + j] * v[k] - q[1 + k] * v[j]);
-  }
-  for (int i = 0; i < 3; i++) {
-    const int j = (i + 1) % 3, k = (i + 2) % 3;
-    u[i] = v[i] + q[0] * t[i] + q[1 + j] * t[k] - q[1 + k] * t[j];
-  }
-  std::copy_n(u, 3, v);
-}
 
 // The velocity of a point that a node carries, m/s.
 inline void velocity_at(const NodesNow &nodes, int64_t node, const float *point, float *out) {
@@ -44,10 +30,10 @@ inline void publish(const PublishRequest &r) {
     std::copy_n(value, 3, mean);
     std::copy_n(value + 3, 4, quat);
     if (node >= 0) {
-      turn(r.nodes.quats + 4 * node, mean);
+      quaternions::turn(r.nodes.quats + 4 * node, mean);
       for (int k = 0; k < 3; k++) mean[k] += r.nodes.positions[3 * node + k];
       std::copy_n(quat, 4, own);
-      multiply(r.nodes.quats + 4 * node, own, quat);
+      quaternions::multiply(r.nodes.quats + 4 * node, own, quat);
     }
     for (int k = 0; k < 3; k++) {
       r.means[3 * i + k] = static_cast<float>(mean[k]);

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "../../native/quaternions.h"
 #include "interface.h"
 #include "workspace.h"
 
@@ -10,28 +11,6 @@ namespace splat {
 
 constexpr int kPlaceColumns = 14;        // of a row of values: mean, quat, log scale, logit, colour
 constexpr int64_t kPlacedPerTask = 512;  // rows
-
-// out = a * b for quaternions w, x, y, z.
-inline void multiply(const double *a, const double *b, double *out) {
-  out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
-  out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
-  out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
-  out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
-}
-
-// v turned by the unit quaternion q, in place.
-inline void turn(const double *q, double *v) {
-  double t[3], u[3];
-  for (int i = 0; i < 3; i++) {
-    const int j = (i + 1) % 3, k = (i + 2) % 3;
-    t[i] = 2 * (q[1 + j] * v[k] - q[1 + k] * v[j]);
-  }
-  for (int i = 0; i < 3; i++) {
-    const int j = (i + 1) % 3, k = (i + 2) % 3;
-    u[i] = v[i] + q[0] * t[i] + q[1 + j] * t[k] - q[1 + k] * t[j];
-  }
-  for (int i = 0; i < 3; i++) v[i] = u[i];
-}
 
 // Row `i` at time `time`, from `row` of the store.
 inline void carry_row(const PlaceRequest &r, int64_t i, int64_t row, int64_t time) {
@@ -42,9 +21,9 @@ inline void carry_row(const PlaceRequest &r, int64_t i, int64_t row, int64_t tim
   const int64_t node = r.carriers[row];
   if (node >= 0) {
     const double *position = r.positions + 3 * (time * r.nodes + node), *by = r.rotations + 4 * (time * r.nodes + node);
-    turn(by, mean);
+    quaternions::turn(by, mean);
     for (int k = 0; k < 3; k++) mean[k] += position[k];
-    multiply(by, quat, carried);
+    quaternions::multiply(by, quat, carried);
     for (int k = 0; k < 4; k++) quat[k] = carried[k];
   }
   const int64_t at = time * r.count + i;
