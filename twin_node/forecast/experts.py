@@ -9,11 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from twin_node.forecast.neighbours import Neighbours
 from twin_node.scene import Float64
+
+
+class Between(NamedTuple):
+    """A time between two samples."""
+
+    before: int
+    after: int
+    share: float
+    """Of the way from the one to the other."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +37,25 @@ class History:
 
     def at(self, time: float) -> Float64:
         """Positions [M, 3] at a time, interpolated; the first or last ones outside the samples."""
-        after = min(max(int(np.searchsorted(self.times, time)), 1), max(len(self.times) - 1, 1))
-        if len(self.times) < 2:
-            only: Float64 = self.positions[-1]
-            return only
-        before = after - 1
-        share = min(max(float((time - self.times[before]) / (self.times[after] - self.times[before])), 0.0), 1.0)
-        between: Float64 = (1 - share) * self.positions[before] + share * self.positions[after]
-        return between
+        found = self.between(time)
+        at: Float64 = (1 - found.share) * self.positions[found.before] + found.share * self.positions[found.after]
+        return at
+
+    def between(self, time: float) -> Between:
+        """Which samples a time lies between; the first or last ones outside."""
+        last = len(self.times) - 1
+        if last < 1:
+            return Between(last, last, 0.0)
+        after = min(max(int(np.searchsorted(self.times, time)), 1), last)
+        share = float((time - self.times[after - 1]) / (self.times[after] - self.times[after - 1]))
+        return Between(after - 1, after, min(max(share, 0.0), 1.0))
+
+    def at_all(self, times: Float64) -> Float64:
+        """The same [n, M, 3] at `times` [n]."""
+        before, after, shares = (np.array(column) for column in zip(*map(self.between, times.tolist()), strict=True))
+        shares = shares[:, None, None]
+        at: Float64 = (1 - shares) * self.positions[before] + shares * self.positions[after]
+        return at
 
     @cached_property
     def line(self) -> Float64:
@@ -73,7 +94,8 @@ class History:
         design = np.vander(ages[-used:], fitted + 1, increasing=True)[:, 1:]
         moved = self.positions[-used:] - self.positions[-1]
         coefficients = np.zeros((degree, *moved.shape[1:]))
-        coefficients[:fitted] = (np.linalg.pinv(design) @ moved.reshape(used, -1)).reshape(fitted, *moved.shape[1:])
+        shares = np.linalg.solve(design.T @ design, design.T)  # of every sample in every coefficient
+        coefficients[:fitted] = (shares @ moved.reshape(used, -1)).reshape(fitted, *moved.shape[1:])
         return coefficients
 
 
@@ -100,10 +122,19 @@ def constant_velocity(history: History, horizons: Float64) -> Float64:
     return straight
 
 
-def damped(history: History, horizons: Float64, relaxation: float = 0.15) -> Float64:
-    """The velocity decays with a time constant `relaxation` (s): limbs turn round within half a second."""
-    travelled = relaxation * (1 - np.exp(-np.asarray(horizons) / relaxation))
-    return constant_velocity(history, travelled)
+RELAXATION_S = 0.15
+"""Time constant in which a damped velocity decays, s."""
+
+
+def damped(history: History, horizons: Float64) -> Float64:
+    """The velocity decays with a time constant `RELAXATION_S`: limbs turn round within half a second."""
+    return constant_velocity(history, damped_times(np.asarray(horizons)))
+
+
+def damped_times(horizons: Float64) -> Float64:
+    """[H] s in which what does not slow down gets as far as what does in `horizons` [H] (s)."""
+    travelled: Float64 = RELAXATION_S * (1 - np.exp(-horizons / RELAXATION_S))
+    return travelled
 
 
 def constant_acceleration(history: History, horizons: Float64) -> Float64:
@@ -142,7 +173,7 @@ FEATURES = 3 * LAGS
 def steps(history: History) -> Float64:
     """The last `LAGS` displacements [M, 3, LAGS] over `LAG_S` each, newest first, interpolated in time."""
     wanted = history.times[-1] - LAG_S * np.arange(LAGS + 1)
-    at = np.stack([history.at(time) for time in wanted])
+    at = history.at_all(wanted)
     newest_first: Float64 = np.moveaxis(at[:-1] - at[1:], 0, -1)
     return newest_first
 
@@ -171,12 +202,15 @@ class Autoregression:
 
     def forecast(self, features: Float64, shares: Float64) -> Float64:
         """Displacements [H, M, 3] of nodes with `autoregression_features` [M, 3, F], at shares [H] of the horizon."""
-        knots = np.concatenate([np.zeros((1, FEATURES)), self._weights()])
-        blend = _interpolation(shares, np.array([0.0, *KNOTS]))
-        flat: Float64 = blend @ knots @ features.reshape(-1, FEATURES).T
+        flat: Float64 = self.weights(shares) @ features.reshape(-1, FEATURES).T
         return flat.reshape(len(shares), len(features), 3)
 
-    def _weights(self) -> Float64:
+    def weights(self, shares: Float64) -> Float64:
+        """[H, F] of the features, at shares [H] of the horizon."""
+        knots = np.concatenate([np.zeros((1, FEATURES)), self._solution()])
+        return np.asarray(_interpolation(shares, np.array([0.0, *KNOTS])) @ knots)
+
+    def _solution(self) -> Float64:
         """[K, F] as of what was learnt last."""
         if self._solved is None:
             solved = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]

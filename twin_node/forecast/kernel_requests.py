@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 17
+INTERFACE_VERSION = 18
 
 
 class GrowRequest(ctypes.Structure):
@@ -220,6 +220,39 @@ class SolveRequest(ctypes.Structure):
         ("most", c_double),
         *((name, c_void_p) for name in ("seen", "prior", "prior_sigmas", "whole", "whole_trusts")),
         *((name, c_void_p) for name in ("velocities", "sigmas")),
+    )
+
+
+class LeadRequest(ctypes.Structure):
+    """`forecast::LeadRequest`."""
+
+    _fields_ = (
+        ("nodes", c_int64),
+        *((name, c_int32) for name in ("horizons", "features")),
+        *((name, c_double) for name in ("floor", "bounce")),
+        *((name, c_void_p) for name in ("here", "line", "parabola", "falling", "seen", "learnt", "weights")),
+        *((name, c_void_p) for name in ("horizon", "travelled", "gravity", "single", "mixed")),
+    )
+
+
+class Between(ctypes.Structure):
+    """`forecast::Between`."""
+
+    _fields_ = (*((name, c_void_p) for name in ("before", "after")), ("share", c_double))
+
+
+class ReckonRequest(ctypes.Structure):
+    """`forecast::ReckonRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("nodes", "before")),
+        *((name, c_int32) for name in ("experts", "knots", "knot", "turns")),
+        *((name, Between) for name in ("here", "there")),
+        *((name, c_void_p) for name in ("rows", "places", "mixed", "radii", "turning")),
+        *((name, c_double) for name in ("now", "time", "factor", "startled", "grown_s", "turn", "narrower")),
+        *((name, c_double) for name in ("knot_share", "kept", "rate", "rise", "fall")),
+        *((name, c_void_p) for name in ("profile", "squared", "errors", "began", "turned", "judged")),
+        *((name, c_void_p) for name in ("known", "found", "moved", "wrong", "grown", "count")),
     )
 
 

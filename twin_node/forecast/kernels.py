@@ -17,10 +17,12 @@ from twin_node.forecast.kernel_requests import (
     GrowRequest,
     HideRequest,
     HoldRequest,
+    LeadRequest,
     LinkRequest,
     ListRequest,
     LookRequest,
     MarkRequest,
+    ReckonRequest,
     ReviseRequest,
     RunsRequest,
     ShowRequest,
@@ -65,6 +67,10 @@ class Kernels(NativeLibrary):
         self._dll.forecast_tell.argtypes = [ctypes.POINTER(TellRequest)]
         self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
         self._dll.forecast_solve.restype = None
+        self._dll.forecast_lead.argtypes = [ctypes.POINTER(LeadRequest)]
+        self._dll.forecast_lead.restype = None
+        self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
+        self._dll.forecast_reckon.restype = None
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
         self._dll.forecast_take.restype = None
 
@@ -142,6 +148,14 @@ class Kernels(NativeLibrary):
     def solve(self, request: SolveRequest) -> None:
         """Finds the velocities that views agree on; takes one thread."""
         self._dll.forecast_solve(request)
+
+    def lead(self, request: LeadRequest) -> None:
+        """Says where experts lead nodes; takes one thread."""
+        self._dll.forecast_lead(request)
+
+    def reckon(self, request: ReckonRequest) -> None:
+        """Says what became of forecasts of nodes; takes one thread."""
+        self._dll.forecast_reckon(request)
 
     def take(self, request: TakeRequest) -> None:
         """Marks the voxels within capsules; takes one thread."""

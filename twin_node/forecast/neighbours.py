@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
@@ -20,6 +21,15 @@ _CELL = 0.25
 """Edge of the cells that stand for the nodes in them in the wider average, m: a third of its scale."""
 
 
+class _Cells(NamedTuple):
+    """Nodes by cells."""
+
+    order: NDArray[np.int64]
+    """[M] rows of the nodes, cell by cell."""
+    starts: NDArray[np.int64]
+    """[C] where each cell's nodes begin."""
+
+
 class Neighbours:
     """Gaussian averages over the nodes about each of M nodes, the node itself included."""
 
@@ -30,15 +40,10 @@ class Neighbours:
         if count > 1:
             distances, self._nearest = cKDTree(positions).query(positions, k=min(_NEAREST, count))
         self._near_weights = _weights(distances**2, NEAR_SCALE)
-        keys = np.floor(positions / _CELL).astype(np.int64)
-        rows = _rows_of_distinct(keys)
-        sizes = np.bincount(rows)
-        starts = np.append(0, np.cumsum(sizes))
-        members = np.argsort(rows, kind="stable")
-        self._members = csr_array((1 / np.repeat(sizes, sizes), members, starts), shape=(len(sizes), count))
-        centers = self._cell_means(positions)
-        squared = cdist(positions, centers, "sqeuclidean")
-        self._body_weights = _weights(squared, BODY_SCALE, sizes.astype(np.float64))
+        self._by_cell, self._starts = _cells_of(np.floor(positions / _CELL))
+        self._sizes = np.diff(self._starts, append=count).astype(np.float64)
+        squared = cdist(positions, self._cell_means(positions), "sqeuclidean")
+        self._body_weights = _weights(squared, BODY_SCALE, self._sizes)
 
     def near(self, values: Float64) -> Float64:
         """Averages [M, F] of values [M, F] over a limb's width."""
@@ -51,17 +56,17 @@ class Neighbours:
         return averages
 
     def _cell_means(self, values: Float64) -> Float64:
-        means: Float64 = self._members @ values
+        """[C, F] means over the nodes of each cell."""
+        means: Float64 = np.add.reduceat(values[self._by_cell], self._starts) / self._sizes[:, None]
         return means
 
 
-def _rows_of_distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Row [n] of each of `keys` [n, 3] among the distinct ones in rising order: a third of the time of `np.unique`."""
-    order = np.lexsort(keys.T[::-1])
-    is_new = (np.diff(keys[order], axis=0) != 0).any(axis=1)
-    rows = np.zeros(len(keys), np.int64)
-    rows[order[1:]] = np.cumsum(is_new)
-    return rows
+def _cells_of(places: Float64) -> _Cells:
+    """Which nodes lie in the same cell, by the cells' `places` [M, 3] on their lattice."""
+    order = np.lexsort(places.T[::-1])
+    is_new = np.ones(len(places), np.bool_)
+    is_new[1:] = (np.diff(places[order], axis=0) != 0).any(axis=1)
+    return _Cells(order, np.flatnonzero(is_new))
 
 
 def _weights(squared: Float64, scale: float, counts: Float64 | float = 1.0) -> Float64:

@@ -141,7 +141,7 @@ class Forecaster:
         self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
-        places = self._tracks.positions[-1] + self._predictor.single(horizons[-1:])[:, 0]
+        places = self._tracks.positions[-1] + self._predictor.alone
         prediction = self._predict(horizons)
         started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
         layers = self._layers(evidence, prediction, may_start, started)

@@ -50,5 +50,5 @@ class PointForecaster:
         radii = np.full((len(self.horizons_s), self._count), np.nan)
         radii[:, seen] = prediction.radii
         single = np.full((len(EXPERT_NAMES), self._count, 3), np.nan)
-        single[:, seen] = self._predictor.single(self.horizons_s[-1:])[:, 0]
+        single[:, seen] = self._predictor.alone
         return PointForecast(displacements, radii, single)

@@ -10,18 +10,17 @@ import numpy as np
 from twin_node.forecast.bound import LEAST, Bound, BoundParameters, CueLengths, cues
 from twin_node.forecast.experts import (
     EXPERT_NAMES,
-    EXPERTS,
     KNOTS,
     Autoregression,
     History,
     autoregression_features,
-    free_fall,
     mix,
 )
+from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Neighbours
+from twin_node.forecast.reckoning import Issued, Manner, reckon
 from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
-from twin_node.forecast.turning import NARROWER, off_the_way
 from twin_node.scene import Bool, Float64
 
 
@@ -53,14 +52,6 @@ _FALLING = np.array([[name == "free_fall"] for name in EXPERT_NAMES], np.float64
 """[E, 1] weights of what is bounded by its reach alone: of most things, and of what flies."""
 _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
-_STARTLED = 1.5
-"""A node whose forecast is so many times further off than its bound at that time began something new: its record begins
-anew, and until there is one, the reachable set bounds it. What was forecast before says nothing of the motion since."""
-_GROWN = 0.5
-"""Horizons after which errors of what began something new tell of those to come: sooner it is bounded by its reach, and
-what it errs while nobody can know better would keep the bound of all wide for seconds."""
-_TURN = 0.1
-"""What went less astray did not turn back, m: a part is as long, and velocities are noisy."""
 _WARY = 2.0
 """What has turned back may do other things as well: for so many horizons it is bounded by what it can reach too."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
@@ -69,34 +60,6 @@ _LEARNT_FROM = 256
 """Most nodes per sample that the autoregression learns from: its few weights are shared by all."""
 _POOLED = 0.5
 """Share of the neighbours in the record that experts are weighed by."""
-
-
-@dataclass
-class _Issued:
-    """Forecasts of one time that wait for the truth."""
-
-    time: float
-    horizon_s: float
-    rows: Rows
-    """[M now] row of each node's ancestor among the nodes then; -1 for none."""
-    features: Float64
-    """[M, 3, F] of the autoregression."""
-    places: Float64
-    """[E, K, M, 3] displacements that the experts forecast at the knots, m."""
-    mixed: Float64
-    """[K, M, 3] those of the mixture."""
-    cues: Float64
-    """[M, C]."""
-    radii: Float64
-    """[M] at the horizon, m."""
-    turning: Bool
-    """[M] those that are held along all of their way."""
-    factor: float
-    """On the calibrated radii."""
-    start: Float64
-    """[M now, 3] places of the ancestors then, on the paths as they are known now, m."""
-    due: int = 0
-    """The next knot to come true."""
 
 
 class Predictor:
@@ -121,13 +84,15 @@ class Predictor:
         self._mixture: Float64 | None = None
         """`_recorded`, until the records or the trust change."""
         self._missed = np.zeros(len(EXPERT_NAMES))
-        self._issued: deque[_Issued] = deque()
+        self._issued: deque[Issued] = deque()
         self._profile = np.array(KNOTS) * USUAL_ERROR
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
         self._around = Neighbours(np.zeros((0, 3)))
         self._features = np.zeros((0, 3, 0))
         self._cues = np.zeros((0, 0))
         self._learnt_at = np.full(len(KNOTS), -np.inf)
+        self.alone = np.zeros((len(EXPERT_NAMES), 0, 3))
+        """[E, M, 3] displacements by each expert alone at the horizon of the last `advance`, m."""
 
     @property
     def weights(self) -> Float64:
@@ -167,11 +132,17 @@ class Predictor:
         self._history = history
         self._around, self._mixture = Neighbours(history.positions[-1]), None
         self._records = self._records.inherited(succession.records, history.times[-1])
-        for issued in self._issued:
-            issued.rows = np.where(succession.paths < 0, -1, np.append(issued.rows, -1)[succession.paths])
-            issued.start = history.at(issued.time)
+        self._inherit(succession.paths)
         self._judge()
         self._issue()
+
+    def _inherit(self, paths: Rows) -> None:
+        """Says whose forecasts wait for the truth: each node of now goes on with one of before, as `paths` [M] tell."""
+        if not self._issued:
+            return
+        rows = np.stack([np.append(issued.rows, -1) for issued in self._issued])[:, paths]
+        for issued, own in zip(self._issued, rows, strict=True):
+            issued.rows = own
 
     def judge_experts(self, missed: Float64, elapsed_s: float) -> None:
         """Takes in which share [E] of what moves now each expert alone would have missed.
@@ -199,7 +170,7 @@ class Predictor:
 
         `factor`: on calibrated bounds.
         """
-        mixed = np.einsum("em,ehmc->hmc", self.weights, self.single(horizons), optimize=True)
+        mixed = self._led(horizons).mixed
         left = np.minimum(self._floor - self._history.positions[-1][:, 2], 0)
         mixed[..., 2] = np.maximum(mixed[..., 2], left)  # else what is about to bounce would be forecast below the grid
         last = float(horizons[-1])
@@ -256,85 +227,55 @@ class Predictor:
 
     def single(self, horizons: Float64) -> Float64:
         """[E, H, M, 3] displacements of every expert."""
-        plain = [expert(self._history, horizons) for expert in EXPERTS]
-        learnt = self.autoregression.forecast(self._features, horizons / self._horizon_s)
-        return np.stack([*plain, learnt, free_fall(self._history, horizons, self._floor)])
+        return self._led(horizons).single
+
+    def _led(self, horizons: Float64) -> Led:
+        learnt = self.autoregression.weights(horizons / self._horizon_s)
+        return led(Guides(self._history, self._features, self._floor), learnt, self.weights, horizons)
 
     def _issue(self) -> None:
         """Has every expert forecast the places at the knots."""
         self._features = autoregression_features(self._history, self._around)
-        single = self.single(np.array(KNOTS) * self._horizon_s)
-        mixed = np.einsum("em,ekmc->kmc", self.weights, single, optimize=True)
-        self._cues = _cues_of(single[:, -1], mixed[-1], self._records.errors, self._around)
-        time, count = float(self._history.times[-1]), len(mixed[0])
+        found = self._led(np.array(KNOTS) * self._horizon_s)
+        self.alone = found.single[:, -1]
+        self._cues = _cues_of(self.alone, found.mixed[-1], self._records.errors, self._around)
+        time, count = float(self._history.times[-1]), self._history.positions.shape[1]
         radii = np.maximum(self._radii(self._horizon_s), self._start(np.array([self._horizon_s]))[0])
-        here, rows = self._history.positions[-1], np.arange(count)
-        turning, span = self._turning, self._horizon_s
-        forecast = (self._features, single, mixed, self._cues, radii, turning, self._factor)
-        self._issued.append(_Issued(time, span, rows, *forecast, here))
+        rows, turning, span = np.arange(count), self._turning, self._horizon_s
+        forecast = (self._features, found.single, found.mixed, self._cues, radii, turning, self._factor)
+        self._issued.append(Issued(time, span, rows, *forecast))
 
     def _judge(self) -> None:
         """Judges every forecast for a time since the last sample, and learns from it."""
         now = float(self._history.times[-1])
         for issued in self._issued:
-            while issued.due < len(KNOTS) and issued.time + KNOTS[issued.due] * issued.horizon_s <= now + _NOW_S:
-                self._come_true(issued, issued.due, now)
+            while issued.due < len(KNOTS) and issued.valid_at <= now + _NOW_S:
+                self._come_true(issued)
                 issued.due += 1
         while self._issued and self._issued[0].due == len(KNOTS):
             self._issued.popleft()
 
-    def _come_true(self, issued: _Issued, knot: int, now: float) -> None:
-        """Learns from what became of one time's forecasts by a knot; `now`: s."""
-        known = np.flatnonzero(issued.rows >= 0)
-        rows = issued.rows[known]
-        valid_at = issued.time + KNOTS[knot] * issued.horizon_s
-        moved = (self._history.at(valid_at) - issued.start)[known]
+    def _come_true(self, issued: Issued) -> None:
+        """Learns from what became of one time's forecasts by the knot that is due."""
+        knot, valid_at = issued.due, issued.valid_at
         elapsed = min(valid_at - self._learnt_at[knot], issued.horizon_s)
         self._learnt_at[knot] = valid_at
-        some = slice(None, None, -(-len(rows) // _LEARNT_FROM) or 1)
-        self.autoregression.learn(knot, issued.features[rows[some]], moved[some], elapsed)
-        wrong = self._errors(issued, knot, known, moved, now)
-        if len(wrong):
-            kept = np.exp(-elapsed / self.bound.parameters.memory_s)
-            self._profile[knot] = kept * self._profile[knot] + (1 - kept) * wrong.mean()
-        single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
-        self._records.weigh(known, single / KNOTS[knot], elapsed)
+        manner = Manner(elapsed, self.bound.parameters.memory_s, self._turns)
+        found = reckon(issued, self._history, self._records, self._profile, manner)
         self._mixture = None
-        expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
-        known_s = issued.time - np.maximum(self._records.began, self._records.turned)[known]
-        knew, grown = known_s >= 0, known_s >= _GROWN * issued.horizon_s
-        startled = known[wrong > _STARTLED * expected]
-        self._records.began[startled], self._records.judged[startled] = now, 0
+        some = slice(None, None, -(-len(found.rows) // _LEARNT_FROM) or 1)
+        self.autoregression.learn(knot, issued.features[found.rows[some]], found.moved[some], elapsed)
         if knot == len(KNOTS) - 1:
-            self._records.enter(known[knew], wrong[knew], elapsed)
-            self.bound.observe(valid_at, issued.cues[rows], wrong, issued.radii[rows], elapsed, grown)
-
-    def _errors(self, issued: _Issued, knot: int, known: Rows, moved: Float64, now: float) -> Float64:
-        """Errors [n] in metres of one time's forecasts by a knot: the nodes `known` [n] have `moved` [n, 3].
-
-        Takes note of those that have turned back; those that were held along all of their way err by their distance
-        from it, as a share of its radius.
-        """
-        rows = issued.rows[known]
-        ahead = issued.mixed[knot, rows]
-        wrong: Float64 = np.linalg.norm(ahead - moved, axis=-1)
-        if not self._turns:
-            return wrong
-        expected = issued.radii[rows] * self._profile[knot] / self._profile[-1]
-        aside = off_the_way(ahead, moved) / NARROWER
-        turned = (
-            ((moved * ahead).sum(axis=-1) < 0)
-            & (wrong > np.maximum(issued.factor * expected, _TURN))
-            & (aside <= expected)
-        )
-        self._records.turned[known[turned]] = now
-        return np.where(issued.turning[rows], np.minimum(wrong, aside), wrong)
+            cues, radii = issued.cues[found.rows], issued.radii[found.rows]
+            self.bound.observe(valid_at, cues, found.wrong, radii, elapsed, found.grown)
 
 
 def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:
     """Cues [M, C] from the experts' displacements [E, M, 3], the mixture's [M, 3] and recent errors [M]."""
     by_will = single[: EXPERT_NAMES.index("free_fall")]  # what falls is as far from all others whatever they err by
-    spread = np.median(np.linalg.norm(by_will - mixed, axis=-1), axis=0)
+    spread = np.sort(np.linalg.norm(by_will - mixed, axis=-1), axis=0)[
+        len(by_will) // 2
+    ]  # five: the third is the median
     by_name = dict(zip(EXPERT_NAMES, single, strict=True))
     way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
     acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)

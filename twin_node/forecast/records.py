@@ -18,7 +18,7 @@ USUAL_ERROR = 0.12
 """Error ascribed to their mixture, m: that of the best."""
 RECORD_S = 0.65
 """Time constant of the experts' records, s."""
-_RISE_S, _FALL_S = 0.05, 0.6
+RISE_S, FALL_S = 0.05, 0.6
 """Time constants in which the error of the mixture grows and shrinks, s."""
 
 
@@ -49,7 +49,7 @@ class Records:
             never = np.full(count, -np.inf)
             return Records(squared, np.full(count, USUAL_ERROR), born, began, never, np.zeros(count, np.int64))
         return Records(
-            np.where(new, _UNTRIED[:, None] ** 2, self.squared[:, rows]),
+            np.where(new, _UNTRIED[:, None] ** 2, self.squared.take(rows, axis=1)),
             np.where(new, USUAL_ERROR, self.errors[rows]),
             np.where(new, time, self.born[rows]),
             np.where(new, time, self.began[rows]),
@@ -69,6 +69,6 @@ class Records:
         """Enters errors of the mixture [n] in metres at the horizon for the nodes `known` [n]."""
         before = self.errors[known]
         first = 1 / (1 + self.judged[known])  # an average of what there is, until there is more than records hold
-        rate = np.maximum(1 - np.exp(-elapsed_s / np.where(wrong > before, _RISE_S, _FALL_S)), first)
+        rate = np.maximum(1 - np.exp(-elapsed_s / np.where(wrong > before, RISE_S, FALL_S)), first)
         self.errors[known] = before + rate * (wrong - before)
         self.judged[known] += 1

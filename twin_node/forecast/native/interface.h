@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 17;
+constexpr int32_t kInterfaceVersion = 18;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -226,6 +226,55 @@ struct SolveRequest {
   const double *prior, *prior_sigmas;  // [parts, 3] m/s, [parts] m/s
   const double *whole, *whole_trusts;  // [parts, 3] m/s, [parts] s^2 / m^2
   double *velocities, *sigmas;         // [parts, 3] m/s, [parts] m/s
+};
+
+// Where experts, and their mixture, lead nodes in some times. The gravity, line, parabola and falling are of History.
+struct LeadRequest {
+  int64_t nodes;
+  int32_t horizons, features;
+  double floor, bounce;                  // m; share of its speed that what bounces keeps
+  const double *here;                    // [nodes, 3] m
+  const double *line;                    // [nodes, 3] m/s
+  const double *parabola;                // [2, nodes, 3] m/s, m/s^2
+  const double *falling;                 // [nodes, 3] m/s
+  const double *seen;                    // [nodes, 3, features] of the autoregression
+  const double *learnt;                  // [horizons, features] its weights
+  const double *weights;                 // [experts, nodes] in the mixture
+  const double *horizon, *travelled;     // [horizons] s, and for how long at full speed what slows down goes as far
+  const double *gravity;                 // [3] m/s^2
+  double *single, *mixed;                // [experts, horizons, nodes, 3], [horizons, nodes, 3] m
+};
+
+// Where nodes were between two samples: a share of the way from one to the other.
+struct Between {
+  const double *before, *after;  // [nodes, 3] m
+  double share;
+};
+
+// What became of the forecasts of one time by one knot, and the records that it enters. Nodes are those of now; where
+// `before` nodes are told of, those of the time of the forecasts.
+struct ReckonRequest {
+  int64_t nodes, before;
+  int32_t experts, knots, knot, turns;    // turns: 1 where nodes that turn back are told from others
+  Between here, there;                    // where nodes were at the knot, and when it was forecast
+  const int64_t *rows;                    // [nodes] of each node's ancestor; negative for none
+  const double *places;                   // [experts, knots, before, 3] m
+  const double *mixed;                    // [knots, before, 3] m
+  const double *radii;                    // [before] m
+  const uint8_t *turning;                 // [before] 1: held along all of its way
+  double now, time;                       // s, the time of the forecasts
+  double factor, startled, grown_s;       // on radii: their own, and from which something new began; s
+  double turn, narrower;                  // m, share of a radius along the way
+  double knot_share, kept, rate;          // of the horizon, of what the profile and the records were
+  double rise, fall;                      // rates of the mixture's error, as it grows and shrinks
+  double *profile;                        // [knots] m, mean errors
+  double *squared;                        // [experts, nodes] m^2
+  double *errors, *began, *turned;        // [nodes] m, s, s
+  int64_t *judged;                        // [nodes]
+  int64_t *known, *found;                 // [nodes] those that have an ancestor, and its row
+  double *moved, *wrong;                  // [nodes, 3], [nodes] m, of these
+  uint8_t *grown;                         // [nodes] 1: what they do began long enough ago, of these
+  int64_t *count;                         // [1] of these
 };
 
 // The voxels that hold points of measured surfaces, `finer` along each side of a pixel.

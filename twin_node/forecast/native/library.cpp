@@ -7,10 +7,12 @@
 #include "cover.h"
 #include "grow.h"
 #include "hide.h"
+#include "lead.h"
 #include "look.h"
 #include "mark.h"
 #include "own.h"
 #include "parts.h"
+#include "reckon.h"
 #include "shown.h"
 #include "solve.h"
 
@@ -92,6 +94,10 @@ int32_t forecast_tell(const forecast::TellRequest *request) {
 }
 
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }
+
+void forecast_lead(const forecast::LeadRequest *request) { forecast::lead(*request); }
+
+void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(*request); }
 
 void forecast_take(const forecast::TakeRequest *request) { forecast::take(*request); }
 }

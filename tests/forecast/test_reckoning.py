@@ -1,0 +1,119 @@
+"""What became of forecasts: compiled as plainly, and what it changes."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, History
+from twin_node.forecast.reckoning import STARTLED, Issued, Manner, Reckoned, reckon, reckon_plainly
+from twin_node.forecast.records import Records
+
+HORIZON_S = 0.2
+
+
+def records(rng: np.random.Generator, count: int) -> Records:
+    """Of nodes that are known for one second."""
+    return Records(
+        rng.uniform(0, 0.1, (len(EXPERT_NAMES), count)),
+        rng.uniform(0, 0.2, count),
+        np.zeros(count),
+        rng.uniform(0, 1, count),
+        np.where(rng.random(count) < 0.5, -np.inf, rng.uniform(0, 1, count)),
+        rng.integers(0, 20, count),
+    )
+
+
+def issued(rng: np.random.Generator, count: int, before: int, knot: int) -> Issued:
+    """Forecasts of half a second of `before` nodes, of which some are gone."""
+    return Issued(
+        time=0.5,
+        horizon_s=HORIZON_S,
+        rows=rng.integers(-1, before, count),
+        features=np.zeros((before, 3, 0)),
+        places=rng.normal(0, 0.2, (len(EXPERT_NAMES), len(KNOTS), before, 3)),
+        mixed=rng.normal(0, 0.2, (len(KNOTS), before, 3)),
+        cues=np.zeros((before, 0)),
+        radii=rng.uniform(0.05, 0.6, before),
+        turning=rng.random(before) < 0.4,
+        factor=0.4,
+        due=knot,
+    )
+
+
+def history(rng: np.random.Generator, count: int, samples: int = 20) -> History:
+    return History(np.linspace(0, 0.7, samples), np.cumsum(rng.normal(0, 0.05, (samples, count, 3)), axis=0))
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("knot", range(len(KNOTS)))
+@pytest.mark.parametrize("count", [0, 1, 300])
+def test_compiled_as_plainly(count: int, knot: int, turns: bool) -> None:
+    rng = np.random.default_rng(100 * knot + count)
+    waiting, paths, plain = issued(rng, count, 40, knot), history(rng, count), records(rng, count)
+    compiled, profile = copy.deepcopy(plain), np.array([0.03, 0.06, 0.09, 0.12])
+    manner, plain_profile = Manner(0.033, 2.0, turns), profile.copy()
+    found = reckon(waiting, paths, compiled, profile, manner)
+    expected = reckon_plainly(waiting, paths, plain, plain_profile, manner)
+    assert np.allclose(profile, plain_profile, rtol=1e-12)
+    for mine, other in ((found, expected), (compiled, plain)):
+        for name, value in vars(mine).items():
+            assert np.allclose(value, vars(other)[name], rtol=1e-12, atol=1e-15), name
+    if count == 300:
+        assert 0 < np.count_nonzero(found.grown) < len(found.rows) < count
+        assert np.any(compiled.began == paths.times[-1])
+        assert np.any(compiled.turned == paths.times[-1]) == turns
+
+
+def straight(factor: float, turns: bool, turning: bool) -> tuple[Reckoned, Records]:
+    """A node that was forecast to go 0.2 m along x, and went so many times as far."""
+    places = np.zeros((len(EXPERT_NAMES), len(KNOTS), 1, 3))
+    mixed = np.array(KNOTS)[:, None, None] * np.array([0.2, 0.0, 0.0])
+    waiting = Issued(
+        0.5,
+        HORIZON_S,
+        np.zeros(1, np.int64),
+        np.zeros((1, 3, 0)),
+        places,
+        mixed,
+        np.zeros((1, 0)),
+        np.array([0.12]),
+        np.array([turning]),
+        0.5,
+        due=len(KNOTS) - 1,
+    )
+    times = np.array([0.5, 0.7])
+    paths = History(times, factor * np.array([[[0.0, 0.0, 0.0]], [[0.2, 0.0, 0.0]]]))
+    kept = Records(
+        np.zeros((len(EXPERT_NAMES), 1)), np.full(1, 0.1), *np.zeros((2, 1)), np.full(1, -np.inf), np.ones(1, int)
+    )
+    return reckon(waiting, paths, kept, np.full(len(KNOTS), 0.12), Manner(0.033, 2.0, turns)), kept
+
+
+def test_what_goes_as_forecast_begins_nothing_new() -> None:
+    found, kept = straight(1.0, turns=True, turning=False)
+    assert np.allclose(found.wrong, 0)
+    assert kept.began[0] == 0
+    assert kept.turned[0] == -np.inf
+    assert kept.judged[0] == 2
+    assert kept.errors[0] < 0.1
+    assert np.isclose(kept.squared[0, 0], 0.2**2 * (1 - np.exp(-0.033 / 0.65)))
+
+
+def test_what_goes_much_further_began_something_new() -> None:
+    found, kept = straight(2.0, turns=True, turning=False)
+    assert found.wrong[0] > STARTLED * 0.12
+    assert kept.began[0] == 0.7
+    assert kept.turned[0] == -np.inf
+
+
+def test_what_turns_back_is_told_and_is_right_where_that_was_held() -> None:
+    free, noted = straight(-0.5, turns=True, turning=False)
+    held, _ = straight(-0.5, turns=True, turning=True)
+    _, unasked = straight(-0.5, turns=False, turning=False)
+    assert noted.turned[0] == 0.7
+    assert unasked.turned[0] == -np.inf
+    assert np.isclose(free.wrong[0], 0.3)
+    assert np.isclose(held.wrong[0], 0)
