@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from twin_node.forecast.past_errors import PastErrors
 from twin_node.scene import Bool, Float64
 
 PERSON_SPEED = 1.6
@@ -88,7 +89,7 @@ class Bound:
         self._prior = np.append(0.0, _SLOPES)
         self._moment = self._gram @ self._prior
         self._weights = self._prior
-        self._judged: deque[_Judged] = deque()
+        self._past = PastErrors(CUES, self.parameters.memory_s)
         self._miss_level = 1 - self.parameters.coverage
         self._seen_s = 0.0
         self._quantile = _FIRST_QUANTILE
@@ -112,17 +113,17 @@ class Bound:
         if grown is not None:
             then, errors, radii = then[grown], errors[grown], radii[grown]
         if len(errors):
-            self._learn(_Judged.of(time, then, errors, radii, elapsed_s), then, errors)
+            self._learn(time, then, errors, radii, elapsed_s)
 
-    def _learn(self, judged: _Judged, then: Float64, errors: Float64) -> None:
-        """Enters errors [n] of nodes with cues `then` [n, CUES] in the regression and in the pool."""
-        p = self.parameters
-        self._fit(then, np.log(errors + LEAST), judged.elapsed_s)
-        self._judged.append(judged)
-        while self._judged[0].time < judged.time - _KEPT * p.memory_s:
-            self._judged.popleft()
+    def _learn(self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> None:
+        """Enters errors [n] of nodes with cues `then` [n, CUES] in the regression, and an even sample in the pool."""
+        self._fit(then, np.log(errors + LEAST), elapsed_s)
+        some = slice(None, None, -(-len(errors) // _SAMPLE))
+        logs = np.log(np.clip(errors[some], 1e-6, _SURPRISE * radii[some]))
+        self._past.enter(time, then[some], logs, elapsed_s)
+        quantile = self._past.log_quantile(time, self._weights, 1 - self._miss_level)
         share = np.exp(-self._seen_s / _TRUSTED_S)
-        self._quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * self._log_quantile(judged.time))
+        self._quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * quantile)
 
     def scales(self, now: Float64) -> Float64:
         """Expected errors [M] in metres at the last horizon, of nodes with cues [M, CUES]: upper ones, not means."""
@@ -153,23 +154,6 @@ class Bound:
         self._moment = kept * self._moment + then.T @ (weights * logs)
         ridge = _RIDGE * np.eye(CUES)
         self._weights = np.linalg.solve(self._gram + ridge, self._moment + ridge @ self._prior)
-
-    def _log_quantile(self, now: float) -> float:
-        """Logarithm of the quantile of errors over what is now expected of them, newer ones counting more."""
-        logs = np.concatenate([judged.log_errors - judged.cues @ self._weights for judged in self._judged])
-        weights = np.concatenate(
-            [
-                np.full(
-                    len(j.log_errors),
-                    j.elapsed_s * np.exp((j.time - now) / self.parameters.memory_s) / len(j.log_errors),
-                )
-                for j in self._judged
-            ]
-        )
-        bins = np.clip(((logs - _LOG_RANGE[0]) / _BIN).astype(np.int64), 0, _BINS - 1)
-        held = np.cumsum(np.bincount(bins, weights, _BINS))
-        row = int(np.searchsorted(held, (1 - self._miss_level) * held[-1] - 1e-12))
-        return _LOG_RANGE[0] + _BIN * (min(row, _BINS - 1) + 1)
 
 
 class CoverageControl:
@@ -210,22 +194,6 @@ class CoverageControl:
         return float(np.clip(factor, self.parameters.least_factor, self.parameters.most_factor))
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """Errors that came due at one time."""
-
-    time: float
-    cues: Float64
-    log_errors: Float64
-    elapsed_s: float
-
-    @classmethod
-    def of(cls, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> _Judged:
-        """An even sample of nodes with cues `then` [n, CUES], errors and radii [n]."""
-        chosen = slice(None, None, -(-len(errors) // _SAMPLE))
-        return cls(time, then[chosen], np.log(np.clip(errors[chosen], 1e-6, _SURPRISE * radii[chosen])), elapsed_s)
-
-
 _SLOPES = (0.2, 0.3, 0.1, 0.15, 0.1, 0.15)
 """Share of each cue in the scale before errors tell, in the order of `CueLengths`: what goes far errs most."""
 _PRIOR = 0.5
@@ -241,14 +209,9 @@ _SAMPLE = 64
 _SURPRISE = 1.25
 """Errors enter the quantile as no more than so many times the radius that ought to have held them: what nobody could
 foresee is met by the reachable set, and widens the bound for good only where it happens again."""
-_KEPT = 4.0
-"""Errors are kept for so many time constants."""
 _MOST_LEVEL = 5.0
 """The miss level may rise to so many times the rate aimed at."""
 _TRUSTED_S = 0.5
 """Time constant in which the quantile moves from its first value to that of the record, s."""
 _FIRST_QUANTILE = 2.5
 """Quantile before there is a record: that of human motion at 99 % (measured: `bench forecast`)."""
-_LOG_RANGE = (-12.0, 4.0)
-_BIN = 0.01
-_BINS = round((_LOG_RANGE[1] - _LOG_RANGE[0]) / _BIN)
