@@ -25,6 +25,7 @@ struct Pass {
 struct PixelsOut {
   float *render, *alpha;
   const float *background;  // [channels] or null
+  bool only_live;           // what no splat can reach is there from the last time
 };
 struct PixelsIn {
   const float *render, *alpha;
@@ -187,12 +188,12 @@ inline void blend_tile(Image &image, const Tile &tile, const Pass &pass, float m
   for (const int end = image.tile_begin[tile.index + 1]; at < end && alive; at++) {
     const Splat &splat = image.splats[image.tile_splat[at]];
     const LocalFootprint footprint(splat.shape, tile);
-    const uint32_t cells = cells_reached(splat.shape, footprint);
-    image.tile_cells[at] = static_cast<uint16_t>(cells);
-    for (BlockSet left = blocks_of_cells(cells) & alive; left; left &= left - 1) {
+    BlockSet hit = 0;
+    for (BlockSet left = blocks_of_cells(cells_reached(splat.shape, footprint)) & alive; left; left &= left - 1) {
       const int block = __builtin_ctzll(left);
       const Coverage c = cover(footprint, block, transmittance[block]);
       if (!any(c.hit)) continue;
+      hit |= left & -left;
       const Vec alpha = min(exp2_nonpositive(c.exponent), limit);
       const Vec drawn_weight = transmittance[block] * alpha, behind = transmittance[block] - drawn_weight;
       const Mask drawn = both(c.hit, gt(behind, cut));
@@ -200,9 +201,11 @@ inline void blend_tile(Image &image, const Tile &tile, const Pass &pass, float m
       for (int q = 0; q < C; q++) sums[block][q] += weight * splat.channel[q];
       advance(transmittance[block], behind, c.hit, drawn, block, alive);
     }
+    image.tile_hit[at] = hit;
   }
   image.tile_end[tile.index] = at;
   for (int block = 0; block < kBlocks; block++) {
+    if (out.only_live && !(rendered >> block & 1)) continue;
     write_block<C>(image, tile, pass, block, transmittance[block], sums[block], out);
   }
 }
@@ -291,7 +294,7 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
   int seen = image.tile_end[tile.index];  // behind the last one that is seen and wanted: what hides it counts too
   while (seen > begin && !wanted(image.id[image.tile_splat[seen - 1]])) seen--;
   BlockGradient<C> blocks[kBlocks];
-  BlockSet alive = seen > begin ? image.live[tile.index] : 0;
+  BlockSet alive = seen > begin ? image.live[tile.index] : 0;  // blocks that leave it are hit by no other splat
   for (BlockSet left = alive; left; left &= left - 1) {
     const int block = __builtin_ctzll(left);
     read_block<C>(image, tile, pass, block, in, blocks[block]);
@@ -300,7 +303,7 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
   for (int at = begin; at < end; at++) {
     float *slot = &image.slot_gradient[static_cast<size_t>(image.tile_slot[at]) * pass.slot_stride];
     uint8_t &used = image.slot_used[image.tile_slot[at]];
-    BlockSet left = at < seen ? blocks_of_cells(image.tile_cells[at]) & alive : 0;
+    BlockSet left = at < seen ? image.tile_hit[at] : 0;
     if (left == 0) {
       clear_slot(pass, slot, used);
       continue;
@@ -309,13 +312,10 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
     const LocalFootprint footprint(splat.shape, tile);
     const bool learns = wanted(image.id[image.tile_splat[at]]);
     SlotSums<C> sums;
-    bool touched = false;
     for (; left; left &= left - 1) {
       const int block = __builtin_ctzll(left);
       BlockGradient<C> &g = blocks[block];
       const Coverage c = cover(footprint, block, g.transmittance);
-      if (!any(c.hit)) continue;
-      touched = true;
       const Vec raw = exp2_nonpositive(c.exponent), alpha = min(raw, limit);
       const Vec drawn_weight = g.transmittance * alpha, behind = g.transmittance - drawn_weight;
       const Mask drawn = both(c.hit, gt(behind, cut));
@@ -332,7 +332,7 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
       }
       advance(g.transmittance, behind, c.hit, drawn, block, alive);
     }
-    if (touched && learns) {
+    if (learns) {
       sums.write(pass, slot);
       used = 1;
     } else {

@@ -148,14 +148,15 @@ inline void over_pixels(const Request &r, const Work &work) {
 }
 
 // Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop. Pixels that are not drawn stay as
-// they were at first. The loss has no gradient yet.
+// they were at first, when the loss has no gradient yet.
 inline void compose(const DescentRequest &d, bool first) {
   const Request &r = d.scene;
   over_pixels(r, [&](int64_t at) {
-    for (int k = 0; k < 4; k++) d.loss.gradient[4 * at + k] = 0.f;
     if (!first && !is_drawn(r, at)) return;
     const float left = 1.f - r.alphas[at];
     for (int k = 0; k < 4; k++) d.seen[4 * at + k] = r.renders[4 * at + k] + left * d.backdrop[4 * at + k];
+    if (!first) return;
+    for (int k = 0; k < 4; k++) d.loss.gradient[4 * at + k] = 0.f;
   });
 }
 
@@ -172,6 +173,8 @@ inline void alpha_gradient(const DescentRequest &d) {
 // a pixel: those after the first draw with its order and tiles.
 inline Status descend(Workspace &w, const DescentRequest &d) {
   *d.refused = 0;
+  const LossWorkspaceInUse loss;
+  hold_to_target(d.loss, *loss);
   for (int step = 0; step < d.steps; step++) {
     over_rows(d, [&](int i) {
       place_row(d, i);
@@ -186,9 +189,7 @@ inline Status descend(Workspace &w, const DescentRequest &d) {
     if (status != kOk) return status;
     compose(d, step == 0);
     clear_gradients(d);
-    status = image_loss(d.loss);
-    if (status != kOk) return status;
-    d.losses[step] = *d.loss.loss;
+    d.losses[step] = loss_terms(d.loss, *loss);
     alpha_gradient(d);
     status = backward(w, d.scene, d.gradients);
     if (status != kOk) return status;

@@ -115,16 +115,15 @@ inline void reserve_planes(LossImage &image) {
   image.maps.reserve(3 * kMaps * image.plane());
 }
 
-// Copies padded rows [begin, end) of the box into planes and clears the map rows.
+// Copies padded rows [begin, end) of the box into planes, as if the render were the target, and clears the map rows.
 inline void fill_planes(const LossRequest &r, int index, LossImage &image, int begin, int end) {
   for (int padded = begin; padded < end; padded++) {
     const int y = image.y0 - kRadius + padded;
-    for (int map = 0; map < 3 * kMaps; map++) {
-      std::fill_n(&image.maps[map * image.plane() + static_cast<int64_t>(padded) * image.stride], image.stride, 0.f);
-    }
+    const int64_t row = static_cast<int64_t>(padded) * image.stride;
+    for (int map = 0; map < 3 * kMaps; map++) std::fill_n(&image.maps[map * image.plane() + row], image.stride, 0.f);
     for (int q = 0; q < 3; q++) {
-      std::fill_n(&image.x[q * image.plane() + static_cast<int64_t>(padded) * image.stride], image.stride, 0.f);
-      std::fill_n(&image.y[q * image.plane() + static_cast<int64_t>(padded) * image.stride], image.stride, 0.f);
+      std::fill_n(&image.x[q * image.plane() + row], image.stride, 0.f);
+      std::fill_n(&image.y[q * image.plane() + row], image.stride, 0.f);
     }
     const bool in_box = y >= image.y0 && y < image.y1;
     if (in_box) std::fill_n(&image.weights[static_cast<int64_t>(y - image.y0) * image.stride], image.stride, 0.f);
@@ -132,16 +131,26 @@ inline void fill_planes(const LossRequest &r, int index, LossImage &image, int b
     const int from = std::max(image.x0 - kRadius, 0), to = std::min(image.x1 + kRadius, r.width);
     for (int x = from; x < to; x++) {
       const int64_t pixel = (static_cast<int64_t>(index) * r.height + y) * r.width + x;
-      const int64_t at = static_cast<int64_t>(padded) * image.stride + (x - image.x0 + kRadius);
-      const float weight = weight_at(r, pixel);
-      const float *target = r.target + 3 * pixel, *value = weight > 0.f ? r.render + r.channels * pixel : target;
+      const int64_t at = row + (x - image.x0 + kRadius);
       for (int q = 0; q < 3; q++) {
-        image.x[q * image.plane() + at] = value[q];
-        image.y[q * image.plane() + at] = target[q];
+        image.x[q * image.plane() + at] = image.y[q * image.plane() + at] = r.target[3 * pixel + q];
       }
       if (in_box && x >= image.x0 && x < image.x1) {
-        image.weights[static_cast<int64_t>(y - image.y0) * image.stride + (x - image.x0)] = weight;
+        image.weights[static_cast<int64_t>(y - image.y0) * image.stride + (x - image.x0)] = weight_at(r, pixel);
       }
+    }
+  }
+}
+
+// Copies the render's pixels that count of rows [begin, end) of the box into the planes.
+inline void fill_render(const LossRequest &r, int index, LossImage &image, int begin, int end) {
+  for (int y = begin; y < end; y++) {
+    const float *weights = &image.weights[static_cast<int64_t>(y) * image.stride];
+    const int64_t first = (static_cast<int64_t>(index) * r.height + image.y0 + y) * r.width + image.x0;
+    const int64_t at = static_cast<int64_t>(y + kRadius) * image.stride + kRadius;
+    for (int x = 0; x < image.columns(); x++) {
+      if (!(weights[x] > 0.f)) continue;
+      for (int q = 0; q < 3; q++) image.x[q * image.plane() + at + x] = r.render[r.channels * (first + x) + q];
     }
   }
 }
@@ -309,18 +318,30 @@ inline double sum_over_bands(const LossRequest &r, LossWorkspace &w, const Rows 
   return total;
 }
 
-inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
-  static const Window window;
+inline int rows_of(const LossWorkspace &w, int index) { return std::max(0, w.images[index]->rows()); }
+
+// Takes in the targets and weights: renders are held to them until others are taken in.
+inline void hold_to_target(const LossRequest &r, LossWorkspace &w) {
+  while (static_cast<int>(w.images.size()) < r.images) w.images.push_back(std::make_unique<LossImage>());
   for (int i = 0; i < r.images; i++) measure_weights(r, i, *w.images[i]);
   for (int i = 0; i < r.images; i++) reserve_planes(*w.images[i]);
-  const Factors f = factors_of(r, w);
-  const auto rows = [&](int i) { return std::max(0, w.images[i]->rows()); };
   sum_over_bands(
-      r, w, [&](int i) { return rows(i) == 0 ? 0 : w.images[i]->padded_rows; },
+      r, w, [&](int i) { return rows_of(w, i) == 0 ? 0 : w.images[i]->padded_rows; },
       [&](int i, int begin, int end) {
         fill_planes(r, i, *w.images[i], begin, end);
         return 0.;
       });
+}
+
+// The loss of a render beside the targets that were taken in. Its gradient is written where pixels count, nowhere else.
+inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
+  static const Window window;
+  const Factors f = factors_of(r, w);
+  const auto rows = [&](int i) { return rows_of(w, i); };
+  sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
+    fill_render(r, i, *w.images[i], begin, end);
+    return 0.;
+  });
   double unlike = 0;
   if (f.ssim != 0.f) {
     unlike = sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
@@ -347,11 +368,22 @@ inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
   return f.ssim * unlike + rest;
 }
 
+// A workspace for as long as it is in scope.
+class LossWorkspaceInUse {
+ public:
+  LossWorkspaceInUse() : workspace_(loss_workspaces().acquire()) {}
+  ~LossWorkspaceInUse() { loss_workspaces().release(workspace_); }
+  LossWorkspaceInUse(const LossWorkspaceInUse &) = delete;
+  LossWorkspaceInUse &operator=(const LossWorkspaceInUse &) = delete;
+  LossWorkspace &operator*() const { return *workspace_; }
+
+ private:
+  LossWorkspace *workspace_;
+};
+
 inline Status image_loss(const LossRequest &r) {
-  LossWorkspace *w = loss_workspaces().acquire();
-  const auto give_back = [](LossWorkspace *used) { loss_workspaces().release(used); };
-  const std::unique_ptr<LossWorkspace, decltype(give_back)> guard(w, give_back);
-  while (static_cast<int>(w->images.size()) < r.images) w->images.push_back(std::make_unique<LossImage>());
+  const LossWorkspaceInUse w;
+  hold_to_target(r, *w);
   *r.loss = loss_terms(r, *w);
   return kOk;
 }

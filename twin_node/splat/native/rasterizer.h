@@ -149,11 +149,11 @@ inline void fill_splats(const Request &r, Workspace &w, const Pass &pass) {
                [&](int64_t i) { load_channels(r, *w.images[i], static_cast<int>(i), pass, 0, w.images[i]->visible); });
 }
 
-inline void blend_pass(const Request &r, Workspace &w, const Pass &pass) {
+inline void blend_pass(const Request &r, Workspace &w, const Pass &pass, bool only_live) {
   over_tiles(r, w, [&](int i, int index) {
     const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
     const PixelsOut out{r.renders + pixels * pass.total, r.alphas + pixels,
-                        r.backgrounds == nullptr ? nullptr : r.backgrounds + i * pass.total};
+                        r.backgrounds == nullptr ? nullptr : r.backgrounds + i * pass.total, only_live};
     const Tile tile(*w.images[i], index, mask_of(r, i));
     for_width(pass.count, [&](auto width) { blend_tile<width>(*w.images[i], tile, pass, r.max_alpha, out); });
   });
@@ -195,7 +195,7 @@ inline Status forward(Workspace &w, const Request &r) {
   for (int first = 0; first < channels_of(r); first += kChannels) {
     const Pass pass = make_pass(r, first);
     if (first > 0) fill_splats(r, w, pass);
-    blend_pass(r, w, pass);
+    blend_pass(r, w, pass, false);
   }
   return kOk;
 }
@@ -244,7 +244,7 @@ inline void redraw(Workspace &w, const Request &r, int first_row) {
       refresh_splats(r, image, index, begin, std::min(image.visible, begin + kSplatsPerTask), first_row);
     }
   });
-  blend_pass(r, w, make_pass(r, 0));
+  blend_pass(r, w, make_pass(r, 0), true);
 }
 
 }  // namespace splat
