@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver
+from twin_node.forecast.errands import Errand
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
@@ -39,8 +40,8 @@ class Evidence:
     """What stands."""
     unknown_runs: UInt32
     """[r, 2] runs of flat indices that nothing frees and nothing explains, and what the arm hides from all views."""
-    hidden: Hidden
-    """What may be in these."""
+    hidden: Errand[Hidden]
+    """What may be in these: found out meanwhile, for no forecast depends on it."""
     resting: NDArray[np.int64]
     """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
 
@@ -80,6 +81,7 @@ class Observer:
         self._velocities = PartVelocities(self.tables)
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
+        self._hidden: Errand[Hidden] | None = None
         self._resting = Resting(self.grid)
         self._standing: _Standing | None = None
         self._last_centers = np.zeros((0, 3))
@@ -89,16 +91,16 @@ class Observer:
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
         carved = self._without_arm(state, self._carver.carve(state, self._speed()))
-        moving = carved.may_move.listed(carved.likely_moves)
-        parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
-        motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
-        self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         static = self._static.update(state, self._carver)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask
         unknown = carved.unknown.without(stands)
-        hidden = self._hiding.update(state.stamp, unknown, carved.may_move, stands)
+        hidden = self._look_for_hidden(state.stamp, unknown, carved.may_move, stands)
+        moving = carved.may_move.listed(carved.likely_moves)
+        parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
+        motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
+        self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         limbs = parts.likely & ~motion.alone[parts.labels]
         return Evidence(
             stamp=state.stamp,
@@ -106,9 +108,21 @@ class Observer:
             motion=motion,
             static=self._standing.inner,
             unknown_runs=self.margin.cropped(unknown | self._behind_arm(state, carved).without(stands)).runs(),
-            hidden=Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full)),
+            hidden=hidden,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
+
+    def _look_for_hidden(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Hidden]:
+        """What may be in the inner grid's unknown space; states are followed one after the other."""
+        if self._hidden is not None:
+            self._hidden.result()
+
+        def look() -> Hidden:
+            hidden = self._hiding.update(stamp, unknown, moving, stands)
+            return Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full))
+
+        self._hidden = Errand(look)
+        return self._hidden
 
     def places(self, indices: NDArray[np.int64]) -> NDArray[np.int32]:
         """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of flat `indices` [n] in the outer."""

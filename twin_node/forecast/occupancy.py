@@ -129,7 +129,6 @@ class Forecaster:
         has_depth = any(view.depth is not None for view in state.frames.views)
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
-        self._hidden = evidence.hidden
         may_start = evidence.resting if has_depth else np.zeros(0, np.int64)
         seen = evidence.parts.indices
         self._sighted = Sighted(self._observer.grid, np.union1d(seen, may_start) if len(may_start) else seen)
@@ -151,6 +150,7 @@ class Forecaster:
         self._issued.append(
             _Issued(state.stamp, valid_at, indices, places, self._control.factor, ahead, prediction.radii[-1])
         )
+        self._hidden = evidence.hidden.result()
         return Occupancy(
             stamp=state.stamp,
             publish_stamp=publish_stamp,
