@@ -12,8 +12,11 @@ from model_scenes import TICK_NS, block, joined, rig, table
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
+from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import LOOKS, MERGE, SPLIT, Merge, MergeSplit, Regrouping, Split
+from twin_node.model.nodes import Nodes
 from twin_node.model.passing import Passing
+from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Splats, render
 from twin_node.model.rotations import quat_from_vector, quat_product, rotate
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, velocities_of
@@ -109,6 +112,37 @@ def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> No
     assert len(woken) - len(late) <= 2
     assert resting[settled[0]] >= 8
     assert resting[late[0]] < resting[late[0] - 1]
+
+
+def test_who_merges_and_splits_is_decided_after_the_state_is_published_and_put_off_once_where_time_is_short() -> None:
+    model, stages = WindowModel(QUICK), []
+    decided: list[list[str]] = []
+    for index in range(14):
+        model.update(seen(index, block(-0.15 + STEP_M * max(index - 2, 0), 0.0)))
+        model.on_stage = stages.append
+        model.refine(lambda index=index: index < 10)
+        decided.append(stages.copy())
+        stages.clear()
+    assert all(told.count("regroup") == 1 for told in decided[1:10])
+    assert all("regroup" not in told[: told.index("publish")] for told in decided[1:10])
+    assert ["regroup" in told for told in decided[10:]] == [False, True, True, True]
+
+
+def test_nothing_is_decided_about_nodes_and_gaussians_that_have_gone_since() -> None:
+    nodes = Nodes(2, 4)
+    place = torch.zeros(3, dtype=torch.float64)
+    kept, ended = (nodes.give_birth(place, place) for _ in range(2))
+    gaussians = Gaussians(3, torch.device("cpu"))
+    gaussians.alive[:] = True
+    gaussians.nodes[:] = torch.tensor([kept, ended, ended])
+    carried = Carried(torch.arange(3), row_of(3, [kept, ended, ended]), nodes.ids.clone())
+    gaussians.retire(torch.tensor([2]))
+    assert carried.leavers(gaussians, ended, np.array([True, True, True])).tolist() == [1]
+    assert carried.are_there(nodes, kept, ended)
+    nodes.retire(torch.tensor([ended]))
+    assert not carried.are_there(nodes, kept, ended)
+    assert nodes.give_birth(place, place) == ended
+    assert not carried.are_there(nodes, kept, ended), "another one has its row"
 
 
 def assert_reasoned(decisions: list[Decision]) -> None:

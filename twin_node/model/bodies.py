@@ -15,7 +15,7 @@ from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import MergeSplit
 from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, limited
 from twin_node.model.normal_equations import NormalEquations
-from twin_node.model.regrouping import regroup
+from twin_node.model.regrouping import Carried, regroup
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations
 from twin_node.scene import Float64, Tier
 
@@ -61,21 +61,24 @@ class Bodies:
         origins = self._nodes.positions.numpy()[cells.nodes]
         one = PoseEquations(sums.H[:, part, part], sums.g[:, part], sums.squares, said.count, origins, moved)
         self._merge_split.accumulate(cells, one.velocity_equations(max(dt_s, SHORTEST_S)), dt_s)
+        self._undecided_s += dt_s
 
-    def regroup(self, rows: Tensor, cells: Cells, dt_s: float) -> Sequence[Decision]:
-        """Takes over the velocities that were heard of, and, where that is due, merges and splits nodes.
-
-        Called once the nodes stand where this set has them, `dt_s` after the one before.
-        """
+    def go_on(self, cells: Cells) -> None:
+        """Nodes take over the velocities that were heard of; called once they stand where this set has them."""
         nodes = self._nodes
         learned = nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)].numpy()
         known = torch.from_numpy(learned[np.isin(learned, cells.nodes)])
         velocities = torch.from_numpy(self._merge_split.velocities(known.numpy(), nodes.positions[known].numpy()))
         nodes.velocities[known] = limited(velocities[:, :3], MAX_SPEED)
         nodes.angular_velocities[known] = limited(velocities[:, 3:], MAX_TURN)
-        self._undecided_s += dt_s
+
+    def regroup(self, carried: Carried | None) -> Sequence[Decision]:
+        """Merges and splits nodes by what was said up to now, where that is due.
+
+        `carried` are those that the last set spoke of; None: it spoke of nobody.
+        """
         self.decided_s = 0.0
-        if self._undecided_s < DECIDED_S:
+        if carried is None or self._undecided_s < DECIDED_S:
             return []
         self.decided_s, self._undecided_s = self._undecided_s, 0.0
-        return regroup(self._gaussians, rows, cells, nodes, self._merge_split, self.decided_s)
+        return regroup(self._gaussians, carried, self._nodes, self._merge_split, self.decided_s)

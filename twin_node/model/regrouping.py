@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -12,21 +14,44 @@ from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import Merge, MergeSplit, Split
 from twin_node.model.nodes import Nodes
 from twin_node.model.passing import Passing
-from twin_node.scene import Tier
+from twin_node.scene import Bool, Tier
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Gaussians that nodes carried when a set told of their motion; some have died since, and so have nodes."""
+
+    rows: Tensor
+    """[m] of the Gaussians."""
+    cells: Cells
+    """In which cells of their nodes they are."""
+    ids: Tensor
+    """[M] of the nodes."""
+
+    def leavers(self, gaussians: Gaussians, node: int, leaving: Bool) -> Tensor:
+        """[k] rows of those in cells that are `leaving` [c] which the node in row `node` still carries."""
+        chosen = self.rows[torch.from_numpy(leaving[self.cells.of]).to(self.rows.device)]
+        return chosen[gaussians.alive[chosen] & (gaussians.nodes[chosen] == node)]
+
+    def are_there(self, nodes: Nodes, *rows: int) -> bool:
+        """Whether all nodes in `rows` are still those that they were."""
+        return all(bool(nodes.alive[row]) and int(nodes.ids[row]) == int(self.ids[row]) for row in rows)
 
 
 def regroup(
-    gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, merge_split: MergeSplit, dt_s: float
+    gaussians: Gaussians, carried: Carried, nodes: Nodes, merge_split: MergeSplit, dt_s: float
 ) -> list[Decision]:
-    """Does what `merge_split` decides about the last `dt_s`; `rows` [m] are the Gaussians that `cells` hold."""
+    """Does what `merge_split` decides about the last `dt_s`, as far as those that it is about are still there."""
     done = []
-    for one in merge_split.decide(nodes.ids.numpy(), dt_s):
+    for one in merge_split.decide(carried.ids.numpy(), dt_s):
         if isinstance(one, Merge):
-            done.append(_merge(gaussians, nodes, one))
+            if carried.are_there(nodes, one.kept, one.ended):
+                done.append(_merge(gaussians, nodes, one))
         elif isinstance(one, Passing):
-            done.append(_pass(gaussians, rows, cells, nodes, one))
-        elif nodes.free:
-            done.append(_split(gaussians, rows, cells, nodes, merge_split, one))
+            if carried.are_there(nodes, one.node, one.to):
+                done.append(_pass(gaussians, carried, nodes, one))
+        elif nodes.free and carried.are_there(nodes, one.node):
+            done.append(_split(gaussians, carried, nodes, merge_split, one))
     return done
 
 
@@ -37,18 +62,17 @@ def _merge(gaussians: Gaussians, nodes: Nodes, one: Merge) -> Decision:
     return Decision(Kind.MERGED, nodes.stamp, int(nodes.ids[one.kept]), int(nodes.ids[one.ended]), one.grounds)
 
 
-def _pass(gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, one: Passing) -> Decision:
-    leavers = rows[torch.from_numpy(one.leaving[cells.of]).to(rows.device)]
+def _pass(gaussians: Gaussians, carried: Carried, nodes: Nodes, one: Passing) -> Decision:
+    leavers = carried.leavers(gaussians, one.node, one.leaving)
     gaussians.transfer(leavers, torch.full((len(leavers),), one.to), nodes)
     gaussians.founders[leavers] = int(nodes.ids[one.to])
     return Decision(Kind.PASSED, nodes.stamp, int(nodes.ids[one.node]), int(nodes.ids[one.to]), one.grounds)
 
 
-def _split(
-    gaussians: Gaussians, rows: Tensor, cells: Cells, nodes: Nodes, merge_split: MergeSplit, one: Split
-) -> Decision:
+def _split(gaussians: Gaussians, carried: Carried, nodes: Nodes, merge_split: MergeSplit, one: Split) -> Decision:
+    cells = carried.cells
     staying = ~one.leaving & (cells.nodes == one.node)
-    leavers = rows[torch.from_numpy(one.leaving[cells.of]).to(rows.device)]
+    leavers = carried.leavers(gaussians, one.node, one.leaving)
     place = torch.from_numpy(cells.centres[one.leaving].mean(0))
     begun = nodes.give_birth(place, nodes.velocities[one.node])
     nodes.quats[begun] = nodes.quats[one.node]

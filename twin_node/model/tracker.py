@@ -28,6 +28,7 @@ from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.pruning import MovingPruner
+from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
@@ -51,7 +52,7 @@ class Tracked:
     braked: float | None
     """Share of the learning rate that is left after steps that diverged and were undone; None: they did not."""
     decisions: Sequence[Decision]
-    """Nodes that have merged, split, come to rest or woken, and why."""
+    """Nodes that have merged, split and come to rest since the set before was tracked, or woken now, and why."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class _Aligned:
 
     renderings: list[Rendering]
     before: Tensor
+    carried: Carried | None
+    """The Gaussians that nodes carry; None where no flow was sought."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ class _Due:
     """A set that has been tracked, what the views saw of the model then, and how the arm stood."""
 
     observed: Sequence[Observed]
-    renderings: Sequence[Rendering]
+    aligned: _Aligned
+    fitted: Fitted
     joints: JointSample | None
     robots: Sequence[Bool | None]
 
@@ -97,7 +101,7 @@ class Tracker:
         self._bodies = Bodies(gaussians, motion.nodes)
         self._resting = Resting(gaussians, motion.nodes, backgrounds)
         self._pruner = MovingPruner(gaussians)
-        self._decisions: Sequence[Decision] = ()
+        self._decisions: list[Decision] = []
         self._turn = 0
         self._pace = 1.0
         self._born = 0
@@ -131,31 +135,37 @@ class Tracker:
             self._links.drive(frames.joints, dt_s)
         aligned = self._align(observed, dt_s)
         on_stage("align")
-        self._rest(observed, aligned.renderings)
+        self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)
         on_stage("judge")
         fitted = self._fit(observed, aligned.before)
         on_stage("fit")
         self._nodes.remember()
-        self._due = _Due(observed, fitted.renderings or aligned.renderings, frames.joints, robots)
-        return Tracked(born, self._pace if fitted.diverged else None, self._decisions)
+        self._due = _Due(observed, aligned, fitted, frames.joints, robots)
+        decisions, self._decisions = self._decisions, []
+        return Tracked(born, self._pace if fitted.diverged else None, decisions)
 
     def refine(self, proceed: Proceed = unhurried, on_stage: OnStage = unwatched) -> bool:
         """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
-        better without. Where `proceed` leaves no time, nothing is done: what is not born now is with the next set. If
-        that goes on, births are not put off again, nothing is pruned, and of the rest some slices are done for every
-        set; learning what stands and drawing it anew take turns, and go on where they were.
+        better without; who merges and splits shows in what comes. Where `proceed` leaves no time, nothing is done: what
+        is not born now is with the next set. If that goes on, neither is put off again, nothing is pruned, and of the
+        rest some slices are done for every set; learning what stands and drawing it anew take turns, and go on where
+        they were.
         """
         due, self._due = self._due, None
         if due is None:
             return True
         self._hurried = 0 if proceed() else self._hurried + 1
         if self._hurried != 1:
+            self._decisions += self._bodies.regroup(due.aligned.carried)
+            if self._bodies.decided_s:
+                self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
+            on_stage("regroup")
             if not self._hurried:
                 self._prune(due.observed)
-            self._born = self._bear(due.observed, due.renderings)
+            self._born = self._bear(due.observed, due.fitted.renderings or due.aligned.renderings)
             self._nodes.remember()
             on_stage("bear")
         if self._hurried > 1:
@@ -197,9 +207,8 @@ class Tracker:
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
-        self._decisions = ()
         poses = self._poses(observed)
-        rows = self._gaussians.moving_rows
+        rows, told_of = self._gaussians.moving_rows, None
         splats = self._place(rows, observed, poses)
         before = self._before(observed, splats)
         around = torch.cat([before, self._gaussians.robot_rows])
@@ -222,8 +231,9 @@ class Tracker:
                 self._weigh(twists.fits)
             self._steer(twists, dt_s)
             if step == 0:
-                self._decisions = self._bodies.regroup(rows[carried], cells, dt_s)
-        return _Aligned(renderings, before)
+                self._bodies.go_on(cells)
+                told_of = Carried(rows[carried], cells, self._nodes.ids.clone())
+        return _Aligned(renderings, before, told_of)
 
     def _steer(self, twists: Twists, dt_s: float) -> None:
         """The nodes whose motion is learned take their twists."""
@@ -242,13 +252,6 @@ class Tracker:
             if len(rows):
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
-
-    def _rest(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
-        """What rests counts as standing, what rested and moves again has a node again."""
-        woken = self._resting.wake(observed, renderings, self._parameters.track.residual)
-        decided_s = self._bodies.decided_s
-        settled = self._resting.settle(self._bodies.resting, decided_s) if decided_s else ()
-        self._decisions = [*self._decisions, *woken, *settled]
 
     def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """What the images refute goes: what stands still and what moves in turn, one of the two per set."""

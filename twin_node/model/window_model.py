@@ -68,7 +68,8 @@ class WindowModel:
         self._exposures = Exposures()
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
-        """Which nodes the last `update` has merged, split, laid to rest and woken, and what spoke for it."""
+        """Which nodes have merged, split and come to rest since the `update` before the last one, or were woken by
+        that, and what spoke for it."""
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
 
