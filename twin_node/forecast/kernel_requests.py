@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 18
+INTERFACE_VERSION = 19
 
 
 class GrowRequest(ctypes.Structure):
@@ -42,12 +42,20 @@ class BlockSightings(ctypes.Structure):
     _fields_ = tuple((name, c_void_p) for name in ("near", "far", "windows", "whole"))
 
 
-class Sight(ctypes.Structure):
-    """`forecast::Sight`."""
+class Table(ctypes.Structure):
+    """`forecast::Table`."""
 
     _fields_ = (
         *((name, c_void_p) for name in ("pixels", "depths")),
         *((name, BlockSightings) for name in ("small", "large")),
+    )
+
+
+class Sight(ctypes.Structure):
+    """`forecast::Sight`."""
+
+    _fields_ = (
+        ("table", Table),
         *((name, c_void_p) for name in ("free_until", "begin", "end", "flags")),
         ("size", c_int64),
         *((name, c_int32) for name in ("width", "height")),
@@ -238,7 +246,7 @@ class LeadRequest(ctypes.Structure):
 class Between(ctypes.Structure):
     """`forecast::Between`."""
 
-    _fields_ = (*((name, c_void_p) for name in ("before", "after")), ("share", c_double))
+    _fields_ = (*((name, c_int64) for name in ("before", "after")), ("share", c_double))
 
 
 class ReckonRequest(ctypes.Structure):
@@ -248,11 +256,11 @@ class ReckonRequest(ctypes.Structure):
         *((name, c_int64) for name in ("nodes", "before")),
         *((name, c_int32) for name in ("experts", "knots", "knot", "turns")),
         *((name, Between) for name in ("here", "there")),
-        *((name, c_void_p) for name in ("rows", "places", "mixed", "radii", "turning")),
+        *((name, c_void_p) for name in ("positions", "rows", "places", "mixed", "radii", "turning")),
         *((name, c_double) for name in ("now", "time", "factor", "startled", "grown_s", "turn", "narrower")),
         *((name, c_double) for name in ("knot_share", "kept", "rate", "rise", "fall")),
         *((name, c_void_p) for name in ("profile", "squared", "errors", "began", "turned", "judged")),
-        *((name, c_void_p) for name in ("known", "found", "moved", "wrong", "grown", "count")),
+        *((name, c_void_p) for name in ("found", "moved", "wrong", "grown")),
     )
 
 

@@ -171,10 +171,11 @@ def _jacobian(camera: Camera, points: Float64) -> Float64:
     """Derivative [M, 2, 3] of the pixel by the base-frame point."""
     x, y, z = transform(camera.viewmat, points).T
     z = np.maximum(z, 0.05)
-    rows = np.zeros((len(points), 2, 3))
-    rows[:, 0, 0], rows[:, 0, 2] = camera.K[0, 0] / z, -camera.K[0, 0] * x / z**2
-    rows[:, 1, 1], rows[:, 1, 2] = camera.K[1, 1] / z, -camera.K[1, 1] * y / z**2
-    return rows @ camera.viewmat[:3, :3]
+    right, down, ahead = camera.viewmat[:3, :3]
+    rows = np.empty((len(points), 2, 3))
+    rows[:, 0] = (camera.K[0, 0] / z)[:, None] * (right - (x / z)[:, None] * ahead)
+    rows[:, 1] = (camera.K[1, 1] / z)[:, None] * (down - (y / z)[:, None] * ahead)
+    return rows
 
 
 def _filled(centers: Float64, moving: Moving, measured: Bool) -> Moving:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from twin_node.forecast.experts import KNOTS, Between, History
+from twin_node.forecast.experts import KNOTS, History
 from twin_node.forecast.kernel_requests import Between as BetweenRequest
 from twin_node.forecast.kernel_requests import ReckonRequest
 from twin_node.forecast.kernels import Kernels, kernels
@@ -26,7 +27,7 @@ _TURN = 0.1
 
 @dataclass
 class Issued:
-    """Forecasts of one time that wait for the truth, of M' nodes."""
+    """Forecasts of one time that wait for the truth, of M' nodes; arrays are contiguous."""
 
     time: float
     """s."""
@@ -49,6 +50,11 @@ class Issued:
     """On the calibrated radii."""
     due: int = 0
     """The next knot to come true."""
+
+    @cached_property
+    def addresses(self) -> tuple[int, ...]:
+        """Of the places, their mixture, radii and who turns: good for as long as this lives."""
+        return tuple(array.ctypes.data for array in (self.places, self.mixed, self.radii, self.turning))
 
     @property
     def valid_at(self) -> float:
@@ -97,30 +103,24 @@ def reckon(issued: Issued, history: History, records: Records, profile: Float64,
 def _reckon_by(
     compiled: Kernels, issued: Issued, history: History, records: Records, profile: Float64, manner: Manner
 ) -> Reckoned:
-    count, positions = len(issued.rows), np.ascontiguousarray(history.positions)
-    here, there = (_request(positions, history.between(time)) for time in (issued.valid_at, issued.time))
-    given = (issued.rows, issued.places, issued.mixed, issued.radii, issued.turning)
-    arrays = [np.ascontiguousarray(array) for array in given]
+    count = len(issued.rows)
+    found = Reckoned(np.empty(count, np.int64), np.empty((count, 3)), np.empty(count), np.empty(count, np.bool_))
+    given = (np.ascontiguousarray(history.positions), np.ascontiguousarray(issued.rows))
     kept = (profile, records.squared, records.errors, records.began, records.turned, records.judged)
-    known, found, number = np.empty(count, np.int64), np.empty(count, np.int64), np.zeros(1, np.int64)
-    moved, wrong, grown = np.empty((count, 3)), np.empty(count), np.empty(count, np.bool_)
-    compiled.reckon(
+    results = (found.rows, found.moved, found.wrong, found.grown)
+    left = compiled.reckon(
         ReckonRequest(
-            *(count, len(issued.radii), len(issued.places), len(KNOTS), issued.due, manner.turns, here, there),
-            *(array.ctypes.data for array in arrays),
+            *(count, len(issued.radii), len(issued.places), len(KNOTS), issued.due, manner.turns),
+            *(BetweenRequest(*history.between(time)) for time in (issued.valid_at, issued.time)),
+            *(array.ctypes.data for array in given),
+            *issued.addresses,
             *(history.times[-1], issued.time, issued.factor, STARTLED, _GROWN * issued.horizon_s, _TURN, NARROWER),
             *(KNOTS[issued.due], np.exp(-manner.elapsed_s / manner.memory_s)),
             *(1 - np.exp(-manner.elapsed_s / constant) for constant in (RECORD_S, RISE_S, FALL_S)),
-            *(array.ctypes.data for array in (*kept, known, found, moved, wrong, grown, number)),
+            *(array.ctypes.data for array in (*kept, *results)),
         )
     )
-    n = int(number[0])
-    return Reckoned(found[:n], moved[:n], wrong[:n], grown[:n])
-
-
-def _request(positions: Float64, between: Between) -> BetweenRequest:
-    before, after = (positions[sample].ctypes.data for sample in (between.before, between.after))
-    return BetweenRequest(before, after, between.share)
+    return Reckoned(found.rows[:left], found.moved[:left], found.wrong[:left], found.grown[:left])
 
 
 def reckon_plainly(issued: Issued, history: History, records: Records, profile: Float64, manner: Manner) -> Reckoned:

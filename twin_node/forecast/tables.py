@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.kernel_requests import BlockSightings as SightingsRequest
+from twin_node.forecast.kernel_requests import Table as TableRequest
 from twin_node.geometry import project
 from twin_node.scene import Bool, Camera, Float32, Float64, Grid
 
@@ -136,12 +138,20 @@ class CameraTable:
         distance = float(np.linalg.norm(blocks.centers.mean(axis=0) - camera.T_base_cam[:3, 3]))
         self.pixels_per_metre = camera.K[0, 0] / max(distance, blocks.grid.voxel_size)
 
+    @cached_property
+    def request(self) -> TableRequest:
+        """The addresses of what it says of voxels, small and large blocks: good for as long as it lives."""
+        voxels = (self.voxels.pixels.ctypes.data, self.voxels.depth.ctypes.data)
+        arrays = ((blocks.near, blocks.far, blocks.windows, blocks.whole) for blocks in self.of_blocks)
+        return TableRequest(*voxels, *(SightingsRequest(*(array.ctypes.data for array in own)) for own in arrays))
+
     def belongs_to(self, camera: Camera) -> bool:
         """Whether the calibration is still the one that the table was made for."""
         mine = self.camera
+        if mine is camera:
+            return True
         same_image = (mine.width, mine.height) == (camera.width, camera.height)
-        same_pose = np.array_equal(mine.K, camera.K) and np.array_equal(mine.T_base_cam, camera.T_base_cam)
-        return mine is camera or (same_image and same_pose)
+        return same_image and np.array_equal(mine.K, camera.K) and np.array_equal(mine.T_base_cam, camera.T_base_cam)
 
     def at(self, places: NDArray[np.int64]) -> Sighting:
         """The voxels at `places` [n] (`Blocks.locate`)."""
@@ -205,10 +215,14 @@ class RigTables:
     def __init__(self, grid: Grid) -> None:
         self.blocks = Blocks(grid)
         self._tables: dict[str, CameraTable] = {}
+        self._asked: dict[str, Camera] = {}
+        """By name, the camera that its table was asked for last."""
 
     def of(self, camera: Camera) -> CameraTable:
         """The camera's table, made on its first sight and when its calibration changes."""
-        table = self._tables.get(camera.name)
-        if table is None or not table.belongs_to(camera):
-            table = self._tables[camera.name] = CameraTable(camera, self.blocks)
-        return table
+        if self._asked.get(camera.name) is not camera:
+            table = self._tables.get(camera.name)
+            if table is None or not table.belongs_to(camera):
+                self._tables[camera.name] = CameraTable(camera, self.blocks)
+            self._asked[camera.name] = camera
+        return self._tables[camera.name]

@@ -75,10 +75,11 @@ def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     given = (kernel_requests.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
     for row, (sight, arrays) in enumerate(zip(sights, held, strict=True)):
-        table, small, large, pixels = ([_address(array) for array in some] for some in arrays)
-        whole = (kernel_requests.BlockSightings(*small), kernel_requests.BlockSightings(*large))
-        camera = sight.table.camera
-        given[row] = kernel_requests.Sight(*table, *whole, *pixels, len(sight.flags), camera.width, camera.height)
+        addresses = (None if array is None else array.ctypes.data for array in arrays)
+        table = sight.table
+        given[row] = kernel_requests.Sight(
+            table.request, *addresses, len(sight.flags), table.camera.width, table.camera.height
+        )
     dims = blocks.grid.dims
     found = Carved(Bits.none(dims), Bits.none(dims), Bits.none(dims), Bits.none(dims))
     masks = (mask.words.ctypes.data for mask in (found.unknown, found.may_move, found.likely_moves, found.on_arm))
@@ -86,23 +87,14 @@ def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     return found
 
 
-def _arrays(sight: Sight) -> tuple[Sequence[NDArray[np.generic] | None], ...]:
-    """In the order of `kernel_requests.Sight`: of voxels, blocks, large blocks and pixels."""
+def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
+    """Of pixels, in the order of `kernel_requests.Sight`."""
     measured = (None, None) if sight.surface is None else (sight.surface.begin, sight.surface.end)
-    voxels = sight.table.voxels
     return (
-        (voxels.pixels, voxels.depth),
-        *((blocks.near, blocks.far, blocks.windows, blocks.whole) for blocks in sight.table.of_blocks),
-        (
-            np.ascontiguousarray(sight.free_until, np.float32),
-            *(None if depths is None else np.ascontiguousarray(depths, np.float32) for depths in measured),
-            np.ascontiguousarray(sight.flags, np.uint8),
-        ),
+        np.ascontiguousarray(sight.free_until, np.float32),
+        *(None if depths is None else np.ascontiguousarray(depths, np.float32) for depths in measured),
+        np.ascontiguousarray(sight.flags, np.uint8),
     )
-
-
-def _address(array: NDArray[np.generic] | None) -> int | None:
-    return None if array is None else array.ctypes.data
 
 
 def carved_plainly(blocks: Blocks, sights: Sequence[Sight]) -> Carved:

@@ -34,7 +34,7 @@ inline uint64_t as_bits(const int32_t *flags) {
 // What the views say of the voxels of one block, which lie side by side in the tables: vectors of `kVoxels`.
 class BlockVerdicts {
  public:
-  using Size = BlockSightings Sight::*;  // &Sight::small or &Sight::large
+  using Size = BlockSightings Table::*;  // &Table::small or &Table::large
 
   BlockVerdicts(
       const CarveRequest &request, const std::vector<Overview> &overviews,
@@ -44,7 +44,7 @@ class BlockVerdicts {
   // Whether some view frees all of a block. Neighbours are often freed by the same one.
   bool freed_as_a_whole(Size size, int64_t block) {
     for (int turn = 0; turn < r_.views; turn++, likeliest_ = (likeliest_ + 1) % r_.views) {
-      const BlockSightings &blocks = r_.sights[likeliest_].*size;
+      const BlockSightings &blocks = r_.sights[likeliest_].table.*size;
       const Overview &overview = overviews_[likeliest_];
       const auto window = [&] { return overview.window(blocks.windows + 4 * block); };
       if (blocks.whole[block] && blocks.far[block] < overview.least(window())) return true;
@@ -57,7 +57,7 @@ class BlockVerdicts {
 
   // Of a block that is not freed as a whole.
   Found of(int64_t block) {
-    const bool explicable = divided(&Sight::small, block);
+    const bool explicable = divided(&Table::small, block);
     if (freed_voxel_by_voxel(block * kVoxels)) return {0, 0, 0, 0};
     if (!explicable) return {as_bits(open_), 0, 0, 0};
     for (int i = 0; i < kVoxels; i++) moving_[i] = robot_[i] = seen_[i] = surface_[i] = beside_[i] = 0;
@@ -79,7 +79,7 @@ class BlockVerdicts {
     int moving = 0, robot = 0, surface = 0;
     dividing_count_ = 0;
     for (int v = 0; v < r_.views; v++) {
-      const BlockSightings &blocks = r_.sights[v].*size;
+      const BlockSightings &blocks = r_.sights[v].table.*size;
       const Overview &overview = overviews_[v];
       const int32_t *ends = blocks.windows + 4 * block;
       Extremes all = overview.outside();
@@ -96,8 +96,8 @@ class BlockVerdicts {
     for (int i = 0; i < kVoxels; i++) open_[i] = 1;
     for (int k = 0; k < dividing_count_; k++) {
       const int v = dividing_[k];
-      const int32_t *pixels = r_.sights[v].pixels + first;
-      const float *depths = r_.sights[v].depths + first, *free_until = r_.sights[v].free_until;
+      const int32_t *pixels = r_.sights[v].table.pixels + first;
+      const float *depths = r_.sights[v].table.depths + first, *free_until = r_.sights[v].free_until;
       int32_t left = 0;
       for (int i = 0; i < kVoxels; i++) {
         open_[i] &= !(depths[i] < free_until[pixels[i]]);
@@ -109,7 +109,7 @@ class BlockVerdicts {
   }
 
   void look(const Sight &sight, const int32_t *flags, int64_t first) {
-    const int32_t *pixels = sight.pixels + first;
+    const int32_t *pixels = sight.table.pixels + first;
     for (int i = 0; i < kVoxels; i++) {
       const int32_t shown = flags[pixels[i]];
       moving_[i] += (shown & kMoving) != 0;
@@ -118,7 +118,7 @@ class BlockVerdicts {
       beside_[i] |= shown & kBeside;
     }
     if (!sight.begin) return;
-    const float *depths = sight.depths + first;
+    const float *depths = sight.table.depths + first;
     for (int i = 0; i < kVoxels; i++) {
       surface_[i] |= (sight.begin[pixels[i]] <= depths[i]) & (depths[i] < sight.end[pixels[i]]);
     }
@@ -154,8 +154,8 @@ class Slab {
     for (int64_t y = 0; y < large_.y; y++) {
       for (int64_t z = 0; z < large_.z; z++) {
         const int64_t block = large_.flat(number_, y, z);
-        if (verdicts_.freed_as_a_whole(&Sight::large, block)) continue;
-        const bool is_unknown = verdicts_.unknown_as_a_whole(&Sight::large, block);
+        if (verdicts_.freed_as_a_whole(&Table::large, block)) continue;
+        const bool is_unknown = verdicts_.unknown_as_a_whole(&Table::large, block);
         for (int64_t part = 0; part < kParts; part++) {
           const int64_t i = 2 * number_ + part / 4, j = 2 * y + part / 2 % 2, k = 2 * z + part % 2;
           if (i < small_.x && j < small_.y && k < small_.z) carve(i, j, k, is_unknown);
@@ -173,7 +173,7 @@ class Slab {
       write(r_.unknown, ~uint64_t{0}, i, j, k);
       return;
     }
-    if (verdicts_.freed_as_a_whole(&Sight::small, block)) return;
+    if (verdicts_.freed_as_a_whole(&Table::small, block)) return;
     const Found found = verdicts_.of(block);
     if (found.unknown) write(r_.unknown, found.unknown, i, j, k);
     if (found.may_move) write(r_.may_move, found.may_move, i, j, k);

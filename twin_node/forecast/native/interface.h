@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 18;
+constexpr int32_t kInterfaceVersion = 19;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -46,11 +46,16 @@ struct BlockSightings {
   const uint8_t *whole;     // [blocks] 1: all of them lie inside the image
 };
 
-// What one view says along the ray of every pixel; one more entry stands for outside the image.
-struct Sight {
-  const int32_t *pixels;        // [blocks * 64] of every voxel, block by block
+// Where a view sees voxels and blocks of them.
+struct Table {
+  const int32_t *pixels;        // [blocks * 64] of every voxel, block by block; those outside the image come last
   const float *depths;          // [blocks * 64] m
   BlockSightings small, large;  // blocks of 4 x 4 x 4, and of eight of these
+};
+
+// What one view says along the ray of every pixel; one more entry stands for outside the image.
+struct Sight {
+  Table table;
   const float *free_until;    // [pixels + 1] m
   const float *begin, *end;   // [pixels + 1] m, where a measured moving surface explains the ray; null without depth
   const uint8_t *flags;       // [pixels + 1] bits of Flag
@@ -245,9 +250,9 @@ struct LeadRequest {
   double *single, *mixed;                // [experts, horizons, nodes, 3], [horizons, nodes, 3] m
 };
 
-// Where nodes were between two samples: a share of the way from one to the other.
+// A time between two samples: a share of the way from one to the other.
 struct Between {
-  const double *before, *after;  // [nodes, 3] m
+  int64_t before, after;
   double share;
 };
 
@@ -256,7 +261,8 @@ struct Between {
 struct ReckonRequest {
   int64_t nodes, before;
   int32_t experts, knots, knot, turns;    // turns: 1 where nodes that turn back are told from others
-  Between here, there;                    // where nodes were at the knot, and when it was forecast
+  Between here, there;                    // the time of the knot, and that of the forecasts
+  const double *positions;                // [samples, nodes, 3] m
   const int64_t *rows;                    // [nodes] of each node's ancestor; negative for none
   const double *places;                   // [experts, knots, before, 3] m
   const double *mixed;                    // [knots, before, 3] m
@@ -271,10 +277,9 @@ struct ReckonRequest {
   double *squared;                        // [experts, nodes] m^2
   double *errors, *began, *turned;        // [nodes] m, s, s
   int64_t *judged;                        // [nodes]
-  int64_t *known, *found;                 // [nodes] those that have an ancestor, and its row
-  double *moved, *wrong;                  // [nodes, 3], [nodes] m, of these
-  uint8_t *grown;                         // [nodes] 1: what they do began long enough ago, of these
-  int64_t *count;                         // [1] of these
+  int64_t *found;                         // [nodes] rows of the ancestors of those nodes that have one
+  double *moved, *wrong;                  // [nodes, 3], [nodes] m, of these nodes
+  uint8_t *grown;                         // [nodes] 1: what they do began long enough ago, of these nodes
 };
 
 // The voxels that hold points of measured surfaces, `finer` along each side of a pixel.

@@ -26,24 +26,30 @@ inline double off_the_way(const Vector &ahead, const Vector &moved) {
 }
 
 // Where a node was between two samples.
-inline Vector place_of(const Between &b, int64_t node) {
-  const double *before = b.before + 3 * node, *after = b.after + 3 * node;
+inline Vector place_of(const ReckonRequest &r, const Between &b, int64_t node) {
+  const double *before = r.positions + 3 * (b.before * r.nodes + node);
+  const double *after = r.positions + 3 * (b.after * r.nodes + node);
   const double rest = 1 - b.share;
   return {
       rest * before[0] + b.share * after[0], rest * before[1] + b.share * after[1],
       rest * before[2] + b.share * after[2]};
 }
 
-// Finds how far wrong each forecast was; notes who turned back. Returns the sum of the errors.
-inline double find_errors(const ReckonRequest &r) {
+struct Errors {
+  int64_t count;
+  double sum;
+};
+
+// Finds how far wrong each forecast was; notes who turned back.
+inline Errors find_errors(const ReckonRequest &r) {
   const double *mixed = r.mixed + 3 * r.knot * r.before;
   const double mean = r.profile[r.knot], last = r.profile[r.knots - 1];
-  double sum = 0;
-  int64_t count = 0;
+  Errors all{0, 0};
   for (int64_t node = 0; node < r.nodes; node++) {
     const int64_t row = r.rows[node];
     if (row < 0) continue;
-    const Vector moved = place_of(r.here, node) - place_of(r.there, node), ahead = Vector::at(mixed + 3 * row);
+    const Vector moved = place_of(r, r.here, node) - place_of(r, r.there, node);
+    const Vector ahead = Vector::at(mixed + 3 * row);
     double wrong = (ahead - moved).length();
     if (r.turns) {
       const double expected = r.radii[row] * mean / last, aside = off_the_way(ahead, moved) / r.narrower;
@@ -51,13 +57,12 @@ inline double find_errors(const ReckonRequest &r) {
       if (is_back && aside <= expected) r.turned[node] = r.now;
       if (r.turning[row]) wrong = std::min(wrong, aside);
     }
-    r.known[count] = node, r.found[count] = row, r.wrong[count] = wrong;
-    std::copy_n(&moved.x, 3, r.moved + 3 * count);
-    sum += wrong;
-    count++;
+    r.found[all.count] = row, r.wrong[all.count] = wrong;
+    std::copy_n(&moved.x, 3, r.moved + 3 * all.count);
+    all.sum += wrong;
+    all.count++;
   }
-  *r.count = count;
-  return sum;
+  return all;
 }
 
 // Enters the error of the mixture in the record of a node.
@@ -68,14 +73,15 @@ inline void enter(const ReckonRequest &r, int64_t node, double wrong) {
   r.judged[node]++;
 }
 
-inline void reckon(const ReckonRequest &r) {
-  const double sum = find_errors(r);
-  const int64_t count = *r.count;
+// How many nodes there are still.
+inline int64_t reckon(const ReckonRequest &r) {
+  const Errors all = find_errors(r);
   double &mean = r.profile[r.knot];
-  if (count) mean = r.kept * mean + (1 - r.kept) * (sum / static_cast<double>(count));
+  if (all.count) mean = r.kept * mean + (1 - r.kept) * (all.sum / static_cast<double>(all.count));
   const double last = r.profile[r.knots - 1];
-  for (int64_t i = 0; i < count; i++) {
-    const int64_t node = r.known[i], row = r.found[i];
+  for (int64_t node = 0, i = 0; node < r.nodes; node++) {
+    const int64_t row = r.rows[node];
+    if (row < 0) continue;
     const Vector moved = Vector::at(r.moved + 3 * i);
     for (int64_t expert = 0; expert < r.experts; expert++) {
       const double *place = r.places + 3 * ((expert * r.knots + r.knot) * r.before + row);
@@ -87,7 +93,9 @@ inline void reckon(const ReckonRequest &r) {
     r.grown[i] = known_s >= r.grown_s;
     if (r.wrong[i] > r.startled * (r.radii[row] * mean / last)) r.began[node] = r.now, r.judged[node] = 0;
     if (r.knot == r.knots - 1 && known_s >= 0) enter(r, node, r.wrong[i]);
+    i++;
   }
+  return all.count;
 }
 
 }  // namespace forecast
