@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -70,6 +72,17 @@ def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int
     assert np.abs(compiled.colours.ground - plain.colours.ground).sum() < 1e-3 * plain.colours.ground.sum()
     if depth:
         assert np.count_nonzero(compiled.depth != plain.depth) <= ROUNDING
+
+
+def test_wide_gaps_are_closed_as_in_numpy() -> None:
+    views = [replace(view, rgb=np.repeat(np.repeat(view.rgb, 6, 0), 6, 1)) for view in scene(2, False)[:14]]
+    plain, compiled = (CameraMask(views[0], MovingMaskParameters()) for _ in range(2))
+    assert compiled.closing.shape[0] > 12
+    for view in views:
+        expected, (found,) = plain.update(view, None), update_compiled([compiled], [view], [None])
+        assert np.count_nonzero(found != expected) <= 36 * ROUNDING
+        compiled.mask = plain.mask.copy()
+    assert expected.any() and not expected.all()
 
 
 def test_several_cameras_at_once_are_those_one_by_one() -> None:

@@ -51,7 +51,7 @@ class MaskUpdate {
         pixels_(static_cast<int64_t>(request.width) * request.height),
         image_{request.image, pixels_},
         background_{request.background, pixels_},
-        closing_(shifts_of(p_.kernel, p_.closing)),
+        closing_(kernel_of(p_.kernel, p_.closing)),
         uncovered_(pixels_, 0),
         difference_(pixels_),
         plain_(3 * pixels_),
@@ -177,7 +177,7 @@ class MaskUpdate {
   void find_in_front() {
     in_front_.assign(pixels_, 0);
     if (r_.measured == nullptr || r_.depth == nullptr) return;
-    static const std::vector<Shift> cross = {{-1, 0}, {0, -1}, {0, 0}, {0, 1}, {1, 0}};
+    static const Kernel cross = {{-1, 0}, {0, 1}, {1, 0}};
     Mask near(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
       const float measured = r_.measured[at], depth = r_.depth[at];
@@ -201,8 +201,7 @@ class MaskUpdate {
 
   // What moved stays, until it looks like ground, and so does ground that it encloses and that was never seen.
   void hold(Mask &mask) const {
-    static const std::vector<Shift> square = {{-1, -1}, {-1, 0}, {-1, 1}, {0, -1}, {0, 0},
-                                              {0, 1},   {1, -1}, {1, 0},  {1, 1}};
+    static const Kernel square = {{-1, 1}, {0, 1}, {1, 1}};
     Mask ground(pixels_);
     for (int64_t at = 0; at < pixels_; at++) ground[at] = r_.trusted[at] && like_ground(at);
     ground = eroded(ground, r_.width, r_.height, square);
@@ -274,9 +273,12 @@ class MaskUpdate {
     const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
     constexpr int kSide = 2 * kAround + 1;
     float sums[3] = {0.f, 0.f, 0.f}, count = 0.f;
+    int columns[kSide];
+    for (int x = 0; x < kSide; x++) columns[x] = mirrored(column - kAround + x, r_.width);
     for (int y = row - kAround; y <= row + kAround; y++) {
-      for (int x = column - kAround; x <= column + kAround; x++) {
-        const int64_t near = static_cast<int64_t>(mirrored(y, r_.height)) * r_.width + mirrored(x, r_.width);
+      const int64_t first = static_cast<int64_t>(mirrored(y, r_.height)) * r_.width;
+      for (const int x : columns) {
+        const int64_t near = first + x;
         if (!known[near]) continue;
         count += 1.f;
         for (int k = 0; k < 3; k++) sums[k] += plain(k, near);
@@ -341,7 +343,7 @@ class MaskUpdate {
   const MaskRules &p_;
   const int64_t pixels_;
   const Planes image_, background_;
-  const std::vector<Shift> closing_;
+  const Kernel closing_;
   Gains gain_{};
   float threshold_ = 0;
   Mask settled_, in_front_, uncovered_;

@@ -10,18 +10,22 @@ namespace model {
 
 using Mask = std::vector<uint8_t>;
 
-// The places of a kernel relative to its middle.
-struct Shift {
-  int row, column;
+// A row of a kernel, relative to its middle: the columns -reach ... reach.
+struct Stretch {
+  int row, reach;
 };
-inline std::vector<Shift> shifts_of(const uint8_t *kernel, int radius) {
-  std::vector<Shift> shifts;
+using Kernel = std::vector<Stretch>;
+
+// A kernel [2 radius + 1, 2 radius + 1] whose rows are stretches about its middle, as those of discs are.
+inline Kernel kernel_of(const uint8_t *places, int radius) {
+  Kernel kernel;
   for (int row = -radius; row <= radius; row++) {
-    for (int column = -radius; column <= radius; column++) {
-      if (kernel[(row + radius) * (2 * radius + 1) + column + radius]) shifts.push_back({row, column});
-    }
+    const uint8_t *middle = places + (row + radius) * (2 * radius + 1) + radius;
+    int reach = radius;
+    while (reach >= 0 && !middle[reach]) reach--;
+    if (reach >= 0) kernel.push_back({row, reach});
   }
-  return shifts;
+  return kernel;
 }
 
 // A binary image, a bit per pixel, with a margin of zeros on all sides: shifting it needs no look at its edges.
@@ -38,8 +42,11 @@ class Bits {
   // Of a mask [H, W] of zeros and ones.
   Bits(const uint8_t *mask, int width, int height) : Bits(width, height) {
     for (int y = 0; y < height; y++) {
+      const uint8_t *from = mask + static_cast<int64_t>(y) * width;
       uint64_t *to = row(y) + kMargin / kWord;
-      for (int x = 0; x < width; x++) to[x / kWord] |= uint64_t{mask[y * width + x]} << x % kWord;
+      int x = 0;
+      for (; x + 8 <= width; x += 8) to[x / kWord] |= bits_of(from + x) << x % kWord;
+      for (; x < width; x++) to[x / kWord] |= uint64_t{from[x]} << x % kWord;
     }
   }
 
@@ -47,16 +54,29 @@ class Bits {
     Mask out(static_cast<size_t>(width_) * height_);
     for (int y = 0; y < height_; y++) {
       const uint64_t *from = row(y) + kMargin / kWord;
-      for (int x = 0; x < width_; x++) out[y * width_ + x] = from[x / kWord] >> x % kWord & 1;
+      uint8_t *to = out.data() + static_cast<int64_t>(y) * width_;
+      int x = 0;
+      for (; x + 8 <= width_; x += 8) put_bytes(from[x / kWord] >> x % kWord & 0xff, to + x);
+      for (; x < width_; x++) to[x] = from[x / kWord] >> x % kWord & 1;
     }
     return out;
   }
 
-  // With the pixels at `shifts`, of less than half the margin, from those that are set.
-  Bits dilated(const std::vector<Shift> &shifts) const {
-    Bits out(width_, height_);
-    for (const Shift &shift : shifts) {
-      for (int y = -kMargin / 2; y < height_ + kMargin / 2; y++) out.add(y + shift.row, row(y), shift.column);
+  // With the pixels that `kernel`, whose radius is less than half the margin, covers about those that are set. Rows are
+  // widened once for all of the kernel's rows: a disc takes some steps per row of it, not one per place.
+  Bits dilated(const Kernel &kernel) const {
+    Bits out(width_, height_), wide(*this);
+    int widest = 0;
+    for (const Stretch &stretch : kernel) widest = std::max(widest, stretch.reach);
+    for (int reach = 0; reach <= widest; reach++) {
+      for (int y = -kMargin / 2; y < height_ + kMargin / 2 && reach > 0; y++) {
+        wide.add(y, row(y), reach);
+        wide.add(y, row(y), -reach);
+      }
+      for (const Stretch &stretch : kernel) {
+        if (stretch.reach != reach) continue;
+        for (int y = -kMargin / 2; y < height_ + kMargin / 2; y++) out.add(y + stretch.row, wide.row(y), 0);
+      }
     }
     return out;
   }
@@ -69,6 +89,22 @@ class Bits {
   }
 
  private:
+  // Eight bytes of zeros and ones as eight bits, the first the lowest: byte i, at bit 8 i, is moved to bit 56 + i, and
+  // no two products meet.
+  static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__);
+  static uint64_t bits_of(const uint8_t *bytes) {
+    uint64_t eight;
+    std::memcpy(&eight, bytes, 8);
+    return eight * 0x0102040810204080u >> 56;
+  }
+
+  // The way back: each byte keeps its own bit of a copy of all eight, and becomes one if that is set.
+  static void put_bytes(uint64_t bits, uint8_t *bytes) {
+    const uint64_t own = bits * 0x0101010101010101u & 0x8040201008040201u;
+    const uint64_t eight = (own + 0x7f7f7f7f7f7f7f7fu) >> 7 & 0x0101010101010101u;
+    std::memcpy(bytes, &eight, 8);
+  }
+
   uint64_t *row(int y) { return bits_.data() + static_cast<int64_t>(y + kMargin) * words_; }
   const uint64_t *row(int y) const { return bits_.data() + static_cast<int64_t>(y + kMargin) * words_; }
 
@@ -90,20 +126,20 @@ class Bits {
   std::vector<uint64_t> bits_;
 };
 
-// `mask` [H, W] dilated by `shifts`.
-inline Mask dilated(const uint8_t *mask, int width, int height, const std::vector<Shift> &shifts) {
-  return Bits(mask, width, height).dilated(shifts).unpacked();
+// `mask` [H, W] dilated by `kernel`.
+inline Mask dilated(const uint8_t *mask, int width, int height, const Kernel &kernel) {
+  return Bits(mask, width, height).dilated(kernel).unpacked();
 }
 
-// `mask` [H, W] with gaps closed that are narrower than the kernel, of which `shifts` are symmetric.
-inline Mask closed(const Mask &mask, int width, int height, const std::vector<Shift> &shifts) {
-  return Bits(mask.data(), width, height).dilated(shifts).inverted().dilated(shifts).inverted().unpacked();
+// `mask` [H, W] with gaps closed that are narrower than the kernel, which is symmetric.
+inline Mask closed(const Mask &mask, int width, int height, const Kernel &kernel) {
+  return Bits(mask.data(), width, height).dilated(kernel).inverted().dilated(kernel).inverted().unpacked();
 }
 
-// Pixels of `mask` [H, W] whose neighbours (symmetric `shifts`) inside the image are all in it as well.
-inline Mask eroded(Mask mask, int width, int height, const std::vector<Shift> &shifts) {
+// Pixels of `mask` [H, W] whose neighbours (of a symmetric `kernel`) inside the image are all in it as well.
+inline Mask eroded(Mask mask, int width, int height, const Kernel &kernel) {
   for (uint8_t &pixel : mask) pixel ^= 1;
-  mask = dilated(mask.data(), width, height, shifts);
+  mask = dilated(mask.data(), width, height, kernel);
   for (uint8_t &pixel : mask) pixel ^= 1;
   return mask;
 }
