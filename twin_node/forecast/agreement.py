@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.measured import UNKNOWN_SPEED
@@ -49,6 +50,23 @@ class Estimate:
     """[M, 3] m/s."""
     sigmas: Float64
     """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
+
+    @classmethod
+    def unknown(cls, count: int) -> Estimate:
+        """Of `count` parts of which nothing is known."""
+        return cls(np.zeros((count, 3)), np.full(count, UNKNOWN_SPEED))
+
+    def after(self, elapsed_s: float) -> Estimate:
+        """What is known of it some time later."""
+        sigmas = np.hypot(self.sigmas, _ACCELERATION * elapsed_s)
+        return Estimate(self.velocities, np.minimum(sigmas, UNKNOWN_SPEED))
+
+    def of(self, rows: NDArray[np.int64]) -> Estimate:
+        """How the parts in `rows` move; nothing is known of those of the row after the last."""
+        none = Estimate.unknown(1)
+        return Estimate(
+            np.append(self.velocities, none.velocities, axis=0)[rows], np.append(self.sigmas, none.sigmas)[rows]
+        )
 
 
 def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
@@ -110,3 +128,5 @@ _DEPTH_SIGMA, _DEPTH_SHARE = 0.02, 0.02
 """Error of the change of a part's depth, m and as a share of the depth."""
 _TURNS = 4
 """Rounds of reweighting."""
+_ACCELERATION = 5.0
+"""By which velocities change, m/s^2."""

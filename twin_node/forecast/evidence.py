@@ -8,19 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from twin_node.forecast.agreement import Estimate
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.errands import Errand
 from twin_node.forecast.hiding import Hidden, HidingPlaces
+from twin_node.forecast.landing import floors_of
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.own_space import own_space
-from twin_node.forecast.part_velocities import Moving, PartVelocities
+from twin_node.forecast.part_velocities import PartVelocities
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.resting import Resting
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
+from twin_node.forecast.things import Whole
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
@@ -34,8 +37,12 @@ class Evidence:
     """ns."""
     parts: Parts
     """The moving space: flat indices in the outer grid, coordinates in the inner one."""
-    motion: Moving
+    motion: Estimate
     """Of the parts."""
+    whole: Whole
+    """What following small things as wholes tells of them."""
+    floors: Float64
+    """[M] m, heights that the middles of the parts do not get below, for what stands there; -inf where nothing does."""
     static: OccupancyLayer
     """What stands."""
     unknown_runs: UInt32
@@ -84,8 +91,9 @@ class Observer:
         self._hidden: Errand[Hidden] | None = None
         self._resting = Resting(self.grid)
         self._standing: _Standing | None = None
+        self._unseen = Bits.none(self.grid.dims)
         self._last_centers = np.zeros((0, 3))
-        self._last = Moving.unknown(0)
+        self._last = Estimate.unknown(0)
         self._last_stamp = 0
 
     def observe(self, state: TwinState) -> Evidence:
@@ -97,17 +105,21 @@ class Observer:
         stands = self._standing.mask
         unknown = carved.unknown.without(stands)
         hidden = self._look_for_hidden(state.stamp, unknown, carved.may_move, stands)
+        rims = carved.may_move.without(carved.likely_moves)  # what moves passes before them, and leaves them unseen
+        self._unseen = unknown | (self._behind_arm(state, carved) | rims & self._unseen).without(stands)
         moving = carved.may_move.listed(carved.likely_moves)
         parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
-        motion = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
+        motion, whole = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
-        limbs = parts.likely & ~motion.alone[parts.labels]
+        limbs = parts.likely & ~whole.followed[parts.labels]
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),
             motion=motion,
+            whole=whole,
+            floors=floors_of(self.grid, stands, parts.centers, whole),
             static=self._standing.inner,
-            unknown_runs=self.margin.cropped(unknown | self._behind_arm(state, carved).without(stands)).runs(),
+            unknown_runs=self.margin.cropped(self._unseen).runs(),
             hidden=hidden,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
@@ -147,11 +159,11 @@ class Observer:
         speeds = np.linalg.norm(self._last.velocities, axis=1)
         return float(np.percentile(speeds, 95)) if len(speeds) else 0.0
 
-    def _expected(self, stamp: int, centers: Float64) -> Moving:
+    def _expected(self, stamp: int, centers: Float64) -> Estimate:
         """How the parts move that were nearest before, as far as that still holds; nothing is known of others."""
         before = self._last.after((stamp - self._last_stamp) * 1e-9)
         if len(self._last_centers) == 0 or len(centers) == 0:
-            return Moving.unknown(len(centers))
+            return Estimate.unknown(len(centers))
         return before.of(cKDTree(self._last_centers).query(centers, distance_upper_bound=NEAR)[1])
 
 

@@ -103,6 +103,8 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 """m/s^2, in `base_link`, whose z points up."""
 BOUNCE = 0.5
 """Share of its speed that a thing keeps when it bounces: 0.3 for a full carton, 0.8 for a tennis ball."""
+_HIGH = 1e3
+"""So far above its floor (m) nothing gets within a horizon."""
 LINE_S, PARABOLA_S = 0.07, 0.15
 """Spans that velocities, and accelerations, are fitted to, s: two and four steps of a camera at 30 Hz."""
 FILLED = 0.85
@@ -144,15 +146,18 @@ def constant_acceleration(history: History, horizons: Float64) -> Float64:
     return curved
 
 
-def free_fall(history: History, horizons: Float64, floor: float = -np.inf) -> Float64:
+def free_fall(history: History, horizons: Float64, floors: float | Float64 = -np.inf) -> Float64:
     """What was thrown or dropped: the velocity of the last `LINE_S` and gravity, no drag.
 
-    What comes down to the height `floor` (m) bounces back half as high above it as it would have got below.
+    What comes down to its height of `floors` ([M] or one for all, m) bounces off it, once: then it stays there.
     """
     time = np.asarray(horizons)[:, None, None]
     fallen: Float64 = time * history.falling + time**2 / 2 * GRAVITY
-    above = np.maximum(history.positions[-1][:, 2] - floor, 0)
-    fallen[..., 2] = np.where(fallen[..., 2] < -above, -above - BOUNCE * (above + fallen[..., 2]), fallen[..., 2])
+    above = np.minimum(np.maximum(history.positions[-1][:, 2] - floors, 0), _HIGH)
+    impact = np.sqrt(history.falling[:, 2] ** 2 - 2 * GRAVITY[2] * above)  # its speed then, m/s
+    since = time[..., 0] + (history.falling[:, 2] + impact) / GRAVITY[2]
+    bounced = np.maximum(BOUNCE * impact * since + since**2 / 2 * GRAVITY[2], 0) - above
+    fallen[..., 2] = np.where(since > 0, bounced, fallen[..., 2])
     return fallen
 
 

@@ -237,8 +237,8 @@ class LeadRequest(ctypes.Structure):
     _fields_ = (
         ("nodes", c_int64),
         *((name, c_int32) for name in ("horizons", "features")),
-        *((name, c_double) for name in ("floor", "bounce")),
-        *((name, c_void_p) for name in ("here", "line", "parabola", "falling", "seen", "learnt", "weights")),
+        ("bounce", c_double),
+        *((name, c_void_p) for name in ("here", "line", "parabola", "falling", "floors", "seen", "learnt", "weights")),
         *((name, c_void_p) for name in ("horizon", "travelled", "gravity", "single", "mixed")),
     )
 

@@ -19,8 +19,8 @@ class Guides:
     history: History
     features: Float64
     """[M, 3, F] of the autoregression."""
-    floor: float
-    """Height in metres that things bounce from."""
+    floors: Float64
+    """[M] m, heights that things bounce from."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ def _led_by(compiled: Kernels, guides: Guides, learnt: Float64, weights: Float64
     history, (count, _, features) = guides.history, guides.features.shape
     found = Led(np.empty((len(EXPERT_NAMES), len(horizons), count, 3)), np.empty((len(horizons), count, 3)))
     paths = (history.positions[-1], history.line, history.parabola, history.falling)
-    given = (*paths, guides.features, learnt, weights, horizons, damped_times(horizons), GRAVITY)
+    given = (*paths, guides.floors, guides.features, learnt, weights, horizons, damped_times(horizons), GRAVITY)
     arrays = [*(np.ascontiguousarray(array, np.float64) for array in given), found.single, found.mixed]
-    sizes = (count, len(horizons), features, guides.floor, BOUNCE)
+    sizes = (count, len(horizons), features, BOUNCE)
     compiled.lead(LeadRequest(*sizes, *(array.ctypes.data for array in arrays)))
     return found
 
@@ -59,5 +59,5 @@ def led_plainly(guides: Guides, learnt: Float64, weights: Float64, horizons: Flo
     """What `led` does."""
     plain = [expert(guides.history, horizons) for expert in EXPERTS]
     remembered = np.einsum("hf,mcf->hmc", learnt, guides.features)
-    single = np.stack([*plain, remembered, free_fall(guides.history, horizons, guides.floor)])
+    single = np.stack([*plain, remembered, free_fall(guides.history, horizons, guides.floors)])
     return Led(single, np.einsum("em,ehmc->hmc", weights, single))

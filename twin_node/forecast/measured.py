@@ -26,8 +26,6 @@ from 83 to 300 ms: 2.0 at rest, 2.3 to 3.6 at 0.1 to 0.2 m/s, 3.4 to 5.3 up to 1
 motion capture 01_01, their velocity that of the last 33 ms)."""
 _MOST_SIGMAS = 0.5
 """Standard deviations of the velocity that the largest radius holds: a line through 0.1 s halves them."""
-_FLIGHT_TRIED = 2.0
-"""Horizons in which a flight is taken for one until its record says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,17 @@ class Measured:
     """[M] nodes of things that move by themselves, faster than people."""
     alone: Bool
     """[M] nodes of things that move by themselves, and are seen as a whole: no limbs."""
+    falling: Bool
+    """[M] nodes of what flies by more than its last step, and was not seen to go straight."""
+    floors: Float64
+    """[M] m, heights that nodes do not get below, for what stands there; -inf where nothing is known."""
 
-    def newcomers(self, known_s: Float64, ages_s: Float64, falls: Bool, horizon_s: float) -> Bool:
-        """[M] nodes of which nothing has come true yet, or only that they fall: a flight is over before there is more.
+    def newcomers(self, known_s: Float64, ages_s: Float64, horizon_s: float) -> Bool:
+        """[M] nodes of which nothing has come true yet, and those that fall: a flight is over before more has.
 
-        `known_s`: for how long each is known; `ages_s`: for how long it has begun nothing new; `falls`: that its record
-        shows best.
+        `known_s`: for how long each is known; `ages_s`: for how long it has begun nothing new.
         """
-        untried = (known_s < horizon_s) & (ages_s < horizon_s)
-        newcomers: Bool = untried | (self.flying & (falls | (known_s < _FLIGHT_TRIED * horizon_s)))
+        newcomers: Bool = ((known_s < horizon_s) & (ages_s < horizon_s)) | self.falling
         return newcomers
 
     def reach(self, spread: Float64, speeds: Float64, reachable: float, horizon_s: float) -> Float64:

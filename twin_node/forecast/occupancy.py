@@ -135,7 +135,9 @@ class Forecaster:
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         motion = evidence.motion
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
-        measured = Measured(motion.sigmas, motion.flying, motion.alone) if has_depth else None
+        whole = evidence.whole
+        told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
+        measured = told if has_depth else None
         ahead_s, factor = float(horizons[-1]), self._control.factor
         self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor)
         self._judge(state, evidence)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.agreement import Estimate, Sighting, agreed
@@ -29,8 +28,10 @@ class PartVelocities:
         self._motions: dict[str, ImageMotion] = {}
         self._things = Things(tables.blocks.grid)
 
-    def update(self, state: TwinState, parts: Parts, expected: Moving) -> Moving:
-        """How parts move; `expected` is how those do that were where they are, with `UNKNOWN_SPEED` for new ones.
+    def update(self, state: TwinState, parts: Parts, expected: Estimate) -> tuple[Estimate, Whole]:
+        """How parts move, and what following wholes tells of them.
+
+        `expected` is how those move that were where they are, with `UNKNOWN_SPEED` for new ones.
 
         Least squares over the views: the image velocity of a part is its velocity seen through the projection. A view
         at odds with the others loses its say, and looks again from where they say that the thing has come. Small things
@@ -40,7 +41,7 @@ class PartVelocities:
         cameras = tuple(view.camera.name for view in state.frames.views)
         whole = self._things.follow(state.stamp, cameras, parts)
         if parts.count == 0 or not looks:
-            return expected
+            return expected, whole
         found = [look.sighting(expected.velocities) for look in looks]
         moving = _solve(found, expected, whole)
         lost = [look.has_lost(sighting, moving.velocities) for look, sighting in zip(looks, found, strict=True)]
@@ -53,8 +54,7 @@ class PartVelocities:
         shown = np.zeros(parts.count, np.bool_)
         for sighting in found:
             shown |= sighting.shown
-        filled = _filled(parts.centers, moving, shown)
-        return replace(filled, flying=whole.flying, alone=whole.followed)
+        return _filled(parts.centers, moving, shown), whole
 
     def _look(self, state: TwinState, parts: Parts) -> list[_Look]:
         """Takes in the images; what each view that has an earlier one shows of some voxels of all parts."""
@@ -70,40 +70,6 @@ class PartVelocities:
                 jacobian = _jacobian(view.camera, parts.centers)
                 looks.append(_Look(motion, motion.elapsed_s, view.camera, shown, jacobian))
         return looks
-
-
-@dataclass(frozen=True)
-class Moving:
-    """How M parts move."""
-
-    velocities: Float64
-    """[M, 3] m/s."""
-    sigmas: Float64
-    """[M] standard deviation of each component, m/s, at most `UNKNOWN_SPEED`."""
-    flying: Bool
-    """[M] parts of things that move by themselves, and faster than people."""
-    alone: Bool
-    """[M] parts of things that move by themselves, and were followed as wholes."""
-
-    @classmethod
-    def unknown(cls, count: int) -> Moving:
-        """Of `count` parts of which nothing is known."""
-        return cls(np.zeros((count, 3)), np.full(count, UNKNOWN_SPEED), *np.zeros((2, count), np.bool_))
-
-    def after(self, elapsed_s: float) -> Moving:
-        """What is known of it some time later."""
-        sigmas = np.hypot(self.sigmas, _ACCELERATION * elapsed_s)
-        return replace(self, sigmas=np.minimum(sigmas, UNKNOWN_SPEED))
-
-    def of(self, rows: NDArray[np.int64]) -> Moving:
-        """How the parts in `rows` move; nothing is known of those of the row after the last."""
-        none = Moving.unknown(1)
-        return Moving(
-            np.append(self.velocities, none.velocities, axis=0)[rows],
-            np.append(self.sigmas, none.sigmas)[rows],
-            np.append(self.flying, none.flying)[rows],
-            np.append(self.alone, none.alone)[rows],
-        )
 
 
 @dataclass(frozen=True)
@@ -161,10 +127,14 @@ class _Look:
         return np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), overall).astype(np.float32)
 
 
-def _solve(sightings: Sequence[Sighting], expected: Moving, whole: Whole) -> Moving:
-    """What the sightings, the wholes and what is expected agree on best."""
-    found = agreed(sightings, Estimate(expected.velocities, expected.sigmas), whole)
-    return Moving(found.velocities, found.sigmas, whole.flying, whole.followed)
+def _solve(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+    """What the sightings, the wholes and what is expected agree on best.
+
+    What falls goes as all of it went: what images show of it spins, and is further on than flow looks.
+    """
+    found, falling = agreed(sightings, expected, whole), whole.falling
+    velocities = np.where(falling[:, None], whole.velocities, found.velocities)
+    return Estimate(velocities, np.where(falling, np.minimum(whole.sigmas, UNKNOWN_SPEED), found.sigmas))
 
 
 def _jacobian(camera: Camera, points: Float64) -> Float64:
@@ -178,7 +148,7 @@ def _jacobian(camera: Camera, points: Float64) -> Float64:
     return rows
 
 
-def _filled(centers: Float64, moving: Moving, measured: Bool) -> Moving:
+def _filled(centers: Float64, moving: Estimate, measured: Bool) -> Estimate:
     """Parts that no view shows move as the nearest one that some view shows."""
     hidden = np.flatnonzero(~measured)
     if len(hidden) == 0 or not measured.any():
@@ -208,5 +178,3 @@ _FAST, _LOST = 2.0, 12.0
 _FOUND, _ASTRAY = 5.0, 0.35
 """Flow finds what has gone less than the first, pixels; what has gone further it has not found if it is off by more
 than the second, as a share of the way."""
-_ACCELERATION = 5.0
-"""By which velocities change, m/s^2."""

@@ -106,6 +106,12 @@ class Predictor:
         return np.where(self._newcomers, first, self._recorded)
 
     @property
+    def _floors(self) -> Float64:
+        """[M] heights in metres that the nodes do not get below."""
+        count = self._history.positions.shape[1]
+        return np.full(count, self._floor) if self._measured is None else np.maximum(self._floor, self._measured.floors)
+
+    @property
     def _recorded(self) -> Float64:
         """[E, M] weights by the records."""
         if self._mixture is None:
@@ -171,7 +177,7 @@ class Predictor:
         `factor`: on calibrated bounds.
         """
         mixed = self._led(horizons).mixed
-        left = np.minimum(self._floor - self._history.positions[-1][:, 2], 0)
+        left = np.minimum(self._floors - self._history.positions[-1][:, 2], 0)
         mixed[..., 2] = np.maximum(mixed[..., 2], left)  # else what is about to bounce would be forecast below the grid
         last = float(horizons[-1])
         radii = self._radii(last, factor)
@@ -205,8 +211,7 @@ class Predictor:
         if self._measured is None:
             return np.zeros(len(self._records.born), np.bool_)
         known_s = self._history.times[-1] - self._records.born
-        falls = self._recorded[EXPERT_NAMES.index("free_fall")] > 0.5
-        return self._measured.newcomers(known_s, self._ages, falls, self._horizon_s)
+        return self._measured.newcomers(known_s, self._ages, self._horizon_s)
 
     @property
     def _turning(self) -> Bool:
@@ -231,7 +236,7 @@ class Predictor:
 
     def _led(self, horizons: Float64) -> Led:
         learnt = self.autoregression.weights(horizons / self._horizon_s)
-        return led(Guides(self._history, self._features, self._floor), learnt, self.weights, horizons)
+        return led(Guides(self._history, self._features, self._floors), learnt, self.weights, horizons)
 
     def _issue(self) -> None:
         """Has every expert forecast the places at the knots."""

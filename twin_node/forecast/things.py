@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.flights import Course
 from twin_node.forecast.kernel_requests import LinkRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
@@ -34,20 +34,32 @@ class Whole:
 
     velocities: Float64
     """[M, 3] m/s; 0 where nothing is told."""
-    trusts: Float64
-    """[M] s^2/m^2, the inverse of the variance of each component; 0 for parts of nothing that was followed."""
+    sigmas: Float64
+    """[M] standard deviation of each component, m/s; infinite for parts of nothing that was followed."""
+    flying: Bool
+    """[M] parts of what falls freely, or goes faster than people do."""
+    falling: Bool
+    """[M] parts of what flies by more than its last step, and was not seen to go straight."""
+    above: Float64
+    """[M] m, by which the middle of each part is above the lowest of its thing; 0 where nothing was followed."""
+
+    @classmethod
+    def none(cls, count: int) -> Whole:
+        """Of `count` parts of nothing that was followed."""
+        no = np.zeros(count, np.bool_)
+        return cls(np.zeros((count, 3)), np.full(count, np.inf), no, no.copy(), np.zeros(count))
+
+    @property
+    def trusts(self) -> Float64:
+        """[M] s^2/m^2, the inverse of the variance of each component."""
+        trusts: Float64 = 1 / self.sigmas**2
+        return trusts
 
     @property
     def followed(self) -> Bool:
         """[M] parts of what was followed as a whole."""
-        followed: Bool = self.trusts > 0
+        followed: Bool = np.isfinite(self.sigmas)
         return followed
-
-    @property
-    def flying(self) -> Bool:
-        """[M] parts of what goes faster than people do."""
-        fast: Bool = np.linalg.norm(self.velocities, axis=1) > PERSON_SPEED
-        return fast
 
 
 class Things:
@@ -65,17 +77,18 @@ class Things:
         labels = _things(parts)
         now = _Seen.of(stamp, cameras, self._grid, parts, labels)
         before, self._before = self._before, now
-        velocities, trusts = np.zeros((parts.count, 3)), np.zeros(parts.count)
+        whole = Whole.none(parts.count)
         if before is None or before.stamp >= stamp or before.cameras != cameras:
-            return Whole(velocities, trusts)
-        elapsed = (stamp - before.stamp) * 1e-9
-        for mine, other in _pairs(before, now, elapsed):
-            moved = (now.middles[mine] - before.middles[other]) / elapsed
+            return whole
+        for mine, other in _pairs(before, now, (stamp - before.stamp) * 1e-9):
             changed = abs(now.volumes[mine] / before.volumes[other] - 1)
-            sigma = np.sqrt(2) * (self._grid.voxel_size / 2 + changed * now.sides[mine] / 4) / elapsed
-            now.velocities[mine] = moved
-            velocities[labels == mine], trusts[labels == mine] = moved, 1 / sigma**2
-        return Whole(velocities, trusts)
+            sigma = self._grid.voxel_size / 2 + changed * now.sides[mine] / 4
+            course = before.courses[other].followed(stamp * 1e-9, now.middles[mine], sigma)
+            now.courses[mine], chosen = course, labels == mine
+            whole.velocities[chosen], whole.sigmas[chosen] = course.velocity, course.velocity_sigma
+            whole.flying[chosen], whole.falling[chosen] = course.flies, course.is_flight
+            whole.above[chosen] = parts.centers[chosen, 2] - now.lowest[mine]
+        return whole
 
 
 @dataclass(frozen=True)
@@ -92,8 +105,10 @@ class _Seen:
     """[T] m, the longest of each."""
     chosen: Bool
     """[T] small enough, and not cut off by the grid's border."""
-    velocities: Float64
-    """[T, 3] m/s."""
+    lowest: Float64
+    """[T] m, the height of the lowest of each."""
+    courses: list[Course]
+    """[T] that led there."""
 
     @classmethod
     def of(cls, stamp: int, cameras: tuple[str, ...], grid: Grid, parts: Parts, labels: NDArray[np.int64]) -> _Seen:
@@ -109,9 +124,10 @@ class _Seen:
         sides = (highest - lowest + 1).max(axis=1) * grid.voxel_size
         whole = (lowest > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
         chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
-        return cls(
-            stamp, cameras, grid.origin + middles * grid.voxel_size, volumes, sides, chosen, np.zeros((count, 3))
-        )
+        places = grid.origin + middles * grid.voxel_size
+        courses = [Course.begun(stamp * 1e-9, place, grid.voxel_size / 2) for place in places]
+        bottoms = grid.origin[2] + lowest[:, 2] * grid.voxel_size
+        return cls(stamp, cameras, places, volumes, sides, chosen, bottoms, courses)
 
 
 def _things(parts: Parts) -> NDArray[np.int64]:
@@ -152,7 +168,7 @@ def _pairs(before: _Seen, now: _Seen, elapsed_s: float) -> list[tuple[int, int]]
     mine, others = np.flatnonzero(now.chosen), np.flatnonzero(before.chosen)
     if len(mine) == 0 or len(others) == 0:
         return []
-    led = before.middles[others] + before.velocities[others] * elapsed_s
+    led = before.middles[others] + np.stack([before.courses[other].velocity for other in others]) * elapsed_s
     ways = np.linalg.norm(now.middles[mine][:, None] - led, axis=2)
     steps = np.linalg.norm(now.middles[mine][:, None] - before.middles[others], axis=2)
     ratios = now.volumes[mine][:, None] / before.volumes[others]

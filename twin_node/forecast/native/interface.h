@@ -237,11 +237,12 @@ struct SolveRequest {
 struct LeadRequest {
   int64_t nodes;
   int32_t horizons, features;
-  double floor, bounce;                  // m; share of its speed that what bounces keeps
+  double bounce;                         // share of its speed that what bounces keeps
   const double *here;                    // [nodes, 3] m
   const double *line;                    // [nodes, 3] m/s
   const double *parabola;                // [2, nodes, 3] m/s, m/s^2
   const double *falling;                 // [nodes, 3] m/s
+  const double *floors;                  // [nodes] m, the heights that they bounce from
   const double *seen;                    // [nodes, 3, features] of the autoregression
   const double *learnt;                  // [horizons, features] its weights
   const double *weights;                 // [experts, nodes] in the mixture

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 #include "interface.h"
@@ -11,6 +12,7 @@ namespace forecast {
 // In the order of their weights: those of motion by will without memory, the one that learns, and free fall.
 enum Expert : int32_t { kPersistence, kConstantVelocity, kDamped, kConstantAcceleration, kAutoregression, kFreeFall };
 constexpr int32_t kExperts = 6;
+constexpr double kHigh = 1e3;  // so far above its floor (m) nothing gets within a horizon
 
 // Of coordinates of all nodes: [nodes, 3] laid out flat.
 inline void lead_by_expert(const LeadRequest &r, int32_t horizon, double *const *to) {
@@ -30,10 +32,13 @@ inline void lead_by_expert(const LeadRequest &r, int32_t horizon, double *const 
     for (int32_t feature = 0; feature < r.features; feature++) sum += learnt[feature] * seen[feature];
     to[kAutoregression][i] = sum;
   }
-  for (int64_t node = 0; node < r.nodes; node++) {  // what comes down bounces
-    const double above = std::max(r.here[3 * node + 2] - r.floor, 0.0);
-    double &fallen = to[kFreeFall][3 * node + 2];
-    if (fallen < -above) fallen = -above - r.bounce * (above + fallen);
+  for (int64_t node = 0; node < r.nodes; node++) {  // what comes down bounces, once
+    const double above = std::min(std::max(r.here[3 * node + 2] - r.floors[node], 0.0), kHigh);
+    const double upward = r.falling[3 * node + 2], gravity = r.gravity[2];
+    const double impact = std::sqrt(upward * upward - 2 * gravity * above);  // its speed then, m/s
+    const double since = time + (upward + impact) / gravity;
+    if (since <= 0) continue;
+    to[kFreeFall][3 * node + 2] = std::max(r.bounce * impact * since + since * since / 2 * gravity, 0.0) - above;
   }
 }
 

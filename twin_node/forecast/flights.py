@@ -1,0 +1,135 @@
+"""Flights: how fast what falls freely goes, from where it was in the last sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.experts import GRAVITY
+from twin_node.scene import Float64
+
+_KEPT_S = 0.2
+"""Span of a course, s: drag and spin bend a ball's way by a centimetre in that time."""
+_SLOW = 0.5
+"""What goes slower is not asked whether it falls, m/s: it would for no longer than 50 ms."""
+_ASTRAY = 3.0
+"""Standard deviations that a thing may be from where its course led: it has hit something if it is further off."""
+_SHOWN = 9.0
+"""By so much the misfit of one kind of course (chi^2) must exceed that of the other, for the other to be seen: three
+standard deviations."""
+_PLACES, _SURE = 3, 0.4
+"""Fewest places that show a flight, and how well they must tell its velocity, m/s: what does not lie on one course
+begins a new one, but the middle of what changes its shape may lie anywhere."""
+_NOWHERE = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The course under some gravity that fits best: weighted least squares, in each component."""
+
+    place: Float64
+    """[3] m, at the last set."""
+    velocity: Float64
+    """[3] m/s, then."""
+    place_sigma: float
+    """Standard deviation of each component, m."""
+    velocity_sigma: float
+    """m/s."""
+    misfit: float
+    """Sum of squared deviations, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where a thing was, set by set, since it was first seen or last hit something; n sets."""
+
+    times: Float64
+    """[n] s, rising."""
+    middles: Float64
+    """[n, 3] m."""
+    sigmas: Float64
+    """[n] standard deviation of each component of a middle, m."""
+    velocity: Float64
+    """[3] m/s, at the last set; 0 if there is but one."""
+    velocity_sigma: float = np.inf
+    """Standard deviation of each component, m/s."""
+    falls: bool | None = None
+    """Whether its way shows that it falls freely, or did before it hit something; None: that cannot be told."""
+
+    @classmethod
+    def begun(cls, time: float, middle: Float64, sigma: float) -> Course:
+        """With one place [3] (m) at a time (s)."""
+        return cls(np.array([time]), middle[None], np.array([sigma]), _NOWHERE)
+
+    @property
+    def flies(self) -> bool:
+        """Whether it falls, or goes faster than people do."""
+        return bool(self.falls) or float(np.linalg.norm(self.velocity)) > PERSON_SPEED
+
+    @property
+    def is_flight(self) -> bool:
+        """Whether it flies as what is thrown does, for all that is known: by three places or more, or since it fell.
+
+        Two places may be those of two things, or of one that has come apart.
+        """
+        is_sure = len(self.times) >= _PLACES and self.velocity_sigma < _SURE
+        return bool(self.falls) or (self.falls is None and self.flies and is_sure)
+
+    def followed(self, time: float, middle: Float64, sigma: float) -> Course:
+        """The course with the thing's place [3] (m) at a later time (s); begun anew if it does not lead there."""
+        elapsed = time - self.times[-1]
+        step, astray = (middle - self.middles[-1]) / elapsed, float(np.sqrt(2)) * sigma / elapsed
+        is_slow = not self.falls and float(np.linalg.norm(step)) < _SLOW
+        if not is_slow and self._leads_elsewhere(elapsed, middle, sigma):
+            if self.flies:
+                astray = max(astray, float(np.linalg.norm(step - self.velocity)))
+            return Course(np.array([time]), middle[None], np.array([sigma]), step, astray, self.falls)
+        kept = self.times > time - _KEPT_S
+        times, sigmas = np.append(self.times[kept], time), np.append(self.sigmas[kept], sigma)
+        longer = Course(times, np.append(self.middles[kept], middle[None], axis=0), sigmas, step, astray, self.falls)
+        return longer if is_slow else longer._fitted()
+
+    def _leads_elsewhere(self, elapsed_s: float, middle: Float64, sigma: float) -> bool:
+        """Whether the thing is not where it would be, `elapsed_s` after the last set."""
+        if len(self.times) < 2:
+            return False
+        line = self._straight if self.falls is False else self._falling
+        gravity = _NOWHERE if self.falls is False else GRAVITY
+        place = line.place + line.velocity * elapsed_s + gravity * elapsed_s**2 / 2
+        own = np.hypot(line.place_sigma, line.velocity_sigma * elapsed_s)
+        return float(np.linalg.norm(middle - place)) > _ASTRAY * float(np.hypot(own, sigma))
+
+    def _fitted(self) -> Course:
+        """With what all of its places say of its velocity, where it flies, and of whether it falls."""
+        if len(self.times) < 2:
+            return self
+        falls, limit = self.falls, _ASTRAY**2 * (len(self.times) - 1)
+        difference = self._straight.misfit - self._falling.misfit
+        if difference > _SHOWN and self._falling.misfit < limit and len(self.times) > _PLACES:
+            falls = True
+        elif difference < -_SHOWN and self._straight.misfit < limit:
+            falls = False
+        line = self._straight if falls is False else self._falling
+        told = replace(self, velocity=line.velocity, velocity_sigma=line.velocity_sigma, falls=falls)
+        return told if told.flies else replace(self, falls=falls)
+
+    @cached_property
+    def _straight(self) -> _Line:
+        return self._line(_NOWHERE)
+
+    @cached_property
+    def _falling(self) -> _Line:
+        return self._line(GRAVITY)
+
+    def _line(self, gravity: Float64) -> _Line:
+        ages, trusts = self.times - self.times[-1], 1 / self.sigmas**2
+        told = self.middles - (ages**2 / 2)[:, None] * gravity
+        total, first, second = trusts.sum(), trusts @ ages, trusts @ ages**2
+        determinant = total * second - first**2
+        sums, moments = trusts @ told, (trusts * ages) @ told
+        place, velocity = (second * sums - first * moments) / determinant, (total * moments - first * sums) / determinant
+        misfit = float(trusts @ ((told - place - ages[:, None] * velocity) ** 2).sum(axis=1))
+        return _Line(place, velocity, float(np.sqrt(second / determinant)), float(np.sqrt(total / determinant)), misfit)
