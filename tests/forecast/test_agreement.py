@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -39,7 +41,7 @@ def unexpected(count: int) -> Estimate:
 
 
 def nothing_whole(count: int) -> Whole:
-    return Whole(np.zeros((count, 3)), np.zeros(count))
+    return Whole.none(count)
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -50,7 +52,8 @@ def test_compiled_velocities_are_the_plain_ones(seed: int, views: int, count: in
     velocities = rng.normal(size=(count, 3))
     sightings = [sighting(velocities, rng, noise=3.0) for _ in range(views)]
     expected = Estimate(velocities + rng.normal(size=(count, 3)), rng.uniform(0.05, UNKNOWN_SPEED, count))
-    whole = Whole(rng.normal(size=(count, 3)), np.where(rng.uniform(size=count) < 0.3, 20.0, 0.0))
+    sigmas = np.where(rng.uniform(size=count) < 0.3, 0.2, np.inf)
+    whole = replace(Whole.none(count), velocities=rng.normal(size=(count, 3)), sigmas=sigmas)
     one, other = (find(sightings, expected, whole) for find in (agreed, agreed_plainly))
     np.testing.assert_allclose(one.velocities, other.velocities, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(one.sigmas, other.sigmas, rtol=1e-7)

@@ -174,6 +174,11 @@ def test_free_fall_is_exact_for_what_falls_and_bounces_off_the_floor() -> None:
     true = horizons[:, None] * speed + horizons[:, None] ** 2 / 2 * GRAVITY
     assert np.allclose(free_fall(history, horizons)[:, 0], true)
     low = 1.0 + float(true[1, 2]) + 0.1
-    bounced = free_fall(history, horizons, floor=low)[:, 0]
+    bounced = free_fall(history, horizons, low)[:, 0]
     assert np.allclose(bounced[0], true[0])
-    assert np.isclose(1.0 + bounced[1, 2], low + 0.1 * BOUNCE)
+    down = np.sqrt(1.0 + 2 * 9.81 * (1.0 - low))  # its speed when it gets there
+    since = 0.3 - (1.0 + down) / 9.81
+    assert np.isclose(1.0 + bounced[1, 2], low + BOUNCE * down * since - 9.81 * since**2 / 2)
+    assert np.allclose(bounced[1, :2], true[1, :2])
+    later = free_fall(history, np.array([2.0]), low)[0, 0]
+    assert np.isclose(1.0 + later[2], low)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from twin_node.bag.trajectories import read_trajectories
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, most_astray, start_radii
+from twin_node.scene import Bool, Float64
 
 HORIZON = 0.2
 REACHABLE = 0.12
@@ -19,16 +20,21 @@ RESTING_SPEED = 0.15
 """What is slower rests, m/s."""
 
 
-def of(sigma: float, flying: bool = False, alone: bool = False) -> Measured:
-    return Measured(np.array([sigma]), np.array([flying]), np.array([alone]))
+def of(sigma: float, flying: bool = False, alone: bool = False, falling: bool = False) -> Measured:
+    return both(np.array([sigma]), np.array([flying]), np.array([alone]), np.array([falling]))
+
+
+def both(sigmas: Float64, flying: Bool, alone: Bool, falling: Bool | None = None) -> Measured:
+    falling = np.zeros(len(sigmas), np.bool_) if falling is None else falling
+    return Measured(sigmas, flying, alone, falling, np.full(len(sigmas), -np.inf))
 
 
 def reach(measured: Measured, spread: float = 0.0, speed: float = 0.0) -> float:
     return float(measured.reach(np.array([spread]), np.array([speed]), REACHABLE, HORIZON)[0])
 
 
-def newcomer(measured: Measured, known_s: float, age_s: float, falls: bool = False) -> bool:
-    return bool(measured.newcomers(np.array([known_s]), np.array([age_s]), np.array([falls]), HORIZON)[0])
+def newcomer(measured: Measured, known_s: float, age_s: float) -> bool:
+    return bool(measured.newcomers(np.array([known_s]), np.array([age_s]), HORIZON)[0])
 
 
 def test_what_nothing_is_known_of_may_go_as_fast_as_a_person_where_experts_agree() -> None:
@@ -52,22 +58,21 @@ def test_what_is_fast_and_not_known_to_fly_may_fall() -> None:
 
 
 def test_what_flies_is_as_uncertain_sooner() -> None:
-    both = Measured(np.zeros(2), np.array([False, True]), np.zeros(2, np.bool_))
-    shares = both.sooner(np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.2, 1.0]))
+    measured = both(np.zeros(2), np.array([False, True]), np.zeros(2, np.bool_))
+    shares = measured.sooner(np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.2, 1.0]))
     assert np.allclose(shares, [[0, 0], [0.2, 0.5], [1, 1]])
 
 
-def test_newcomers_are_untried_or_flying_until_a_record_says_otherwise() -> None:
+def test_newcomers_are_untried_or_fall() -> None:
     assert newcomer(of(0.1), known_s=0.1, age_s=0.1)
     assert not newcomer(of(0.1), known_s=0.3, age_s=0.1)
     assert not newcomer(of(0.1), known_s=0.1, age_s=0.3)  # foreseen, however it came
-    assert newcomer(of(0.1, flying=True), known_s=0.3, age_s=0.3)
-    assert not newcomer(of(0.1, flying=True), known_s=0.5, age_s=0.5)
-    assert newcomer(of(0.1, flying=True), known_s=0.5, age_s=0.5, falls=True)
+    assert not newcomer(of(0.1, flying=True), known_s=0.3, age_s=0.3)
+    assert newcomer(of(0.1, flying=True, falling=True), known_s=0.5, age_s=0.5)
 
 
 def test_limbs_may_start_at_any_time_and_what_is_seen_as_a_whole_does_not() -> None:
-    together = Measured(np.zeros(2), np.zeros(2, np.bool_), np.array([False, True]))
+    together = both(np.zeros(2), np.zeros(2, np.bool_), np.array([False, True]))
     soon, late = together.start(np.array([0.03, HORIZON]))
     assert late[0] > soon[0] == 0
     assert late[1] == soon[1] == 0

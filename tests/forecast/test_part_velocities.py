@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from forecast_worlds import GRID, RIG, ball_voxels, camera, state_of
 
-from twin_node.forecast.part_velocities import UNKNOWN_SPEED, Moving, PartVelocities
+from twin_node.forecast.agreement import Estimate
+from twin_node.forecast.experts import GRAVITY
+from twin_node.forecast.part_velocities import UNKNOWN_SPEED, PartVelocities
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.tables import RigTables
 from twin_node.scene import Float64, TwinState
@@ -21,8 +23,8 @@ def parts_of_ball(center: Float64, radius: float) -> Parts:
     return split(GRID, voxels, np.ones(len(voxels), np.bool_))
 
 
-def unknown(parts: Parts) -> Moving:
-    return Moving.unknown(parts.count)
+def unknown(parts: Parts) -> Estimate:
+    return Estimate.unknown(parts.count)
 
 
 def nothing() -> Parts:
@@ -40,9 +42,8 @@ def test_a_ball_is_as_fast_as_it_flies(speed: float) -> None:
         center = np.array([-0.2, -0.2, 0.55]) + number * PERIOD_S * speed * direction
         state = state_of(round(number * PERIOD_S * 1e9), center, radius=0.11, cameras=RIG)
         parts = parts_of_ball(center, 0.11)
-        still = np.zeros(parts.count, np.bool_)
-        expected = Moving(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma), still, still)
-        moving = velocities.update(state, parts, expected)
+        expected = Estimate(np.tile(mean, (parts.count, 1)), np.full(parts.count, sigma))
+        moving, _ = velocities.update(state, parts, expected)
         mean, sigma = moving.velocities.mean(axis=0), float(moving.sigmas.mean())
     assert np.linalg.norm(mean - speed * direction) < 0.35 * speed
 
@@ -58,7 +59,7 @@ def test_two_images_with_depth_tell_how_fast_a_newcomer_comes_at_the_camera() ->
             center = np.array([-0.1, 0.0, 0.5]) + number * PERIOD_S * velocity
             state = state_of(round(number * PERIOD_S * 1e9), center, cameras=(lone,), with_depth=with_depth)
             parts = parts_of_ball(center, 0.12) if number else nothing()
-            followed[with_depth] = velocities.update(state, parts, unknown(parts))
+            followed[with_depth], _ = velocities.update(state, parts, unknown(parts))
     assert abs(np.median(followed[True].velocities[:, 0]) - 2.0) < 0.5
     assert followed[True].sigmas.min() < 0.6 * followed[False].sigmas.min()
 
@@ -76,7 +77,7 @@ def test_a_view_at_odds_with_three_others_loses_its_say() -> None:
     velocities = PartVelocities(RigTables(GRID))
     for number in range(2):
         parts = parts_of_ball(np.array([0.0, -0.1, 0.5]) + PERIOD_S * velocity, 0.12) if number else nothing()
-        moving = velocities.update(seen(number), parts, unknown(parts))
+        moving, _ = velocities.update(seen(number), parts, unknown(parts))
     assert np.linalg.norm(np.median(moving.velocities, axis=0) - velocity) < 0.25
 
 
@@ -86,7 +87,7 @@ def test_what_the_image_before_does_not_show_tells_nothing() -> None:
     center = np.array([0.0, 0.0, 0.5])
     velocities.update(state_of(0, None), parts_of_ball(center, 0.0), unknown(parts_of_ball(center, 0.0)))
     parts = parts_of_ball(center, 0.12)
-    moving = velocities.update(state_of(round(PERIOD_S * 1e9), center), parts, unknown(parts))
+    moving, _ = velocities.update(state_of(round(PERIOD_S * 1e9), center), parts, unknown(parts))
     np.testing.assert_array_equal(moving.velocities, 0)
     np.testing.assert_allclose(moving.sigmas, UNKNOWN_SPEED)
 
@@ -100,5 +101,20 @@ def test_a_thing_as_grey_as_what_stands_is_painted_is_followed() -> None:
         state = state_of(stamp, center, radius=0.09)
         views = tuple(replace(view, rgb=np.full_like(view.rgb, 128)) for view in state.frames.views)
         parts = parts_of_ball(center, 0.09) if number else nothing()
-        moving = velocities.update(replace(state, frames=replace(state.frames, views=views)), parts, unknown(parts))
+        moving, _ = velocities.update(replace(state, frames=replace(state.frames, views=views)), parts, unknown(parts))
     assert np.linalg.norm(np.median(moving.velocities, axis=0) - velocity) < 0.3 * np.linalg.norm(velocity)
+
+
+def test_what_falls_goes_as_all_of_it_went_whatever_its_surface_does() -> None:
+    """A ball that spins: its surface goes another way than it does."""
+    velocities, start, speed = PartVelocities(RigTables(GRID)), np.array([-0.4, -0.2, 0.5]), np.array([2.0, 0.5, 1.0])
+    for number in range(6):
+        seconds = number * PERIOD_S
+        center = start + seconds * speed + seconds**2 / 2 * GRAVITY
+        state, parts = state_of(round(seconds * 1e9), center, with_depth=True), parts_of_ball(center, 0.12)
+        turned = (replace(view, rgb=np.roll(view.rgb, 3 * number, axis=1)) for view in state.frames.views)
+        state = replace(state, frames=replace(state.frames, views=tuple(turned)))
+        moving, whole = velocities.update(state, parts, unknown(parts))
+    assert whole.falling.all()
+    assert np.allclose(moving.velocities, speed + seconds * GRAVITY, atol=0.35)
+    assert (moving.sigmas < 0.2).all()

@@ -49,7 +49,8 @@ def test_the_factor_is_on_what_is_learnt_and_not_on_what_can_be_reached() -> Non
 
 
 def test_what_is_seen_to_rest_is_not_given_room_for_what_it_did_before() -> None:
-    seen = Measured(np.array([0.1]), np.zeros(1, np.bool_), np.zeros(1, np.bool_))
+    no = np.zeros(1, np.bool_)
+    seen = Measured(np.array([0.1]), flying=no, alone=no, falling=no, floors=np.full(1, -np.inf))
     unseen_m, seen_m = (shaken(measured).predict(HORIZONS, 3.0).radii[-1, 0] for measured in (None, seen))
     assert unseen_m > 0.3
     assert seen_m < 0.25

@@ -40,6 +40,14 @@ class _Line:
     """m/s."""
     misfit: float
     """Sum of squared deviations, in standard deviations."""
+    gravity: Float64
+    """[3] m/s^2."""
+
+    def leads_to(self, middle: Float64, sigma: float, elapsed_s: float) -> bool:
+        """Whether it leads to about a place [3] (m), known to `sigma` (m), after a time."""
+        place = self.place + self.velocity * elapsed_s + self.gravity * elapsed_s**2 / 2
+        own = float(np.hypot(self.place_sigma, self.velocity_sigma * elapsed_s))
+        return float(np.linalg.norm(middle - place)) <= _ASTRAY * float(np.hypot(own, sigma))
 
 
 @dataclass(frozen=True)
@@ -83,7 +91,7 @@ class Course:
         elapsed = time - self.times[-1]
         step, astray = (middle - self.middles[-1]) / elapsed, float(np.sqrt(2)) * sigma / elapsed
         is_slow = not self.falls and float(np.linalg.norm(step)) < _SLOW
-        if not is_slow and self._leads_elsewhere(elapsed, middle, sigma):
+        if not is_slow and len(self.times) > 1 and self._leads_elsewhere(elapsed, middle, sigma):
             if self.flies:
                 astray = max(astray, float(np.linalg.norm(step - self.velocity)))
             return Course(np.array([time]), middle[None], np.array([sigma]), step, astray, self.falls)
@@ -93,14 +101,11 @@ class Course:
         return longer if is_slow else longer._fitted()
 
     def _leads_elsewhere(self, elapsed_s: float, middle: Float64, sigma: float) -> bool:
-        """Whether the thing is not where it would be, `elapsed_s` after the last set."""
-        if len(self.times) < 2:
-            return False
-        line = self._straight if self.falls is False else self._falling
-        gravity = _NOWHERE if self.falls is False else GRAVITY
-        place = line.place + line.velocity * elapsed_s + gravity * elapsed_s**2 / 2
-        own = np.hypot(line.place_sigma, line.velocity_sigma * elapsed_s)
-        return float(np.linalg.norm(middle - place)) > _ASTRAY * float(np.hypot(own, sigma))
+        """Whether the thing is not where it would be, `elapsed_s` after the last set, by any line that it may be on."""
+        lines = [
+            line for falls, line in ((True, self._falling), (False, self._straight)) if self.falls in (None, falls)
+        ]
+        return not any(line.leads_to(middle, sigma, elapsed_s) for line in lines)
 
     def _fitted(self) -> Course:
         """With what all of its places say of its velocity, where it flies, and of whether it falls."""
@@ -130,6 +135,8 @@ class Course:
         total, first, second = trusts.sum(), trusts @ ages, trusts @ ages**2
         determinant = total * second - first**2
         sums, moments = trusts @ told, (trusts * ages) @ told
-        place, velocity = (second * sums - first * moments) / determinant, (total * moments - first * sums) / determinant
+        place, velocity = second * sums - first * moments, total * moments - first * sums
+        place, velocity = place / determinant, velocity / determinant
         misfit = float(trusts @ ((told - place - ages[:, None] * velocity) ** 2).sum(axis=1))
-        return _Line(place, velocity, float(np.sqrt(second / determinant)), float(np.sqrt(total / determinant)), misfit)
+        sigmas = np.sqrt(np.array([second, total]) / determinant)
+        return _Line(place, velocity, float(sigmas[0]), float(sigmas[1]), misfit, gravity)

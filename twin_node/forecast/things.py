@@ -120,14 +120,13 @@ class _Seen:
         volumes = np.bincount(likely, minlength=count).astype(np.float64)
         firsts = (np.cumsum(volumes) - volumes).astype(np.int64)
         lowest, highest, sums = (by.reduceat(places, firsts) for by in (np.minimum, np.maximum, np.add))
-        middles = sums / volumes[:, None] + 0.5
+        middles = grid.origin + (sums / volumes[:, None] + 0.5) * grid.voxel_size
         sides = (highest - lowest + 1).max(axis=1) * grid.voxel_size
         whole = (lowest > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
         chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
-        places = grid.origin + middles * grid.voxel_size
-        courses = [Course.begun(stamp * 1e-9, place, grid.voxel_size / 2) for place in places]
+        courses = [Course.begun(stamp * 1e-9, middle, grid.voxel_size / 2) for middle in middles]
         bottoms = grid.origin[2] + lowest[:, 2] * grid.voxel_size
-        return cls(stamp, cameras, places, volumes, sides, chosen, bottoms, courses)
+        return cls(stamp, cameras, middles, volumes, sides, chosen, bottoms, courses)
 
 
 def _things(parts: Parts) -> NDArray[np.int64]:

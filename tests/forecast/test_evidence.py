@@ -1,0 +1,47 @@
+"""What one state shows, before any forecast."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from forecast_worlds import GRID, ball_depth, floor_depth, state_of
+
+from twin_node.forecast.evidence import Observer
+from twin_node.forecast.grid import decode_runs
+from twin_node.forecast.sights import CarvingParameters
+from twin_node.forecast.static import StaticParameters
+from twin_node.scene import Float64, TwinState
+
+TABLE, RADIUS, PERIOD_NS = 0.2, 0.1, 33_000_000
+SKEW_NS = 8_000_000
+
+
+def over_a_table(stamp: int, center: Float64 | None) -> TwinState:
+    """A ball over a table top that hides all below it; cameras take turns."""
+    state = state_of(stamp, center, RADIUS, with_depth=True)
+    views = []
+    for number, view in enumerate(state.frames.views):
+        height = view.camera.T_base_cam[2, 3]
+        depth = floor_depth(view.camera) * np.float32((height - TABLE) / height)
+        ball = np.inf if center is None else ball_depth(view.camera, center, RADIUS)
+        views.append(replace(view, stamp=stamp - number * SKEW_NS, depth=np.minimum(depth, ball).astype(np.float32)))
+    return replace(state, frames=replace(state.frames, views=tuple(views)))
+
+
+def test_unseen_space_that_what_moves_passes_before_stays_unknown() -> None:
+    """Errors of the carving reach below the table, where nobody has looked since."""
+    observer = Observer(GRID, CarvingParameters(), StaticParameters())
+    observer.observe(over_a_table(0, None))
+    below = GRID.centers(np.arange(GRID.size))[:, 2] < TABLE - 0.05
+    rims = 0
+    for number in range(1, 8):
+        center = np.array([-0.4 + 0.1 * number, 0.0, TABLE + RADIUS + 0.01])
+        evidence = observer.observe(over_a_table(number * PERIOD_NS, center))
+        unknown = decode_runs(evidence.unknown_runs, GRID.size)
+        unknown[evidence.static.indices] = True
+        places = evidence.parts.places[:, ~evidence.parts.likely]
+        inside = ((places >= 0) & (places < np.array(GRID.dims)[:, None])).all(axis=0)
+        rims += np.count_nonzero(below[np.ravel_multi_index(tuple(places[:, inside]), GRID.dims)])
+        assert unknown[below].all()
+    assert rims > 0

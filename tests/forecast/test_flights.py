@@ -1,0 +1,113 @@
+"""Courses of things: what falls is told from what goes straight, and what has hit something begins anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from forecast_worlds import GRID
+
+from twin_node.forecast.bits import Bits
+from twin_node.forecast.experts import GRAVITY
+from twin_node.forecast.flights import Course
+from twin_node.forecast.landing import floors_of
+from twin_node.forecast.things import Whole
+from twin_node.scene import Float64
+
+PERIOD = 1 / 30
+SIGMA = 0.01
+
+
+def course_of(places: Float64, sigma: float = SIGMA) -> Course:
+    course = Course.begun(0.0, places[0], sigma)
+    for number, place in enumerate(places[1:], start=1):
+        course = course.followed(number * PERIOD, place, sigma)
+    return course
+
+
+def path(count: int, velocity: Float64, gravity: Float64, noise_m: float = 0.004, seed: int = 0) -> Float64:
+    times = PERIOD * np.arange(count)[:, None]
+    noise = np.random.default_rng(seed).normal(0, noise_m, (count, 3))
+    places: Float64 = np.array([0.0, 0.0, 1.0]) + times * velocity + times**2 / 2 * gravity + noise
+    return places
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_falls_is_seen_to_and_its_velocity_is_that_of_all_its_places(seed: int) -> None:
+    velocity = np.array([2.0, 0.5, 1.0])
+    course = course_of(path(7, velocity, GRAVITY, seed=seed))
+    now = velocity + 6 * PERIOD * GRAVITY
+    assert course.falls
+    assert course.is_flight
+    assert np.linalg.norm(course.velocity - now) < 0.15
+    assert 0.02 < course.velocity_sigma < 0.1
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+def test_what_goes_straight_is_no_flight(speed: float) -> None:
+    course = course_of(path(8, np.array([speed, 0.0, 0.0]), np.zeros(3)))
+    assert course.falls is False
+    assert not course.is_flight
+    assert course.flies == (speed > 1.6)
+
+
+def test_what_is_seen_twice_may_be_two_things() -> None:
+    places = path(3, np.array([3.0, 0.0, 0.0]), GRAVITY)
+    assert course_of(places[:2]).flies
+    assert not course_of(places[:2]).is_flight
+    assert course_of(places).is_flight
+    assert not course_of(places, sigma=0.1).is_flight
+
+
+def test_a_bounce_begins_a_new_course_of_what_is_known_to_fall() -> None:
+    down = path(6, np.array([2.0, 0.0, -1.0]), GRAVITY)
+    up = down[-1] + path(5, np.array([2.0, 0.0, 2.0]), GRAVITY)[1:] - np.array([0.0, 0.0, 1.0])
+    hit = course_of(np.concatenate([down, up[:1]]))
+    assert hit.falls
+    assert len(hit.times) == 1
+    assert hit.velocity_sigma > 1.0
+    after = course_of(np.concatenate([down, up]))
+    assert len(after.times) == 4
+    assert np.linalg.norm(after.velocity - (np.array([2.0, 0.0, 2.0]) + 4 * PERIOD * GRAVITY)) < 0.4
+
+
+def test_what_creeps_is_measured_step_by_step() -> None:
+    course = course_of(path(6, np.array([0.2, 0.0, 0.0]), np.zeros(3), noise_m=0))
+    assert course.falls is None
+    assert np.allclose(course.velocity, [0.2, 0.0, 0.0])
+    assert np.isclose(course.velocity_sigma, np.sqrt(2) * SIGMA / PERIOD)
+
+
+def falling(centers: Float64, velocity: Float64, above: Float64) -> Whole:
+    count = len(centers)
+    yes = np.ones(count, np.bool_)
+    return Whole(np.tile(velocity, (count, 1)), np.full(count, 0.1), yes, yes, above)
+
+
+def table_at(height: int, side: int = 0) -> Bits:
+    """Voxels of a table top, and of a wall at the far x where `side` is its height in voxels."""
+    mask = np.zeros(GRID.dims, np.bool_)
+    mask[5:, :, height] = True
+    mask[-3:, :, : height + side] |= side > 0
+    return Bits.of_mask(GRID.dims, mask.reshape(-1))
+
+
+def test_the_parts_of_what_falls_stop_as_its_lowest_does() -> None:
+    height = 10
+    top = GRID.origin[2] + (height + 1) * GRID.voxel_size
+    middle = GRID.origin + np.array([0.6, 0.6, 0.0])
+    centers = np.tile(middle, (2, 1))
+    centers[:, 2] = top + 0.25 + np.array([0.0, 0.12])
+    whole = falling(centers, np.array([0.5, 0.0, -2.0]), np.array([0.05, 0.17]))
+    floors = floors_of(GRID, table_at(height), centers, whole)
+    assert np.allclose(floors, top + whole.above)
+
+
+def test_nothing_lands_where_nothing_stands_nor_on_the_side_of_what_does() -> None:
+    height = 10
+    centers = GRID.origin + np.array([[0.6, 0.6, 0.55], [0.09, 0.6, 0.55], [0.9, 0.6, 0.55]])
+    down = np.array([0.0, 0.0, -2.0])
+    whole = falling(centers[:2], down, np.full(2, 0.05))
+    assert np.isfinite(floors_of(GRID, table_at(height), centers[:2], whole)).tolist() == [True, False]
+    aside = falling(centers[2:], np.array([5.0, 0.0, 0.0]), np.full(1, 0.05))
+    assert np.isinf(floors_of(GRID, table_at(height, side=19), centers[2:], aside)).all()
+    assert np.isinf(floors_of(GRID, table_at(height), centers, Whole.none(3))).all()
