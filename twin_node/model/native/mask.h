@@ -134,12 +134,16 @@ class MaskUpdate {
     const auto free = [&](int64_t at) { return r_.seen[at] && !r_.mask[at]; };
     const Gains gains = gain(reference, free);
     const float quiet = static_cast<float>(kQuiet * p_.change_levels), settle_ns = static_cast<float>(p_.settle_ns);
-    settled_.assign(pixels_, 0);
-    for (int64_t at = 0; at < pixels_; at++) {
-      const float change = difference(image_, reference, gains, at);
-      const float still_ns = r_.still_ns[at] + r_.elapsed_ns;
-      r_.still_ns[at] = difference(image_, last, {1.f, 1.f, 1.f}, at) < quiet ? still_ns : 0.f;
-      settled_[at] = r_.still_ns[at] > settle_ns && change < quiet;
+    settled_.resize(pixels_);
+    const Planes image = image_;
+    const float elapsed_ns = r_.elapsed_ns;
+    float *__restrict__ still_ns = r_.still_ns;
+    uint8_t *__restrict__ settled = settled_.data();
+    for (int64_t at = 0, end = pixels_; at < end; at++) {
+      const float change = difference(image, reference, gains, at), longer_ns = still_ns[at] + elapsed_ns;
+      const float for_ns = difference(image, last, {1.f, 1.f, 1.f}, at) < quiet ? longer_ns : 0.f;
+      still_ns[at] = for_ns;
+      settled[at] = (for_ns > settle_ns) & (change < quiet);
     }
     std::vector<float> sample;
     for (int row = 0; row < r_.height; row += kSampled) {
@@ -202,18 +206,26 @@ class MaskUpdate {
   // What moved stays, until it looks like ground, and so does ground that it encloses and that was never seen.
   void hold(Mask &mask) const {
     static const Kernel square = {{-1, 1}, {0, 1}, {1, 1}};
-    Mask ground(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) ground[at] = r_.trusted[at] && like_ground(at);
+    Mask ground(pixels_), hole(pixels_);
+    const uint8_t *__restrict__ trusted = r_.trusted, *__restrict__ held = r_.mask, *__restrict__ seen = r_.seen;
+    const uint8_t *__restrict__ confirmed = r_.confirmed;
+    const float *__restrict__ apart = difference_.data(), likeness = 0.5f * threshold_;
+    const int64_t end = pixels_;
+    const auto over = [end](Mask &to, const auto &value) {
+      uint8_t *__restrict__ out = to.data();
+      for (int64_t at = 0; at < end; at++) out[at] = value(out[at], at);
+    };
+    over(ground, [=](uint8_t, int64_t at) { return trusted[at] & (apart[at] < likeness); });
     ground = eroded(ground, r_.width, r_.height, square);
-    for (int64_t at = 0; at < pixels_; at++) mask[at] |= r_.mask[at] && !ground[at];
+    over(mask, [=, other = ground.data()](uint8_t is, int64_t at) { return is | (held[at] & (other[at] ^ 1)); });
     const Mask outline = closed(mask, r_.width, r_.height, closing_);
     const Mask whole = filled(outline, r_.width, r_.height);
-    Mask hole(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) hole[at] = whole[at] && !outline[at];
+    const uint8_t *__restrict__ full = whole.data(), *__restrict__ edge = outline.data();
+    over(hole, [=](uint8_t, int64_t at) { return full[at] & (edge[at] ^ 1); });
     const Mask inside = dilated(hole.data(), r_.width, r_.height, closing_);
-    for (int64_t at = 0; at < pixels_; at++) {
-      mask[at] = (mask[at] | (inside[at] & whole[at] & !r_.confirmed[at])) & r_.seen[at];
-    }
+    over(mask, [=, near = inside.data()](uint8_t is, int64_t at) {
+      return (is | (near[at] & full[at] & (confirmed[at] ^ 1))) & seen[at];
+    });
   }
 
   // The background may show the very thing where one begins to be seen that looks like it.
@@ -321,12 +333,17 @@ class MaskUpdate {
   // Takes what has been found into what is remembered.
   void learn(const Mask &mask) {
     std::vector<float> rates(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) {
-      r_.confirmed[at] |= (r_.mask[at] & !mask[at]) | uncovered_[at];
-      r_.trusted[at] |= uncovered_[at];
-      r_.mask[at] = mask[at] & !uncovered_[at];
-      const float learnt = uncovered_[at] ? 1.f : static_cast<float>(p_.learning_rate);
-      rates[at] = r_.seen[at] & !r_.mask[at] ? learnt : 0.f;
+    const float learning_rate = static_cast<float>(p_.learning_rate);
+    const uint8_t *__restrict__ now = mask.data(), *__restrict__ uncovered = uncovered_.data();
+    const uint8_t *__restrict__ seen = r_.seen;
+    uint8_t *__restrict__ confirmed = r_.confirmed, *__restrict__ trusted = r_.trusted, *__restrict__ held = r_.mask;
+    float *__restrict__ rate = rates.data();
+    for (int64_t at = 0, end = pixels_; at < end; at++) {
+      const uint8_t is_uncovered = uncovered[at], moves = now[at] & (is_uncovered ^ 1);
+      confirmed[at] |= (held[at] & (now[at] ^ 1)) | is_uncovered;
+      trusted[at] |= is_uncovered;
+      held[at] = moves;
+      rate[at] = (seen[at] & (moves ^ 1)) != 0 ? (is_uncovered != 0 ? 1.f : learning_rate) : 0.f;
     }
     for (int k = 0; k < 3; k++) {
       float *background = r_.background + k * pixels_;
