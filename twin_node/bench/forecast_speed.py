@@ -75,7 +75,7 @@ def run() -> ForecastSpeed:
 
 
 def _evidence(observer: Observer, state: TwinState) -> None:
-    observer.observe(state).hidden.result()
+    observer.observe(state).unseen.result()
 
 
 def _timed_ms(work: Callable[[], object]) -> float:

@@ -77,5 +77,5 @@ class BaselineForecaster:
             grid=self.grid,
             layers=tuple(layers),
             static=evidence.static,
-            unknown_runs=evidence.unknown_runs,
+            unknown_runs=evidence.unseen.result().unknown_runs,
         )

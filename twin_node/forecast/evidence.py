@@ -30,6 +30,16 @@ from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """What one state does not show."""
+
+    unknown_runs: UInt32
+    """[r, 2] runs of flat indices that nothing frees and nothing explains, and what the arm hides from all views."""
+    hidden: Hidden
+    """What may be in these."""
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What one state shows."""
 
@@ -45,10 +55,8 @@ class Evidence:
     """[M] m, heights that the middles of the parts do not get below, for what stands there; -inf where nothing does."""
     static: OccupancyLayer
     """What stands."""
-    unknown_runs: UInt32
-    """[r, 2] runs of flat indices that nothing frees and nothing explains, and what the arm hides from all views."""
-    hidden: Errand[Hidden]
-    """What may be in these: found out meanwhile, for no forecast depends on it."""
+    unseen: Errand[Unseen]
+    """Found out meanwhile, for no forecast depends on it."""
     resting: NDArray[np.int64]
     """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
 
@@ -88,7 +96,7 @@ class Observer:
         self._velocities = PartVelocities(self.tables)
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
-        self._hidden: Errand[Hidden] | None = None
+        self._errand: Errand[Unseen] | None = None
         self._resting = Resting(self.grid)
         self._standing: _Standing | None = None
         self._unseen = Bits.none(self.grid.dims)
@@ -104,9 +112,9 @@ class Observer:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask
         unknown = carved.unknown.without(stands)
-        hidden = self._look_for_hidden(state.stamp, unknown, carved.may_move, stands)
         rims = carved.may_move.without(carved.likely_moves)  # what moves passes before them, and leaves them unseen
         self._unseen = unknown | (self._behind_arm(state, carved) | rims & self._unseen).without(stands)
+        behind = self._look_behind(state.stamp, unknown, carved.may_move, stands)
         moving = carved.may_move.listed(carved.likely_moves)
         parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
         motion, whole = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
@@ -119,22 +127,25 @@ class Observer:
             whole=whole,
             floors=floors_of(self.grid, stands, parts.centers, whole),
             static=self._standing.inner,
-            unknown_runs=self.margin.cropped(self._unseen).runs(),
-            hidden=hidden,
+            unseen=behind,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
 
-    def _look_for_hidden(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Hidden]:
-        """What may be in the inner grid's unknown space; states are followed one after the other."""
-        if self._hidden is not None:
-            self._hidden.result()
+    def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Unseen]:
+        """What there may be in the inner grid's `unknown` space; states are followed one after the other."""
+        if self._errand is not None:
+            self._errand.result()
+        unseen = self._unseen
 
-        def look() -> Hidden:
+        def look() -> Unseen:
             hidden = self._hiding.update(stamp, unknown, moving, stands)
-            return Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full))
+            return Unseen(
+                self.margin.cropped(unseen).runs(),
+                Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full)),
+            )
 
-        self._hidden = Errand(look)
-        return self._hidden
+        self._errand = Errand(look)
+        return self._errand
 
     def places(self, indices: NDArray[np.int64]) -> NDArray[np.int32]:
         """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of flat `indices` [n] in the outer."""

@@ -152,14 +152,15 @@ class Forecaster:
         self._issued.append(
             _Issued(state.stamp, valid_at, indices, places, self._control.factor, ahead, prediction.radii[-1])
         )
-        self._hidden = evidence.hidden.result()
+        unseen = evidence.unseen.result()
+        self._hidden = unseen.hidden
         return Occupancy(
             stamp=state.stamp,
             publish_stamp=publish_stamp,
             grid=self.grid,
             layers=layers,
             static=evidence.static,
-            unknown_runs=evidence.unknown_runs,
+            unknown_runs=unseen.unknown_runs,
         )
 
     def _new_predictor(self) -> Predictor:
