@@ -38,7 +38,7 @@ def test_unseen_space_that_what_moves_passes_before_stays_unknown() -> None:
     for number in range(1, 8):
         center = np.array([-0.4 + 0.1 * number, 0.0, TABLE + RADIUS + 0.01])
         evidence = observer.observe(over_a_table(number * PERIOD_NS, center))
-        unknown = decode_runs(evidence.unknown_runs, GRID.size)
+        unknown = decode_runs(evidence.unseen.result().unknown_runs, GRID.size)
         unknown[evidence.static.indices] = True
         places = evidence.parts.places[:, ~evidence.parts.likely]
         inside = ((places >= 0) & (places < np.array(GRID.dims)[:, None])).all(axis=0)
