@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from twin_node.forecast import CoverParameters, ForecastError, Motion, cover
 from twin_node.forecast.bits import Bits
+from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.obstacles import Sighted
@@ -136,6 +137,16 @@ def test_motion_gives_velocity_bound_and_expert() -> None:
     assert obstacles.experts is not None and (obstacles.experts[moving] == MotionExpert.DAMPED).all()
     assert (obstacles.experts[~moving] == MotionExpert.NO_EXPERT).all()
     assert np.allclose(obstacles.velocities[~moving], 0)
+
+
+def test_a_speed_beyond_a_persons_is_told_only_as_far_as_it_is_sure() -> None:
+    blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
+    told = []
+    for speed, sigma in ((3.0, 0.5), (3.0, 2.0), (1.2, 2.0)):
+        motion = Motion(blobs[:1], np.array([[speed, 0, 0]]), np.zeros((5, 1)), sigmas=np.array([sigma]))
+        obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
+        told.append(float(obstacles.velocities[obstacles.kinds == ObstacleKind.MOVING][0, 0]))
+    assert np.allclose(told, [2.0, PERSON_SPEED, 1.2])
 
 
 def test_cap_below_one_is_refused() -> None:

@@ -87,6 +87,7 @@ class Forecaster:
         self._judged_at = 0
         self._due: _Issued | None = None
         self._radii = np.zeros((len(HORIZONS_NS), 0))
+        self._sigmas = np.zeros(0)
         self._watch = Watch()
         self._sees_motion_from = 0
         self._warnings: tuple[str, ...] = ()
@@ -121,7 +122,7 @@ class Forecaster:
         if len(self._tracks.times) == 0:
             return Motion(np.zeros((0, 3)), np.zeros((0, 3)), self._radii)
         experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
-        return Motion(self._tracks.positions[-1], self._tracks.velocities, self._radii, experts)
+        return Motion(self._tracks.positions[-1], self._tracks.velocities, self._radii, experts, self._sigmas)
 
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
@@ -134,6 +135,7 @@ class Forecaster:
         self._sighted = Sighted(self._observer.grid, np.union1d(seen, may_start) if len(may_start) else seen)
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         motion = evidence.motion
+        self._sigmas = motion.sigmas
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
         whole = evidence.whole
         told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
