@@ -58,18 +58,21 @@ def carried(state: TwinState) -> np.ndarray:
 
 def test_a_block_that_turns_and_slides_ends_carried_by_one_rigid_node_with_its_motion() -> None:
     model = WindowModel(QUICK)
-    own = block(0.0)
-    for index in range(26):
+    own, late = block(0.0), []
+    for index in range(34):
         way = max(index - 2, 0)
         state = model.update(seen(index, turned(own, STEP_RAD * way, -0.15 + STEP_M * way, 0.0)))
         assert not (state.gaussians.tiers == Tier.DEFORMABLE).any(), "what is rigid needs no field"
-    members = carried(state)
-    biggest = int(members.argmax())
-    assert members[biggest] >= 0.9 * members.sum()
-    assert (state.gaussians.tiers[state.gaussians.nodes == biggest] == Tier.RIGID).all()
-    expected = np.array([0.0, 0.0, STEP_RAD / DT_S])
-    assert state.nodes.angular_velocities[biggest] == pytest.approx(expected, abs=0.35 * expected[2])
-    assert state.nodes.velocities[biggest] == pytest.approx([STEP_M / DT_S, 0.0, 0.0], abs=0.3 * STEP_M / DT_S)
+        if index < 26:
+            continue
+        members = carried(state)
+        biggest = int(members.argmax())
+        assert members[biggest] >= 0.9 * members.sum()
+        assert (state.gaussians.tiers[state.gaussians.nodes == biggest] == Tier.RIGID).all()
+        late.append(np.concatenate([state.nodes.angular_velocities[biggest], state.nodes.velocities[biggest]]))
+    turning, going = np.split(np.mean(late, axis=0), 2)  # one set's own errs by half of it
+    assert turning == pytest.approx([0.0, 0.0, STEP_RAD / DT_S], abs=0.25 * STEP_RAD / DT_S)
+    assert going == pytest.approx([STEP_M / DT_S, 0.0, 0.0], abs=0.25 * STEP_M / DT_S)
 
 
 def test_two_blocks_that_slide_as_one_and_then_part_end_on_two_nodes() -> None:
