@@ -50,10 +50,20 @@ def test_what_looks_otherwise_is_not_the_same_thing(later: Parts) -> None:
 
 
 def test_what_is_large_or_cut_off_by_the_border_is_not_followed() -> None:
-    for middle, radius in (((0.0, 0.0, 0.5), 0.3), ((0.0, 0.0, float(GRID.origin[2]) + 0.02), 0.09)):
+    for middle, radius in (((0.0, 0.0, 0.5), 0.3), ((float(GRID.origin[0]) + 0.02, 0.0, 0.5), 0.09)):
         things = Things(GRID)
         things.follow(0, CAMERAS, balls(middle, radius=radius))
         assert not things.follow(PERIOD_NS, CAMERAS, balls(middle, radius=radius)).trusts.any()
+
+
+def test_what_lies_on_the_bottom_of_the_grid_is_followed_and_strays_about_it_do_not_make_it_large() -> None:
+    things, low = Things(GRID), float(GRID.origin[2]) + 0.02
+    strays = ball_voxels(np.array([0.24, 0.0, 0.05]), 0.02), ball_voxels(np.array([-0.24, 0.0, 0.05]), 0.02)
+    lying = balls((0.0, 0.0, low), radius=0.16)
+    indices = np.unique(np.concatenate([lying.indices, *strays]))
+    for stamp in (0, PERIOD_NS):
+        whole = things.follow(stamp, CAMERAS, split(GRID, indices, np.ones(len(indices), np.bool_)))
+    assert whole.followed.all()
 
 
 def test_sets_of_other_cameras_are_not_compared() -> None:

@@ -21,6 +21,7 @@ from twin_node.forecast.part_velocities import PartVelocities
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.resting import Resting
 from twin_node.forecast.sights import CarvingParameters
+from twin_node.forecast.specks import of_things
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.things import Whole
@@ -106,7 +107,8 @@ class Observer:
 
     def observe(self, state: TwinState) -> Evidence:
         """The evidence of a state; states come in rising order of stamps."""
-        carved = self._without_arm(state, self._carver.carve(state, self._speed()))
+        found = self._without_arm(state, self._carver.carve(state, self._speed()))
+        parts, carved = self._without_specks(found)
         static = self._static.update(state, self._carver)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
@@ -115,8 +117,6 @@ class Observer:
         rims = carved.may_move.without(carved.likely_moves)  # what moves passes before them, and leaves them unseen
         self._unseen = unknown | (self._behind_arm(state, carved) | rims & self._unseen).without(stands)
         behind = self._look_behind(state.stamp, unknown, carved.may_move, stands)
-        moving = carved.may_move.listed(carved.likely_moves)
-        parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
         motion, whole = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         limbs = parts.likely & ~whole.followed[parts.labels]
@@ -150,6 +150,16 @@ class Observer:
     def places(self, indices: NDArray[np.int64]) -> NDArray[np.int32]:
         """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of flat `indices` [n] in the outer."""
         return self.margin.places(np.stack(np.unravel_index(indices, self.grid.dims)).astype(np.int32))
+
+    def _without_specks(self, carved: Carved) -> tuple[Parts, Carved]:
+        """The moving space in parts, and what is carved, without specks: nothing explains those."""
+        moving = carved.may_move.listed(carved.likely_moves)
+        parts = split(self.grid, moving.indices.astype(np.int64), moving.marked)
+        kept = of_things(self.grid, parts)
+        if kept.all():
+            return parts, carved
+        parts = split(self.grid, parts.indices[kept], parts.likely[kept])
+        return parts, carved.moved_only(Bits.of_indices(self.grid.dims, parts.indices))
 
     def _without_arm(self, state: TwinState, carved: Carved) -> Carved:
         """What is left when the arm's own space is taken out: its shadow stays unknown."""

@@ -18,7 +18,7 @@ from twin_node.scene import Bool, Float64, Grid
 
 LARGEST = 0.45
 """Longest side of what is followed as a whole, m: limbs bend, and what is larger is rarely seen as a whole."""
-_TOGETHER = 1.6
+TOGETHER = 1.6
 """Parts are of one thing if their middles are no further apart, parts: neighbours, also those across an edge."""
 _FEWEST = 4
 """Voxels of the smallest thing."""
@@ -121,8 +121,10 @@ class _Seen:
         firsts = (np.cumsum(volumes) - volumes).astype(np.int64)
         lowest, highest, sums = (by.reduceat(places, firsts) for by in (np.minimum, np.maximum, np.add))
         middles = grid.origin + (sums / volumes[:, None] + 0.5) * grid.voxel_size
-        sides = (highest - lowest + 1).max(axis=1) * grid.voxel_size
-        whole = (lowest > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
+        squares = np.add.reduceat(places**2, firsts) / volumes[:, None] - (sums / volumes[:, None]) ** 2
+        sides = np.sqrt(12 * squares.max(axis=1) + 1) * grid.voxel_size
+        # what lies on the grid's bottom, a table or the floor, is not cut off there
+        whole = (lowest[:, :2] > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
         chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
         courses = [Course.begun(stamp * 1e-9, middle, grid.voxel_size / 2) for middle in middles]
         bottoms = grid.origin[2] + lowest[:, 2] * grid.voxel_size
@@ -136,9 +138,9 @@ def _things(parts: Parts) -> NDArray[np.int64]:
     if len(solid) == 0:
         return labels
     tree = cKDTree(parts.centers[solid])
-    pairs = tree.query_pairs(_TOGETHER * PART_SIZE, output_type="ndarray")
+    pairs = tree.query_pairs(TOGETHER * PART_SIZE, output_type="ndarray")
     mine = np.append(hanging_together(len(solid), pairs), -1)
-    labels[:] = mine[tree.query(parts.centers, distance_upper_bound=_TOGETHER * PART_SIZE)[1]]
+    labels[:] = mine[tree.query(parts.centers, distance_upper_bound=TOGETHER * PART_SIZE)[1]]
     return labels
 
 

@@ -66,6 +66,11 @@ class Carved:
         masks = (self.may_move, self.likely_moves, self.unknown, self.on_arm)
         return Carved(*(mask.without(taken) for mask in masks))
 
+    def moved_only(self, moving: Bits) -> Carved:
+        """The same where of what may move only some does: nothing explains the rest."""
+        unknown = self.unknown | self.may_move.without(moving)
+        return Carved(self.may_move & moving, self.likely_moves & moving, unknown, self.on_arm)
+
 
 def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     """What the sights say of all voxels. Compiled; `carved_plainly` where that cannot be."""
