@@ -70,6 +70,14 @@ def test_a_bounce_begins_a_new_course_of_what_is_known_to_fall() -> None:
     assert np.linalg.norm(after.velocity - (np.array([2.0, 0.0, 2.0]) + 4 * PERIOD * GRAVITY)) < 0.4
 
 
+@pytest.mark.parametrize("rolling", [0.0, 0.7])
+def test_what_has_come_down_and_stays_down_falls_no_more(rolling: float) -> None:
+    down = path(6, np.array([2.0, 0.0, -1.0]), GRAVITY)
+    lying = down[-1] + path(12, np.array([rolling, 0.0, 0.0]), np.zeros(3))[1:] - np.array([0.0, 0.0, 1.0])
+    assert course_of(down).is_flight
+    assert not course_of(np.concatenate([down, lying])).is_flight
+
+
 def test_what_creeps_is_measured_step_by_step() -> None:
     course = course_of(path(6, np.array([0.2, 0.0, 0.0]), np.zeros(3), noise_m=0))
     assert course.falls is None

@@ -90,22 +90,28 @@ class Course:
         """The course with the thing's place [3] (m) at a later time (s); begun anew if it does not lead there."""
         elapsed = time - self.times[-1]
         step, astray = (middle - self.middles[-1]) / elapsed, float(np.sqrt(2)) * sigma / elapsed
-        is_slow = not self.falls and float(np.linalg.norm(step)) < _SLOW
-        if not is_slow and len(self.times) > 1 and self._leads_elsewhere(elapsed, middle, sigma):
-            if self.flies:
-                astray = max(astray, float(np.linalg.norm(step - self.velocity)))
-            return Course(np.array([time]), middle[None], np.array([sigma]), step, astray, self.falls)
+        is_slow, falls = not self.falls and float(np.linalg.norm(step)) < _SLOW, self.falls
+        if not is_slow and len(self.times) > 1:
+            leads = {kind: line.leads_to(middle, sigma, elapsed) for kind, line in self._lines}
+            if not any(leads[kind] for kind in leads if self.falls in (None, kind)):
+                if not any(leads.values()):
+                    return self._hit(time, middle, sigma, step, astray)
+                falls = None  # what came down lies or rolls, or what went straight is let go
         kept = self.times > time - _KEPT_S
         times, sigmas = np.append(self.times[kept], time), np.append(self.sigmas[kept], sigma)
-        longer = Course(times, np.append(self.middles[kept], middle[None], axis=0), sigmas, step, astray, self.falls)
+        longer = Course(times, np.append(self.middles[kept], middle[None], axis=0), sigmas, step, astray, falls)
         return longer if is_slow else longer._fitted()
 
-    def _leads_elsewhere(self, elapsed_s: float, middle: Float64, sigma: float) -> bool:
-        """Whether the thing is not where it would be, `elapsed_s` after the last set, by any line that it may be on."""
-        lines = [
-            line for falls, line in ((True, self._falling), (False, self._straight)) if self.falls in (None, falls)
-        ]
-        return not any(line.leads_to(middle, sigma, elapsed_s) for line in lines)
+    def _hit(self, time: float, middle: Float64, sigma: float, step: Float64, astray: float) -> Course:
+        """Begun anew where it does not lead to, with the velocity of its last step: that changed on the way."""
+        if self.flies:
+            astray = max(astray, float(np.linalg.norm(step - self.velocity)))
+        return Course(np.array([time]), middle[None], np.array([sigma]), step, astray, self.falls)
+
+    @property
+    def _lines(self) -> tuple[tuple[bool, _Line], ...]:
+        """Both kinds of line, by whether what is on it falls."""
+        return (True, self._falling), (False, self._straight)
 
     def _fitted(self) -> Course:
         """With what all of its places say of its velocity, where it flies, and of whether it falls."""
