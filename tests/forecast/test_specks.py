@@ -25,7 +25,11 @@ def parts_of(*blocks: np.ndarray) -> Parts:
 def test_what_is_smaller_than_a_hand_is_none_unless_it_hangs_on_something() -> None:
     hand, speck, finger = block((4, 4, 4), 4), block((20, 20, 20), 1), block((9, 4, 4), 1)
     parts = parts_of(hand, speck, finger)
-    assert np.array_equal(parts.indices[of_things(GRID, parts)], np.sort(np.concatenate([hand, finger])))
+    kept, expected = parts.of(of_things(GRID, parts)), parts_of(hand, finger)
+    assert np.array_equal(kept.indices, expected.indices)
+    assert np.array_equal(kept.places, expected.places)
+    assert np.array_equal(kept.labels, expected.labels)
+    assert np.array_equal(kept.centers, expected.centers)
 
 
 def test_nothing_at_all_is_nothing() -> None:

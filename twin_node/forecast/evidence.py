@@ -158,7 +158,7 @@ class Observer:
         kept = of_things(self.grid, parts)
         if kept.all():
             return parts, carved
-        parts = split(self.grid, parts.indices[kept], parts.likely[kept])
+        parts = parts.of(kept)
         return parts, carved.moved_only(Bits.of_indices(self.grid.dims, parts.indices))
 
     def _without_arm(self, state: TwinState, carved: Carved) -> Carved:

@@ -23,7 +23,7 @@ standard deviations."""
 _PLACES, _SURE = 3, 0.4
 """Fewest places that show a flight, and how well they must tell its velocity, m/s: what does not lie on one course
 begins a new one, but the middle of what changes its shape may lie anywhere."""
-_NOWHERE = np.zeros(3)
+_WEIGHTLESS = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Course:
     @classmethod
     def begun(cls, time: float, middle: Float64, sigma: float) -> Course:
         """With one place [3] (m) at a time (s)."""
-        return cls(np.array([time]), middle[None], np.array([sigma]), _NOWHERE)
+        return cls(np.array([time]), middle[None], np.array([sigma]), np.zeros(3))
 
     @property
     def flies(self) -> bool:
@@ -129,7 +129,7 @@ class Course:
 
     @cached_property
     def _straight(self) -> _Line:
-        return self._line(_NOWHERE)
+        return self._line(_WEIGHTLESS)
 
     @cached_property
     def _falling(self) -> _Line:

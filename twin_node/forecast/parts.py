@@ -46,6 +46,12 @@ class Parts:
         """M, the number of parts."""
         return len(self.centers)
 
+    def of(self, chosen: Bool) -> Parts:
+        """Those of the parts that are `chosen` [M]."""
+        mine, numbers = chosen[self.labels], np.cumsum(chosen) - 1
+        places = self.places.compress(mine, axis=1)
+        return Parts(self.indices[mine], places, numbers[self.labels[mine]], self.likely[mine], self.centers[chosen])
+
 
 def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
     """Parts of the voxels `indices` [n], `likely` [n] occupied: one per occupied cell of a coarser lattice.

@@ -24,7 +24,7 @@ RISE_S, FALL_S = 0.05, 0.6
 
 @dataclass
 class Records:
-    """What is known of each node's forecasts."""
+    """What is known of each node's forecasts; arrays are contiguous, for `reckoning.reckon` changes them in place."""
 
     squared: Float64 = field(default_factory=lambda: np.zeros((len(EXPERT_NAMES), 0)))
     """[E, M] recent mean square errors of the experts, m^2."""

@@ -18,7 +18,7 @@ from twin_node.scene import Bool, Float64, Grid
 
 LARGEST = 0.45
 """Longest side of what is followed as a whole, m: limbs bend, and what is larger is rarely seen as a whole."""
-TOGETHER = 1.6
+_TOGETHER = 1.6
 """Parts are of one thing if their middles are no further apart, parts: neighbours, also those across an edge."""
 _FEWEST = 4
 """Voxels of the smallest thing."""
@@ -138,10 +138,14 @@ def _things(parts: Parts) -> NDArray[np.int64]:
     if len(solid) == 0:
         return labels
     tree = cKDTree(parts.centers[solid])
-    pairs = tree.query_pairs(TOGETHER * PART_SIZE, output_type="ndarray")
-    mine = np.append(hanging_together(len(solid), pairs), -1)
-    labels[:] = mine[tree.query(parts.centers, distance_upper_bound=TOGETHER * PART_SIZE)[1]]
+    mine = np.append(pieces_of(tree), -1)
+    labels[:] = mine[tree.query(parts.centers, distance_upper_bound=_TOGETHER * PART_SIZE)[1]]
     return labels
+
+
+def pieces_of(centers: cKDTree) -> NDArray[np.int64]:
+    """[M] piece that each of M parts is of, by their middles (m): neighbours hang together."""
+    return hanging_together(centers.n, centers.query_pairs(_TOGETHER * PART_SIZE, output_type="ndarray"))
 
 
 def hanging_together(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
