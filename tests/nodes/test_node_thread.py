@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from typing import Any
 
@@ -139,3 +141,15 @@ def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(bench
     assert bench.ended.wait(WAIT_S)
     assert isinstance(bench.thread.error, ZeroDivisionError)
     assert bench.life[-2:] == ["deactivate", "cleanup"]
+
+
+def test_a_process_without_nodes_of_the_chain_does_not_load_torch() -> None:
+    program = """
+import sys
+from twin_node.nodes.launch import host, node_thread
+from twin_node.nodes.launch.kinds import KINDS, find_factory
+for name in KINDS.keys() - {"arm", "synchronizer", "twin"}:
+    find_factory(name)
+sys.exit("torch" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0

@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from twin_node.nodes.chain import ChainParameters, sized
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.live.sections import Sections
 from twin_node.runtime.clock import Clock
@@ -15,6 +14,9 @@ from twin_node.runtime.executor import Timers
 from twin_node.runtime.parameters import EVERY_NODE, fill
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
+
+if TYPE_CHECKING:
+    from twin_node.nodes.chain import ChainParameters
 
 T = TypeVar("T")
 
@@ -57,6 +59,8 @@ class Setup:
 
     def chain_parameters(self) -> ChainParameters:
         """The parameters of the chain's nodes."""
+        from twin_node.nodes.chain import ChainParameters, sized  # loads torch: only where a node of the chain runs
+
         known = [f.name for f in dataclasses.fields(ChainParameters)]
         given = {name: self.sections[name] for name in known if name in self.sections}
         return sized(fill(ChainParameters, given, self.where), self.where)
