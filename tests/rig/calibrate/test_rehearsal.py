@@ -6,9 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from twin_node.cli import main
+from twin_node.geometry import inverse_pose, pose
 from twin_node.rig import RigError, load_rig
+from twin_node.rig.calibrate import rehearsal
+from twin_node.rig.calibrate.board_prints import draw_board
 from twin_node.rig.calibrate.rehearsal import rehearse
 
 
@@ -30,3 +34,24 @@ def test_a_folder_that_exists_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(RigError, match="does not exist yet"):
         rehearse(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("tilt", [0.4, 1.45])
+def test_a_ray_sees_the_board_where_it_meets_its_plane_and_nothing_behind_the_camera(tilt: float) -> None:
+    """Tilted to near the camera's level, half of the image looks over the plane's horizon."""
+    sheet = np.add.outer(0.04 * np.arange(1400), 0.03 * np.arange(1400)).astype(np.uint8)  # darker than all behind it
+    drawing = draw_board(rehearsal.BOARD)
+    T = pose(Rotation.from_euler("x", np.pi - tilt).as_matrix(), np.array([-0.1, 0.21, 0.6]))
+    v, u = np.mgrid[: rehearsal.HEIGHT : 40, : rehearsal.WIDTH : 40]
+    rays = np.stack([(u - 320) / 560, (v - 240) / 560], axis=-1)
+    seen = rehearsal._picture(rays.astype(np.float32), T, sheet, drawing)
+    to_board = inverse_pose(T)
+    wanted = np.full(seen.shape, float(rehearsal.GREY))
+    for place in np.ndindex(seen.shape):
+        direction = to_board[:3, :3] @ [*rays[place], 1.0]
+        reach = -to_board[2, 3] / direction[2]
+        x, y = ((to_board[:2, 3] + reach * direction[:2] + drawing.margin) * rehearsal.PIXELS_PER_M - 0.5).tolist()
+        if reach > 0 and 0 <= x < 1399 and 0 <= y < 1399:
+            wanted[place] = sheet[round(y), round(x)]
+    assert 20 < (wanted != rehearsal.GREY).sum() < wanted.size - 20
+    np.testing.assert_allclose(seen, wanted, atol=1)

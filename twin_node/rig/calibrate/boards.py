@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import cv2
@@ -69,10 +69,13 @@ class Board(Protocol):
         """Kind and size, for messages and rig files."""
 
 
+@lru_cache
 def lattice(columns: int, rows: int, step: float) -> Float64:
-    """Points [rows * columns, 3] of a lattice, row by row."""
+    """Points [rows * columns, 3] of a lattice, row by row; read-only: fits ask for the same again and again."""
     y, x = np.mgrid[:rows, :columns]
-    return np.stack([x.ravel() * step, y.ravel() * step, np.zeros(x.size)], axis=1)
+    points = np.stack([x.ravel() * step, y.ravel() * step, np.zeros(x.size)], axis=1)
+    points.flags.writeable = False
+    return points
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ class CircleGrid:
     @property
     def points(self) -> Float64:
         """[P, 3] m."""
-        points = lattice(self.columns, self.rows, self.spacing)
+        points = lattice(self.columns, self.rows, self.spacing).copy()
         if self.asymmetric:
             row = np.repeat(np.arange(self.rows), self.columns)
             points[:, 0] = 2 * points[:, 0] + (row % 2) * self.spacing
@@ -168,9 +171,10 @@ class CharucoBoard:
     @property
     def points(self) -> Float64:
         """[P, 3] inner corners, m."""
-        corners: Float64 = lattice(self.columns - 1, self.rows - 1, self.square)
-        corners[:, :2] += self.square
-        return corners
+        points: Float64 = lattice(self.columns - 1, self.rows - 1, self.square) + np.array(
+            [self.square, self.square, 0.0]
+        )
+        return points
 
     @property
     def turns(self) -> int:

@@ -18,7 +18,7 @@ from twin_node.rig.calibrate.boards import CharucoBoard
 from twin_node.rig.calibrate.lenses import lens_of, rays_of
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile, save_rig
-from twin_node.scene import Float64, Rig, RigCamera, UInt8
+from twin_node.scene import Float32, Float64, Rig, RigCamera, UInt8
 
 BOARD = CharucoBoard(6, 5, 0.06, 0.045)
 """A sheet of A2: seen well from one and a half metres by small images."""
@@ -126,15 +126,15 @@ def _film(
     fourcc = cv2.VideoWriter.fourcc(*"mp4v")
     video = cv2.VideoWriter(str(folder / f"{camera.name}.mp4"), fourcc, RATE_HZ, (WIDTH, HEIGHT))
     rng = np.random.default_rng(len(camera.name))
-    grain = rng.normal(0, NOISE, (HEIGHT + GRAIN_PX, WIDTH + GRAIN_PX))
+    grain = rng.normal(0, NOISE, (HEIGHT + GRAIN_PX, WIDTH + GRAIN_PX)).astype(np.float32)
     preview: UInt8 = np.zeros((HEIGHT // 2, WIDTH // 2), np.uint8)
     v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
-    rays = rays_of(lens_of(camera), np.column_stack([u.ravel(), v.ravel()]))
-    rays = np.column_stack([rays, np.ones(len(rays))])
+    flat = rays_of(lens_of(camera), np.column_stack([u.ravel(), v.ravel()]))
+    rays: Float32 = flat.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
     for second in times:
         image = _picture(rays, inverse_pose(camera.T_base_cam) @ _course(float(second)), sheet, drawing)
         x, y = rng.integers(0, GRAIN_PX, 2)
-        noisy = np.clip(image + grain[y : y + HEIGHT, x : x + WIDTH], 0, 255).astype(np.uint8)
+        noisy = cv2.add(image, grain[y : y + HEIGHT, x : x + WIDTH], dtype=cv2.CV_8U)
         video.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
         progress(1)
         if abs(second - PREVIEW_AT_S) < 0.5 / RATE_HZ:
@@ -143,13 +143,15 @@ def _film(
     return preview
 
 
-def _picture(rays: Float64, T_cam_board: Float64, sheet: UInt8, drawing: BoardPrint) -> UInt8:
-    """[H, W] what rays [H * W, 3] see of the board."""
+def _picture(rays: Float32, T_cam_board: Float64, sheet: UInt8, drawing: BoardPrint) -> UInt8:
+    """[H, W] what rays [H, W, 2] (x/z, y/z) see of the board: they and its plane are a homography apart."""
     T = inverse_pose(T_cam_board)
-    directions = rays @ T[:3, :3].T
-    reach = -T[2, 3] / directions[:, 2]
-    at = T[:2, 3] + directions[:, :2] * reach[:, None] + drawing.margin
-    places = np.where((reach > 0)[:, None], at * PIXELS_PER_M - 0.5, -1e4).astype(np.float32).reshape(HEIGHT, WIDTH, 2)
+    # A ray (x, y, 1) meets the plane z = 0 after -T[2, 3] / (its z on the board's axes).
+    on_board = -T[2, 3] * T[:2, :3] + (T[:2, 3] + drawing.margin)[:, None] * T[2, :3]
+    to_sheet = np.vstack([on_board * PIXELS_PER_M - 0.5 * T[2, :3], T[2, :3]])
+    places = np.asarray(cv2.perspectiveTransform(rays, to_sheet), np.float32)
+    away = (rays @ T[2, :2].astype(np.float32) + np.float32(T[2, 2])) * np.float32(T[2, 3]) >= 0
+    places[away] = -1e4
     x, y = cv2.split(places)
     seen = cv2.remap(sheet, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(GREY,))
     return np.asarray(seen, np.uint8)
