@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -53,3 +54,12 @@ def test_a_zero_rotation_has_a_gradient() -> None:
     rotate(quat_from_vector(omega), torch.tensor([1.0, 0, 0])).sum().backward()
     assert omega.grad is not None and torch.isfinite(omega.grad).all()
     assert torch.allclose(omega.grad, torch.tensor([[0.0, -1.0, 1.0]]))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-9, 1e-6, 0.3])
+@pytest.mark.parametrize("pole", [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+def test_half_a_turn_is_as_exact_near_the_poles(pole: list[float], tilt: float) -> None:
+    a = torch.nn.functional.normalize(
+        torch.tensor(pole, dtype=torch.float64) + tilt * torch.tensor([0.3, 0.8, 0.5]), dim=-1
+    )
+    assert torch.allclose(rotate(quat_between(a, -a), a), -a, atol=1e-14)

@@ -78,11 +78,12 @@ def vector_from_quat(q: Tensor) -> Tensor:
 
 
 def quat_between(a: Tensor, b: Tensor) -> Tensor:
-    """Shortest rotation [..., 4] that takes unit vectors a to b [..., 3]."""
-    w = 1 + (a * b).sum(-1, keepdim=True)
-    axis = cross(a, b)
-    flip = torch.stack([-a[..., 1], a[..., 0], torch.zeros_like(a[..., 0])], -1)
-    q = torch.where(w < 1e-6, torch.cat([torch.zeros_like(w), flip], -1), torch.cat([w, axis], -1))
-    q = torch.where(q.norm(dim=-1, keepdim=True) < 1e-9, q.new_tensor([0.0, 1.0, 0.0, 0.0]), q)
+    """Shortest rotation [..., 4] that takes unit vectors a to b [..., 3], about any axis where they are opposite."""
+    q = torch.cat([1 + (a * b).sum(-1, keepdim=True), cross(a, b)], -1)
+    x, y, z = a.unbind(-1)
+    zero = torch.zeros_like(z)
+    across = torch.where(z.abs()[..., None] < 0.9, torch.stack([-y, x, zero], -1), torch.stack([zero, -z, y], -1))
+    opposite = q.norm(dim=-1, keepdim=True) < torch.finfo(q.dtype).eps ** 0.5
+    q = torch.where(opposite, torch.cat([zero[..., None], across], -1), q)
     length: Tensor = q.norm(dim=-1, keepdim=True)
     return q / length
