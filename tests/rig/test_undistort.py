@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 
 from twin_node.geometry import project
 from twin_node.rig import RigError, Undistorter
+from twin_node.rig.undistort import distort
 from twin_node.scene import Camera, Float64, RigCamera, UInt8
 
 PINHOLE = RigCamera("cam", 480, 270, np.array([[250.0, 0, 236], [0, 255, 138], [0, 0, 1]]), np.eye(4))
 LENSES = {
     "none": PINHOLE,
     "plumb_bob": replace(PINHOLE, D=np.array([-0.2, 0.06, 0.001, -0.002, 0.0])),
+    "plumb_bob of four": replace(PINHOLE, D=np.array([-0.2, 0.06, 0.001, -0.002])),
     "rational_polynomial": replace(
         PINHOLE, distortion_model="rational_polynomial", D=np.array([0.3, 0.1, 0.001, 0.001, 0.01, 0.5, 0.1, 0.02])
     ),
@@ -68,6 +70,15 @@ def test_what_the_lens_bends_the_pinhole_camera_sees_straight(lens: str, width: 
         expected = project(camera.K, camera.viewmat, point[None])[0, :2]
         # The lens bends the spot itself, which moves its centre of brightness by less than a quarter of a raw pixel.
         np.testing.assert_allclose(centroid(view.rgb), expected, atol=0.25 * scale + 0.02)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_every_model_bends_rays_as_opencv_does(lens: str) -> None:
+    camera = LENSES[lens]
+    rays = np.concatenate([np.zeros((1, 2)), np.random.default_rng(1).normal(0, 0.6, (200, 2))])
+    expected = raw_pixels(camera, np.concatenate([rays, np.ones((201, 1))], axis=1))
+    np.testing.assert_allclose(distort(camera, rays), expected, rtol=1e-12, atol=1e-9)
+    assert distort(camera, rays[:0]).shape == (0, 2)
 
 
 def test_full_size_without_distortion_is_the_image_itself() -> None:

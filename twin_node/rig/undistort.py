@@ -128,16 +128,30 @@ def scaled_intrinsics(camera: RigCamera, width: int, height: int) -> Float64:
 def distort(camera: RigCamera, rays: Float64) -> Float64:
     """Raw image pixels [N, 2] (OpenCV convention) of rays (x/z, y/z) [N, 2] in the optical frame.
 
-    Models: `cv2.projectPoints` for plumb_bob and rational_polynomial, Kannala-Brandt (`cv2.fisheye`) for equidistant.
+    Models: Brown-Conrady, that of `cv2.projectPoints`, for plumb_bob and rational_polynomial; Kannala-Brandt
+    (`cv2.fisheye`) for equidistant.
     """
-    points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)[:, None]
-    zero = np.zeros(3)
     if camera.distortion_model == "equidistant":
-        pixels, _ = cv2.fisheye.projectPoints(points, zero, zero, camera.K, camera.D)
-    else:
-        pixels, _ = cv2.projectPoints(points, zero, zero, camera.K, camera.D)
-    out: Float64 = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        pixels = cv2.fisheye.distortPoints(rays[:, None], camera.K, camera.D) if len(rays) else rays
+        return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    out: Float64 = _brown_conrady(camera.D, rays) * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
     return out
+
+
+def _brown_conrady(D: Float64, rays: Float64) -> Float64:
+    """Rays (x/z, y/z) [N, 2] bent by coefficients [4, 5 or 8] in OpenCV's order.
+
+    `cv2.projectPoints` does the same with 14 derivatives of every point, and takes ten to twenty times as long.
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(D, (0, 8 - len(D))).tolist()
+    x, y = rays.T
+    square, product = x * x + y * y, x * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    if len(D) > 5:
+        radial /= 1 + square * (k4 + square * (k5 + square * k6))
+    across = x * radial + 2 * p1 * product + p2 * (square + 2 * x * x)
+    down = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * product
+    return np.stack([across, down], axis=1)
 
 
 def _folded(pixels: NDArray[np.floating]) -> Bool:

@@ -47,8 +47,11 @@ def robot_mask(
     if in_front.any():
         pixel = ends[in_front, :, 2] / min(camera.K[0, 0], camera.K[1, 1])
         _draw_outlines(mask, _rims(ends[in_front], radii[in_front, None] + _PIXEL_MARGIN * pixel), camera.K)
-    for index in np.flatnonzero(~in_front & ~behind):
-        mask |= _ray_hits(camera, ends[index], float(radii[index]))
+    around = np.flatnonzero(~in_front & ~behind)
+    if len(around):
+        rays = _pixel_rays(camera)
+        for index in around:
+            mask |= (_ray_segment_distance(rays, ends[index]) <= radii[index]).astype(np.uint8)
     covered = mask.astype(np.bool_)
     return covered if depth is None else covered & ~_others(covered, depth, camera, ends, radii)
 
@@ -105,13 +108,12 @@ def _draw_outlines(mask: UInt8, rims: Float64, K: Float64) -> None:
         cv2.fillConvexPoly(mask, fixed, 1, cv2.LINE_8, _SUBPIXEL_BITS)
 
 
-def _ray_hits(camera: Camera, ends: Float64, radius: float) -> UInt8:
-    """1 [H, W] where a pixel's ray passes a capsule within its radius, which may reach behind the camera."""
+def _pixel_rays(camera: Camera) -> Float64:
+    """Unit vectors [H, W, 3] along which the pixels' centres look."""
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     K = camera.K
     rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(columns)], axis=-1)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    return (_ray_segment_distance(rays, ends) <= radius).astype(np.uint8)
+    return np.asarray(rays / np.sqrt(np.einsum("hwc,hwc->hw", rays, rays))[..., None])
 
 
 def _ray_segment_distance(rays: Float64, ends: Float64) -> Float64:
@@ -121,16 +123,15 @@ def _ray_segment_distance(rays: Float64, ends: Float64) -> Float64:
     determinant = length_sq - along**2
     parallel = determinant < 1e-12
     t = np.where(parallel, 0.0, (first * along - ends[0] @ axis) / np.where(parallel, 1.0, determinant))
-    best = np.full(rays.shape[:-1], np.inf)
-    for candidate in (np.clip(t, 0, 1), np.zeros_like(t), np.ones_like(t), _foot_of_origin(ends)):
-        point = ends[0] + np.asarray(candidate)[..., None] * axis
-        reach = np.maximum((rays * point).sum(-1), 0.0)
-        best = np.minimum(best, np.linalg.norm(point - reach[..., None] * rays, axis=-1))
-    return best
+    nearest_sq = np.full(rays.shape[:-1], np.inf)
+    for candidate in (np.clip(t, 0, 1), 0.0, 1.0, _foot_of_origin(ends)):
+        from_origin_sq = float(ends[0] @ ends[0]) + candidate * (2 * float(ends[0] @ axis) + candidate * length_sq)
+        reach = np.maximum(first + candidate * along, 0.0)
+        nearest_sq = np.minimum(nearest_sq, from_origin_sq - reach * reach)
+    return np.asarray(np.sqrt(np.maximum(nearest_sq, 0.0)))
 
 
-def _foot_of_origin(ends: Float64) -> Float64:
+def _foot_of_origin(ends: Float64) -> float:
     """Where [0, 1] along a segment [2, 3] it comes closest to the origin."""
     axis = ends[1] - ends[0]
-    foot: Float64 = np.clip(-(ends[0] @ axis) / max(float(axis @ axis), 1e-18), 0.0, 1.0)
-    return foot
+    return float(np.clip(-(ends[0] @ axis) / max(float(axis @ axis), 1e-18), 0.0, 1.0))
