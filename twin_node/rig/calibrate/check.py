@@ -12,18 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.barcodes import Barcodes
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import Sighting
-from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.mistakes import RATIOS, UNITS_M, Finding, Mistake, Undone, undone
+from twin_node.rig.calibrate.mistakes import Finding, Mistake, Undone, undone
+from twin_node.rig.calibrate.objections import Objections
 from twin_node.rig.calibrate.rig_fit import fit
 from twin_node.rig.calibrate.scales import ArmInSight, depth_agreement
-from twin_node.rig.rig_checks import IN_SIGHT, OUT_OF_SIGHT, TELLING_SPREAD, aims_off
-from twin_node.rig.workspace import axes_focus, axes_spread
+from twin_node.rig.rig_checks import IN_SIGHT, aims_off
 from twin_node.robot import ArmModel
-from twin_node.scene import Float64, FrameSet, Rig, RigCamera
+from twin_node.scene import Float64, FrameSet, Rig
 
 GOOD_SHARE = 0.003
 """Median error on a board of every camera of a usable rig, as a share of the image's width (2 pixels of 640)."""
@@ -31,14 +29,6 @@ TELLING_FACTOR = 3.0
 """On a board a mistake is named where undoing it divides the worst camera's median error by this."""
 SETS_JUDGED = 12
 """Sets, evenly picked, on which the mistakes are compared: each is off by far more than single sets err."""
-NEAREST_M, FARTHEST_M = 0.04, 12.0
-"""No camera of a cell is nearer to, or further from, what all look at."""
-NARROWEST, WIDEST = np.radians(12), np.radians(150)
-"""Horizontal fields of view of lenses in cells, without distortion."""
-CENTRE_SHARE = 0.03
-"""A principal point so near, as a share of the image's size, to that of a customary resolution belongs to it."""
-LEAST_SEEN = 0.05
-"""Share of the workspace that every camera of a rig sees."""
 CLEARLY_BETTER, BETTER_OF_TWO, SURE_SIGMAS = 0.03, 0.2, 2.0
 """A mistake is named where undoing it explains the motion so much better, and by so many standard errors. A rig of two
 cameras has a single pair, in which outlines fit by chance more often."""
@@ -65,10 +55,9 @@ class Verdict:
 
 def check_numbers(rig: Rig) -> Verdict:
     """What the numbers alone tell."""
-    complaint = _objection(rig)
-    alternatives = [
-        mistake for mistake in undone(rig) if _kind(mistake) in SHOWN_IN_IMAGES and _objection(mistake.rig) is None
-    ]
+    objections = Objections()
+    complaint = objections.to(rig)
+    alternatives = _unobjectionable(rig, objections)
     if complaint is None:
         return Verdict((), frozenset(_kind(mistake) for mistake in alternatives))
     if not alternatives or complaint.mistake is not None:
@@ -142,7 +131,7 @@ class _Motion:
     def of(cls, rig: Rig, barcodes: Barcodes) -> _Motion:
         """Of all mistakes that show in images."""
         now = barcodes.agreement(rig)
-        mistakes = tuple(m for m in undone(rig) if _kind(m) in SHOWN_IN_IMAGES and _objection(m.rig) is None)
+        mistakes = tuple(_unobjectionable(rig, Objections()))
         gains = np.array([barcodes.agreement(mistake.rig) - now for mistake in mistakes]).reshape(-1, len(now))
         return cls(float(now.mean()), mistakes, gains, CLEARLY_BETTER if len(rig.cameras) > 2 else BETTER_OF_TWO)
 
@@ -183,48 +172,9 @@ def _clear(readings: Sequence[Undone | None], agreements: Sequence[float | None]
     return reading.finding if reading is not None and scores[best] > max(good, 2 * scores[0]) else None
 
 
-def _objection(rig: Rig) -> Finding | None:
-    """Why no cell looks like this rig; None where one might."""
-    for camera in rig.cameras:
-        if (finding := _lens_objection(camera)) is not None:
-            return finding
-    poses = np.stack([camera.T_base_cam for camera in rig.cameras])
-    reach = _reach_m(poses)
-    if reach is not None and not NEAREST_M <= reach <= FARTHEST_M:
-        unit = _likely_unit(reach)
-        return Finding(
-            "",
-            f"cameras stand {reach:.3g} m from what they look at: translations seem to be in {unit}: write metres",
-            Mistake.UNITS,
-        )
-    if axes_spread(poses) >= TELLING_SPREAD and aims_off(poses) > OUT_OF_SIGHT:
-        return Finding("", "the optical axes do not meet before the cameras")
-    for camera in rig.cameras:
-        if rig.workspace is not None and _seen_share(camera, rig.workspace) < LEAST_SEEN:
-            return Finding(camera.name, "it does not see the workspace")
-    return None
-
-
-def _lens_objection(camera: RigCamera) -> Finding | None:
-    centre = (camera.K[:2, 2] + 0.5) / (camera.width, camera.height)
-    customary = np.array([1.0, *RATIOS]) / 2
-    nearest = customary[np.abs(centre[:, None] - customary).argmin(1)]
-    if np.abs(centre - nearest).max() < CENTRE_SHARE and (nearest != 0.5).any():
-        size = 2 * centre * (camera.width, camera.height)
-        return Finding(
-            camera.name,
-            f"expected a principal point near the middle of {camera.width}x{camera.height}, found "
-            f"({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}); K seems to be of {size[0]:.0f}x{size[1]:.0f}: scale it",
-            Mistake.RESOLUTION,
-        )
-    view = 2 * np.arctan(camera.width / 2 / abs(camera.K[0, 0]))
-    if camera.distortion_model != "equidistant" and not NARROWEST < view < WIDEST:
-        return Finding(
-            camera.name,
-            f"expected a field of view from {np.degrees(NARROWEST):.0f} to {np.degrees(WIDEST):.0f} degrees, found "
-            f"{np.degrees(view):.0f}; is K of another resolution?",
-        )
-    return None
+def _unobjectionable(rig: Rig, objections: Objections) -> list[Undone]:
+    """Those mistakes that show in images whose undoing leaves a rig that cells may have."""
+    return [m for m in undone(rig) if _kind(m) in SHOWN_IN_IMAGES and objections.to(m.rig) is None]
 
 
 def _one_of_each_kind(mistakes: Sequence[Undone]) -> list[Undone]:
@@ -235,31 +185,8 @@ def _one_of_each_kind(mistakes: Sequence[Undone]) -> list[Undone]:
     return list(best.values())
 
 
-def _reach_m(poses: Float64) -> float | None:
-    """Median distance of cameras from the point that all look at, or of each other, m; None for one camera."""
-    if len(poses) < 2:
-        return None
-    middle = axes_focus(poses) if axes_spread(poses) >= TELLING_SPREAD else poses[:, :3, 3].mean(0)
-    return float(np.median(np.linalg.norm(poses[:, :3, 3] - middle, axis=1)))
-
-
-def _likely_unit(reach: float) -> str:
-    """The unit in which cameras would be about as far away as they usually are, 1.5 m."""
-    return min(UNITS_M, key=lambda unit: abs(np.log(reach * UNITS_M[unit] / 1.5)))
-
-
 def _aims_off(rig: Rig) -> float:
     return aims_off(np.stack([camera.T_base_cam for camera in rig.cameras]))
-
-
-def _seen_share(camera: RigCamera, workspace: Float64) -> float:
-    """Share of a workspace [2, 3] that falls into a camera's image."""
-    steps = np.linspace(0, 1, 6)
-    grid = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-    points = transform(inverse_pose(camera.T_base_cam), workspace[0] + grid * (workspace[1] - workspace[0]))
-    pixels = raw_pixels(camera, points)
-    seen = (points[:, 2] > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-    return float(seen.mean())
 
 
 def _kind(mistake: Undone) -> Mistake:
