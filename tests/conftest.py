@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,17 +24,23 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 @pytest.fixture(scope="session")
 def cell_log(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """`cell_log(seconds, *faults)`: path of a log of the demo's cell, made once per session and set of faults."""
-    folder = tmp_path_factory.mktemp("cell")
-    made: dict[tuple[float, tuple[Fault, ...]], Path] = {}
+    """`cell_log(seconds, *faults, **sensing)`: path of a log of the demo's cell, made once for all that test at a time.
 
-    def make(seconds: float, *faults: Fault) -> Path:
-        key = (seconds, faults)
-        if key not in made:
-            path = folder / f"{len(made)}.mcap"
-            write_log(replace(load_scenario("demo"), duration_s=seconds, faults=faults), path)
-            made[key] = path
-        return made[key]
+    `sensing` replaces fields of the demo's `Sensing`.
+    """
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cell_logs"
+    folder.mkdir(exist_ok=True)
+
+    def make(seconds: float, *faults: Fault, **sensing: float) -> Path:
+        demo = load_scenario("demo")
+        scenario = replace(demo, duration_s=seconds, faults=faults, sensing=replace(demo.sensing, **sensing))
+        path = folder / f"{hashlib.sha256(repr(scenario).encode()).hexdigest()[:16]}.mcap"
+        with path.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                write_log(scenario, path)
+        return path
 
     return make
 
