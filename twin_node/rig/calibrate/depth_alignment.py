@@ -14,12 +14,11 @@ from itertools import permutations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lens import pixel_rays
+from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
 from twin_node.rig.calibrate.lenses import lens_of, project
-from twin_node.rig.calibrate.rotations import moved
+from twin_node.rig.calibrate.rotations import cross_matrix, moved
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float32, Float64, RigCamera, UInt8
 
@@ -55,6 +54,8 @@ TOGETHER = 50.0
 LEAST_GAIN = 4.0
 """How much more than the rig given the surfaces must tell of every relative motion of the cameras (ratio of
 informations): below it the rig given would decide."""
+AROUND_PX = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+"""[5, 2] where a pattern is read about a pixel: there, and to both sides for its slopes."""
 LEAST_SHARED = 200
 """Samples that two cameras must share to be held against each other."""
 
@@ -127,7 +128,7 @@ def align(cameras: Sequence[RigCamera], surfaces: Sequence[Surface], turn: float
     Raises `RigError` naming the cameras where surfaces leave a motion open, or a camera shares none.
     """
     given = np.stack([camera.T_base_cam for camera in cameras])
-    samples = [_samples(surface) for surface in surfaces]
+    samples = [_Samples.of(surface) for surface in surfaces]
     weights = np.tile([turn**-2] * 3 + [move_m**-2] * 3, len(cameras))
     rng = np.random.default_rng(0)
     starts = rng.normal(0, START_SHARE, (STARTS, 6 * len(cameras))) / np.sqrt(weights)
@@ -160,7 +161,7 @@ class _Descent:
 def _descended(
     cameras: Sequence[RigCamera],
     surfaces: Sequence[Surface],
-    samples: Sequence[NDArray[np.int64]],
+    samples: Sequence[_Samples],
     weights: Float64,
     start: Float64,
 ) -> _Descent:
@@ -202,45 +203,64 @@ class _Match:
     """[n] b's pattern less a's."""
 
 
-def _samples(surface: Surface) -> NDArray[np.int64]:
-    """[n] flat pixels, evenly picked of what is known."""
-    known = np.flatnonzero(surface.known)
-    return known[:: max(len(known) // SAMPLES, 1)]
+@dataclass(frozen=True)
+class _Samples:
+    """Points of one camera's surface that are laid onto the others'."""
+
+    points: Float64
+    """[n, 3] in the optical frame, m."""
+    normals: Float64
+    """[n, 3]."""
+    patterns: tuple[Float32, ...]
+    """Per `BLURS_PX`: [n]."""
+
+    @classmethod
+    def of(cls, surface: Surface) -> _Samples:
+        """Evenly picked of what is known."""
+        known = np.flatnonzero(surface.known)
+        chosen = known[:: max(len(known) // SAMPLES, 1)]
+        points, normals = (field.reshape(-1, 3)[chosen] for field in (surface.points, surface.normals))
+        return cls(points, normals, tuple(pattern.ravel()[chosen] for pattern in surface.patterns))
 
 
 def _match(
     cameras: Sequence[RigCamera],
     surfaces: Sequence[Surface],
-    samples: Sequence[NDArray[np.int64]],
+    samples: Sequence[_Samples],
     poses: Float64,
     level: int,
     pair: tuple[int, int],
 ) -> _Match:
     a, b = pair
-    own, other, gate = surfaces[a], surfaces[b], GATES_M[level]
-    places = transform(poses[a], own.points.reshape(-1, 3)[samples[a]])
-    local = transform(inverse_pose(poses[b]), places)
-    projection = project(lens_of(cameras[b]), local)
-    pixels = np.rint(projection.pixels)
-    inside = (local[:, 2] > 0) & (pixels >= 1).all(1) & (pixels < [cameras[b].width - 1, cameras[b].height - 1]).all(1)
-    u, v = np.where(inside[:, None], pixels, 1).astype(np.int64).T
-    normals = other.normals[v, u] @ poses[b, :3, :3].T
-    there = transform(poses[b], other.points[v, u])
-    gaps = ((places - there) * normals).sum(1)
-    alike = (own.normals.reshape(-1, 3)[samples[a]] @ poses[a, :3, :3].T * normals).sum(1) > ALIKE
-    kept = inside & other.known[v, u] & alike & (np.abs(gaps) < gate)
-    at, pattern = projection.pixels[kept], other.patterns[level]
-    here, right, below = (_sampled(pattern, at + shift) for shift in ([0.0, 0.0], [0.5, 0.0], [0.0, 0.5]))
-    left, above = (_sampled(pattern, at - shift) for shift in ([0.5, 0.0], [0.0, 0.5]))
-    slopes = np.einsum("ni,nij->nj", np.stack([right - left, below - above], 1), projection.by_point[kept])
-    contrasts = here - own.patterns[level].ravel()[samples[a]][kept]
-    return _Match(a, b, places[kept], normals[kept], gaps[kept], slopes @ poses[b, :3, :3].T, contrasts)
+    own, other, camera = samples[a], surfaces[b], cameras[b]
+    T_b_a = inverse_pose(poses[b]) @ poses[a]
+    local = transform(T_b_a, own.points)
+    u, v = np.rint(raw_pixels(camera, local)).T
+    inside = (local[:, 2] > 0) & (u >= 1) & (u < camera.width - 1) & (v >= 1) & (v < camera.height - 1)
+    rows = np.flatnonzero(inside)
+    there = (v[rows] * camera.width + u[rows]).astype(np.int64)
+    known = other.known.ravel()[there]
+    rows, there = rows[known], there[known]
+    normals = other.normals.reshape(-1, 3)[there]
+    gaps = np.einsum("ni,ni->n", local[rows] - other.points.reshape(-1, 3)[there], normals)
+    alike = np.einsum("ni,ni->n", own.normals[rows] @ T_b_a[:3, :3].T, normals) > ALIKE
+    kept = alike & (np.abs(gaps) < GATES_M[level])
+    rows, R = rows[kept], poses[b, :3, :3]
+    projection = project(lens_of(camera), local[rows])
+    seen = _sampled(other.patterns[level], projection.pixels[:, None] + AROUND_PX)
+    by_pixel = np.stack([seen[:, 1] - seen[:, 2], seen[:, 3] - seen[:, 4]], axis=1)
+    slopes = np.einsum("ni,nij->nj", by_pixel, projection.by_point)
+    contrasts = seen[:, 0] - own.patterns[level][rows]
+    places = transform(poses[a], own.points[rows])
+    return _Match(a, b, places, normals[kept] @ R.T, gaps[kept], slopes @ R.T, contrasts)
 
 
 def _sampled(image: Float32, pixels: Float64) -> Float64:
-    """[n] values of an image between its pixels."""
-    at = np.ascontiguousarray(pixels[:, None], np.float32)
-    return np.asarray(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64).ravel()
+    """[n, k] values of an image between its pixels [n, k, 2]."""
+    if not len(pixels):
+        return np.zeros(pixels.shape[:2])
+    at = np.ascontiguousarray(pixels, np.float32)
+    return np.asarray(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
 
 
 def _system(matches: Sequence[_Match], poses: Float64) -> tuple[Float64, Float64]:
@@ -249,25 +269,25 @@ def _system(matches: Sequence[_Match], poses: Float64) -> tuple[Float64, Float64
     for match in matches:
         if not len(match.gaps):
             continue
+        own = np.r_[6 * match.a : 6 * match.a + 6, 6 * match.b : 6 * match.b + 6]
         for directions, off, least in (
             (match.normals, match.gaps, SURFACE_SIGMA_M),
             (match.slopes, match.contrasts, CONTRAST_SIGMA),
         ):
             sigma = max(1.4826 * float(np.median(np.abs(off))), least)
             weights = 1 / np.sqrt(1 + (off / sigma / ROBUST_SIGMAS) ** 2) / sigma**2 / TOGETHER
-            rows = np.zeros((len(off), 6 * len(poses)))
-            for camera, sign in ((match.a, 1.0), (match.b, -1.0)):
-                arms = match.places - poses[camera, :3, 3]
-                rows[:, 6 * camera : 6 * camera + 6] = sign * np.hstack([np.cross(arms, directions), directions])
-            H += rows.T @ (rows * weights[:, None])
-            g -= rows.T @ (weights * off)
+            about = np.cross(match.places, directions)
+            turns = [about - directions @ cross_matrix(poses[i, :3, 3]).T for i in (match.a, match.b)]
+            J = np.hstack([turns[0], directions, -turns[1], -directions])
+            H[np.ix_(own, own)] += J.T @ (J * weights[:, None])
+            g[own] -= J.T @ (weights * off)
     return H, g
 
 
 def _pairs(
     cameras: Sequence[RigCamera],
     surfaces: Sequence[Surface],
-    samples: Sequence[NDArray[np.int64]],
+    samples: Sequence[_Samples],
     given: Float64,
     poses: Float64,
 ) -> tuple[SurfacePair, ...]:
