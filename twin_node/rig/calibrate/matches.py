@@ -25,6 +25,9 @@ LARGEST_PX = 960
 SMALLEST_PX = 640
 """Images with a shorter longest side are enlarged: SIFT finds little below its first octave."""
 
+NOWHERE_M = 1e3
+"""Each coordinate of where rays that meet no plane are taken to meet it: far off every image."""
+
 
 @dataclass(frozen=True)
 class Matches:
@@ -93,7 +96,7 @@ def epipolar_px(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Float64
 
 def transfer_px(a: RigCamera, b: RigCamera, plane: Float64, pixels_a: Float64, pixels_b: Float64) -> Float64:
     """[n, 2] raw pixels of b from where a point is seen to where its pixel in a says that it is on a plane [4]."""
-    points = np.nan_to_num(plane_hits(a, plane, pixels_a), nan=1e3)
+    points = np.nan_to_num(plane_hits(a, plane, pixels_a), nan=NOWHERE_M)
     out: Float64 = raw_pixels(b, transform(inverse_pose(b.T_base_cam), points)) - pixels_b
     return out
 

@@ -17,6 +17,19 @@ def cross_matrix(v: NDArray[np.floating]) -> Float64:
     return out
 
 
+def turning(rotvec: Float64) -> Float64:
+    """[3, 3] the small turn that follows a rotation by a vector [3] (rad), by a small change of that vector.
+
+    The left Jacobian of SO(3) (Sola, Deray and Atchuthan, "A micro Lie theory", 2018, equation 145).
+    """
+    angle, cross = float(np.linalg.norm(rotvec)), cross_matrix(rotvec)
+    if angle < 1e-4:
+        return np.asarray(np.eye(3) + cross / 2)
+    return np.asarray(
+        np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
+    )
+
+
 def moved(T: Float64, change: Float64) -> Float64:
     """Poses [..., 4, 4] turned by a rotation vector about the outer frame's axes and shifted along them.
 
