@@ -38,7 +38,7 @@ def chequered(index: int, q: Float64, depth: bool = True) -> tuple[FrameSet, Boo
 
 def missed_on_the_arm(steps: int, depth: bool) -> tuple[float, int]:
     """Mean difference (0 to 1) on the arm when it has turned its back, and how many Gaussians it has."""
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20), map=MapParameters(steps=steps)), arm=ARM)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8), map=MapParameters(steps=steps)), arm=ARM)
     for index in range(16):
         one, on_arm = chequered(index, Q if index < 2 else Q + HALF_ROUND, depth)
         state = model.update(one)
@@ -55,13 +55,13 @@ def test_sides_of_the_arm_that_no_camera_had_seen_are_learnt_when_it_turns() -> 
 
 
 def test_an_arm_that_looks_as_it_did_is_given_nothing_more() -> None:
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=60)), arm=ARM)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=24)), arm=ARM)
     counts = [int((model.update(chequered(i, Q)[0]).gaussians.tiers == Tier.ROBOT).sum()) for i in range(30)]
     assert counts[-1] == counts[20]
 
 
 def test_what_is_learnt_lies_beneath_the_surface_so_that_it_does_not_stand_out_over_the_outline() -> None:
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)), arm=ARM)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)
     first = model.update(chequered(0, Q)[0]).gaussians.ids
     for index in range(1, 16):
         one, on_arm = chequered(index, Q + HALF_ROUND)
@@ -77,7 +77,7 @@ def test_what_is_learnt_lies_beneath_the_surface_so_that_it_does_not_stand_out_o
 
 
 def test_a_set_that_is_left_after_the_arm_teaches_nothing_once_what_stands_is_another() -> None:
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)), arm=ARM)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)
     for index in range(24):
         model.update(chequered(index, Q + HALF_ROUND * index / 24)[0])
         model.refine(granted((2, 100)[index % 2]))

@@ -23,7 +23,7 @@ from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, Veloci
 from twin_node.scene import FrameSet, Tier, TwinState, View
 
 CAMERAS = rig(120, 90)
-QUICK = ModelParameters(seed=SeedParameters(steps=60), gaussians_per_pixel=0.4)
+QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.4)
 DT_S = TICK_NS * 1e-9
 STEP_M, STEP_RAD = 0.008, 0.05
 """Of the moving blocks between two sets."""

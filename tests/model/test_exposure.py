@@ -143,7 +143,7 @@ def _db(model: WindowModel, set_: FrameSet) -> float:
 
 
 def test_light_that_goes_out_and_on_changes_neither_the_models_colours_nor_its_size() -> None:
-    parameters = ModelParameters(seed=SeedParameters(steps=60))
+    parameters = ModelParameters(seed=SeedParameters(steps=24))
     lit, dimmed = WindowModel(parameters), WindowModel(parameters)
     for index in range(8):
         set_ = frames(index, 0.01 * index, rig(), depth=True)

@@ -74,7 +74,7 @@ def test_the_first_step_goes_down_the_gradient_that_autograd_finds() -> None:
     torch.autograd.backward(photometric(draw(store.standing(values), CAMERAS), targets))
     assert values.grad is not None
     fit_all(store, views, 1)
-    expected = 0.1 * values.grad  # Adam's first moment after one step
+    expected = (1 - QUICK.first) * values.grad  # Adam's first moment after one step
     assert torch.allclose(store.moment1, expected, rtol=1e-3, atol=1e-7)
 
 

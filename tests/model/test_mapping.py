@@ -26,7 +26,7 @@ from twin_node.model.rendering import Splats
 from twin_node.model.sweep import shell_around
 from twin_node.scene import FrameSet, Tier, TwinState
 
-QUICK = ModelParameters(seed=SeedParameters(steps=60), gaussians_per_pixel=0.5)
+QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
 UNREFINED = replace(QUICK, map=MapParameters(steps=0))
 CAMERAS = rig()
 

@@ -17,7 +17,7 @@ from twin_node.scene import TwinState
 
 def followed() -> TwinState:
     """What a block that slides looks like to a small model after a few sets."""
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20), gaussians_per_pixel=0.4))
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8), gaussians_per_pixel=0.4))
     for frames in sliding(6, rig(60, 46)):
         state = model.update(frames)
     return state

@@ -30,7 +30,7 @@ def test_depth_of_the_arm_lies_on_its_capsules() -> None:
 
 
 def test_robot_gaussians_move_with_the_joints_and_are_no_nodes_to_forecast() -> None:
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20), gaussians_per_pixel=0.5), arm=ARM)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8), gaussians_per_pixel=0.5), arm=ARM)
     first = model.update(with_joints(frames(0, None, CAMERAS), ARM.joint_names, Q))
     own = first.gaussians.tiers == Tier.ROBOT
     assert own.sum() > 30
@@ -69,7 +69,7 @@ def with_arm(index: int, q: Float64) -> FrameSet:
 
 
 def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)), arm=ARM)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)
     turned = Q + np.array([1.2, 0, 0, 0, 0, 0])
     for index in range(40):
         state = model.update(with_arm(index, Q if index < 2 else turned))

@@ -13,7 +13,7 @@ from twin_node.model.quality import psnr, squared_error
 from twin_node.scene import Tier
 
 CAMERAS = rig()
-PLAIN = ModelParameters(seed=SeedParameters(steps=30), gaussians_per_pixel=0.3)
+PLAIN = ModelParameters(seed=SeedParameters(steps=12), gaussians_per_pixel=0.3)
 UNSELECTED = replace(PLAIN, track=replace(PLAIN.track, selects=False, learning_rate=1.0))
 STILL = replace(PLAIN, map=replace(PLAIN.map, steps=0))
 

@@ -13,7 +13,7 @@ from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowM
 from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.scene import Tier, TwinState
 
-QUICK = ModelParameters(seed=SeedParameters(steps=60), gaussians_per_pixel=0.5)
+QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
 CAMERAS = rig()
 
 

@@ -12,12 +12,12 @@ from torch import Tensor
 
 from twin_node.model.backgrounds import grow
 from twin_node.model.carriage import Bend, Carriage, carry
-from twin_node.model.descending import Path, descend, diverged, rates_of, to_columns, undo
+from twin_node.model.descending import Path, descend, diverged, rates_of, undo
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
-from twin_node.model.photometric import Goal, differentiate, targets_of
+from twin_node.model.photometric import Goal, targets_of
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Splats, split
 from twin_node.model.rotations import quat_product
@@ -30,6 +30,10 @@ CANONICAL_SHARE = 1.5
 SETTLING_S, SETTLED = 0.3, 0.3
 """Time constant in which a Gaussian finds its place on its body, s, and the share of the mean's rate that is left to it
 then: with a tenth of it distances change by a third less, and pixels of a cell without depth are 0.2 dB worse."""
+FIRST_RATE = 3.0
+"""What the rates of the first fit begin at: as good in 120 steps as in 300 at the plain rates."""
+AT_ONCE = 5
+"""Steps of the first fit between two looks at which Gaussians lie before which, and how large they are."""
 SKIRT_PX = 3
 """Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
 
@@ -39,16 +43,28 @@ so that no set costs much more than others; what is left the next sets make good
 
 
 def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
-    """Fits every Gaussian, none of which moves, to one set of views."""
+    """Fits every Gaussian, none of which moves, to one set of views.
+
+    Rates fall to a tenth on the way. Behind the Gaussians is black, as far as the view measures.
+    """
     targets = targets_of(views, [None] * len(views), gaussians.values.device)
-    goal = Goal([view.camera for view in views], None, targets)
-    descent = gaussians.descent(torch.nonzero(gaussians.alive)[:, 0])
-    for step in range(steps):
-        splats = gaussians.standing(descent.values)
-        descent.step(
-            to_columns(splats, differentiate(splats, goal).gradient), rates_of(descent.values, 0.1 ** (step / steps))
-        )
-    descent.end()
+    goal = Goal([view.camera for view in views], None, targets, [_black(view, gaussians.values) for view in views])
+    rows = torch.nonzero(gaussians.alive)[:, 0]
+    no_nodes = Poses(*(torch.zeros(len(views), 0, width, dtype=torch.float64) for width in (3, 4)))
+    at_rest = carry(no_nodes, torch.full_like(rows, -1))
+    alone = gaussians.standing(gaussians.values[:0])
+    for begin in range(0, steps, AT_ONCE):
+        count = min(AT_ONCE, steps - begin)
+        rates = rates_of(gaussians.values[rows], FIRST_RATE * 0.1 ** ((begin + (count - 1) / 2) / steps))
+        descend(gaussians, Path(rows, at_rest, rates, alone, goal), count)
+
+
+def _black(view: View, like: Tensor) -> Tensor:
+    """[H, W, 4] colour and depth behind all: where a Gaussian lets light through, its depth alone is compared."""
+    backdrop = like.new_zeros(*view.rgb.shape[:2], 4)
+    if view.depth is not None:
+        backdrop[..., 3] = torch.from_numpy(view.depth).to(like.device)
+    return backdrop
 
 
 def fit_moving(

@@ -18,11 +18,9 @@ MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slic
 WIDTH = 14
 SMALLEST = -7.6
 """Log of the smallest scale: half a millimetre."""
-PATIENT = Decays()
-"""Adam's of Gaussians that learn from what stays as it is."""
 QUICK = Decays(0.8, 0.95)
-"""Of those that are followed by a few steps per set: what they learned from farther back than five sets is of another
-image. Three steps then do what four with the usual decays do."""
+"""Adam's of Gaussians that are followed by a few steps per set: what they learned from farther back than five sets is of
+another image. Three steps then do what four with the usual decays do, and a first fit ends as well."""
 LARGEST = 0.7
 """Log of how many times its size at birth a Gaussian may reach: it stands for its own patch, not its neighbours'."""
 
@@ -244,7 +242,7 @@ class Gaussians:
         self.values[rows] = values
         self.moment1[rows], self.moment2[rows], self.steps[rows] = moment1, moment2, steps
 
-    def descent(self, rows: Tensor, decays: Decays = PATIENT) -> Descent:
+    def descent(self, rows: Tensor, decays: Decays = QUICK) -> Descent:
         """Adam steps on `rows` [n] only; what they lead to is stored by `Descent.end`.
 
         Raises `ValueError` where a row is named twice: which of its two results stayed would be left to chance.

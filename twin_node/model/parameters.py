@@ -15,7 +15,7 @@ class ModelError(TwinError):
 class SeedParameters:
     """How the first set of images becomes Gaussians."""
 
-    steps: int = 300
+    steps: int = 120
     """Optimisation steps on the first set."""
     stride_px: int = 2
     """One Gaussian per block of this many pixels squared and camera, before those of the same place are merged."""
@@ -34,7 +34,7 @@ class TrackParameters:
     steps: int = 3
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
     learning_rate: float = 6.0
-    """Multiplies all rates of `fitting.RATES`."""
+    """Multiplies all rates of `descending.RATES`."""
     selects: bool = True
     """False: what stands still takes the gradient steps too, on whole images, as methods do that select nothing."""
     bends: bool = True

@@ -121,7 +121,7 @@ class Length:
 
 
 def run(
-    parameters: LengthParameters | None = None, progress: Progress = lambda spans, total: spans, seed_steps: int = 80
+    parameters: LengthParameters | None = None, progress: Progress = lambda spans, total: spans, seed_steps: int = 32
 ) -> Length:
     """Follows the clip in this process, on one core.
 

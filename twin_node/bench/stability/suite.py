@@ -29,7 +29,7 @@ Progress = Callable[[Iterable[CaseResult], int], Iterable[CaseResult]]
 def _small_chain() -> ChainParameters:
     """The chain as shipped, but for coarser voxels and a shorter first fit: both take time that tells nothing here."""
     chain = ChainParameters()
-    model = replace(chain.model, seed=replace(chain.model.seed, steps=80))
+    model = replace(chain.model, seed=replace(chain.model.seed, steps=32))
     return replace(chain, model=model, grid=GridParameters(0.03))
 
 
@@ -55,7 +55,7 @@ class StabilityParameters:
 
 def _quick() -> StabilityParameters:
     chain = _small_chain()
-    model = replace(chain.model, seed=replace(chain.model.seed, steps=40))
+    model = replace(chain.model, seed=replace(chain.model.seed, steps=16))
     names = tuple(name for name in FAILURES if name not in LONG)
     return StabilityParameters(names, seconds=1.8, width=96, most_levels=2, chain=replace(chain, model=model))
 
