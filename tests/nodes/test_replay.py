@@ -55,10 +55,11 @@ def forecasts(path: Path) -> list[tuple[Occupancy, Obstacles]]:
 def uncovered(grid: Grid, indices: np.ndarray, obstacles: Obstacles, stamp: int, kind: ObstacleKind) -> int:
     """How many of the voxels, whole, lie in no box of the kind that is valid at a stamp."""
     valid = (obstacles.valid_from <= stamp) & (stamp <= obstacles.valid_to) & (obstacles.kinds == kind)
-    centres = grid.centers(indices)[:, None]
-    half = obstacles.sizes[valid] / 2 - grid.voxel_size / 2 + 1e-9
-    inside = np.all(np.abs(centres - obstacles.positions[valid]) <= half, axis=-1)
-    return int((~inside.any(axis=1)).sum())
+    inside = np.zeros(grid.dims, bool)
+    for position, size in zip(obstacles.positions[valid], obstacles.sizes[valid], strict=True):
+        low, high = ((position + side * size / 2 - grid.origin) / grid.voxel_size for side in (-1, 1))
+        inside[tuple(map(slice, np.maximum(np.ceil(low - 1e-9), 0).astype(int), np.floor(high + 1e-9).astype(int)))] = 1
+    return int((~inside.ravel()[indices]).sum())
 
 
 def test_every_occupied_voxel_is_inside_an_obstacle_at_its_time(lockstep: Path) -> None:

@@ -19,8 +19,8 @@ WIDTH = 14
 SMALLEST = -7.6
 """Log of the smallest scale: half a millimetre."""
 QUICK = Decays(0.8, 0.95)
-"""Adam's of Gaussians that are followed by a few steps per set: what they learned from farther back than five sets is of
-another image. Three steps then do what four with the usual decays do, and a first fit ends as well."""
+"""Adam's of Gaussians that are followed by a few steps per set: what they learned from farther back than five sets is
+of another image. Three steps then do what four with the usual decays do, and a first fit ends as well."""
 LARGEST = 0.7
 """Log of how many times its size at birth a Gaussian may reach: it stands for its own patch, not its neighbours'."""
 
