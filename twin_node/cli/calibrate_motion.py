@@ -168,12 +168,13 @@ def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
 
 def _refine(options: argparse.Namespace) -> None:
     from twin_node.rig import RigError, save_rig
-    from twin_node.rig.calibrate.refine import refine_rig
+    from twin_node.rig.calibrate.refine import measured_by_depth, refine_rig
 
     with _session(options) as session:
         rig = session.rig
         stills = _stills(session, options.max_rate or STILLS_RATE_HZ)
-        result = refine_rig(rig, stills, _plane(stills) if options.plane == "auto" else None)
+        sought = options.plane == "auto" and not measured_by_depth(stills)
+        result = refine_rig(rig, stills, _plane(stills) if sought else None)
         given = _given(options, rig)
         lines = _refine_lines(result, [camera.name for camera in rig.cameras])
         notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()

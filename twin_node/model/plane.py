@@ -18,6 +18,8 @@ PATCH_PX = 7
 """Side of the window over which images are compared: about twice the footprint of a hole or marking at 160 px width."""
 TEXTURE = 2.0 / 255
 """Standard deviation (0 to 1) inside a window below which its correlation says nothing: the noise of 8-bit video."""
+SHARES = (np.arange(256) / 255).astype(np.float32)
+"""[256] of full brightness, per 8-bit level."""
 MEASURED_SHARE = 0.15
 """Share of the measured points that a dominant plane holds at least."""
 MIN_AGREEMENT, DISTINCT = 0.01, 2.0
@@ -63,9 +65,13 @@ def correlation(a: View, b: View, plane: Plane) -> Float32:
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     warped = cv2.warpPerspective(_gray(b), H, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
     out = _local_correlation(_gray(a), warped.astype(np.float32))
-    rays = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), -1)
-    in_front = H[2, 0] * rays[..., 0] + H[2, 1] * rays[..., 1] + H[2, 2] > 0
-    out[(warped < 0) | ~in_front | ~(plane.depth(a.camera) > 0)] = np.nan
+    out[warped < 0] = np.nan
+    if offset < 0:  # the camera is below: what looks against the normal meets the plane behind it
+        out[pixel_rays(a.camera) @ plane.normal < -1e-6] = np.nan
+    corners = np.array([[0, 0, 1], [size[0] - 1, 0, 1], [0, size[1] - 1, 1], [size[0] - 1, size[1] - 1, 1]])
+    if (corners @ H[2]).min() <= 0:  # else all of a linear function is above 0
+        u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+        out[H[2, 0] * u + H[2, 1] * v + H[2, 2] <= 0] = np.nan
     return out
 
 
@@ -181,8 +187,7 @@ def _corner_K(camera: Camera) -> Float64:
 
 
 def _gray(view: View) -> Float32:
-    gray: Float32 = (cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY) / 255).astype(np.float32)
-    return gray
+    return np.asarray(cv2.LUT(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), SHARES), np.float32)
 
 
 def _local_correlation(a: Float32, b: Float32) -> Float32:

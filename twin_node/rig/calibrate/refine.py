@@ -92,7 +92,7 @@ def refine_rig(
     Raises `RigError` where the geometry cannot tell: it names the cameras and what was lacking.
     """
     parameters = parameters or RefineParameters()
-    if all(still.depth is not None for still in stills) and len(stills) > 1:
+    if measured_by_depth(stills):
         return _by_depth(rig, stills, parameters)
     features = feature_matches(stills)
     now = Adjusted(rig.cameras, plane)
@@ -105,6 +105,11 @@ def refine_rig(
     figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
     _check_believable(now, figures, parameters, seen.pixel_m)
     return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, seen.skipped)
+
+
+def measured_by_depth(stills: Sequence[Still]) -> bool:
+    """Whether surfaces tell how the cameras stand, and no plane is looked at."""
+    return all(still.depth is not None for still in stills) and len(stills) > 1
 
 
 def _by_depth(rig: Rig, stills: Sequence[Still], parameters: RefineParameters) -> RefineResult:
