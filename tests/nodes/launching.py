@@ -35,6 +35,11 @@ def on_loopback(plan: LaunchPlan, endpoint: str) -> LaunchPlan:
     return replace(plan, zenoh=replace(plan.zenoh, router="builtin", endpoint=endpoint, domain=0))
 
 
+def without_spares(plan: LaunchPlan) -> LaunchPlan:
+    """The plan for tests in which nothing is to take over: a spare costs as much as what it stands by for."""
+    return replace(plan, processes=tuple(replace(process, has_spare=False) for process in plan.processes))
+
+
 class Running:
     """A launch under way."""
 

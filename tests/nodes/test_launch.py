@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from launching import Ear, free_endpoint, launched, on_loopback
+from launching import Ear, free_endpoint, launched, on_loopback, without_spares
 
 from twin_node.bag import open_log
 from twin_node.cell import load_scenario
@@ -38,7 +38,7 @@ def is_of_evidence(message: object) -> bool:
 
 def decides(plan: LaunchPlan, logs: Path, endpoint: str) -> None:
     """Asserts that a launch comes to speed decisions by evidence, and that its end leaves no process."""
-    with launched(on_loopback(plan, endpoint), logs) as running:
+    with launched(without_spares(on_loopback(plan, endpoint)), logs) as running:
         ear = Ear(endpoint)
         ear.hear(SEPARATION, is_of_evidence)
         ear.close()
@@ -72,7 +72,7 @@ def test_two_machines(tmp_path: Path) -> None:
     scenario = ["scenario:=demo", "source:=cell"]
     twin = read_launch_file("launch/two_machines.yaml", ["role:=twin", f"listen:={twins}", *scenario], QUICK)
     far = read_launch_file("launch/two_machines.yaml", ["role:=cameras", f"join:={twins}", *scenario])
-    with launched(on_loopback(far, cameras), tmp_path / "far"):
+    with launched(without_spares(on_loopback(far, cameras)), tmp_path / "far"):
         decides(twin, tmp_path / "near", twins)
 
 
@@ -112,7 +112,7 @@ ARM_ALONE = """
 launch:
   processes:
     write: {nodes: [recorder]}
-    arm: {nodes: [arm], restart: RESTART}
+    arm: {nodes: [arm], restart: RESTART, spare: SPARE}
 /**:
   ros__parameters: {rig: {scenario: demo}}
 recorder:
@@ -122,23 +122,26 @@ arm:
 """
 
 
-def arm_alone(folder: Path, restart: str) -> LaunchPlan:
+def arm_alone(folder: Path, restart: str, spare: str = "false") -> LaunchPlan:
     path = folder / "arm.yaml"
-    path.write_text(ARM_ALONE.replace("RESTART", restart).replace("OUTPUT", str(folder / "out")))
+    text = ARM_ALONE.replace("RESTART", restart).replace("SPARE", spare).replace("OUTPUT", str(folder / "out"))
+    path.write_text(text)
     return read_launch_file(path)
 
 
-def test_a_killed_process_is_started_again_and_the_arm_stands_meanwhile(tmp_path: Path) -> None:
+@pytest.mark.parametrize("spare", ["false", "true"])
+def test_a_killed_process_is_started_again_and_the_arm_stands_meanwhile(tmp_path: Path, spare: str) -> None:
     endpoint = free_endpoint()
-    with launched(on_loopback(arm_alone(tmp_path, "true"), endpoint), tmp_path) as running:
+    with launched(on_loopback(arm_alone(tmp_path, "true", spare), endpoint), tmp_path) as running:
         ear = Ear(endpoint)
-        ear.hear(SEPARATION, lambda message: True)
-        killed = running.launcher.children()["arm"]
+        ear.hear(SEPARATION, lambda message: running.launcher.is_whole)
+        killed, standing_by = running.launcher.children()["arm"], running.launcher.spares().get("arm")
         os.kill(killed, signal.SIGKILL)
         ear.hear(DIAGNOSTICS, lambda message: running.launcher.children().get("arm", killed) != killed)
         told = convert.separation_from_message(ear.hear(SEPARATION, lambda message: True))
         ear.close()
         assert told.speed_fraction == 0.0
+        assert (running.launcher.children()["arm"] == standing_by) == (spare == "true")
         assert running.stop().restarts == 1
     assert any("arm: killed by signal 9; starting it again" in line for line in running.said)
     with open_log(tmp_path / "out") as log:
