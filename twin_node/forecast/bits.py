@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.kernel_requests import ListRequest, RunsRequest
-from twin_node.forecast.kernels import kernels
+from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.scene import Bool, UInt32
 
 Words = NDArray[np.uint64]
@@ -68,19 +69,13 @@ class Bits:
         """Number of voxels."""
         return int(np.bitwise_count(self.words).sum())
 
-    def listed(self, marks: Bits, count: int | None = None) -> Listed:
-        """The voxels, and which of them are marked too; `count`: how many there are, where that is known already.
-
-        Compiled; `listed_plainly` where that cannot be.
-        """
+    def listed(self, marks: Bits) -> Listed:
+        """The voxels, and which of them are marked too. Compiled; `listed_plainly` where that cannot be."""
         compiled = kernels()
         if compiled is None:
             return self.listed_plainly(marks)
-        count = self.count if count is None else count
-        found = Listed(np.empty(count, np.uint32), np.empty(count, np.bool_))
-        words, marked = np.ascontiguousarray(self.words), np.ascontiguousarray(marks.words)
-        arrays: tuple[NDArray[np.generic], ...] = (words, marked, found.indices, found.marked)
-        compiled.list(ListRequest(*self.dims, *(array.ctypes.data for array in arrays)))
+        counts = np.array([self.count])
+        (found,) = all_listed(compiled, self.dims, self.words[None], marks.words[None], counts)
         return found
 
     def listed_plainly(self, marks: Bits) -> Listed:
@@ -138,3 +133,16 @@ class Listed(NamedTuple):
     """[n] flat, strictly increasing."""
     marked: Bool
     """[n]."""
+
+
+def all_listed(
+    compiled: Kernels, dims: Dims, words: Words, marks: Words, counts: NDArray[np.int64], threads: int = 1
+) -> list[Listed]:
+    """The voxels of masks, `words` [L, nx, ny, w] with `counts` [L] of them, and which are in `marks` (alike) too."""
+    total = int(counts.sum())
+    indices, marked = np.empty(total, np.uint32), np.empty(total, np.bool_)
+    arrays = (np.ascontiguousarray(words), np.ascontiguousarray(marks), counts, indices, marked)
+    addresses = (array.ctypes.data for array in arrays)
+    compiled.list(ListRequest(len(words), *dims, threads, *addresses))
+    ends = np.cumsum(counts).tolist()
+    return [Listed(indices[first:end], marked[first:end]) for first, end in pairwise([0, *ends])]

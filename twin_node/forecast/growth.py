@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from twin_node.forecast.bits import Bits
+from twin_node.forecast.bits import all_listed
 from twin_node.forecast.kernel_requests import GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
@@ -109,11 +109,8 @@ def _spread_by(
     addresses = (array.ctypes.data for array in arrays)
     request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses)
     compiled.grow(request)
-    spreads = []
-    for layer, marks, count in zip(reached, core, counts.tolist(), strict=True):
-        found = Bits(grid.dims, layer).listed(Bits(grid.dims, marks), count)
-        spreads.append(Spread(found.indices, found.marked))
-    return tuple(spreads)
+    found = all_listed(compiled, grid.dims, reached, core, counts, thread_count())
+    return tuple(Spread(one.indices, one.marked) for one in found)
 
 
 def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) -> tuple[Spread, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 19
+INTERFACE_VERSION = 20
 
 
 class GrowRequest(ctypes.Structure):
@@ -22,8 +22,8 @@ class ListRequest(ctypes.Structure):
     """`forecast::ListRequest`."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("nx", "ny", "nz")),
-        *((name, c_void_p) for name in ("words", "marks", "indices", "marked")),
+        *((name, c_int32) for name in ("masks", "nx", "ny", "nz", "threads")),
+        *((name, c_void_p) for name in ("words", "marks", "counts", "indices", "marked")),
     )
 
 

@@ -45,7 +45,6 @@ class Kernels(NativeLibrary):
         super().__init__(path)
         self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
-        self._dll.forecast_list.restype = None
         self._dll.forecast_runs.argtypes = [ctypes.POINTER(RunsRequest)]
         self._dll.forecast_runs.restype = None
         self._dll.forecast_look.argtypes = [ctypes.POINTER(LookRequest)]
@@ -80,8 +79,9 @@ class Kernels(NativeLibrary):
         _check(self._dll.forecast_grow(request))
 
     def list(self, request: ListRequest) -> None:
-        """Lists the voxels of a mask; takes one thread."""
-        self._dll.forecast_list(request)
+        """Lists the voxels of masks. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_list(request))
 
     def runs(self, request: RunsRequest) -> None:
         """Finds the runs of a mask; takes one thread."""

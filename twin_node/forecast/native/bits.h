@@ -7,6 +7,7 @@
 #include <cstring>
 #include <vector>
 
+#include "../../native/crew.h"
 #include "interface.h"
 
 namespace forecast {
@@ -144,17 +145,23 @@ inline Bits halved(const Bits &b, int64_t nz) {
 
 inline void list(const ListRequest &r) {
   const int words = words_of(r.nz);
-  int64_t next = 0;
-  for (int64_t column = 0; column < static_cast<int64_t>(r.nx) * r.ny; column++) {
-    for (int w = 0; w < words; w++) {
-      const uint64_t marks = r.marks[column * words + w];
-      for (uint64_t bits = r.words[column * words + w]; bits; bits &= bits - 1) {
-        const int bit = __builtin_ctzll(bits);
-        r.indices[next] = static_cast<uint32_t>(column * r.nz + 64 * w + bit);
-        r.marked[next++] = marks >> bit & 1;
+  const int64_t columns = static_cast<int64_t>(r.nx) * r.ny;
+  std::vector<int64_t> firsts(r.masks, 0);
+  for (int32_t mask = 1; mask < r.masks; mask++) firsts[mask] = firsts[mask - 1] + r.counts[mask - 1];
+  crew::parallel_for(r.threads, r.masks, [&](int64_t mask) {
+    const uint64_t *own = r.words + mask * columns * words, *marks = r.marks + mask * columns * words;
+    int64_t next = firsts[mask];
+    for (int64_t column = 0; column < columns; column++) {
+      for (int w = 0; w < words; w++) {
+        const uint64_t marked = marks[column * words + w];
+        for (uint64_t bits = own[column * words + w]; bits; bits &= bits - 1) {
+          const int bit = __builtin_ctzll(bits);
+          r.indices[next] = static_cast<uint32_t>(column * r.nz + 64 * w + bit);
+          r.marked[next++] = marked >> bit & 1;
+        }
       }
     }
-  }
+  });
 }
 
 inline void runs(const RunsRequest &r) {

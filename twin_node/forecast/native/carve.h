@@ -13,6 +13,7 @@ namespace forecast {
 
 constexpr int kBlock = 4;  // voxels along a side of a block
 constexpr int kVoxels = kBlock * kBlock * kBlock;
+constexpr int kParts = 8;  // blocks of a large one
 
 // Two views must show the same to be believed where no surface is measured.
 constexpr int kWitnesses = 2;
@@ -39,7 +40,7 @@ class BlockVerdicts {
   BlockVerdicts(
       const CarveRequest &request, const std::vector<Overview> &overviews,
       const std::vector<std::vector<int32_t>> &flags)
-      : r_(request), overviews_(overviews), flags_(flags), dividing_(request.views, 0) {}
+      : r_(request), overviews_(overviews), flags_(flags), dividing_(kParts * request.views) {}
 
   // Whether some view frees all of a block. Neighbours are often freed by the same one.
   bool freed_as_a_whole(Size size, int64_t block) {
@@ -53,13 +54,38 @@ class BlockVerdicts {
   }
 
   // Whether no view frees or explains any of a block.
-  bool unknown_as_a_whole(Size size, int64_t block) { return !divided(size, block) && dividing_count_ == 0; }
+  bool unknown_as_a_whole(Size size, int64_t block) {
+    begin_anew();
+    return !divided(size, block) && dividing_count_ == 0;
+  }
 
-  // Of a block that is not freed as a whole.
-  Found of(int64_t block) {
-    const bool explicable = divided(&Table::small, block);
-    if (freed_voxel_by_voxel(block * kVoxels)) return {0, 0, 0, 0};
-    if (!explicable) return {as_bits(open_), 0, 0, 0};
+  // A block that is not freed as a whole: the views that may free parts of it, and whether any may explain the rest.
+  struct Undecided {
+    int64_t block;
+    int first, end;  // of `dividing_`
+    bool is_explicable;
+  };
+
+  void begin_anew() { dividing_count_ = 0; }
+
+  // Good until the next beginning, for up to `kParts` blocks. What the tables say of its voxels is on its way from then on.
+  Undecided undecided(int64_t block) {
+    const int first = dividing_count_;
+    const bool is_explicable = divided(&Table::small, block);
+    for (int k = first; k < dividing_count_; k++) {
+      const Table &table = r_.sights[dividing_[k]].table;
+      for (int64_t i = block * kVoxels; i < (block + 1) * kVoxels; i += kLine) {
+        __builtin_prefetch(table.pixels + i);
+        __builtin_prefetch(table.depths + i);
+      }
+    }
+    return {block, first, dividing_count_, is_explicable};
+  }
+
+  Found of(const Undecided &undecided) {
+    const int64_t block = undecided.block;
+    if (freed_voxel_by_voxel(undecided)) return {0, 0, 0, 0};
+    if (!undecided.is_explicable) return {as_bits(open_), 0, 0, 0};
     for (int i = 0; i < kVoxels; i++) moving_[i] = robot_[i] = seen_[i] = surface_[i] = beside_[i] = 0;
     for (int v = 0; v < r_.views; v++) look(r_.sights[v], flags_[v].data(), block * kVoxels);
     for (int i = 0; i < kVoxels; i++) {
@@ -74,10 +100,11 @@ class BlockVerdicts {
   }
 
  private:
-  // Finds the views that may free parts of a block, and says whether any may explain what is left.
+  static constexpr int64_t kLine = 64 / sizeof(float);
+
+  // Adds the views that may free parts of a block, and says whether any may explain what is left.
   bool divided(Size size, int64_t block) {
     int moving = 0, robot = 0, surface = 0;
-    dividing_count_ = 0;
     for (int v = 0; v < r_.views; v++) {
       const BlockSightings &blocks = r_.sights[v].table.*size;
       const Overview &overview = overviews_[v];
@@ -92,9 +119,10 @@ class BlockVerdicts {
     return moving >= kWitnesses || robot >= kWitnesses || surface;
   }
 
-  bool freed_voxel_by_voxel(int64_t first) {
+  bool freed_voxel_by_voxel(const Undecided &undecided) {
+    const int64_t first = undecided.block * kVoxels;
     for (int i = 0; i < kVoxels; i++) open_[i] = 1;
-    for (int k = 0; k < dividing_count_; k++) {
+    for (int k = undecided.first; k < undecided.end; k++) {
       const int v = dividing_[k];
       const int32_t *pixels = r_.sights[v].table.pixels + first;
       const float *depths = r_.sights[v].table.depths + first, *free_until = r_.sights[v].free_until;
@@ -127,7 +155,7 @@ class BlockVerdicts {
   const CarveRequest &r_;
   const std::vector<Overview> &overviews_;
   const std::vector<std::vector<int32_t>> &flags_;
-  std::vector<int> dividing_;  // views that may free parts of the block, the first so many of it
+  std::vector<int> dividing_;  // views that may free parts of blocks, block by block: so many
   int dividing_count_ = 0;
   int32_t open_[kVoxels], moving_[kVoxels], robot_[kVoxels], seen_[kVoxels], surface_[kVoxels], beside_[kVoxels];
   int32_t unknown_[kVoxels], may_move_[kVoxels], likely_moves_[kVoxels], on_arm_[kVoxels];
@@ -155,35 +183,55 @@ class Slab {
       for (int64_t z = 0; z < large_.z; z++) {
         const int64_t block = large_.flat(number_, y, z);
         if (verdicts_.freed_as_a_whole(&Table::large, block)) continue;
-        const bool is_unknown = verdicts_.unknown_as_a_whole(&Table::large, block);
-        for (int64_t part = 0; part < kParts; part++) {
-          const int64_t i = 2 * number_ + part / 4, j = 2 * y + part / 2 % 2, k = 2 * z + part % 2;
-          if (i < small_.x && j < small_.y && k < small_.z) carve(i, j, k, is_unknown);
+        if (verdicts_.unknown_as_a_whole(&Table::large, block)) {
+          for_parts(y, z, [&](const Corner &at) { write(r_.unknown, ~uint64_t{0}, at); });
+        } else {
+          carve(y, z);
         }
       }
     }
   }
 
  private:
-  static constexpr int kLarge = 2 * kBlock, kParts = 8;
+  static constexpr int kLarge = 2 * kBlock;
 
-  void carve(int64_t i, int64_t j, int64_t k, bool is_unknown) {
-    const int64_t block = small_.flat(i, j, k);
-    if (is_unknown) {
-      write(r_.unknown, ~uint64_t{0}, i, j, k);
-      return;
+  // First voxel of a block.
+  struct Corner {
+    int64_t x, y, z;
+  };
+
+  template <class Work>
+  void for_parts(int64_t y, int64_t z, const Work &work) const {
+    for (int64_t part = 0; part < kParts; part++) {
+      const int64_t i = 2 * number_ + part / 4, j = 2 * y + part / 2 % 2, k = 2 * z + part % 2;
+      if (i < small_.x && j < small_.y && k < small_.z) work(Corner{i * kBlock, j * kBlock, k * kBlock});
     }
-    if (verdicts_.freed_as_a_whole(&Table::small, block)) return;
-    const Found found = verdicts_.of(block);
-    if (found.unknown) write(r_.unknown, found.unknown, i, j, k);
-    if (found.may_move) write(r_.may_move, found.may_move, i, j, k);
-    if (found.likely_moves) write(r_.likely_moves, found.likely_moves, i, j, k);
-    if (found.on_arm) write(r_.on_arm, found.on_arm, i, j, k);
+  }
+
+  // What the tables say of voxels is asked for block by block, and read when the large block's last has been asked for:
+  // one after the other would wait for memory every time.
+  void carve(int64_t y, int64_t z) {
+    BlockVerdicts::Undecided waiting[kParts];
+    Corner corners[kParts];
+    int count = 0;
+    verdicts_.begin_anew();
+    for_parts(y, z, [&](const Corner &at) {
+      const int64_t block = small_.flat(at.x / kBlock, at.y / kBlock, at.z / kBlock);
+      if (verdicts_.freed_as_a_whole(&Table::small, block)) return;
+      waiting[count] = verdicts_.undecided(block), corners[count++] = at;
+    });
+    for (int part = 0; part < count; part++) {
+      const Found found = verdicts_.of(waiting[part]);
+      if (found.unknown) write(r_.unknown, found.unknown, corners[part]);
+      if (found.may_move) write(r_.may_move, found.may_move, corners[part]);
+      if (found.likely_moves) write(r_.likely_moves, found.likely_moves, corners[part]);
+      if (found.on_arm) write(r_.on_arm, found.on_arm, corners[part]);
+    }
   }
 
   // Enters what was found of a block in a mask of the grid, which it may stand out of.
-  void write(uint64_t *mask, uint64_t found, int64_t i, int64_t j, int64_t k) const {
-    const int64_t x0 = i * kBlock, y0 = j * kBlock, z0 = k * kBlock, words = words_of(r_.nz);
+  void write(uint64_t *mask, uint64_t found, const Corner &at) const {
+    const int64_t x0 = at.x, y0 = at.y, z0 = at.z, words = words_of(r_.nz);
     const int64_t xs = std::min<int64_t>(kBlock, r_.nx - x0), ys = std::min<int64_t>(kBlock, r_.ny - y0);
     const uint64_t inside = (uint64_t{1} << std::min<int64_t>(kBlock, r_.nz - z0)) - 1;
     for (int64_t x = 0; x < xs; x++) {

@@ -81,25 +81,38 @@ inline Place place_of(const GrowRequest &r, int layer, int64_t point) {
   return {r.places[point] + shift[0], r.places[r.points + point] + shift[1], r.places[2 * r.points + point] + shift[2]};
 }
 
-// The balls of a task, united into columns [nx, ny, words].
+// The balls of a task, united into those columns of the grid that they may reach.
 class Union {
  public:
   Union(const GrowRequest &request, const Task &task)
-      : r_(request), task_(task), whole_(task.level / kPerVoxel), grown_(0, 0, r_.nx, r_.ny, words_of(r_.nz)) {}
-
-  const std::vector<uint64_t> &columns() {
-    Columns tall = marked();
-    Columns inner(tall.x0, tall.y0, tall.width, tall.depth, grown_.words);
-    find_filled(tall);
+      : r_(request), task_(task), whole_(task.level / kPerVoxel), tall_(marked()), grown_(reachable()) {
+    Columns inner(tall_.x0, tall_.y0, tall_.width, tall_.depth, grown_.words);
+    find_filled(tall_);
     for (int height = 0; height <= whole_; height++) {
-      if (height > 0) lengthen(tall);
-      crop(tall, whole_, r_.nz, inner);
+      if (height > 0) lengthen(tall_);
+      crop(tall_, whole_, r_.nz, inner);
       unite(inner, height);
     }
-    return grown_.bits;
+  }
+
+  // Sets them in a mask [nx, ny, words].
+  void enter(uint64_t *mask) const {
+    const int64_t row = static_cast<int64_t>(grown_.depth) * grown_.words;
+    for (int64_t x = 0; x < grown_.width; x++) {
+      const uint64_t *own = grown_.bits.data() + x * row;
+      uint64_t *to = mask + ((grown_.x0 + x) * r_.ny + grown_.y0) * grown_.words;
+      for (int64_t w = 0; w < row; w++) to[w] |= own[w];
+    }
   }
 
  private:
+  // Columns of the grid about those with middles: all points of a task reach the grid.
+  Columns reachable() const {
+    const int x0 = std::max(tall_.x0 - whole_, 0), x1 = std::min(tall_.x0 + tall_.width + whole_, r_.nx);
+    const int y0 = std::max(tall_.y0 - whole_, 0), y1 = std::min(tall_.y0 + tall_.depth + whole_, r_.ny);
+    return Columns(x0, y0, x1 - x0, y1 - y0, words_of(r_.nz));
+  }
+
   // The balls' middles; bit 0 is `whole_` voxels below the grid.
   Columns marked() const {
     int low[2] = {r_.nx + whole_, r_.ny + whole_}, high[2] = {-whole_, -whole_};
@@ -162,7 +175,7 @@ class Union {
   const GrowRequest &r_;
   const Task &task_;
   const int whole_;
-  Columns grown_;
+  Columns tall_, grown_;
   std::vector<int> first_, last_;
 };
 
@@ -204,11 +217,9 @@ inline void grow(const GrowRequest &r) {
   std::mutex writing;
   crew::parallel_for(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
     try {
-      Union balls(r, tasks[i]);
-      const std::vector<uint64_t> &columns = balls.columns();
-      uint64_t *reached = r.reached + tasks[i].layer * size;
+      const Union balls(r, tasks[i]);
       const std::lock_guard<std::mutex> lock(writing);
-      for (int64_t w = 0; w < size; w++) reached[w] |= columns[w];
+      balls.enter(r.reached + tasks[i].layer * size);
     } catch (const std::bad_alloc &) {
       short_of_memory = true;
     }

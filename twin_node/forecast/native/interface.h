@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 19;
+constexpr int32_t kInterfaceVersion = 20;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -23,12 +23,13 @@ struct GrowRequest {
   int64_t *counts;         // [layers] voxels reached
 };
 
-// The set bits of a mask in rising order, and which of them are marked too.
+// The set bits of masks in rising order, mask by mask, and which of them are marked too.
 struct ListRequest {
-  int32_t nx, ny, nz;
-  const uint64_t *words, *marks;  // [nx, ny, words]
-  uint32_t *indices;              // [count]
-  uint8_t *marked;                // [count]
+  int32_t masks, nx, ny, nz, threads;
+  const uint64_t *words, *marks;  // [masks, nx, ny, words]
+  const int64_t *counts;          // [masks] bits that are set
+  uint32_t *indices;              // [sum of counts]
+  uint8_t *marked;                // the same
 };
 
 // Runs of set bits, from column to column.

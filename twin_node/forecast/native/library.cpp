@@ -39,7 +39,9 @@ int32_t forecast_grow(const forecast::GrowRequest *request) {
   return guarded([&] { forecast::grow(*request); });
 }
 
-void forecast_list(const forecast::ListRequest *request) { forecast::list(*request); }
+int32_t forecast_list(const forecast::ListRequest *request) {
+  return guarded([&] { forecast::list(*request); });
+}
 
 void forecast_runs(const forecast::RunsRequest *request) { forecast::runs(*request); }
 
