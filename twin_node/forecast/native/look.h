@@ -42,13 +42,19 @@ class Look {
   using Depths = std::vector<float>;
 
   void write_flags(const std::vector<uint8_t> &widened) const {
+    const uint8_t *wide = widened.data(), *moving = moving_.data(), *seen = seen_.data(), *blind = blind_.data();
+    uint8_t *flags = v_.flags;
+#pragma omp simd
     for (size_t i = 0; i < size_; i++) {
-      const uint8_t is_blunt = widened[i] & !blind_[i] & (v_.depth ? v_.depth[i] == 0.0f : 1);
-      const uint8_t is_beside = seen_[i] & !moving_[i] & !blind_[i];
-      v_.flags[i] = is_blunt * kMoving | seen_[i] * kSeen | is_beside * kBeside;
+      const uint8_t is_blunt = wide[i] & (blind[i] ^ 1), is_beside = seen[i] & (moving[i] ^ 1) & (blind[i] ^ 1);
+      flags[i] = is_blunt * kMoving | seen[i] * kSeen | is_beside * kBeside;
     }
-    for (size_t i = 0; v_.robot && i < size_; i++) v_.flags[i] |= (v_.robot[i] & seen_[i]) * kRobot;
-    v_.flags[size_] = 0;
+    if (const float *depth = v_.depth) {
+#pragma omp simd
+      for (size_t i = 0; i < size_; i++) flags[i] &= depth[i] == 0.0f ? kAll : kAll & ~kMoving;
+    }
+    for (size_t i = 0; v_.robot && i < size_; i++) flags[i] |= (v_.robot[i] & seen[i]) * kRobot;
+    flags[size_] = 0;
   }
 
   // Before a measured surface, be it the arm's: what its errors leave.
@@ -63,12 +69,18 @@ class Look {
 
   void write_free_until() const {
     Depths free = fronts();
-    for (size_t i = 0; i < size_; i++) free[i] = v_.depth[i] > 0 ? free[i] : kAlways;
+    float *own = free.data();
+    const float *depth = v_.depth;
+    const uint8_t *seen = seen_.data();
+#pragma omp simd
+    for (size_t i = 0; i < size_; i++) own[i] = depth[i] > 0 ? own[i] : kAlways;
     Depths nearest = free;  // single pixels lack depth everywhere
     spread_over<Least>(nearest, v_.width, v_.height, Patch::square(1), kAlways);
+    const float *near = nearest.data();
+#pragma omp simd
     for (size_t i = 0; i < size_; i++) {
-      const float around = nearest[i] < kAlways ? nearest[i] : kNever;
-      free[i] = !seen_[i] ? kNever : v_.depth[i] > 0 ? free[i] : around;
+      const float around = near[i] < kAlways ? near[i] : kNever;
+      own[i] = !seen[i] ? kNever : depth[i] > 0 ? own[i] : around;
     }
     spread_over<Least>(free, v_.width, v_.height, patch_, kFarthest);
     std::copy(free.begin(), free.end(), v_.free_until);
@@ -125,10 +137,12 @@ class Look {
     const float share = static_cast<float>(1 - r_.depth_share), margin = static_cast<float>(r_.depth_margin);
     std::vector<uint8_t> found(size_);
     const uint8_t *moving = moving_.data(), *blind = blind_.data();
+    const float *depth = v_.depth, *backdrop = v_.backdrop;
     uint8_t *to = found.data();
+#pragma omp simd
     for (size_t i = 0; i < size_; i++) {
-      const float least = v_.backdrop[i] * share - margin;
-      to[i] = moving[i] & !blind[i] & (v_.depth[i] > 0) & (v_.depth[i] < least);
+      const float least = backdrop[i] * share - margin;
+      to[i] = moving[i] & (blind[i] ^ 1) & (depth[i] > 0) & (depth[i] < least);
     }
     clear_specks(found, v_.width, v_.height, r_.speck);
     return found;
@@ -142,9 +156,11 @@ class Look {
     const std::vector<double> back = backs(radii_within(hidden));
     const Depths front = fronts();
     Depths begin(size_), end(size_);
+    float *first = begin.data(), *last = end.data();
+#pragma omp simd
     for (size_t i = 0; i < size_; i++) {
-      begin[i] = found[i] ? front[i] : kAlways;
-      end[i] = found[i] ? static_cast<float>(back[i]) : kNever;
+      first[i] = found[i] ? front[i] : kAlways;
+      last[i] = found[i] ? static_cast<float>(back[i]) : kNever;
     }
     spread_over<Least>(begin, v_.width, v_.height, patch_, kFarthest);
     spread_over<Greatest>(end, v_.width, v_.height, patch_, -kFarthest);
@@ -158,17 +174,20 @@ class Look {
     FORECAST_ROUNDED_BODY
     const float slant = static_cast<float>(r_.slant), thickness = static_cast<float>(r_.thickness);
     const uint8_t *blind = blind_.data();
+    float *to_begin = v_.begin, *to_end = v_.end;
+#pragma omp simd
     for (size_t i = 0; i < size_; i++) {
       const float nearest = front[i] - slant, farthest = begin[i] + thickness + slant;
       const double behind = back[i] + r_.slant;
       const float own = static_cast<float>(end[i] < behind ? end[i] : behind);
       const float other = end[i] < farthest ? end[i] : farthest;
-      v_.begin[i] = found[i] && begin[i] < nearest ? nearest : begin[i];
-      v_.end[i] = blind[i] ? kNever : found[i] ? own : other;
+      to_begin[i] = (found[i] != 0) & (begin[i] < nearest) ? nearest : begin[i];
+      to_end[i] = blind[i] ? kNever : found[i] ? own : other;
     }
   }
 
   static constexpr float kFarthest = 3e38f;
+  static constexpr uint8_t kAll = kMoving | kRobot | kSeen | kBeside;
 
   const LookRequest &r_;
   const LookView &v_;
