@@ -80,27 +80,28 @@ class Judgement:
     """
 
     def __init__(self, state: TwinState, margin: Margin, tables: RigTables, forecast: NDArray[np.int64]) -> None:
-        """`forecast` [n]: its voxels in the inner grid."""
-        foreseen = margin.padded(_mask(margin.inner.size, forecast))
+        """`forecast` [n]: its voxels in the inner grid, flat indices in rising order."""
         by_pixels = any(view.depth is None for view in state.frames.views)
-        expected = tables.blocks.locate(np.flatnonzero(foreseen if by_pixels else foreseen[:0]))
-        self._size, self._blocks = margin.outer.size, tables.blocks
+        expected = tables.blocks.locate(margin.outward(forecast if by_pixels else forecast[:0]))
+        self._blocks = tables.blocks
         self._points: list[_Points] = []
         self._images: list[_Image] = []
         for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
             if view.depth is not None:
-                places = _measured(view, moving, margin)
-                self._points.append(_Points(places, foreseen[places]))
+                self._points.append(_measured(view, moving, margin, forecast))
             else:
                 table = tables.of(view.camera)
                 self._images.append(_Image(table, moving, table.image_of(expected)))
 
     def of(self, here: NDArray[np.int64]) -> Held:
-        """How much of what is in the voxels `here` [m] of the outer grid, all of which could be foreseen, was."""
-        known, mine = _mask(self._size, here), self._blocks.locate(here)
+        """How much of what is in the voxels `here`, all of which could be foreseen, was.
+
+        `here` [m]: flat indices in the outer grid, in rising order.
+        """
+        mine = self._blocks.locate(here)
         measured = agreed = covered = pixels = 0
         for points in self._points:
-            explained = known[points.places]
+            explained = _are_among(points.places, here)
             measured += len(explained)
             agreed += int(np.count_nonzero(explained))
             covered += int(np.count_nonzero(explained & points.foreseen))
@@ -132,15 +133,19 @@ class _Image:
     """[H, W] where the forecast projects."""
 
 
-def _measured(view: View, moving: Bool, margin: Margin) -> NDArray[np.int64]:
-    """Voxels of the outer grid that hold measured points of what moves, inside the inner one."""
+def _measured(view: View, moving: Bool, margin: Margin, forecast: NDArray[np.int64]) -> _Points:
+    """The measured points of what moves in the inner grid, and which are in the `forecast` [n] of it."""
     assert view.depth is not None
     points = unproject(view, moving & (view.depth > 0), finer=1)
-    points = points[margin.inner.indices(points) >= 0]
-    return margin.outer.indices(points)
+    indices = margin.inner.indices(points)
+    is_inside = indices >= 0
+    return _Points(margin.outer.indices(points[is_inside]), _are_among(indices[is_inside], forecast))
 
 
-def _mask(size: int, indices: NDArray[np.int64]) -> Bool:
-    mask = np.zeros(size, np.bool_)
-    mask[indices] = True
-    return mask
+def _are_among(indices: NDArray[np.int64], others: NDArray[np.int64]) -> Bool:
+    """[n] which of `indices` [n] are among `others` [m], which rise."""
+    if len(others) == 0:
+        return np.zeros(len(indices), np.bool_)
+    nearest = np.minimum(np.searchsorted(others, indices), len(others) - 1)
+    among: Bool = others[nearest] == indices
+    return among

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.bits import WORD, Bits
 from twin_node.forecast.grid import MOST_VOXELS
-from twin_node.scene import Bool, Grid
+from twin_node.scene import Grid
 
 RIM_S = 0.25
 """How long before it comes in a person is seen, s: the longest horizon."""
@@ -43,13 +43,11 @@ class Margin:
             words[..., -1] &= np.uint64((1 << nz % WORD) - 1)
         return Bits(self.inner.dims, words)
 
-    def padded(self, mask: Bool) -> Bool:
-        """Flat mask [outer.size] of a flat mask [inner.size]: what `cropped` undoes, bit by bit."""
-        x, y, z = self._offset
-        nx, ny, nz = self.inner.dims
-        padded = np.zeros(self.outer.dims, np.bool_)
-        padded[x : x + nx, y : y + ny, z : z + nz] = mask.reshape(self.inner.dims)
-        return padded.reshape(-1)
+    def outward(self, inner: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Flat indices [n] in the outer grid of flat indices [n] in the inner one; they rise where those do."""
+        places = np.stack(np.unravel_index(inner, self.inner.dims)) + self._offset[:, None]
+        outer: NDArray[np.int64] = np.ravel_multi_index(tuple(places), self.outer.dims).astype(np.int64)
+        return outer
 
 
 _SIDES = np.array([2, 2, 1])
