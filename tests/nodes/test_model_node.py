@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -48,3 +49,13 @@ def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: 
         node.rest(lambda: not waits)
     assert model.done == expected
     assert order == [f"{index} published after {index}" for index in range(8)]
+
+
+def test_a_configured_node_keeps_opencv_to_one_thread() -> None:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        ModelNode(LocalBus(), SteppedClock(), Watched()).configure()
+        assert cv2.getNumThreads() == 1
+    finally:
+        cv2.setNumThreads(before)

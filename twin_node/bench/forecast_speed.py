@@ -15,6 +15,7 @@ from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.geometry import pose
+from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.scene import (
     HORIZONS_NS,
     Bool,
@@ -62,6 +63,7 @@ class ForecastSpeed:
 
 def run() -> ForecastSpeed:
     """Times one thread's work; best of several, because others' load only ever adds."""
+    image_loops_alone()
     forecaster, observer = Forecaster(GRID), Observer(GRID, CarvingParameters(), StaticParameters())
     whole, evidence = [], []
     for number in range(SETS):

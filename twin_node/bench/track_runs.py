@@ -21,6 +21,7 @@ from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FRAMES, GAUSSIANS_MOVING, JOINT_STATES, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock
+from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.scene import FrameSet, Tier, TwinState
 
 
@@ -87,6 +88,7 @@ def resident_bytes() -> int:
 
 def start(chain: ChainParameters) -> Followed:
     """A fresh model of the chain's, watched."""
+    image_loops_alone()
     watch = Watch()
     model = make_model(chain)
     model.on_stage = watch

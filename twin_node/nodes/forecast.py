@@ -10,6 +10,7 @@ from twin_node.nodes.latency import Latency
 from twin_node.nodes.topics import FORECAST, OBSTACLES, OCCUPANCY, STATE
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
+from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.node import Node
 from twin_node.scene import Obstacles, Occupancy, TwinState
 
@@ -36,6 +37,7 @@ class ForecastNode(Node):
         self._obstacles: Obstacles | None = None
 
     def on_configure(self) -> None:
+        image_loops_alone()
         self.bus.subscribe(STATE, self._on_state)
 
     def _on_state(self, state: TwinState) -> None:

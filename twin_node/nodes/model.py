@@ -12,6 +12,7 @@ from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_F
 from twin_node.rig import Narrower
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
+from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.node import Node
 from twin_node.scene import FrameSet, Tier
 
@@ -32,6 +33,7 @@ class ModelNode(Node):
         self._is_first = True
 
     def on_configure(self) -> None:
+        image_loops_alone()
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
 
     def _on_frames(self, frames: FrameSet) -> None:
