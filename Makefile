@@ -6,6 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT := out
+# Python compiles what it imports when it first does; all of torch and Open3D ahead would be a third of the set-up.
+unexport PYTHONDONTWRITEBYTECODE
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 .PHONY: demo test lint bench clean
 
@@ -37,8 +40,8 @@ $(READY): pyproject.toml setup.py constraints.txt constraints-cpu.txt
 	@if $(PYTHON) -c 'import torch, sys; sys.exit(torch.version.cuda is None)' 2>/dev/null; then \
 	  echo "using the torch of $(PYTHON), which has CUDA"; $(PYTHON) -m venv --system-site-packages $(VENV); \
 	else \
-	  $(PYTHON) -m venv $(VENV); $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -r constraints-cpu.txt; fi
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	  $(PYTHON) -m venv $(VENV); $(INSTALL) -r constraints-cpu.txt; fi
+	$(INSTALL) -e '.[dev]'
 	touch $(READY)
 
 clean:
