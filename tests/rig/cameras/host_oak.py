@@ -72,6 +72,7 @@ class HostStreams:
         for node in self._nodes:
             node.unplugged.set()
         self._pipeline.stop()
+        self._pipeline.wait()  # or its end waits for nodes that wait for Python's lock, which it holds
 
 
 def _picture(height: int, width: int) -> np.ndarray:
