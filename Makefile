@@ -15,9 +15,9 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 demo: $(READY)
 	$(BIN)/twin_node demo --out $(OUT)/demo
 
-# Files of tests side by side: most tests wait for something, or keep one core busy.
+# Tests side by side: most wait for something, or keep one core busy. Who has done its share takes from another's.
 test: lint
-	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
+	$(BIN)/pytest -n auto --maxprocesses 4 --dist worksteal
 
 lint: $(READY)
 	$(BIN)/ruff check .
