@@ -191,6 +191,15 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_log_in_the_place_of_a_rig_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n\xff")
+    with pytest.raises(
+        RigError, match=r"run\.mcap: expected a rig file \(YAML\), found what is no text; is it a log\?"
+    ):
+        load_rig(path)
+
+
 def test_a_missing_rig_file(tmp_path: Path) -> None:
     with pytest.raises(TwinError, match=r"absent\.yaml: no such file"):
         load_rig(tmp_path / "absent.yaml")

@@ -97,7 +97,9 @@ def load_rig(path: str | Path, *, facing: bool = True) -> RigFile:
     path = find(path)
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except UnicodeDecodeError as error:
+        raise RigError(f"{path}: expected a rig file (YAML), found what is no text; is it a log?") from error
+    except (OSError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
         raise RigError(f"{path}: expected a rig file (YAML), found {reason}") from error
     fields = Fields(str(path), data)
