@@ -45,7 +45,7 @@ def still(grid: Grid, places: NDArray[np.integer], reach: int) -> Spread:
 def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32], UInt8]:
     """A grid of odd size, parts inside and beside it, and three layers of shifts and reaches."""
     rng = np.random.default_rng(seed)
-    dims = tuple(int(n) for n in rng.integers(1, [24, 20, 150]))
+    dims = tuple(int(n) for n in rng.integers(1, [40, 30, 150]))
     parts = int(rng.integers(1, 6))
     count = int(rng.integers(0, 120))
     places = (rng.normal(0.5, 0.5, (3, count)) * np.array(dims)[:, None]).round()
@@ -55,11 +55,14 @@ def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32
 
 
 @compiled
-@settings(max_examples=40)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 9, 40]))
 @example(1, 256)
 @example(2, 256)
 @example(3, 256)
+@example(4, 256)
+@example(5, 256)
+@example(6, 256)
 def test_compiled_growth_is_the_plain_one_bit_by_bit(seed: int, largest: int) -> None:
     case = random_case(seed, largest)
     for found, expected in zip(spread(*case), spread_plainly(*case), strict=True):
