@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.measured import UNKNOWN_SPEED
 from twin_node.forecast.things import Whole
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 
 
@@ -81,11 +82,11 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> E
     held = [_arrays(one) for one in sightings]  # alive until the call is over
     for row, (one, arrays) in enumerate(zip(sightings, held, strict=True)):
         axis = (ctypes.c_double * 3)(*one.axis)
-        given[row] = kernel_requests.SolveView(*(array.ctypes.data for array in arrays), one.elapsed_s, axis)
+        given[row] = kernel_requests.SolveView(*addresses_of(*arrays), one.elapsed_s, axis)
     told = (expected.velocities, expected.sigmas, whole.velocities, whole.trusts)
     arrays = tuple(np.ascontiguousarray(array, np.float64) for array in told)
     found = Estimate(np.empty((len(expected.sigmas), 3)), np.empty(len(expected.sigmas)))
-    addresses = (array.ctypes.data for array in (*arrays, found.velocities, found.sigmas))
+    addresses = addresses_of(*arrays, found.velocities, found.sigmas)
     sizes = (len(expected.sigmas), len(sightings), _TURNS, UNKNOWN_SPEED)
     compiled.solve(kernel_requests.SolveRequest(*sizes, ctypes.addressof(given), *addresses))
     return found

@@ -7,6 +7,7 @@ import numpy as np
 
 from twin_node.forecast.kernel_requests import FillRequest, ReviseRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, TwinState, View
 
 UNSEEN = np.float32(1e6)
@@ -55,8 +56,8 @@ def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -
         return revised_plainly(before, depth, moving, robot)
     after = np.empty_like(before)
     given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before, after)
-    addresses = (None if array is None else array.ctypes.data for array in given)
-    compiled.revise(ReviseRequest(before.size, STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED, *addresses))
+    lengths = (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED)
+    compiled.revise(ReviseRequest(before.size, *lengths, *addresses_of(*given)))
     return after
 
 
@@ -79,7 +80,7 @@ def filled(kept: Float32) -> Float32:
         return filled_plainly(kept)
     whole = np.empty_like(kept)
     height, width = kept.shape
-    compiled.fill(FillRequest(width, height, HOLE, UNSEEN, UNMEASURED, kept.ctypes.data, whole.ctypes.data))
+    compiled.fill(FillRequest(width, height, HOLE, UNSEEN, UNMEASURED, *addresses_of(kept, whole)))
     return whole
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.kernel_requests import ListRequest, RunsRequest
 from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, UInt32
 
 Words = NDArray[np.uint64]
@@ -90,7 +91,7 @@ class Bits:
             return encode_runs(self.mask())
         words, count = np.ascontiguousarray(self.words), np.zeros(1, np.int64)
         room = np.empty(((int(np.prod(self.dims)) + 1) // 2, 2), np.uint32)
-        compiled.runs(RunsRequest(*self.dims, *(array.ctypes.data for array in (words, room, count))))
+        compiled.runs(RunsRequest(*self.dims, *addresses_of(words, room, count)))
         return room[: count[0]].copy()
 
     def holds(self, indices: NDArray[np.integer]) -> Bool:
@@ -142,7 +143,6 @@ def all_listed(
     total = int(counts.sum())
     indices, marked = np.empty(total, np.uint32), np.empty(total, np.bool_)
     arrays = (np.ascontiguousarray(words), np.ascontiguousarray(marks), counts, indices, marked)
-    addresses = (array.ctypes.data for array in arrays)
-    compiled.list(ListRequest(len(words), *dims, threads, *addresses))
+    compiled.list(ListRequest(len(words), *dims, threads, *addresses_of(*arrays)))
     ends = np.cumsum(counts).tolist()
     return [Listed(indices[first:end], marked[first:end]) for first, end in pairwise([0, *ends])]

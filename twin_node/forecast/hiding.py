@@ -14,6 +14,7 @@ from twin_node.forecast.bits import WORD, Bits, Words
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.kernel_requests import HideRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, Grid
 
 HAND_M = 0.04
@@ -103,9 +104,8 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     given = tuple(np.ascontiguousarray(mask.words) for mask in (seen.unknown, seen.moving, seen.standing))
     kept: tuple[NDArray[np.generic], ...] = (memory.ages_s, memory.reached.words, memory.maybe_full.words)
     arrays = (*given, *kept, reachable.words)
-    addresses = (array.ctypes.data for array in arrays)
     steps = (_hand(grid), _reach(grid, seen.elapsed_s))
-    compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses))
+    compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses_of(*arrays)))
     return reachable
 
 

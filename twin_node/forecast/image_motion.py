@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.kernel_requests import TraceRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, Float64, UInt8, View
 
 
@@ -114,8 +115,7 @@ def traced(now: Image, before: Image, pixels: Float32) -> Traced:
         depths = tuple(np.ascontiguousarray(depth, np.float32) for depth in (now.depth, before.depth))
     masks = tuple(np.ascontiguousarray(mask, np.bool_) for mask in (now.moving, before.moving))
     given = (now.grey, before.grey, *masks, np.ascontiguousarray(pixels, np.float32), *(depths or (None, None)))
-    addresses = (None if array is None else array.ctypes.data for array in (*given, found.found, found.receded))
-    compiled.trace(TraceRequest(width, height, _ALIKE_GREY, *addresses))
+    compiled.trace(TraceRequest(width, height, _ALIKE_GREY, *addresses_of(*given, found.found, found.receded)))
     return found
 
 

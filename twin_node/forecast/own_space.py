@@ -7,6 +7,7 @@ import numpy as np
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernel_requests import TakeRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import Float64, Grid, JointSample
 
@@ -33,8 +34,7 @@ def within(grid: Grid, ends: Float64, radii: Float64) -> Bits:
         return within_plainly(grid, ends, radii)
     arrays = [np.ascontiguousarray(array, np.float64) for array in (grid.origin, ends, radii)]
     taken = Bits.none(grid.dims)
-    addresses = (array.ctypes.data for array in (*arrays, taken.words))
-    compiled.take(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses))
+    compiled.take(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses_of(*arrays, taken.words)))
     return taken
 
 

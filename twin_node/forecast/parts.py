@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.growth import Points
 from twin_node.forecast.kernel_requests import SplitRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid
 
 PART_SIZE = 0.08
@@ -68,7 +69,7 @@ def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
         np.zeros(1, np.int64),
     )
     sums = np.empty((len(indices), 4))
-    addresses = (array.ctypes.data for array in (voxels, places, labels, sums, count))
+    addresses = addresses_of(voxels, places, labels, sums, count)
     compiled.split(SplitRequest(len(voxels), *grid.dims, side, *addresses))
     sums = sums[: count[0]]
     return Parts(indices, places, labels, likely, _middles(grid, sums[:, :3], sums[:, 3:]))

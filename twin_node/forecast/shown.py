@@ -13,6 +13,7 @@ from twin_node.forecast.kernel_requests import ShowRequest, TellRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.tables import CameraTable
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 
 
@@ -42,7 +43,7 @@ def visible(moving: Bool, table: CameraTable, places: NDArray[np.int64], labels:
         np.ascontiguousarray(moving),
     )
     pixels, shown, count = np.empty(len(places), np.int64), np.empty(len(places), np.int64), np.zeros(1, np.int64)
-    addresses = (array.ctypes.data for array in (*given, pixels, shown, count))
+    addresses = addresses_of(*given, pixels, shown, count)
     compiled.show(ShowRequest(len(places), table.camera.width, table.camera.height, PART_SIZE, *addresses))
     return Visible(pixels[: count[0]], shown[: count[0]])
 
@@ -90,9 +91,8 @@ def told(shifts: Shifts, seen: Visible, count: int) -> Told:
     found = Told(np.empty((count, 2)), *np.empty((3, count), np.bool_), *np.empty((2, count)))
     results = (found.shifts, found.shown, found.known, found.flies, found.receded, found.depths)
     arrays: tuple[NDArray[np.generic] | None, ...] = (seen.pixels, seen.labels, *masks, *given, *results)
-    addresses = (None if array is None else array.ctypes.data for array in arrays)
     lengths = (_FLOW_NOISE, _FASTEST * shifts.elapsed_s, _KNOWN, _LEAST)
-    compiled.tell(TellRequest(len(seen.pixels), count, _FEWEST, *lengths, *addresses))
+    compiled.tell(TellRequest(len(seen.pixels), count, _FEWEST, *lengths, *addresses_of(*arrays)))
     return found
 
 

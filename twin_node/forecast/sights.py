@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.tables import CameraTable
 from twin_node.forecast.verdicts import BESIDE, MOVING, ROBOT, SEEN, Sight, Surface
+from twin_node.native_library import address_of, addresses_of
 from twin_node.scene import Bool, Float32, UInt8, View
 from twin_node.splat.library import thread_count
 
@@ -71,14 +72,13 @@ def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sigh
     held = [_arrays(look, sight) for look, sight in zip(looks, sights, strict=True)]  # alive until the call is over
     for row, (look, arrays) in enumerate(zip(looks, held, strict=True)):
         camera = look.view.camera
-        addresses = (None if array is None else array.ctypes.data for array in arrays)
         given[row] = kernel_requests.LookView(
-            camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses
+            camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses_of(*arrays)
         )
     p, radii = parameters, np.array(_RADII)
     counts = (len(looks), thread_count(), len(radii), _SPECK)
     lengths = (p.depth_margin, p.depth_share, p.thickness, p.thickness_share, _SLANT_M)
-    compiled.look(kernel_requests.LookRequest(*counts, radii.ctypes.data, *lengths, ctypes.addressof(given)))
+    compiled.look(kernel_requests.LookRequest(*counts, address_of(radii), *lengths, ctypes.addressof(given)))
     return sights
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernel_requests import MarkRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, Grid, OccupancyLayer, Tier, TwinState, View
 
 
@@ -94,7 +95,7 @@ def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
         marked,
     )
     sizes = (width, height, FINER, *grid.dims, grid.voxel_size)
-    compiled.mark(MarkRequest(*sizes, *(array.ctypes.data for array in arrays)))
+    compiled.mark(MarkRequest(*sizes, *addresses_of(*arrays)))
 
 
 def mark_plainly(grid: Grid, marked: Bool, view: View, where: Bool) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.kernel_requests import BlockSightings as SightingsRequest
 from twin_node.forecast.kernel_requests import Table as TableRequest
 from twin_node.geometry import project
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Camera, Float32, Float64, Grid
 
 Number = TypeVar("Number", np.float32, np.int32)
@@ -141,9 +142,9 @@ class CameraTable:
     @cached_property
     def request(self) -> TableRequest:
         """The addresses of what it says of voxels, small and large blocks: good for as long as it lives."""
-        voxels = (self.voxels.pixels.ctypes.data, self.voxels.depth.ctypes.data)
+        voxels = addresses_of(self.voxels.pixels, self.voxels.depth)
         arrays = ((blocks.near, blocks.far, blocks.windows, blocks.whole) for blocks in self.of_blocks)
-        return TableRequest(*voxels, *(SightingsRequest(*(array.ctypes.data for array in own)) for own in arrays))
+        return TableRequest(*voxels, *(SightingsRequest(*addresses_of(*own)) for own in arrays))
 
     def belongs_to(self, camera: Camera) -> bool:
         """Whether the calibration is still the one that the table was made for."""

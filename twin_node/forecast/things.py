@@ -14,6 +14,7 @@ from twin_node.forecast.flights import Course
 from twin_node.forecast.kernel_requests import LinkRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid
 
 LARGEST = 0.45
@@ -157,7 +158,7 @@ def hanging_together(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     if compiled is None:
         return hanging_together_plainly(count, pairs)
     pieces, links = np.empty(count, np.int64), np.ascontiguousarray(pairs, np.int64)
-    compiled.link(LinkRequest(count, len(links), links.ctypes.data, pieces.ctypes.data))
+    compiled.link(LinkRequest(count, len(links), *addresses_of(links, pieces)))
     return pieces
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.tables import Blocks, CameraTable
+from twin_node.native_library import addresses_of
 from twin_node.scene import Float32, UInt8
 from twin_node.splat.library import thread_count
 
@@ -80,14 +81,13 @@ def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     given = (kernel_requests.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
     for row, (sight, arrays) in enumerate(zip(sights, held, strict=True)):
-        addresses = (None if array is None else array.ctypes.data for array in arrays)
         table = sight.table
         given[row] = kernel_requests.Sight(
-            table.request, *addresses, len(sight.flags), table.camera.width, table.camera.height
+            table.request, *addresses_of(*arrays), len(sight.flags), table.camera.width, table.camera.height
         )
     dims = blocks.grid.dims
     found = Carved(Bits.none(dims), Bits.none(dims), Bits.none(dims), Bits.none(dims))
-    masks = (mask.words.ctypes.data for mask in (found.unknown, found.may_move, found.likely_moves, found.on_arm))
+    masks = addresses_of(found.unknown.words, found.may_move.words, found.likely_moves.words, found.on_arm.words)
     compiled.carve(kernel_requests.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
     return found
 
