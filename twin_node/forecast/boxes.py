@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.bits import Bits
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Grid
 
 SMALLEST = 4
@@ -68,7 +69,7 @@ def smallest_boxes(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
         return smallest_boxes_plainly(grid, indices)
     indices = np.ascontiguousarray(indices, np.uint32)
     room = _Room(min(len(indices), _cells(grid)))
-    compiled.hold(kernel_requests.HoldRequest(len(indices), *grid.dims, indices.ctypes.data, room.list))
+    compiled.hold(kernel_requests.HoldRequest(len(indices), *grid.dims, *addresses_of(indices), room.list))
     return room.boxes
 
 
@@ -94,7 +95,7 @@ def voxels_per_cell(grid: Grid, mask: Bits) -> NDArray[np.int32]:
         return voxels_per_cell_plainly(grid, mask)
     words = np.ascontiguousarray(mask.words)
     counts: NDArray[np.int32] = np.zeros(_cells(grid), np.int32)
-    compiled.count(kernel_requests.CountRequest(*grid.dims, words.ctypes.data, counts.ctypes.data))
+    compiled.count(kernel_requests.CountRequest(*grid.dims, *addresses_of(words, counts)))
     return counts
 
 
@@ -120,7 +121,7 @@ def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Bo
     arrays = (*(np.ascontiguousarray(array, np.int64) for array in given), _PRICES)
     room = _Room(most)
     sizes = (len(boxes), len(before), *grid.dims, most, len(_PRICES), HIGHEST_LEVEL, _LOYALTY)
-    compiled.fit(kernel_requests.FitRequest(*sizes, *(array.ctypes.data for array in arrays), room.list))
+    compiled.fit(kernel_requests.FitRequest(*sizes, *addresses_of(*arrays), room.list))
     return room.boxes
 
 
@@ -149,7 +150,7 @@ class _Room:
     def list(self) -> kernel_requests.BoxList:
         """Their addresses: good for as long as this lives."""
         arrays = (self._levels, *self._corners, self._count)
-        return kernel_requests.BoxList(*(array.ctypes.data for array in arrays))
+        return kernel_requests.BoxList(*addresses_of(*arrays))
 
     @property
     def boxes(self) -> Boxes:

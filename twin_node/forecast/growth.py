@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from twin_node.forecast.bits import all_listed
 from twin_node.forecast.kernel_requests import GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
 from twin_node.splat.library import thread_count
 
@@ -106,8 +107,7 @@ def _spread_by(
     counts = np.zeros(layers, np.int64)
     given = (points.places.astype(np.int32), points.labels.astype(np.int64), points.core, shifts, reach)
     arrays = (*(np.ascontiguousarray(array) for array in given), reached, core, counts)
-    addresses = (array.ctypes.data for array in arrays)
-    request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses)
+    request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses_of(*arrays))
     compiled.grow(request)
     found = all_listed(compiled, grid.dims, reached, core, counts, thread_count())
     return tuple(Spread(one.indices, one.marked) for one in found)

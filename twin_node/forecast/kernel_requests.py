@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 20
+INTERFACE_VERSION = 21
 
 
 class GrowRequest(ctypes.Structure):
@@ -261,6 +261,16 @@ class ReckonRequest(ctypes.Structure):
         *((name, c_double) for name in ("knot_share", "kept", "rate", "rise", "fall")),
         *((name, c_void_p) for name in ("profile", "squared", "errors", "began", "turned", "judged")),
         *((name, c_void_p) for name in ("found", "moved", "wrong", "grown")),
+    )
+
+
+class NearestRequest(ctypes.Structure):
+    """`forecast::NearestRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("groups", "points", "others", "wanted")),
+        ("within", c_double),
+        *((name, c_void_p) for name in ("asked", "among", "distances", "rows")),
     )
 
 

@@ -22,6 +22,7 @@ from twin_node.forecast.kernel_requests import (
     ListRequest,
     LookRequest,
     MarkRequest,
+    NearestRequest,
     ReckonRequest,
     ReviseRequest,
     RunsRequest,
@@ -70,6 +71,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_lead.restype = None
         self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
         self._dll.forecast_reckon.restype = ctypes.c_int64
+        self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
         self._dll.forecast_take.restype = None
 
@@ -156,6 +158,10 @@ class Kernels(NativeLibrary):
     def reckon(self, request: ReckonRequest) -> int:
         """Says what became of forecasts of nodes, and of how many; takes one thread."""
         return int(self._dll.forecast_reckon(request))
+
+    def nearest(self, request: NearestRequest) -> None:
+        """Finds the nearest of points; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_nearest(request))
 
     def take(self, request: TakeRequest) -> None:
         """Marks the voxels within capsules; takes one thread."""

@@ -9,6 +9,7 @@ import numpy as np
 from twin_node.forecast.experts import BOUNCE, EXPERT_NAMES, EXPERTS, GRAVITY, History, damped_times, free_fall
 from twin_node.forecast.kernel_requests import LeadRequest
 from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 
 
@@ -51,7 +52,7 @@ def _led_by(compiled: Kernels, guides: Guides, learnt: Float64, weights: Float64
     given = (*paths, guides.floors, guides.features, learnt, weights, horizons, damped_times(horizons), GRAVITY)
     arrays = [*(np.ascontiguousarray(array, np.float64) for array in given), found.single, found.mixed]
     sizes = (count, len(horizons), features, BOUNCE)
-    compiled.lead(LeadRequest(*sizes, *(array.ctypes.data for array in arrays)))
+    compiled.lead(LeadRequest(*sizes, *addresses_of(*arrays)))
     return found
 
 

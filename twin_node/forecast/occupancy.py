@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
 from twin_node.forecast.evidence import Evidence, Observer
@@ -15,6 +14,7 @@ from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Held, Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
+from twin_node.forecast.nearest import nearest
 from twin_node.forecast.obstacles import Motion, Sighted
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Prediction, Predictor
@@ -204,9 +204,8 @@ class Forecaster:
         if due is None or stamp - due.valid_at > HORIZONS_NS[-1] or len(due.radii) == 0 or len(centers) == 0:
             return np.zeros(len(centers), np.bool_)
         count = min(_NEIGHBOURS, len(due.radii))
-        distances, rows = cKDTree(due.ahead).query(centers, np.arange(1, count + 1))
-        foreseen: Bool = (distances <= due.radii[rows] + PART_SIZE).any(axis=1)
-        return foreseen
+        distances, rows = nearest(centers, due.ahead, count)
+        return np.asarray((distances <= due.radii[rows] + PART_SIZE).any(axis=1))
 
     def _predict(self, horizons: Float64) -> Prediction:
         """Where the parts will be; worst case for those of which the experts make nothing finite."""
@@ -292,6 +291,5 @@ def _missed(places: Float64, centers: Float64) -> Float64:
     """Share [E] of parts at `centers` [n, 3] that are more than a part from every place [E, M, 3] of an expert."""
     known = np.where(np.isfinite(places), places, _NOWHERE)
     centers = centers[:: -(-len(centers) // _ASKED)]
-    far = [cKDTree(one).query(centers, distance_upper_bound=REACH)[0] > REACH for one in known]
-    shares: Float64 = np.mean(far, axis=1)
+    shares: Float64 = np.mean(nearest(centers, known, within=REACH).distances[..., 0] > REACH, axis=1)
     return shares

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.experts import History
+from twin_node.forecast.nearest import nearest
 from twin_node.forecast.prediction import Succession
 from twin_node.forecast.records import Rows
 from twin_node.scene import Float64
@@ -74,12 +74,12 @@ class Tracks:
 
     def _nearest(self, places: Float64) -> tuple[Rows, Rows]:
         """Row [n] of the node nearest to each place, within `REACH` and within `KIN`; -1 where there is none."""
-        if self.count == 0 or len(places) == 0:
+        if self.count == 0:
             none = np.full(len(places), -1, np.int64)
             return none, none
-        distances, found = cKDTree(self.positions[-1]).query(places, distance_upper_bound=KIN)
-        kin = np.where(found == self.count, -1, found)
-        return np.where(distances < REACH, kin, -1), kin
+        distances, found = nearest(places, self.positions[-1], within=KIN)
+        kin = np.where(found[:, 0] == self.count, -1, found[:, 0])
+        return np.where(distances[:, 0] < REACH, kin, -1), kin
 
     def _inherit(self, time: float, rows: Rows, before: Float64, shift: bool) -> None:
         """Re-indexes paths by rows; new nodes have stood at `before` [M', 3]; `shift` moves others there too."""

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 20;
+constexpr int32_t kInterfaceVersion = 21;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -282,6 +282,15 @@ struct ReckonRequest {
   int64_t *found;                         // [nodes] rows of the ancestors of those nodes that have one
   double *moved, *wrong;                  // [nodes, 3], [nodes] m, of these nodes
   uint8_t *grown;                         // [nodes] 1: what they do began long enough ago, of these nodes
+};
+
+// The nearest of other points to each of some, group by group.
+struct NearestRequest {
+  int64_t groups, points, others, wanted;
+  double within;                // m; what is as far away is none of them
+  const double *asked, *among;  // [points, 3], [groups, others, 3] m
+  double *distances;            // [groups, points, wanted] m, rising; infinite where there are no more
+  int64_t *rows;                // the same, among the others; their number where there are no more
 };
 
 // The voxels that hold points of measured surfaces, `finer` along each side of a pixel.

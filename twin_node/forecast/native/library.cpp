@@ -10,6 +10,7 @@
 #include "lead.h"
 #include "look.h"
 #include "mark.h"
+#include "nearest.h"
 #include "own.h"
 #include "parts.h"
 #include "reckon.h"
@@ -100,6 +101,10 @@ void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*re
 void forecast_lead(const forecast::LeadRequest *request) { forecast::lead(*request); }
 
 int64_t forecast_reckon(const forecast::ReckonRequest *request) { return forecast::reckon(*request); }
+
+int32_t forecast_nearest(const forecast::NearestRequest *request) {
+  return guarded([&] { forecast::nearest(*request); });
+}
 
 void forecast_take(const forecast::TakeRequest *request) { forecast::take(*request); }
 }

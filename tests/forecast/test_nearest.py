@@ -1,0 +1,30 @@
+"""The nearest of points: found by looking at all as by a tree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin_node.forecast.nearest import nearest, nearest_plainly
+
+
+@pytest.mark.parametrize("within", [np.inf, 0.3])
+@pytest.mark.parametrize("count", [1, 8])
+@pytest.mark.parametrize(("points", "others"), [(0, 5), (3, 0), (1, 1), (40, 7), (120, 333), (300, 700)])
+def test_compiled_as_plainly(points: int, others: int, count: int, within: float) -> None:
+    rng = np.random.default_rng(points)
+    asked, among = rng.random((points, 3)), rng.random((4, others, 3))
+    found, expected = (one(asked, among, count, within) for one in (nearest, nearest_plainly))
+    assert found.distances.shape == found.rows.shape == (4, points, count)
+    assert np.array_equal(found.distances, expected.distances)
+    assert np.array_equal(found.rows, expected.rows)
+    alone = nearest(asked, among[2], count, within)
+    assert np.array_equal(alone.rows, found.rows[2])
+
+
+def test_what_is_nowhere_is_near_to_nothing() -> None:
+    places = np.array([[0.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0]])
+    found = nearest(places, places, 2)
+    assert found.rows[:, 0].tolist() == [0, 3, 3]
+    assert found.rows[0, 1] == 3
+    assert np.isinf(found.distances[1:]).all()

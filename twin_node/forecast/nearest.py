@@ -1,0 +1,54 @@
+"""Which of some points are nearest to others."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twin_node.forecast.kernel_requests import NearestRequest
+from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
+from twin_node.scene import Float64
+
+
+class Nearest(NamedTuple):
+    """The k of m points that are nearest to each of n others, the nearest first."""
+
+    distances: Float64
+    """[..., n, k] m; infinite where there are no more."""
+    rows: NDArray[np.int64]
+    """[..., n, k] among the m; m where there are no more."""
+
+
+def nearest(points: Float64, among: Float64, count: int = 1, within: float = np.inf) -> Nearest:
+    """The `count` of the points `among` [..., m, 3] that are nearest to each of `points` [n, 3], nearer than `within`.
+
+    All in metres. Compiled: to look at all of some hundred takes less time than to build a tree; `nearest_plainly` for
+    more, and where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None or len(points) * among.shape[-2] > _MOST_PAIRS:
+        return nearest_plainly(points, among, count, within)
+    groups, shape = among.shape[:-2], (*among.shape[:-2], len(points), count)
+    found = Nearest(np.empty(shape), np.empty(shape, np.int64))
+    given = (np.ascontiguousarray(points, np.float64), np.ascontiguousarray(among, np.float64))
+    sizes = (int(np.prod(groups)), len(points), among.shape[-2], count, within)
+    compiled.nearest(NearestRequest(*sizes, *addresses_of(*given, *found)))
+    return found
+
+
+def nearest_plainly(points: Float64, among: Float64, count: int = 1, within: float = np.inf) -> Nearest:
+    """What `nearest` does, by a tree for each group."""
+    if among.ndim > 2:
+        groups = [nearest_plainly(points, group, count, within) for group in among]
+        return Nearest(np.stack([group.distances for group in groups]), np.stack([group.rows for group in groups]))
+    known = np.flatnonzero(np.isfinite(among).all(axis=1))
+    distances, rows = cKDTree(among[known]).query(points, np.arange(1, count + 1), distance_upper_bound=within)
+    return Nearest(distances, np.append(known, len(among))[rows])
+
+
+_MOST_PAIRS = 200_000
+"""Pairs of points that are looked at; with more of them a tree takes less time (measured: 250 and 600 points)."""
