@@ -17,9 +17,9 @@ from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
 from twin_node.model.deaths import Shapes, judge_static_plainly, refuted_moving_plainly
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.fitting import SKIRT_PX, held_pixels
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import Gaussians, Newborns
+from twin_node.model.held import SKIRT_PX, held_pixels, held_plainly
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_plainly
 from twin_node.model.parameters import BirthParameters
@@ -244,6 +244,19 @@ def test_a_rendering_is_held_to_every_pixel_that_a_moving_gaussian_shows_in() ->
     for mask, view in zip(masks, observed, strict=True):
         assert mask[grow(view.active, SKIRT_PX) & view.usable].all()
     assert masks[0].mean() < 0.9
+
+
+def test_the_compiled_kernel_holds_a_rendering_to_the_pixels_that_numpy_does() -> None:
+    rng = np.random.default_rng(3)
+    observed = [
+        replace(one, active=rng.random(one.usable.shape) > 0.995, usable=rng.random(one.usable.shape) > 0.1)
+        for one in observe(table(), 0.1)
+    ]
+    scattered = np.concatenate([rng.normal(0, 0.4, (3, 40, 3)), rng.normal(0, 4, (3, 40, 3))], 1).astype(np.float32)
+    masks = held_pixels(observed, replace(block(0.1), means=torch.from_numpy(scattered)))
+    for mask, plain in zip(masks, held_plainly(observed, scattered), strict=True):
+        assert np.array_equal(mask, plain)
+        assert 0.05 < mask.mean() < 0.9
 
 
 def test_what_can_stand_before_a_moving_thing_is_found_and_no_more() -> None:

@@ -26,6 +26,8 @@ BENEATH = 0.005
 """How far under the plane, in radii of the shell, a point may lie: what the plane's fit and the calibration leave."""
 CELL_PX = 4
 """Side of the cells in which what stands before something that moves is looked for, pixels."""
+MEDIAN_STRIDE = 4
+"""Every how many pixels, each way, the depth is looked at for its median."""
 REFRESH_SETS = 3
 """Sets between surveys of a background that changes: it changes slowly, and 10 Hz will do."""
 
@@ -46,6 +48,8 @@ class _Shown:
     """[H, W] m: depth of the plane, and of the shell where the plane is not met before it."""
     rays: Float64
     """[H, W, 3] the pixels' rays, see `pixel_rays`."""
+    margin_px: int
+    """Pixels that a silhouette may be off by, see `margin_px`."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,13 @@ class Backgrounds:
         depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
         backdrop = torch.cat([seen.rgb, torch.from_numpy(depth).to(seen.rgb)[..., None]], -1)
         return _Shown(
-            np.ascontiguousarray(seen.rgb.cpu().numpy()), depth, seen.alpha.cpu().numpy(), backdrop, surface, rays
+            np.ascontiguousarray(seen.rgb.cpu().numpy()),
+            depth,
+            seen.alpha.cpu().numpy(),
+            backdrop,
+            surface,
+            rays,
+            margin_px(camera, depth),
         )
 
     def occluders(self, backgrounds: Sequence[Background], moving: Sequence[Float64]) -> Tensor:
@@ -210,6 +220,11 @@ def pixels_reached(camera: Camera, seen: Seen, points: NDArray[np.floating], rad
     outside = np.square(uv - 0.5 - np.stack([seen.columns, seen.rows], -1)).sum(-1) * ~seen.inside
     square = (radii * camera.K[0, 0] / np.maximum(seen.depth, 0.02)) ** 2 - outside
     return np.where((square > 0) & (seen.depth > 0.02), np.sqrt(np.maximum(square, 0)), -1.0).astype(np.float32)
+
+
+def margin_px(camera: Camera, depth: Float64) -> int:
+    """Pixels that a silhouette may be off by: two of noise, and the calibration's error at the median depth."""
+    return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth[::MEDIAN_STRIDE, ::MEDIAN_STRIDE])))
 
 
 def on_surface(backgrounds: Sequence[Background]) -> Bool:

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from twin_node.model.backgrounds import grow
 from twin_node.model.carriage import Bend, Carriage, carry
 from twin_node.model.descending import Path, descend, diverged, rates_of, undo
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians
@@ -18,8 +16,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
 from twin_node.model.photometric import Goal, targets_of
-from twin_node.model.rays import look
-from twin_node.model.rendering import Rendering, Splats, split
+from twin_node.model.rendering import Rendering, split
 from twin_node.model.rotations import quat_product
 from twin_node.scene import Bool, View
 
@@ -34,9 +31,6 @@ FIRST_RATE = 3.0
 """What the rates of the first fit begin at: as good in 120 steps as in 300 at the plain rates."""
 AT_ONCE = 5
 """Steps of the first fit between two looks at which Gaussians lie before which, and how large they are."""
-SKIRT_PX = 3
-"""Pixels around the active ones that count too, so that nothing moving grows tails over what stands still."""
-
 FULL_SHARE = 0.5
 """Share of all pixels that may take every step. Where more count, as after a knock on a camera, all take fewer steps,
 so that no set costs much more than others; what is left the next sets make good."""
@@ -93,10 +87,11 @@ def fit_moving(
     goal = Goal([view.camera for view in views], masks, targets, backdrops)
     with torch.no_grad():
         static = motion.place(gaussians, bystanders, poses, stamps)
-    values = gaussians.values[rows]
+    values = gaussians.values.index_select(0, rows)
     rates = rates_of(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE * _looseness(gaussians, rows, motion.nodes.stamp)[:, None]
-    rigid, bend = carry(poses, gaussians.nodes[rows]), motion.bend(gaussians.population(rows, motion.nodes), stamps)
+    rigid = carry(poses, gaussians.nodes.index_select(0, rows))
+    bend = motion.bend(gaussians.population(rows, motion.nodes), stamps) if motion.bends else None
     path = Path(rows, rigid if bend is None else _detached(rigid.bent(bend)), rates, static, goal)
     affordable = affordable_steps(steps, masks)
     last = descend(gaussians, path, affordable if bend is None else max(affordable - 1, 1))
@@ -132,9 +127,9 @@ def _looseness(gaussians: Gaussians, rows: Tensor, stamp: int) -> Tensor:
 
     The place of a newborn is a guess. Once it is learnt, motion is the node's: what is rigid must not creep.
     """
-    age_s = (stamp - gaussians.births[rows]).float() * 1e-9
+    age_s = (stamp - gaussians.births.index_select(0, rows)).float() * 1e-9
     loose = SETTLED + (1 - SETTLED) * torch.exp(-age_s / SETTLING_S)
-    return torch.where(gaussians.nodes[rows] >= 0, loose, 1.0)
+    return torch.where(gaussians.nodes.index_select(0, rows) >= 0, loose, 1.0)
 
 
 def _detached(carriage: Carriage) -> Carriage:
@@ -148,24 +143,3 @@ def _learn_field(motion: Motion, bend: Bend, values: Tensor, of_means: Tensor, o
     torch.autograd.backward(pulled)  # not as two gradients: see `least_squares`
     torch.autograd.backward(REGULARITY * motion.field.regularity())
     motion.descend()
-
-
-def held_pixels(observed: Sequence[Observed], moving: Splats) -> list[Bool]:
-    """Per view [H, W] the pixels that a rendering is held to: where something changed, and where what moves shows.
-
-    `moving` are the Gaussians that move, at each view's time. Behind thin or loose surfaces they shine through: a view
-    in which nothing moves there must have its say too.
-    """
-    masks = []
-    for index, one in enumerate(observed):
-        means = moving.means[index].cpu().numpy()
-        masks.append((grow(one.active, SKIRT_PX) | _footprint(one, means)) & one.usable)
-    return masks
-
-
-def _footprint(one: Observed, points: NDArray[np.floating]) -> Bool:
-    """[H, W] pixels at and around the projections of points [n, 3]."""
-    seen = look(one.view.camera, points)
-    mask = np.zeros(one.usable.shape, bool)
-    mask[seen.rows[seen.inside], seen.columns[seen.inside]] = True
-    return grow(mask, 2)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.chosen import rows_where
 from twin_node.model.nodes import Nodes
 from twin_node.model.rendering import Splats
 from twin_node.model.rotations import conjugate, quat_product, rotate
@@ -141,8 +142,10 @@ class Gaussians:
         if version != self._rows_version:
             self._rows, self._rows_version = {}, version
         if (first, last) not in self._rows:
-            of_them = self.alive & (self.tiers >= int(first)) & (self.tiers <= int(last))
-            self._rows[first, last] = torch.nonzero(of_them)[:, 0]
+            of_them = self.tiers == int(first)
+            if first != last:
+                of_them = (self.tiers >= int(first)) & (self.tiers <= int(last))
+            self._rows[first, last] = rows_where(of_them & self.alive)
         return self._rows[first, last]
 
     def population(self, rows: Tensor, nodes: Nodes) -> Population:
@@ -160,7 +163,7 @@ class Gaussians:
 
     def spawn(self, born: Newborns, stamp: int) -> Tensor:
         """Stores as many of `born` as there is room for, in order; returns their rows."""
-        free = torch.nonzero(~self.alive)[: len(born.means), 0]
+        free = rows_where(~self.alive)[: len(born.means)]
         n = len(free)
         self.values[free] = born.packed()[:n]
         self.alive[free] = True

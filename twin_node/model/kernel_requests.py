@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 8
+INTERFACE_VERSION = 9
 
 
 class MaskRules(ctypes.Structure):
@@ -163,6 +163,25 @@ class ObserveRequest(ctypes.Structure):
         *((name, c_int32) for name in ("count", "threads")),
         ("rules", ctypes.POINTER(ObserveRules)),
         ("views", ctypes.POINTER(ObservedView)),
+    )
+
+
+class HeldView(ctypes.Structure):
+    """`model::HeldView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("viewmat", "K", "means", "active", "usable", "held")),
+    )
+
+
+class HeldRequest(ctypes.Structure):
+    """`model::HeldRequest`; views and threads are filled in by who asks for it."""
+
+    _fields_ = (
+        ("points", c_int64),
+        *((name, c_int32) for name in ("skirt", "around", "count", "threads")),
+        ("views", ctypes.POINTER(HeldView)),
     )
 
 

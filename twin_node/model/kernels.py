@@ -19,6 +19,8 @@ from twin_node.model.kernel_requests import (
     CreepRequest,
     ExtentRequest,
     GroupRequest,
+    HeldRequest,
+    HeldView,
     JudgeRequest,
     MaskRequest,
     MaskRequests,
@@ -74,6 +76,7 @@ class Kernels(NativeLibrary):
         self._dll.model_add_up.argtypes = [ctypes.POINTER(SumRequest)]
         self._dll.model_add_up.restype = None
         self._dll.model_observe.argtypes = [ctypes.POINTER(ObserveRequest)]
+        self._dll.model_held.argtypes = [ctypes.POINTER(HeldRequest)]
         self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
         self._dll.model_creep.argtypes = [ctypes.POINTER(CreepRequest)]
 
@@ -88,6 +91,13 @@ class Kernels(NativeLibrary):
         self._require_not_forked()
         given = (ObservedView * len(views))(*views)
         _check(self._dll.model_observe(ObserveRequest(len(views), thread_count(), ctypes.pointer(rules), given)))
+
+    def held(self, request: HeldRequest, views: Sequence[HeldView]) -> None:
+        """Finds the pixels that a rendering is held to in some views. Raises `MemoryError`."""
+        self._require_not_forked()
+        given = (HeldView * len(views))(*views)
+        request.count, request.threads, request.views = len(views), thread_count(), given
+        _check(self._dll.model_held(request))
 
     def add_up(self, request: SumRequest) -> None:
         """Adds rows up by their owners; takes one thread."""

@@ -33,7 +33,7 @@ class Motion:
     @property
     def bends(self) -> bool:
         """Whether any node is DEFORMABLE, so that the field is evaluated at all."""
-        return bool((self.nodes.alive & (self.nodes.tiers == int(Tier.DEFORMABLE))).any())
+        return bool((self.nodes.alive.numpy() & (self.nodes.tiers.numpy() == int(Tier.DEFORMABLE))).any())
 
     def poses(self, offsets_s: Sequence[float]) -> Poses:
         """The nodes at their stamp plus each of `offsets_s` (s)."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.model.chosen import rows_where
 from twin_node.model.kernel_requests import AdvanceRequest, MovedRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
@@ -58,7 +59,7 @@ class Nodes:
     @property
     def rows(self) -> Tensor:
         """[m] rows of living nodes."""
-        return torch.nonzero(self.alive)[:, 0]
+        return rows_where(self.alive)
 
     @property
     def free(self) -> bool:

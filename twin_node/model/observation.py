@@ -11,14 +11,10 @@ import numpy as np
 from twin_node.model.backgrounds import Background, grow
 from twin_node.model.kernel_requests import ObservedView, ObserveRules
 from twin_node.model.kernels import kernels
-from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, UInt8, View
+from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
 
 MISFIT_GROWTH = 0.02
 """Noise (0 to 1) that the smallest misfit seen at a pixel is granted: five grey levels."""
-
-
-MEDIAN_STRIDE = 4
-"""Every how many pixels, each way, the depth is looked at for its median."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ class Observer:
         before = self._before.get(view.camera.name)
         if before is not None and before.misfit.shape != mask.shape:
             before = None
-        grown = grow(mask, margin_px(view.camera, background.depth))
+        grown = grow(mask, background.margin_px)
         return Pixels(view.rgb, background.rgb, usable, grown, before)
 
 
@@ -191,11 +187,6 @@ def compare_plainly(one: Pixels, rules: Comparing) -> Compared:
     wrong_s = np.where(wrong & ~one.near_moving, before_s + np.float32(rules.elapsed_s), np.float32(0))
     active = (one.near_moving | wrong) & one.usable
     return Compared(rgb, surprise, misfit, wrong_s, wrong_s > rules.stale_s, active)
-
-
-def margin_px(camera: Camera, depth: Float64) -> int:
-    """Pixels that a silhouette may be off by: two of noise, and the calibration's error at the median depth."""
-    return 2 + round(float(camera.sigma_m * camera.K[0, 0] / np.median(depth[::MEDIAN_STRIDE, ::MEDIAN_STRIDE])))
 
 
 def _nearest(depth: Float32 | None) -> Float32 | None:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from twin_node.model.cells import Cells
+from twin_node.model.chosen import rows_where
 from twin_node.model.decisions import Decision, Kind
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import Merge, MergeSplit, Split
@@ -56,7 +57,7 @@ def regroup(
 
 
 def _merge(gaussians: Gaussians, nodes: Nodes, one: Merge) -> Decision:
-    members = torch.nonzero(gaussians.alive & (gaussians.nodes == one.ended))[:, 0]
+    members = rows_where(gaussians.alive & (gaussians.nodes == one.ended))
     gaussians.transfer(members, torch.full((len(members),), one.kept), nodes)
     nodes.retire(torch.tensor([one.ended]))
     return Decision(Kind.MERGED, nodes.stamp, int(nodes.ids[one.kept]), int(nodes.ids[one.ended]), one.grounds)
@@ -83,6 +84,6 @@ def _split(gaussians: Gaussians, carried: Carried, nodes: Nodes, merge_split: Me
     for node, part in ((one.node, staying), (begun, one.leaving)):
         velocity = torch.from_numpy(merge_split.velocity_of(part, nodes.positions[node].numpy()))
         nodes.velocities[node], nodes.angular_velocities[node] = velocity[:3], velocity[3:]
-    gaussians.tiers[torch.nonzero(gaussians.alive & (gaussians.nodes == one.node))[:, 0]] = int(Tier.RIGID)
+    gaussians.tiers[rows_where(gaussians.alive & (gaussians.nodes == one.node))] = int(Tier.RIGID)
     nodes.tiers[one.node] = int(Tier.RIGID)
     return Decision(Kind.SPLIT, nodes.stamp, int(nodes.ids[one.node]), int(nodes.ids[begun]), one.grounds)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.backgrounds import OCCLUSION, Backgrounds
+from twin_node.model.chosen import rows_where
 from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.nodes import Nodes
@@ -47,7 +48,7 @@ class Resting:
         self._rested_s = {node: self._rested_s.get(node, 0.0) + surely[node] * dt_s for node in ids}
         ended = [node for node, rested_s in self._rested_s.items() if rested_s > REST_S]
         for node in ended:
-            members = torch.nonzero(g.alive & (g.nodes == ids[node]))[:, 0]
+            members = rows_where(g.alive & (g.nodes == ids[node]))
             g.settle(members, node, nodes)
             del self._rested_s[node]
         if ended:
@@ -63,7 +64,7 @@ class Resting:
         `renderings` tell what stands covered; `threshold` (0 to 1) is the difference that counts.
         """
         g, rows = self._gaussians, self._backgrounds.rows
-        groups = torch.where(g.alive[rows], g.rested[rows], -1).cpu().numpy()
+        groups = torch.where(g.alive.index_select(0, rows), g.rested.index_select(0, rows), -1).cpu().numpy()
         at_rest = np.flatnonzero(groups >= 0)
         if not len(at_rest):
             return []
@@ -74,7 +75,7 @@ class Resting:
             own = groups == group
             visible, stirred = int((seen & own).sum()), int((changed & own).sum())
             if stirred >= max(LEAST_STIRRED, STIRRED * visible) and self._nodes.free:
-                node = self._begin(torch.nonzero(g.alive & (g.rested == group))[:, 0])
+                node = self._begin(rows_where(g.alive & (g.rested == group)))
                 begun.append(Decision(Kind.WOKEN, self._nodes.stamp, group, node, ChangedView(visible, stirred)))
         if begun:
             self._backgrounds.renew()

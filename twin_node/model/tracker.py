@@ -14,14 +14,16 @@ from twin_node.model.arm_skin import ArmSkin
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import cells_of
+from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
 from twin_node.model.deaths import Shapes
 from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.fitting import Fitted, fit_moving, held_pixels
+from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import RGB, Gaussians
+from twin_node.model.held import held_pixels
 from twin_node.model.mapping import Mapper
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -213,7 +215,7 @@ class Tracker:
         before = self._before(observed, splats)
         around = torch.cat([before, self._gaussians.robot_rows])
         renderings = self._look(observed, splats, self._place(around, observed, poses))
-        carried = torch.nonzero(self._gaussians.nodes[rows] >= 0)[:, 0]
+        carried = rows_where(self._gaussians.nodes.index_select(0, rows) >= 0)
         for step in range(self._parameters.track.alignments if len(carried) else 0):
             if step:
                 poses = self._poses(observed)
@@ -248,7 +250,7 @@ class Tracker:
         bending = (nodes.tiers == int(Tier.RIGID)) & (nodes.evidence > PROMOTE) & self._parameters.track.bends
         stiff = (nodes.tiers == int(Tier.DEFORMABLE)) & (nodes.evidence < DEMOTE)
         for chosen, tier in ((bending, Tier.DEFORMABLE), (stiff, Tier.RIGID)):
-            rows = torch.nonzero(chosen & nodes.alive)[:, 0]
+            rows = rows_where(chosen & nodes.alive)
             if len(rows):
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
@@ -260,12 +262,12 @@ class Tracker:
         else:
             self._bury_moving(observed)
         g = self._gaussians
-        self._house(torch.nonzero(g.alive & g.homeless)[:, 0])
+        self._house(rows_where(g.alive & g.homeless))
 
     def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """STATIC Gaussians that have left die, those that are part of something that moves join its node."""
         evidence = judge_static(observed, renderings, self._parameters.track.residual)
-        resting = (self._gaussians.rested[self._backgrounds.rows] >= 0).cpu().numpy()
+        resting = (self._gaussians.rested.index_select(0, self._backgrounds.rows) >= 0).cpu().numpy()
         moving = evidence.moving & ~resting  # the masks keep what has moved; it wakes when it looks otherwise
         doubted = self._doubted(self._backgrounds.rows, torch.from_numpy(evidence.left | moving))
         left = torch.from_numpy(evidence.left).to(doubted.device)
@@ -325,10 +327,10 @@ class Tracker:
         gone |= self._backgrounds.beneath(shapes[0].means, shapes[0].radii)
         g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
-        g.retire(torch.nonzero(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before))[:, 0])
+        g.retire(rows_where(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before)))
         members = torch.bincount(g.nodes[g.moving_rows].cpu() + 1, minlength=self._nodes.capacity + 1)[1:]
         empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
-        self._nodes.retire(torch.nonzero(empty)[:, 0])
+        self._nodes.retire(rows_where(empty))
 
     def _prune(self, observed: Sequence[Observed]) -> None:
         """What moves and has shown in no camera for long goes."""
@@ -369,9 +371,9 @@ class Tracker:
 
     def _doubted(self, rows: Tensor, refuted: Tensor) -> Tensor:
         """[n] which of `rows` [n] have been refuted for enough sets in a row, this one included."""
-        doubts = (self._gaussians.doubts[rows] + 1) * refuted.to(rows.device)
+        doubts = (self._gaussians.doubts.index_select(0, rows) + 1) * refuted.to(rows.device)
         self._gaussians.doubts[rows] = doubts
-        return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive[rows]
+        return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive.index_select(0, rows)
 
     def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
         """STATIC rows that can stand before what moves."""
@@ -382,7 +384,7 @@ class Tracker:
     def _standing(self, rows: Tensor) -> Tensor:
         """Those of the background's rows that still live and stand: others have boarded a node in this very set."""
         g = self._gaussians
-        return rows[g.alive[rows] & (g.tiers[rows] == int(Tier.STATIC))]
+        return rows[g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))]
 
     def _poses(self, observed: Sequence[Observed]) -> Poses:
         """The nodes, as they are now, at each view's own time."""

@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 8;
+constexpr int32_t kInterfaceVersion = 9;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -61,6 +61,22 @@ struct ObserveRequest {
   int32_t count, threads;
   const ObserveRules *rules;
   const ObservedView *views;  // [count]
+};
+
+// One view of points that move, and the pixels that a rendering of them is held to.
+struct HeldView {
+  int32_t width, height;
+  const double *viewmat, *K;       // [4, 4], [3, 3]
+  const float *means;              // [points, 3] m
+  const uint8_t *active, *usable;  // [H, W]
+  uint8_t *held;                   // [H, W] written
+};
+
+struct HeldRequest {
+  int64_t points;
+  int32_t skirt, around;  // pixels around what is active, and around points
+  int32_t count, threads;
+  const HeldView *views;  // [count]
 };
 
 // What counts as unexplained, and what speaks for a depth; see `births.py`.

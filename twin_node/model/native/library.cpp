@@ -6,6 +6,7 @@
 #include "births.h"
 #include "cells.h"
 #include "deaths.h"
+#include "held.h"
 #include "mask.h"
 #include "nearest.h"
 #include "observing.h"
@@ -73,6 +74,10 @@ void model_add_up(const model::SumRequest *request) { model::add_up(*request); }
 int32_t model_observe(const model::ObserveRequest *request) {
   return side_by_side(request->threads, request->count,
                       [&](int i) { model::observe(*request->rules, request->views[i]); });
+}
+
+int32_t model_held(const model::HeldRequest *request) {
+  return side_by_side(request->threads, request->count, [&](int i) { model::hold(*request, request->views[i]); });
 }
 
 int32_t model_refute(const model::RefutedRequest *request) {
