@@ -167,7 +167,7 @@ def test_what_is_no_longer_finite_is_forecast_as_the_worst_case_and_said() -> No
     for state in states[:14]:
         forecaster.update(state, state.stamp + LATENCY_NS)
         assert forecaster.quality.warnings == ()
-    forecaster._predictor.autoregression._moment[:] = np.nan
+    forecaster._predictor.autoregression.moment[:] = np.nan
     spoilt = forecaster.update(states[14], states[14].stamp + LATENCY_NS)
     assert recall(spoilt, -1) == 1.0
     assert "non-finite" in forecaster.quality.warnings[0]

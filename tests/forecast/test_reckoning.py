@@ -7,8 +7,8 @@ import copy
 import numpy as np
 import pytest
 
-from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, History
-from twin_node.forecast.reckoning import STARTLED, Issued, Manner, Reckoned, reckon, reckon_plainly
+from twin_node.forecast.experts import EXPERT_NAMES, FEATURES, KNOTS, Autoregression, History
+from twin_node.forecast.reckoning import STARTLED, Due, Issued, Ledger, Manner, Reckoned, reckon, reckon_plainly
 from twin_node.forecast.records import Records
 
 HORIZON_S = 0.2
@@ -26,20 +26,19 @@ def records(rng: np.random.Generator, count: int) -> Records:
     )
 
 
-def issued(rng: np.random.Generator, count: int, before: int, knot: int) -> Issued:
+def issued(rng: np.random.Generator, count: int, before: int) -> Issued:
     """Forecasts of half a second of `before` nodes, of which some are gone."""
     return Issued(
         time=0.5,
         horizon_s=HORIZON_S,
         rows=rng.integers(-1, before, count),
-        features=np.zeros((before, 3, 0)),
+        features=rng.normal(0, 0.02, (before, 3, FEATURES)),
         places=rng.normal(0, 0.2, (len(EXPERT_NAMES), len(KNOTS), before, 3)),
         mixed=rng.normal(0, 0.2, (len(KNOTS), before, 3)),
         cues=np.zeros((before, 0)),
         radii=rng.uniform(0.05, 0.6, before),
         turning=rng.random(before) < 0.4,
         factor=0.4,
-        due=knot,
     )
 
 
@@ -48,23 +47,28 @@ def history(rng: np.random.Generator, count: int, samples: int = 20) -> History:
 
 
 @pytest.mark.parametrize("turns", [False, True])
-@pytest.mark.parametrize("knot", range(len(KNOTS)))
+@pytest.mark.parametrize("knots", [(0,), (1,), (2,), (3,), (3, 3, 2, 0), ()])
 @pytest.mark.parametrize("count", [0, 1, 300])
-def test_compiled_as_plainly(count: int, knot: int, turns: bool) -> None:
-    rng = np.random.default_rng(100 * knot + count)
-    waiting, paths, plain = issued(rng, count, 40, knot), history(rng, count), records(rng, count)
-    compiled, profile = copy.deepcopy(plain), np.array([0.03, 0.06, 0.09, 0.12])
-    manner, plain_profile = Manner(0.033, 2.0, turns), profile.copy()
-    found = reckon(waiting, paths, compiled, profile, manner)
-    expected = reckon_plainly(waiting, paths, plain, plain_profile, manner)
-    assert np.allclose(profile, plain_profile, rtol=1e-12)
-    for mine, other in ((found, expected), (compiled, plain)):
+def test_compiled_as_plainly(count: int, knots: tuple[int, ...], turns: bool) -> None:
+    rng = np.random.default_rng(100 * sum(knots) + count)
+    due = [Due(issued(rng, count, 40), knot, 0.033) for knot in knots]
+    paths = history(rng, count)
+    plain = Ledger(records(rng, count), np.array([0.03, 0.06, 0.09, 0.12]), Autoregression())
+    compiled = copy.deepcopy(plain)
+    manner = Manner(2.0, turns)
+    found, expected = reckon(due, paths, compiled, manner), reckon_plainly(due, paths, plain, manner)
+    assert np.allclose(compiled.profile, plain.profile, rtol=1e-12)
+    learnt, learnt_plainly = (one.autoregression for one in (compiled, plain))
+    assert np.allclose(learnt.gram, learnt_plainly.gram, rtol=1e-9, atol=1e-15)
+    assert np.allclose(learnt.moment, learnt_plainly.moment, rtol=1e-9, atol=1e-15)
+    assert np.allclose(learnt.weights(np.array(KNOTS)), learnt_plainly.weights(np.array(KNOTS)), rtol=1e-6, atol=1e-9)
+    for mine, other in (*zip(found, expected, strict=True), (compiled.records, plain.records)):
         for name, value in vars(mine).items():
             assert np.allclose(value, vars(other)[name], rtol=1e-12, atol=1e-15), name
-    if count == 300:
-        assert 0 < np.count_nonzero(found.grown) < len(found.rows) < count
-        assert np.any(compiled.began == paths.times[-1])
-        assert np.any(compiled.turned == paths.times[-1]) == turns
+    if count == 300 and knots:
+        assert 0 < np.count_nonzero(found[0].grown) < len(found[0].rows) < count
+        assert np.any(compiled.records.began == paths.times[-1])
+        assert np.any(compiled.records.turned == paths.times[-1]) == turns
 
 
 def straight(factor: float, turns: bool, turning: bool) -> tuple[Reckoned, Records]:
@@ -75,21 +79,22 @@ def straight(factor: float, turns: bool, turning: bool) -> tuple[Reckoned, Recor
         0.5,
         HORIZON_S,
         np.zeros(1, np.int64),
-        np.zeros((1, 3, 0)),
+        np.zeros((1, 3, FEATURES)),
         places,
         mixed,
         np.zeros((1, 0)),
         np.array([0.12]),
         np.array([turning]),
         0.5,
-        due=len(KNOTS) - 1,
     )
     times = np.array([0.5, 0.7])
     paths = History(times, factor * np.array([[[0.0, 0.0, 0.0]], [[0.2, 0.0, 0.0]]]))
     kept = Records(
         np.zeros((len(EXPERT_NAMES), 1)), np.full(1, 0.1), *np.zeros((2, 1)), np.full(1, -np.inf), np.ones(1, int)
     )
-    return reckon(waiting, paths, kept, np.full(len(KNOTS), 0.12), Manner(0.033, 2.0, turns)), kept
+    ledger = Ledger(kept, np.full(len(KNOTS), 0.12), Autoregression())
+    (found,) = reckon([Due(waiting, len(KNOTS) - 1, 0.033)], paths, ledger, Manner(2.0, turns))
+    return found, kept
 
 
 def test_what_goes_as_forecast_begins_nothing_new() -> None:

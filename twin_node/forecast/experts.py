@@ -173,6 +173,8 @@ LAG_S = 0.033
 """Length of a step of the autoregression, s: five of them span most of a horizon of 200 ms."""
 FEATURES = 3 * LAGS
 """Features of the autoregression: a node's own steps and their averages over its `Neighbours`."""
+LEAST_GRAM = 1e-4
+"""What its normal equations begin with, and never forget, m^2: without evidence its weights are 0."""
 
 
 def steps(history: History) -> Float64:
@@ -200,9 +202,11 @@ class Autoregression:
 
     def __init__(self, memory_s: float = 3.3) -> None:
         """`memory_s`: time constant of the forgetting, s; at 30 Hz a factor of 0.99 per sample."""
-        self._memory_s = memory_s
-        self._gram = np.tile(np.eye(FEATURES) * 1e-4, (len(KNOTS), 1, 1))
-        self._moment = np.zeros((len(KNOTS), FEATURES))
+        self.memory_s = memory_s
+        self.gram = np.tile(np.eye(FEATURES) * LEAST_GRAM, (len(KNOTS), 1, 1))
+        """[K, F, F] of the normal equations, m^2."""
+        self.moment = np.zeros((len(KNOTS), FEATURES))
+        """[K, F] their right sides, m^2."""
         self._solved: Float64 | None = None
 
     def forecast(self, features: Float64, shares: Float64) -> Float64:
@@ -218,7 +222,7 @@ class Autoregression:
     def _solution(self) -> Float64:
         """[K, F] as of what was learnt last."""
         if self._solved is None:
-            solved = np.linalg.solve(self._gram, self._moment[..., None])[..., 0]
+            solved = np.linalg.solve(self.gram, self.moment[..., None])[..., 0]
             self._solved = np.asarray(solved, np.float64)
         return self._solved
 
@@ -229,12 +233,17 @@ class Autoregression:
         """
         if len(features) == 0:
             return
-        self._solved = None
-        kept = np.exp(-elapsed_s / self._memory_s)
+        self.outdate()
+        kept = np.exp(-elapsed_s / self.memory_s)
         flat = features.reshape(-1, FEATURES)
         weight = elapsed_s / LAG_S / len(features)
-        self._gram[knot] = kept * self._gram[knot] + weight * flat.T @ flat + (1 - kept) * 1e-4 * np.eye(FEATURES)
-        self._moment[knot] = kept * self._moment[knot] + weight * flat.T @ came_true.reshape(-1)
+        least = (1 - kept) * LEAST_GRAM * np.eye(FEATURES)
+        self.gram[knot] = kept * self.gram[knot] + weight * flat.T @ flat + least
+        self.moment[knot] = kept * self.moment[knot] + weight * flat.T @ came_true.reshape(-1)
+
+    def outdate(self) -> None:
+        """Has the weights solved for anew: the normal equations have changed."""
+        self._solved = None
 
 
 KNOTS = (0.25, 0.5, 0.75, 1.0)

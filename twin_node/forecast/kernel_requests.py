@@ -243,24 +243,27 @@ class LeadRequest(ctypes.Structure):
     )
 
 
-class Between(ctypes.Structure):
-    """`forecast::Between`."""
+class DueForecast(ctypes.Structure):
+    """`forecast::DueForecast`."""
 
-    _fields_ = (*((name, c_int64) for name in ("before", "after")), ("share", c_double))
+    _fields_ = (
+        *((name, c_int64) for name in ("before", "knot")),
+        *((name, c_void_p) for name in ("rows", "features", "places", "mixed", "radii", "turning")),
+        *((name, c_double) for name in ("valid_at", "time", "factor", "grown_s", "knot_share")),
+        *((name, c_double) for name in ("kept", "rate", "rise", "fall", "learnt", "weight")),
+    )
 
 
 class ReckonRequest(ctypes.Structure):
     """`forecast::ReckonRequest`."""
 
     _fields_ = (
-        *((name, c_int64) for name in ("nodes", "before")),
-        *((name, c_int32) for name in ("experts", "knots", "knot", "turns")),
-        *((name, Between) for name in ("here", "there")),
-        *((name, c_void_p) for name in ("positions", "rows", "places", "mixed", "radii", "turning")),
-        *((name, c_double) for name in ("now", "time", "factor", "startled", "grown_s", "turn", "narrower")),
-        *((name, c_double) for name in ("knot_share", "kept", "rate", "rise", "fall")),
-        *((name, c_void_p) for name in ("profile", "squared", "errors", "began", "turned", "judged")),
-        *((name, c_void_p) for name in ("found", "moved", "wrong", "grown")),
+        *((name, c_int64) for name in ("nodes", "samples")),
+        *((name, c_int32) for name in ("dues", "experts", "knots", "features", "turns", "learnt_from")),
+        *((name, c_double) for name in ("startled", "turn", "narrower", "least_gram")),
+        *((name, c_void_p) for name in ("times", "positions", "profile", "squared", "errors")),
+        *((name, c_void_p) for name in ("began", "turned", "judged", "gram", "moment", "found", "moved", "wrong", "grown", "left")),
+        ("due", ctypes.POINTER(DueForecast)),
     )
 
 

@@ -70,7 +70,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_lead.argtypes = [ctypes.POINTER(LeadRequest)]
         self._dll.forecast_lead.restype = None
         self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
-        self._dll.forecast_reckon.restype = ctypes.c_int64
+        self._dll.forecast_reckon.restype = None
         self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
         self._dll.forecast_take.restype = None
@@ -155,9 +155,9 @@ class Kernels(NativeLibrary):
         """Says where experts lead nodes; takes one thread."""
         self._dll.forecast_lead(request)
 
-    def reckon(self, request: ReckonRequest) -> int:
-        """Says what became of forecasts of nodes, and of how many; takes one thread."""
-        return int(self._dll.forecast_reckon(request))
+    def reckon(self, request: ReckonRequest) -> None:
+        """Says what became of forecasts of nodes; takes one thread."""
+        self._dll.forecast_reckon(request)
 
     def nearest(self, request: NearestRequest) -> None:
         """Finds the nearest of points; takes one thread. Raises `MemoryError`."""

@@ -19,7 +19,7 @@ from twin_node.forecast.experts import (
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Neighbours
-from twin_node.forecast.reckoning import Issued, Manner, reckon
+from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
 from twin_node.scene import Bool, Float64
 
@@ -56,8 +56,6 @@ _WARY = 2.0
 """What has turned back may do other things as well: for so many horizons it is bounded by what it can reach too."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
 """An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
-_LEARNT_FROM = 256
-"""Most nodes per sample that the autoregression learns from: its few weights are shared by all."""
 _POOLED = 0.5
 """Share of the neighbours in the record that experts are weighed by."""
 
@@ -146,7 +144,7 @@ class Predictor:
         """Says whose forecasts wait for the truth: each node of now goes on with one of before, as `paths` [M] tell."""
         if not self._issued:
             return
-        rows = np.stack([np.append(issued.rows, -1) for issued in self._issued])[:, paths]
+        rows = np.stack([np.append(issued.rows, -1) for issued in self._issued]).take(paths, axis=1)
         for issued, own in zip(self._issued, rows, strict=True):
             issued.rows = own
 
@@ -253,26 +251,30 @@ class Predictor:
     def _judge(self) -> None:
         """Judges every forecast for a time since the last sample, and learns from it."""
         now = float(self._history.times[-1])
+        due: list[Due] = []
         for issued in self._issued:
-            while issued.due < len(KNOTS) and issued.valid_at <= now + _NOW_S:
-                self._come_true(issued)
+            while issued.due < len(KNOTS) and issued.valid_at(issued.due) <= now + _NOW_S:
+                due.append(Due(issued, issued.due, self._since_last(issued)))
                 issued.due += 1
         while self._issued and self._issued[0].due == len(KNOTS):
             self._issued.popleft()
+        if not due:
+            return
+        ledger = Ledger(self._records, self._profile, self.autoregression)
+        manner = Manner(self.bound.parameters.memory_s, self._turns)
+        self._mixture = None
+        for one, found in zip(due, reckon(due, self._history, ledger, manner), strict=True):
+            if one.knot == len(KNOTS) - 1:
+                cues, radii = one.issued.cues[found.rows], one.issued.radii[found.rows]
+                time = one.issued.valid_at(one.knot)
+                self.bound.observe(time, cues, found.wrong, radii, one.elapsed_s, found.grown)
 
-    def _come_true(self, issued: Issued) -> None:
-        """Learns from what became of one time's forecasts by the knot that is due."""
-        knot, valid_at = issued.due, issued.valid_at
+    def _since_last(self, issued: Issued) -> float:
+        """Time in seconds since the knot that is due was learnt about last; takes note of this one."""
+        knot, valid_at = issued.due, issued.valid_at(issued.due)
         elapsed = min(valid_at - self._learnt_at[knot], issued.horizon_s)
         self._learnt_at[knot] = valid_at
-        manner = Manner(elapsed, self.bound.parameters.memory_s, self._turns)
-        found = reckon(issued, self._history, self._records, self._profile, manner)
-        self._mixture = None
-        some = slice(None, None, -(-len(found.rows) // _LEARNT_FROM) or 1)
-        self.autoregression.learn(knot, issued.features[found.rows[some]], found.moved[some], elapsed)
-        if knot == len(KNOTS) - 1:
-            cues, radii = issued.cues[found.rows], issued.radii[found.rows]
-            self.bound.observe(valid_at, cues, found.wrong, radii, elapsed, found.grown)
+        return float(elapsed)
 
 
 def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:

@@ -1,18 +1,20 @@
-"""What became of forecasts of nodes, by a knot: how far wrong they were, and the records that this enters."""
+"""What became of forecasts of nodes, by their knots: how far wrong they were, and the records that this enters."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from twin_node.forecast.experts import KNOTS, History
-from twin_node.forecast.kernel_requests import Between as BetweenRequest
-from twin_node.forecast.kernel_requests import ReckonRequest
+from twin_node.forecast.experts import KNOTS, LAG_S, LEAST_GRAM, Autoregression, History
+from twin_node.forecast.kernel_requests import DueForecast, ReckonRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.records import FALL_S, RECORD_S, RISE_S, Records, Rows
 from twin_node.forecast.turning import NARROWER, off_the_way
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 
 STARTLED = 1.5
@@ -21,6 +23,8 @@ anew, and until there is one, the reachable set bounds it. What was forecast bef
 _GROWN = 0.5
 """Horizons after which errors of what began something new tell of those to come: sooner it is bounded by its reach, and
 what it errs while nobody can know better would keep the bound of all wide for seconds."""
+_LEARNT_FROM = 256
+"""Most nodes per time that the autoregression learns from: its few weights are shared by all."""
 _TURN = 0.1
 """What went less astray did not turn back, m: a part is as long, and velocities are noisy."""
 
@@ -52,24 +56,41 @@ class Issued:
     """The next knot to come true."""
 
     @cached_property
-    def addresses(self) -> tuple[int, ...]:
-        """Of the places, their mixture, radii and who turns: good for as long as this lives."""
-        return tuple(array.ctypes.data for array in (self.places, self.mixed, self.radii, self.turning))
+    def addresses(self) -> list[int | None]:
+        """Of the features, the places, their mixture, radii and who turns: good for as long as this lives."""
+        return addresses_of(self.features, self.places, self.mixed, self.radii, self.turning)
 
-    @property
-    def valid_at(self) -> float:
-        """Time of that knot, s."""
-        return self.time + KNOTS[self.due] * self.horizon_s
+    def valid_at(self, knot: int) -> float:
+        """Time of a knot, s."""
+        return self.time + KNOTS[knot] * self.horizon_s
+
+
+@dataclass(frozen=True)
+class Due:
+    """Forecasts for a time that has come."""
+
+    issued: Issued
+    knot: int
+    elapsed_s: float
+    """Since errors by this knot were reckoned last."""
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """What errors enter, in place."""
+
+    records: Records
+    profile: Float64
+    """[K] mean errors of the mixture by each knot, m."""
+    autoregression: Autoregression
 
 
 @dataclass(frozen=True)
 class Manner:
-    """How errors enter records."""
+    """How they enter it."""
 
-    elapsed_s: float
-    """Since errors by this knot entered them last."""
     memory_s: float
-    """Time constant of their mean, s."""
+    """Time constant of the profile, s."""
     turns: bool
     """Nodes that turn back are told from others, and judged by all of their way (`turning.whole_ways`)."""
 
@@ -88,79 +109,108 @@ class Reckoned:
     """[n] nodes whose motion began long enough ago for this to tell of what is to come."""
 
 
-def reckon(issued: Issued, history: History, records: Records, profile: Float64, manner: Manner) -> Reckoned:
-    """What became of forecasts by the knot that is due, on the paths as they are known now.
+def reckon(due: Sequence[Due], history: History, ledger: Ledger, manner: Manner) -> list[Reckoned]:
+    """What became of forecasts whose time has come, one after the other, on the paths as they are known now.
 
-    Changes the records, and the `profile` [K] of the mixture's mean errors (m) by each knot. Compiled; `reckon_plainly`
-    where that cannot be.
+    Changes the ledger. Compiled; `reckon_plainly` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return reckon_plainly(issued, history, records, profile, manner)
-    return _reckon_by(compiled, issued, history, records, profile, manner)
+        return reckon_plainly(due, history, ledger, manner)
+    return _reckon_by(compiled, due, history, ledger, manner)
 
 
 def _reckon_by(
-    compiled: Kernels, issued: Issued, history: History, records: Records, profile: Float64, manner: Manner
-) -> Reckoned:
-    count = len(issued.rows)
-    found = Reckoned(np.empty(count, np.int64), np.empty((count, 3)), np.empty(count), np.empty(count, np.bool_))
-    given = (np.ascontiguousarray(history.positions), np.ascontiguousarray(issued.rows))
-    kept = (profile, records.squared, records.errors, records.began, records.turned, records.judged)
-    results = (found.rows, found.moved, found.wrong, found.grown)
-    left = compiled.reckon(
+    compiled: Kernels, due: Sequence[Due], history: History, ledger: Ledger, manner: Manner
+) -> list[Reckoned]:
+    count, records, learning = history.positions.shape[1], ledger.records, ledger.autoregression
+    results = (
+        np.empty((len(due), count), np.int64),
+        np.empty((len(due), count, 3)),
+        np.empty((len(due), count)),
+        np.empty((len(due), count), np.bool_),
+    )
+    left = np.zeros(len(due), np.int64)
+    asked = (DueForecast * len(due))(*(_asked(one, history, manner, learning.memory_s) for one in due))
+    kept = (ledger.profile, records.squared, records.errors, records.began, records.turned, records.judged)
+    times, positions = (np.ascontiguousarray(array, np.float64) for array in (history.times, history.positions))
+    compiled.reckon(
         ReckonRequest(
-            *(count, len(issued.radii), len(issued.places), len(KNOTS), issued.due, manner.turns),
-            *(BetweenRequest(*history.between(time)) for time in (issued.valid_at, issued.time)),
-            *(array.ctypes.data for array in given),
-            *issued.addresses,
-            *(history.times[-1], issued.time, issued.factor, STARTLED, _GROWN * issued.horizon_s, _TURN, NARROWER),
-            *(KNOTS[issued.due], np.exp(-manner.elapsed_s / manner.memory_s)),
-            *(1 - np.exp(-manner.elapsed_s / constant) for constant in (RECORD_S, RISE_S, FALL_S)),
-            *(array.ctypes.data for array in (*kept, *results)),
+            *(count, len(history.times), len(due), len(records.squared), *learning.moment.shape),
+            *(manner.turns, _LEARNT_FROM),
+            *(STARTLED, _TURN, NARROWER, LEAST_GRAM),
+            *addresses_of(times, positions, *kept, learning.gram, learning.moment, *results, left),
+            asked,
         )
     )
-    return Reckoned(found.rows[:left], found.moved[:left], found.wrong[:left], found.grown[:left])
+    learning.outdate()
+    rows, moved, wrong, grown = results
+    return [
+        Reckoned(rows[one, :several], moved[one, :several], wrong[one, :several], grown[one, :several])
+        for one, several in enumerate(left.tolist())
+    ]
 
 
-def reckon_plainly(issued: Issued, history: History, records: Records, profile: Float64, manner: Manner) -> Reckoned:
+def _asked(due: Due, history: History, manner: Manner, learnt_s: float) -> DueForecast:
+    """`learnt_s`: time constant of the autoregression, s."""
+    issued, constants = due.issued, (manner.memory_s, RECORD_S, RISE_S, FALL_S, learnt_s)
+    kept, *rates, learnt = (math.exp(-due.elapsed_s / constant) for constant in constants)
+    return DueForecast(
+        *(len(issued.radii), due.knot),
+        *addresses_of(issued.rows),
+        *issued.addresses,
+        *(issued.valid_at(due.knot), issued.time, issued.factor, _GROWN * issued.horizon_s, KNOTS[due.knot]),
+        *(kept, *(1 - rate for rate in rates), learnt, due.elapsed_s / LAG_S),
+    )
+
+
+def reckon_plainly(due: Sequence[Due], history: History, ledger: Ledger, manner: Manner) -> list[Reckoned]:
     """What `reckon` does."""
-    knot, now = issued.due, float(history.times[-1])
+    found = []
+    for one in due:
+        found.append(_reckoned(one, history, ledger, manner))
+        rows, moved = found[-1].rows, found[-1].moved
+        some = slice(None, None, -(-len(rows) // _LEARNT_FROM) or 1)
+        ledger.autoregression.learn(one.knot, one.issued.features[rows[some]], moved[some], one.elapsed_s)
+    return found
+
+
+def _reckoned(due: Due, history: History, ledger: Ledger, manner: Manner) -> Reckoned:
+    """What became of one time's forecasts; enters them in the records and the profile."""
+    issued, knot, records, profile = due.issued, due.knot, ledger.records, ledger.profile
+    now = float(history.times[-1])
     known = np.flatnonzero(issued.rows >= 0)
     rows = issued.rows[known]
-    moved = (history.at(issued.valid_at) - history.at(issued.time))[known]
-    wrong = _errors(issued, known, moved, records, profile, now) if manner.turns else _distances(issued, rows, moved)
+    moved = (history.at(issued.valid_at(knot)) - history.at(issued.time))[known]
+    wrong = np.linalg.norm(issued.mixed[knot, rows] - moved, axis=-1)
+    if manner.turns:
+        wrong = _errors(due, known, moved, wrong, ledger, now)
     if len(wrong):
-        kept = np.exp(-manner.elapsed_s / manner.memory_s)
+        kept = np.exp(-due.elapsed_s / manner.memory_s)
         profile[knot] = kept * profile[knot] + (1 - kept) * wrong.mean()
     single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
-    records.weigh(known, single / KNOTS[knot], manner.elapsed_s)
+    records.weigh(known, single / KNOTS[knot], due.elapsed_s)
     expected = issued.radii[rows] * profile[knot] / profile[-1]
     known_s = issued.time - np.maximum(records.began, records.turned)[known]
     knew, grown = known_s >= 0, known_s >= _GROWN * issued.horizon_s
     startled = known[wrong > STARTLED * expected]
     records.began[startled], records.judged[startled] = now, 0
     if knot == len(KNOTS) - 1:
-        records.enter(known[knew], wrong[knew], manner.elapsed_s)
+        records.enter(known[knew], wrong[knew], due.elapsed_s)
     return Reckoned(rows, moved, wrong, grown)
 
 
-def _distances(issued: Issued, rows: Rows, moved: Float64) -> Float64:
-    """[n] how far nodes that have `moved` [n, 3] are from where the mixture led those in `rows` [n], m."""
-    distances: Float64 = np.linalg.norm(issued.mixed[issued.due, rows] - moved, axis=-1)
-    return distances
-
-
-def _errors(issued: Issued, known: Rows, moved: Float64, records: Records, profile: Float64, now: float) -> Float64:
-    """Errors [n] in metres: the nodes `known` [n] have `moved` [n, 3].
+def _errors(due: Due, known: Rows, moved: Float64, wrong: Float64, ledger: Ledger, now: float) -> Float64:
+    """Errors [n] in metres: the nodes `known` [n] have `moved` [n, 3], `wrong` [n] by so much.
 
     Takes note of those that have turned back; those that were held along all of their way err by their distance from
     it, as a share of its radius.
     """
-    rows, knot = issued.rows[known], issued.due
-    ahead, wrong = issued.mixed[knot, rows], _distances(issued, rows, moved)
-    expected = issued.radii[rows] * profile[knot] / profile[-1]
+    issued, knot = due.issued, due.knot
+    rows = issued.rows[known]
+    ahead = issued.mixed[knot, rows]
+    expected = issued.radii[rows] * ledger.profile[knot] / ledger.profile[-1]
     aside = off_the_way(ahead, moved) / NARROWER
     is_back = ((moved * ahead).sum(axis=-1) < 0) & (wrong > np.maximum(issued.factor * expected, _TURN))
-    records.turned[known[is_back & (aside <= expected)]] = now
+    ledger.records.turned[known[is_back & (aside <= expected)]] = now
     return np.where(issued.turning[rows], np.minimum(wrong, aside), wrong)

@@ -252,36 +252,42 @@ struct LeadRequest {
   double *single, *mixed;                // [experts, horizons, nodes, 3], [horizons, nodes, 3] m
 };
 
-// A time between two samples: a share of the way from one to the other.
-struct Between {
-  int64_t before, after;
-  double share;
+// Forecasts of `before` nodes for a time that has come.
+struct DueForecast {
+  int64_t before, knot;
+  const int64_t *rows;              // [nodes] of each node's ancestor; negative for none
+  const double *features;           // [before, 3, features] of the autoregression
+  const double *places;             // [experts, knots, before, 3] m
+  const double *mixed;              // [knots, before, 3] m
+  const double *radii;              // [before] m
+  const uint8_t *turning;           // [before] 1: held along all of its way
+  double valid_at, time;            // s, that time, and that of the forecasts
+  double factor, grown_s;           // on their radii; s
+  double knot_share, kept, rate;    // of the horizon, of what the profile was; at which records follow
+  double rise, fall;                // rates of the mixture's error, as it grows and shrinks
+  double learnt, weight;            // share kept of what was learnt, and weight of all these nodes together
 };
 
-// What became of the forecasts of one time by one knot, and the records that it enters. Nodes are those of now; where
-// `before` nodes are told of, those of the time of the forecasts.
+// What became of forecasts, and the records that it enters, one after the other. Nodes are those of now; where `before`
+// nodes are told of, those of the time of the forecasts.
 struct ReckonRequest {
-  int64_t nodes, before;
-  int32_t experts, knots, knot, turns;    // turns: 1 where nodes that turn back are told from others
-  Between here, there;                    // the time of the knot, and that of the forecasts
+  int64_t nodes, samples;
+  int32_t dues, experts, knots, features;
+  int32_t turns, learnt_from;             // 1: nodes that turn back are told from others; most nodes to learn from
+  double startled, turn;                  // on radii, from where on something new began; m
+  double narrower, least_gram;            // share of a radius along the way, m^2
+  const double *times;                    // [samples] s, rising, the last is now
   const double *positions;                // [samples, nodes, 3] m
-  const int64_t *rows;                    // [nodes] of each node's ancestor; negative for none
-  const double *places;                   // [experts, knots, before, 3] m
-  const double *mixed;                    // [knots, before, 3] m
-  const double *radii;                    // [before] m
-  const uint8_t *turning;                 // [before] 1: held along all of its way
-  double now, time;                       // s, the time of the forecasts
-  double factor, startled, grown_s;       // on radii: their own, and from which something new began; s
-  double turn, narrower;                  // m, share of a radius along the way
-  double knot_share, kept, rate;          // of the horizon, of what the profile and the records were
-  double rise, fall;                      // rates of the mixture's error, as it grows and shrinks
   double *profile;                        // [knots] m, mean errors
   double *squared;                        // [experts, nodes] m^2
   double *errors, *began, *turned;        // [nodes] m, s, s
   int64_t *judged;                        // [nodes]
-  int64_t *found;                         // [nodes] rows of the ancestors of those nodes that have one
-  double *moved, *wrong;                  // [nodes, 3], [nodes] m, of these nodes
-  uint8_t *grown;                         // [nodes] 1: what they do began long enough ago, of these nodes
+  double *gram, *moment;                  // [knots, features, features], [knots, features] of the autoregression
+  int64_t *found;                         // [dues, nodes] rows of the ancestors of those nodes that have one
+  double *moved, *wrong;                  // [dues, nodes, 3], [dues, nodes] m, of these nodes
+  uint8_t *grown;                         // [dues, nodes] 1: what they do began long enough ago, of these nodes
+  int64_t *left;                          // [dues] how many these are
+  const DueForecast *due;                 // [dues]
 };
 
 // The nearest of other points to each of some, group by group.

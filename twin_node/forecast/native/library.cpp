@@ -100,7 +100,7 @@ void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*re
 
 void forecast_lead(const forecast::LeadRequest *request) { forecast::lead(*request); }
 
-int64_t forecast_reckon(const forecast::ReckonRequest *request) { return forecast::reckon(*request); }
+void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(*request); }
 
 int32_t forecast_nearest(const forecast::NearestRequest *request) {
   return guarded([&] { forecast::nearest(*request); });

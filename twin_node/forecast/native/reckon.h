@@ -25,77 +25,142 @@ inline double off_the_way(const Vector &ahead, const Vector &moved) {
   return (moved - ahead * share).length();
 }
 
-// Where a node was between two samples.
-inline Vector place_of(const ReckonRequest &r, const Between &b, int64_t node) {
-  const double *before = r.positions + 3 * (b.before * r.nodes + node);
-  const double *after = r.positions + 3 * (b.after * r.nodes + node);
-  const double rest = 1 - b.share;
-  return {
-      rest * before[0] + b.share * after[0], rest * before[1] + b.share * after[1],
-      rest * before[2] + b.share * after[2]};
-}
+// A time between two samples: a share of the way from one to the other.
+struct Between {
+  int64_t before, after;
+  double share;
 
-struct Errors {
-  int64_t count;
-  double sum;
+  static Between of(const ReckonRequest &r, double time) {
+    const int64_t last = r.samples - 1;
+    if (last < 1) return {last, last, 0};
+    const int64_t found = std::lower_bound(r.times, r.times + r.samples, time) - r.times;
+    const int64_t after = std::clamp<int64_t>(found, 1, last);
+    const double share = (time - r.times[after - 1]) / (r.times[after] - r.times[after - 1]);
+    return {after - 1, after, std::clamp(share, 0.0, 1.0)};
+  }
 };
 
-// Finds how far wrong each forecast was; notes who turned back.
-inline Errors find_errors(const ReckonRequest &r) {
-  const double *mixed = r.mixed + 3 * r.knot * r.before;
-  const double mean = r.profile[r.knot], last = r.profile[r.knots - 1];
-  Errors all{0, 0};
-  for (int64_t node = 0; node < r.nodes; node++) {
-    const int64_t row = r.rows[node];
-    if (row < 0) continue;
-    const Vector moved = place_of(r, r.here, node) - place_of(r, r.there, node);
-    const Vector ahead = Vector::at(mixed + 3 * row);
-    double wrong = (ahead - moved).length();
-    if (r.turns) {
-      const double expected = r.radii[row] * mean / last, aside = off_the_way(ahead, moved) / r.narrower;
-      const bool is_back = moved.dot(ahead) < 0 && wrong > std::max(r.factor * expected, r.turn);
-      if (is_back && aside <= expected) r.turned[node] = r.now;
-      if (r.turning[row]) wrong = std::min(wrong, aside);
-    }
-    r.found[all.count] = row, r.wrong[all.count] = wrong;
-    std::copy_n(&moved.x, 3, r.moved + 3 * all.count);
-    all.sum += wrong;
-    all.count++;
-  }
-  return all;
-}
+// What one time's forecasts became.
+class Reckoning {
+ public:
+  Reckoning(const ReckonRequest &request, int32_t number)
+      : r_(request),
+        d_(request.due[number]),
+        found_(request.found + number * request.nodes),
+        moved_(request.moved + 3 * number * request.nodes),
+        wrong_(request.wrong + number * request.nodes),
+        grown_(request.grown + number * request.nodes),
+        now_(request.times[request.samples - 1]) {}
 
-// Enters the error of the mixture in the record of a node.
-inline void enter(const ReckonRequest &r, int64_t node, double wrong) {
-  const double before = r.errors[node], first = 1 / (1 + static_cast<double>(r.judged[node]));
-  const double rate = std::max(wrong > before ? r.rise : r.fall, first);
-  r.errors[node] = before + rate * (wrong - before);
-  r.judged[node]++;
-}
-
-// How many nodes there are still.
-inline int64_t reckon(const ReckonRequest &r) {
-  const Errors all = find_errors(r);
-  double &mean = r.profile[r.knot];
-  if (all.count) mean = r.kept * mean + (1 - r.kept) * (all.sum / static_cast<double>(all.count));
-  const double last = r.profile[r.knots - 1];
-  for (int64_t node = 0, i = 0; node < r.nodes; node++) {
-    const int64_t row = r.rows[node];
-    if (row < 0) continue;
-    const Vector moved = Vector::at(r.moved + 3 * i);
-    for (int64_t expert = 0; expert < r.experts; expert++) {
-      const double *place = r.places + 3 * ((expert * r.knots + r.knot) * r.before + row);
-      const double error = (Vector::at(place) - moved).length() / r.knot_share;
-      double &square = r.squared[expert * r.nodes + node];
-      square += r.rate * (error * error - square);
+  // Enters it in all records; how many of the nodes there are still.
+  int64_t enter() {
+    find_errors();
+    double &mean = r_.profile[d_.knot];
+    if (count_) mean = d_.kept * mean + (1 - d_.kept) * (sum_ / static_cast<double>(count_));
+    const double last = r_.profile[r_.knots - 1];
+    for (int64_t node = 0, i = 0; node < r_.nodes; node++) {
+      const int64_t row = d_.rows[node];
+      if (row < 0) continue;
+      weigh(node, row, Vector::at(moved_ + 3 * i));
+      const double known_s = d_.time - std::max(r_.began[node], r_.turned[node]);
+      grown_[i] = known_s >= d_.grown_s;
+      if (wrong_[i] > r_.startled * (d_.radii[row] * mean / last)) r_.began[node] = now_, r_.judged[node] = 0;
+      if (d_.knot == r_.knots - 1 && known_s >= 0) enter_error(node, wrong_[i]);
+      i++;
     }
-    const double known_s = r.time - std::max(r.began[node], r.turned[node]);
-    r.grown[i] = known_s >= r.grown_s;
-    if (r.wrong[i] > r.startled * (r.radii[row] * mean / last)) r.began[node] = r.now, r.judged[node] = 0;
-    if (r.knot == r.knots - 1 && known_s >= 0) enter(r, node, r.wrong[i]);
-    i++;
+    learn();
+    return count_;
   }
-  return all.count;
+
+ private:
+  // Where a node was between two samples.
+  Vector place_of(const Between &b, int64_t node) const {
+    const double *before = r_.positions + 3 * (b.before * r_.nodes + node);
+    const double *after = r_.positions + 3 * (b.after * r_.nodes + node);
+    const double rest = 1 - b.share;
+    return {
+        rest * before[0] + b.share * after[0], rest * before[1] + b.share * after[1],
+        rest * before[2] + b.share * after[2]};
+  }
+
+  // Finds how far wrong each forecast was; notes who turned back.
+  void find_errors() {
+    const double *mixed = d_.mixed + 3 * d_.knot * d_.before;
+    const double mean = r_.profile[d_.knot], last = r_.profile[r_.knots - 1];
+    const Between here = Between::of(r_, d_.valid_at), there = Between::of(r_, d_.time);
+    for (int64_t node = 0; node < r_.nodes; node++) {
+      const int64_t row = d_.rows[node];
+      if (row < 0) continue;
+      const Vector moved = place_of(here, node) - place_of(there, node);
+      const Vector ahead = Vector::at(mixed + 3 * row);
+      double wrong = (ahead - moved).length();
+      if (r_.turns) {
+        const double expected = d_.radii[row] * mean / last, aside = off_the_way(ahead, moved) / r_.narrower;
+        const bool is_back = moved.dot(ahead) < 0 && wrong > std::max(d_.factor * expected, r_.turn);
+        if (is_back && aside <= expected) r_.turned[node] = now_;
+        if (d_.turning[row]) wrong = std::min(wrong, aside);
+      }
+      found_[count_] = row, wrong_[count_] = wrong;
+      std::copy_n(&moved.x, 3, moved_ + 3 * count_);
+      sum_ += wrong;
+      count_++;
+    }
+  }
+
+  // Enters the errors of the experts in the record of a node.
+  void weigh(int64_t node, int64_t row, const Vector &moved) const {
+    for (int64_t expert = 0; expert < r_.experts; expert++) {
+      const double *place = d_.places + 3 * ((expert * r_.knots + d_.knot) * d_.before + row);
+      const double error = (Vector::at(place) - moved).length() / d_.knot_share;
+      double &square = r_.squared[expert * r_.nodes + node];
+      square += d_.rate * (error * error - square);
+    }
+  }
+
+  // Enters that of their mixture.
+  void enter_error(int64_t node, double wrong) const {
+    const double before = r_.errors[node], first = 1 / (1 + static_cast<double>(r_.judged[node]));
+    const double rate = std::max(wrong > before ? d_.rise : d_.fall, first);
+    r_.errors[node] = before + rate * (wrong - before);
+    r_.judged[node]++;
+  }
+
+  // Enters some nodes, evenly taken, in the normal equations of the autoregression.
+  void learn() const {
+    if (count_ == 0) return;
+    const int64_t size = r_.features, step = (count_ + r_.learnt_from - 1) / r_.learnt_from;
+    double *gram = r_.gram + d_.knot * size * size, *moment = r_.moment + d_.knot * size;
+    const double weight = d_.weight / static_cast<double>((count_ + step - 1) / step);
+    for (int64_t i = 0; i < size * size; i++) gram[i] *= d_.learnt;
+    for (int64_t i = 0; i < size; i++) {
+      gram[i * (size + 1)] += (1 - d_.learnt) * r_.least_gram;
+      moment[i] *= d_.learnt;
+    }
+    for (int64_t node = 0; node < count_; node += step) {
+      for (int axis = 0; axis < 3; axis++) {
+        const double *seen = d_.features + (3 * found_[node] + axis) * size;
+        const double came_true = moved_[3 * node + axis];
+        for (int64_t i = 0; i < size; i++) {
+          const double own = weight * seen[i];
+          moment[i] += own * came_true;
+          for (int64_t j = 0; j < size; j++) gram[i * size + j] += own * seen[j];
+        }
+      }
+    }
+  }
+
+  const ReckonRequest &r_;
+  const DueForecast &d_;
+  int64_t *found_;
+  double *moved_, *wrong_;
+  uint8_t *grown_;
+  const double now_;
+  int64_t count_ = 0;
+  double sum_ = 0;
+};
+
+inline void reckon(const ReckonRequest &r) {
+  for (int32_t number = 0; number < r.dues; number++) r.left[number] = Reckoning(r, number).enter();
 }
 
 }  // namespace forecast
