@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-    *("--remote-debugging-port=0", "--window-size=1280,800", "--disable-dev-shm-usage", "about:blank"),
+    *("--remote-debugging-port=0", "--window-size=960,600", "--disable-dev-shm-usage", "about:blank"),
 )
 
 
