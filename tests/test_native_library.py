@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -53,3 +57,31 @@ def test_addresses_are_those_of_first_entries(monkeypatch: pytest.MonkeyPatch, l
     ):
         assert address_of(array) == array.ctypes.data
     assert addresses_of(whole, None, whole[2]) == [whole.ctypes.data, None, whole.ctypes.data + 48]
+
+
+@pytest.mark.parametrize(("asked", "threads"), [("1", 1), ("100000", len(os.sched_getaffinity(0)))])
+def test_kernels_do_without_torch_and_share_its_openmp_runtime_and_threads(asked: str, threads: int) -> None:
+    """The runtime that is loaded for them is the one that torch then takes, not a second."""
+    run = subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH],
+        env={**os.environ, "OMP_NUM_THREADS": asked},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(run.stdout) == {"loads_torch": False, "threads": [threads] * 2, "runtimes": 1}
+
+
+WITHOUT_TORCH = """
+import json, sys
+from twin_node.forecast.kernels import kernels
+from twin_node.native_library import thread_count
+
+kernels()
+loads_torch, threads = "torch" in sys.modules, [thread_count()]
+import torch
+
+threads.append(torch.get_num_threads())
+runtimes = {line.split()[-1] for line in open("/proc/self/maps") if "libgomp" in line}
+print(json.dumps({"loads_torch": loads_torch, "threads": threads, "runtimes": len(runtimes)}))
+"""

@@ -1,13 +1,18 @@
-"""Compiled kernels in a running process: of the version that the callers know, and never used across a fork."""
+"""Compiled kernels in a running process: of the version that the callers know, in as many threads as torch, and never
+used across a fork."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import importlib.util
 import os
 import sys
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from ctypes import c_void_p
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -31,6 +36,7 @@ class NativeLibrary:
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
+        _load_openmp()
         self._dll = ctypes.CDLL(str(path))
         version = self._dll[f"{self.KERNELS.name}_interface_version"]()
         if version != self.VERSION:
@@ -48,6 +54,51 @@ class NativeLibrary:
                 f"{self.KERNELS.name}: called in a process forked from one that had loaded its kernels, where OpenMP "
                 "would hang; start the process with the `spawn` method instead"
             )
+
+
+@cache
+def _load_openmp() -> None:
+    """Loads the OpenMP runtime that torch brings, if it brings one: kernels and torch share it, whoever comes first."""
+    torch = importlib.util.find_spec("torch")
+    for folder in (torch and torch.submodule_search_locations) or ():
+        for runtime in sorted(Path(folder, "lib").glob("libgomp*.so*")):
+            with contextlib.suppress(OSError):  # then the system's is taken
+                ctypes.CDLL(str(runtime), mode=ctypes.RTLD_GLOBAL)
+
+
+_told = threading.local()
+
+
+def thread_count() -> int:
+    """Threads for one call of a kernel: as `kernel_threads` says, else as torch is set, where this process has it.
+
+    Where it has not, what torch would take: the processors that the process may use, or `OMP_NUM_THREADS` if less.
+    """
+    if is_told():
+        return int(_told.threads)
+    torch = sys.modules.get("torch")
+    return int(torch.get_num_threads()) if torch is not None else _openmp_threads()
+
+
+def is_told() -> bool:
+    """Whether this thread is within `kernel_threads`."""
+    return hasattr(_told, "threads")
+
+
+@contextlib.contextmanager
+def kernel_threads(count: int) -> Iterator[None]:
+    """Calls by this thread take `count` threads meanwhile, whatever torch is set to."""
+    _told.threads = count
+    try:
+        yield
+    finally:
+        del _told.threads
+
+
+def _openmp_threads() -> int:
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    return min(int(asked), processors) if asked.isdecimal() and int(asked) else processors
 
 
 Loaded = TypeVar("Loaded", bound=NativeLibrary)

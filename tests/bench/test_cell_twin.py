@@ -13,7 +13,7 @@ from twin_node.bench.cell_twin import BySight, TwinPerception, TwinTiming, run_t
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.scenario import Scenario, load_scenario
-from twin_node.nodes.chain import load_parameters
+from twin_node.nodes.chain_parameters import load_parameters
 from twin_node.robot import forward_kinematics, place_capsules
 from twin_node.scene import ObstacleKind, Obstacles
 

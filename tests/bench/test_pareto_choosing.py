@@ -12,7 +12,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto import choosing
 from twin_node.bench.pareto.choosing import by_budget, by_target, front_text, read_front, timed_ms
 from twin_node.bench.pareto.measure import Point
-from twin_node.nodes.chain import ChainParameters, at_size
+from twin_node.nodes.chain_parameters import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.sizes import SHIPPED, SIZES
 

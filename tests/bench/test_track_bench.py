@@ -14,7 +14,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.track import TrackBenchParameters, run
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.bench.track_scores import score_renderings
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.report.quality import Renderings
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.scene import Camera, FrameSet, View

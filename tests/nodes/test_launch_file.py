@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from twin_node.errors import TwinError
-from twin_node.nodes.chain import ChainParameters, load_parameters
+from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
 from twin_node.nodes.launch.launch_file import in_one_process, read_arguments, read_launch_file, remapped
 

@@ -143,12 +143,12 @@ def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(bench
     assert bench.life[-2:] == ["deactivate", "cleanup"]
 
 
-def test_a_process_without_nodes_of_the_chain_does_not_load_torch() -> None:
+def test_no_process_but_the_twins_loads_torch() -> None:
     program = """
 import sys
 from twin_node.nodes.launch import host, node_thread
 from twin_node.nodes.launch.kinds import KINDS, find_factory
-for name in KINDS.keys() - {"arm", "synchronizer", "twin"}:
+for name in KINDS.keys() - {"twin"}:
     find_factory(name)
 sys.exit("torch" in sys.modules)
 """

@@ -10,7 +10,7 @@ import pytest
 from twin_node.forecast import Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.nodes import sizing
-from twin_node.nodes.chain import ChainParameters, sized
+from twin_node.nodes.chain_parameters import ChainParameters, sized
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms

@@ -10,9 +10,10 @@ import torch
 from splat_scenes import Case, assert_close, differentiate, make_case
 
 from twin_node import native_build
+from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat import rasterize, rasterize_plain
-from twin_node.splat.library import SplatLibrary, thread_count, torch_alone
+from twin_node.splat.library import SplatLibrary, torch_alone
 
 
 def parity_cases() -> dict[str, Case]:

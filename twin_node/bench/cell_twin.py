@@ -20,7 +20,8 @@ from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure, SimulatedRig
 from twin_node.cell.ur_arm import DrivenArm
 from twin_node.messages import convert
-from twin_node.nodes.chain import Chain, ChainParameters, load_parameters
+from twin_node.nodes.chain import Chain
+from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.latency import Latency
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import COMPRESSED, FRAMES, JOINT_STATES, OBSTACLES, RAW, CameraTopics

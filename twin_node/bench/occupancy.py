@@ -18,7 +18,8 @@ from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score, Truth
 from twin_node.forecast.score import litres_per_voxel
-from twin_node.nodes.chain import ChainParameters, make_model
+from twin_node.nodes.chain import make_model
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import TRUTH_OCCUPANCY

@@ -13,7 +13,8 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.track_runs import Followed, follow, follow_live, start, to_and_fro
 from twin_node.bench.track_scores import ForesightScore, LookingBack, TrackScores, score_foresight, score_renderings
 from twin_node.bench.visual_hull import HullScore, HullTally
-from twin_node.nodes.chain import ChainParameters, make_model
+from twin_node.nodes.chain import make_model
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, without
 from twin_node.nodes.spool import Spool, Tick

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from twin_node.model import WindowModel
 from twin_node.nodes.bridge import Bridge
-from twin_node.nodes.chain import ChainParameters, make_model
+from twin_node.nodes.chain import make_model
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.player import Player

@@ -79,7 +79,8 @@ def _evenly(first: int, last: int, count: int) -> list[int]:
 def _bake_log(options: argparse.Namespace) -> Baked:
     """Follows a log in lockstep and keeps every state."""
     from twin_node.model.sequence import bake_clouds
-    from twin_node.nodes.chain import load_parameters, make_model
+    from twin_node.nodes.chain import make_model
+    from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.log_source import LogSession, LogSource
     from twin_node.nodes.topics import parse_remaps
 

@@ -59,7 +59,7 @@ def add_bench(commands: Any) -> None:
 
 def _bench_track(options: argparse.Namespace) -> None:
     from twin_node.bench.track import TrackBenchParameters, run
-    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.topics import parse_remaps
 
     parameters = TrackBenchParameters(

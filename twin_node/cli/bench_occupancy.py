@@ -37,7 +37,7 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
     from twin_node.bench.errors import BenchError
     from twin_node.bench.occupancy import OccupancyBenchParameters, run
     from twin_node.bench.truth import ColourOf
-    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.topics import parse_remaps
 
     chain = with_source_options(load_parameters(options.params), options)

@@ -37,7 +37,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
     from twin_node.bench.pareto.tables import markdown, text
     from twin_node.bench.results_folder import prepared, save_figures
-    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.chain_parameters import load_parameters
 
     rivals = None if options.methods is None else tuple(options.methods.split(","))
     given = {"frames": options.frames, "processes": options.processes, "rivals": rivals}

@@ -41,7 +41,7 @@ def add_demo(commands: Any) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
-    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.topics import parse_remaps
 
     parameters = with_source_options(load_parameters(options.params), options)
@@ -55,7 +55,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 def _demo(options: argparse.Namespace) -> None:
     from twin_node.cell import load_scenario, write_log
-    from twin_node.nodes.chain import load_parameters
+    from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.log_source import LogSession
 
     options.out.mkdir(parents=True, exist_ok=True)
@@ -121,7 +121,7 @@ def _check_size(options: argparse.Namespace) -> None:
 def _sized(session: Any, parameters: Any, options: argparse.Namespace) -> Any:
     """The parameters at the size that is asked for, which is said."""
     from twin_node.bench.pareto.choosing import by_budget, by_target
-    from twin_node.nodes.chain import at_size
+    from twin_node.nodes.chain_parameters import at_size
 
     choice = (
         by_target(options.target) if options.target is not None else by_budget(session, parameters, options.budget_ms)

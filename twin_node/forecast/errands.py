@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from typing import Generic, TypeVar
 
-from twin_node.splat.library import thread_count
+from twin_node.native_library import thread_count
 
 Result = TypeVar("Result")
 

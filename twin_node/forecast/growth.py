@@ -11,9 +11,8 @@ from scipy.ndimage import distance_transform_edt
 from twin_node.forecast.bits import all_listed
 from twin_node.forecast.kernel_requests import GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
-from twin_node.splat.library import thread_count
 
 
 @dataclass(frozen=True)

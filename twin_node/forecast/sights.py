@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.tables import CameraTable
 from twin_node.forecast.verdicts import BESIDE, MOVING, ROBOT, SEEN, Sight, Surface
-from twin_node.native_library import address_of, addresses_of
+from twin_node.native_library import address_of, addresses_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8, View
-from twin_node.splat.library import thread_count
 
 _NEVER = np.float32(0)
 _ALWAYS = np.float32(1e6)

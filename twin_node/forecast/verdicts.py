@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.tables import Blocks, CameraTable
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Float32, UInt8
-from twin_node.splat.library import thread_count
 
 MOVING, ROBOT, SEEN, BESIDE = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
 """Bits of a pixel: the widened moving mask where no surface is measured, the arm, a valid pixel, a valid pixel that

@@ -1,7 +1,14 @@
-"""The 4D model: Gaussians, their motion, and the window they are fitted in."""
+"""The 4D model: Gaussians, their motion, and the window they are fitted in.
 
-from twin_node.model.camera_mask import MovingMaskParameters
-from twin_node.model.moving_mask import MovingMask
+What is set is at hand at once; what follows the images loads torch when it is first asked for: the processes of a
+launch that only read parameters do without its second and its 200 MB.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from twin_node.model.parameters import (
     BirthParameters,
     MapParameters,
@@ -10,7 +17,11 @@ from twin_node.model.parameters import (
     SeedParameters,
     TrackParameters,
 )
-from twin_node.model.window_model import ModelImage, WindowModel
+
+if TYPE_CHECKING:
+    from twin_node.model.camera_mask import MovingMaskParameters
+    from twin_node.model.moving_mask import MovingMask
+    from twin_node.model.window_model import ModelImage, WindowModel
 
 __all__ = [
     "BirthParameters",
@@ -24,3 +35,17 @@ __all__ = [
     "TrackParameters",
     "WindowModel",
 ]
+
+_MODULES = {
+    "ModelImage": "window_model",
+    "MovingMask": "moving_mask",
+    "MovingMaskParameters": "camera_mask",
+    "WindowModel": "window_model",
+}
+"""Where the others are."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

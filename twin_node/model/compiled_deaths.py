@@ -22,8 +22,8 @@ from twin_node.model.kernel_requests import DeathRules, DeathView, RefutedReques
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering
+from twin_node.native_library import thread_count
 from twin_node.scene import Bool
-from twin_node.splat.library import thread_count
 
 
 def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:

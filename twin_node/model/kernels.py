@@ -37,8 +37,7 @@ from twin_node.model.kernel_requests import (
     VelocityRequest,
 )
 from twin_node.model.parameters import ModelError
-from twin_node.native_library import NativeLibrary, best_or_none
-from twin_node.splat.library import thread_count
+from twin_node.native_library import NativeLibrary, best_or_none, thread_count
 
 
 class Kernels(NativeLibrary):

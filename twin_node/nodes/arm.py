@@ -14,6 +14,7 @@ from twin_node.arm import (
     SeparationParameters,
     SpeedLimiter,
     decide,
+    default_path,
     path_ahead,
     path_from_sample,
 )
@@ -24,7 +25,7 @@ from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
-from twin_node.scene import JointPath, JointSample, Separation
+from twin_node.scene import Float64, JointPath, JointSample, Separation
 
 GAPS_KEPT = 10
 """Gaps between decisions that tell how long the next may be, a third of a second at 30 Hz."""
@@ -143,3 +144,11 @@ class ArmNode(Node):
         if self._joints is not None:
             return path_from_sample(model, self._joints, stamp)
         return self._cycle.ahead(stamp)
+
+
+def make_arm_node(
+    bus: Bus, clock: Clock, workspace: Float64, parameters: ArmParameters, timers: Timers | None = None
+) -> ArmNode:
+    """The arm's node of a chain; `workspace` [2, 3] m. `timers`: see `ArmNode`."""
+    arm = parameters.arm()
+    return ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm, workspace), parameters, timers)

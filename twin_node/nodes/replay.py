@@ -15,7 +15,8 @@ from twin_node.bag import LogWriter
 from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
 from twin_node.nodes.bridge import Bridge
-from twin_node.nodes.chain import Chain, ChainParameters
+from twin_node.nodes.chain import Chain
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite, require_finite
 from twin_node.splat.semantics import Semantics, installed_semantics
@@ -128,7 +129,7 @@ class _Call:
             int(scene.colors_per_camera),
             DEPTH_MODES[options.render_mode],
             int(options.rasterize_mode == "antialiased"),
-            native.thread_count(),
+            thread_count(),
             options.near_plane,
             options.far_plane,
             options.radius_clip,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import non_finite
 from twin_node.splat.semantics import installed_semantics
@@ -205,7 +206,7 @@ class _Call:
         count, semantics = self.standing + self.learned, installed_semantics()
         return native.Request(
             *(times, 1, count, width, height, 3),
-            *(0, 0, 0, 1, 0, native.thread_count()),
+            *(0, 0, 0, 1, 0, thread_count()),
             *(0.01, 1e10, 0.0, 0.3),
             semantics.max_alpha,
             semantics.min_compensation,
@@ -225,7 +226,7 @@ class _Call:
         times, height, width = self.rgb.shape[:3]
         tensors = (self.seen, self.rgb, self.weights, self.depth, self.v_renders, self.loss)
         return native.LossRequest(
-            *(times, height, width, 4, native.thread_count()),
+            *(times, height, width, 4, thread_count()),
             *(times * weight for weight in (0.8, 0.2, self.aims.depth_weight)),
             *(_pointer(t) for t in tensors),
         )

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
-import torch  # loads the OpenMP runtime that the library then shares
-
 from twin_node import native_build
-from twin_node.native_library import NativeLibrary, best_or_none
+from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, thread_count
 from twin_node.splat.errors import SplatError
 
 INTERFACE_VERSION = 9
@@ -254,14 +251,6 @@ def native_library() -> SplatLibrary | None:
     return best_or_none(load_variant, "the CPU rasteriser runs in plain torch, about 20 times slower")
 
 
-_told = threading.local()
-
-
-def thread_count() -> int:
-    """Threads for one call, as torch is set, or was before `torch_alone`."""
-    return getattr(_told, "threads", None) or torch.get_num_threads()
-
-
 @contextmanager
 def torch_alone() -> Iterator[None]:
     """Torch's own loops take no other thread meanwhile, as far as this one begins them; compiled kernels still do.
@@ -270,13 +259,12 @@ def torch_alone() -> Iterator[None]:
     waits for it: a set took half as long again.
     """
     library, threads = native_library(), thread_count()
-    if library is None or hasattr(_told, "threads"):
+    if library is None or is_told():
         yield
         return
-    _told.threads = threads
     library.limit_openmp(1)
     try:
-        yield
+        with kernel_threads(threads):
+            yield
     finally:
         library.limit_openmp(threads)
-        del _told.threads

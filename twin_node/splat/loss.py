@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import non_finite
 
@@ -157,7 +158,7 @@ class _FusedLoss(torch.autograd.Function):
             height,
             width,
             channels,
-            native.thread_count(),
+            thread_count(),
             call.l1,
             call.ssim,
             call.depth_weight,

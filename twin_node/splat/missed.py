@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import non_finite
 from twin_node.splat.dispatch import rasterize
@@ -90,7 +91,7 @@ class Missed:
         semantics = installed_semantics()
         scene = native.Request(
             *(1, 1, count, width, height, 4),
-            *(0, 0, 0, channels - 4, 0, native.thread_count()),
+            *(0, 0, 0, channels - 4, 0, thread_count()),
             *(0.01, 1e10, 0.0, 0.3),
             semantics.max_alpha,
             semantics.min_compensation,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 
 
@@ -53,5 +54,5 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
     pointers = (tensor.data_ptr() for tensor in tensors)
     chosen = None if rows is None else rows.contiguous()
     row_pointer = None if chosen is None else chosen.data_ptr()
-    library.place(native.PlaceRequest(count, times, positions.shape[1], native.thread_count(), row_pointer, *pointers))
+    library.place(native.PlaceRequest(count, times, positions.shape[1], thread_count(), row_pointer, *pointers))
     return placed

@@ -14,7 +14,7 @@ import torch
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import OURS, Follower, settled_ms
-from twin_node.nodes.chain import ChainParameters, load_parameters
+from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, score
 from twin_node.nodes.topics import TRUTH_OCCUPANCY

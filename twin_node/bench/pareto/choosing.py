@@ -15,7 +15,8 @@ from twin_node import resources
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.forecast import Forecaster, default_grid
-from twin_node.nodes.chain import ChainParameters, at_size, make_model
+from twin_node.nodes.chain import make_model
+from twin_node.nodes.chain_parameters import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.sizing import TRIED_SETS, Choice, best_within, median_ms

@@ -12,7 +12,7 @@ from twin_node.forecast import BaselineForecaster, Forecaster, ForecastQuality, 
 from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.model import WindowModel
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.truth import LaterTruth, VoxelTruth

@@ -11,7 +11,7 @@ import torch
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import BASELINES, OURS, Follower, settled_ms
 from twin_node.forecast.comparison import Score
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.topics import TRUTH_OCCUPANCY

@@ -18,7 +18,8 @@ from twin_node.bench.results_folder import save_chart
 from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
 from twin_node.bench.track_runs import resident_bytes, to_and_fro
 from twin_node.cell import CellSource, Scenario
-from twin_node.nodes.chain import Chain, ChainParameters, GridParameters
+from twin_node.nodes.chain import Chain
+from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.topics import FORECAST, FRAMES

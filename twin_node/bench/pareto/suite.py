@@ -20,7 +20,7 @@ from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane
 from twin_node.bench.pareto.measure import OURS, Job, Point, measure
 from twin_node.model.sequence import Recording, recording_of
-from twin_node.nodes.chain import ChainParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SHIPPED, SIZES
 from twin_node.nodes.synchronizer import SynchronizerParameters

@@ -17,7 +17,8 @@ from twin_node.bench.stability.shapes import Isometry, Shape
 from twin_node.bench.stability.shots import Shot, Stage
 from twin_node.cell.shapes import touched_voxels
 from twin_node.forecast import BaselineForecaster
-from twin_node.nodes.chain import Chain, ChainParameters
+from twin_node.nodes.chain import Chain
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, STATE

@@ -16,7 +16,7 @@ from twin_node.bench.stability.failures import FAILURES, LONG, UNDISTURBED
 from twin_node.bench.stability.pictures import OURS, PICTURES
 from twin_node.bench.stability.scenes import WIDTH
 from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
-from twin_node.nodes.chain import ChainParameters, GridParameters
+from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
 
 LEAST_PICTURE_DB = 15.0
 """A picture below this on the pixels that changed shows nothing of use: the first image for ever reaches 13 dB here."""

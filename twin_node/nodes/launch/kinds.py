@@ -16,12 +16,12 @@ One may have the name of a node below, and takes its place. What is made takes n
 (ports, devices, files to write) before it is configured: spare processes make their nodes ahead."""
 
 KINDS = {
-    "arm": "twin_node.nodes.live.twin:make_arm",
+    "arm": "twin_node.nodes.live.beside_twin:make_arm",
     "cell": "twin_node.nodes.live.cell:make_cell",
     "cameras": "twin_node.nodes.live.cameras:make_cameras",
     "player": "twin_node.nodes.live.player:make_player",
     "recorder": "twin_node.nodes.live.recorder:make_recorder",
-    "synchronizer": "twin_node.nodes.live.twin:make_synchronizer",
+    "synchronizer": "twin_node.nodes.live.beside_twin:make_synchronizer",
     "twin": "twin_node.nodes.live.twin:make_twin",
     "ur_driver": "twin_node.nodes.live.arm_driver:make_ur_driver",
     "ur_sim": "twin_node.nodes.live.arm_driver:make_ur_sim",

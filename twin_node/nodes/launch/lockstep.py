@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from twin_node.nodes.chain import ChainParameters, sized
+from twin_node.nodes.chain_parameters import ChainParameters, sized
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
 from twin_node.nodes.live.player import PlayParameters
 from twin_node.nodes.live.rig_source import RigParameters

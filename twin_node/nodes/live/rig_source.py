@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError
-from twin_node.scene import Rig
+from twin_node.scene import Float64, Rig
 
 
 @dataclass(frozen=True)
@@ -64,3 +64,11 @@ def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
         depth=f"/{camera}/{parameters.depth}" if parameters.depth else None,
         depth_type=(COMPRESSED if parameters.depth.endswith("compressedDepth") else RAW) if parameters.depth else None,
     )
+
+
+def working_volume(source: RigSource, width: int | None) -> Float64:
+    """[2, 3] corners of the volume that is modelled, m; `width`: of the images, px, None: as they come."""
+    from twin_node.nodes.log_source import workspace_for
+    from twin_node.rig import FrameAssembler
+
+    return workspace_for(source.rig, FrameAssembler(source.rig.cameras, width).cameras)

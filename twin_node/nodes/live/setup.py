@@ -16,7 +16,7 @@ from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
 
 if TYPE_CHECKING:
-    from twin_node.nodes.chain import ChainParameters
+    from twin_node.nodes.chain_parameters import ChainParameters
 
 T = TypeVar("T")
 
@@ -59,7 +59,7 @@ class Setup:
 
     def chain_parameters(self) -> ChainParameters:
         """The parameters of the chain's nodes."""
-        from twin_node.nodes.chain import ChainParameters, sized  # loads torch: only where a node of the chain runs
+        from twin_node.nodes.chain_parameters import ChainParameters, sized  # much to load where no node of it runs
 
         known = [f.name for f in dataclasses.fields(ChainParameters)]
         given = {name: self.sections[name] for name in known if name in self.sections}

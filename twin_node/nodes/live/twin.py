@@ -5,40 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from twin_node.nodes.chain import Chain, ChainParameters, make_arm_node
+from twin_node.nodes.chain import Chain
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
-from twin_node.nodes.live.rig_source import RigSource, read_rig
+from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.log_source import workspace_for
-from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FORECAST, FRAMES, TRUSTED_FRAMES
-from twin_node.rig import FrameAssembler
 from twin_node.runtime.node import Node
-from twin_node.scene import Float64
-
-
-def make_synchronizer(setup: Setup) -> Node:
-    """The synchroniser, with a timer for its deadlines."""
-    source = read_rig(setup.rig())
-    parameters = setup.chain_parameters().synchronizer
-    return SynchronizerNode(setup.bus, setup.clock, source.cameras, source.rig, parameters, setup.timers)
 
 
 def make_twin(setup: Setup) -> Node:
     """Drift watch, model, forecast and status in one thread: what they hand on stays where it is."""
     return TwinNode(setup, read_rig(setup.rig()), setup.chain_parameters())
-
-
-def make_arm(setup: Setup) -> Node:
-    """The arm's collision checker and its speed decisions, with a timer for forecasts that do not come."""
-    source, parameters = read_rig(setup.rig()), setup.chain_parameters()
-    workspace = working_volume(source, parameters)
-    return make_arm_node(setup.bus, setup.clock, workspace, parameters, setup.timers)
-
-
-def working_volume(source: RigSource, parameters: ChainParameters) -> Float64:
-    """[2, 3] corners of the volume that is modelled, m."""
-    return workspace_for(source.rig, FrameAssembler(source.rig.cameras, parameters.synchronizer.width).cameras)
 
 
 class TwinNode(Node):
@@ -48,7 +26,7 @@ class TwinNode(Node):
         super().__init__(setup.name, setup.bus, setup.clock)
         self._latency = Latency(ASSUMED_LATENCY_NS, is_measured=True)
         bus = setup.bus
-        workspace = working_volume(source, parameters)
+        workspace = working_volume(source, parameters.synchronizer.width)
         chain = Chain(
             bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES), False, setup.say
         )

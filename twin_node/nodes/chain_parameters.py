@@ -1,0 +1,81 @@
+"""What can be set of the chain's nodes, in files and by sizes; loads no torch: every process of a launch reads it."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from twin_node import resources
+from twin_node.forecast import CoverParameters, ForecastParameters
+from twin_node.model import ModelParameters
+from twin_node.nodes.arm import ArmParameters
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
+from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
+from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.rig.drift import DriftParameters
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters
+
+DEFAULT_PARAMETERS = "launch/replay.yaml"
+OTHER_SECTIONS = {EVERY_NODE, *KINDS} - {*CHAIN_SECTIONS}
+"""Sections of launch files that say nothing of the chain."""
+
+
+@dataclass(frozen=True)
+class GridParameters:
+    """The voxels that occupancy is reported on."""
+
+    voxel_size: float = 0.02
+    """Edge of a voxel, m."""
+
+
+@dataclass(frozen=True)
+class ChainParameters:
+    """Parameters of every node of the chain; a parameter file has one section per field."""
+
+    synchronizer: SynchronizerParameters = field(default_factory=SynchronizerParameters)
+    drift: DriftParameters = field(default_factory=DriftParameters)
+    model: ModelParameters = field(default_factory=ModelParameters)
+    grid: GridParameters = field(default_factory=GridParameters)
+    forecast: ForecastParameters = field(default_factory=ForecastParameters)
+    obstacles: CoverParameters = field(default_factory=CoverParameters)
+    arm: ArmParameters = field(default_factory=ArmParameters)
+    size: SizeParameters = field(default_factory=SizeParameters)
+
+
+def load_parameters(path: Path | None) -> ChainParameters:
+    """Parameters from a ROS parameter file; None: the file that ships with the package.
+
+    Raises `ParameterError` for a section or key that does not exist, with the nearest one.
+    """
+    path = resources.find(path or DEFAULT_PARAMETERS)
+    sections = {name: values for name, values in read_parameters(path).items() if name not in OTHER_SECTIONS}
+    known = {f.name for f in dataclasses.fields(ChainParameters)}
+    for name in sections:
+        if name not in known:
+            raise ParameterError(f"{path}: unknown node '{name}'; expected some of {', '.join(sorted(known))}")
+    return sized(fill(ChainParameters, sections, str(path)), str(path))
+
+
+def sized(parameters: ChainParameters, where: str) -> ChainParameters:
+    """The parameters at the size that they name; where they name none, or one that is to be measured, as they are.
+
+    Raises `ParameterError`, naming `where`, for a size beside parameters of the model that a size decides.
+    """
+    choice = parameters.size.name
+    if choice is SizeChoice.GIVEN:
+        return parameters
+    if SIZES[SHIPPED].model(parameters.model) != parameters.model:
+        raise ParameterError(
+            f"{where}: size: name: {choice.value}: expected the model's gaussians_per_pixel, most_gaussians, "
+            "track.steps and birth.per_set as they ship, which a size decides, found others; leave them out, or set "
+            "size.name to given"
+        )
+    return parameters if choice is SizeChoice.AUTO else at_size(parameters, choice.value)
+
+
+def at_size(parameters: ChainParameters, name: str) -> ChainParameters:
+    """The parameters at a size of `SIZES`."""
+    size = SIZES[name]
+    synchronizer = dataclasses.replace(parameters.synchronizer, width=size.width)
+    return dataclasses.replace(parameters, synchronizer=synchronizer, model=size.model(parameters.model))

@@ -1,0 +1,23 @@
+"""What stands before and behind the twin of a live graph, in processes of their own, which do without torch."""
+
+from __future__ import annotations
+
+from twin_node.nodes.arm import make_arm_node
+from twin_node.nodes.live.rig_source import read_rig, working_volume
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.synchronizer import SynchronizerNode
+from twin_node.runtime.node import Node
+
+
+def make_synchronizer(setup: Setup) -> Node:
+    """The synchroniser, with a timer for its deadlines."""
+    source = read_rig(setup.rig())
+    parameters = setup.chain_parameters().synchronizer
+    return SynchronizerNode(setup.bus, setup.clock, source.cameras, source.rig, parameters, setup.timers)
+
+
+def make_arm(setup: Setup) -> Node:
+    """The arm's collision checker and its speed decisions, with a timer for forecasts that do not come."""
+    source, parameters = read_rig(setup.rig()), setup.chain_parameters()
+    workspace = working_volume(source, parameters.synchronizer.width)
+    return make_arm_node(setup.bus, setup.clock, workspace, parameters.arm, setup.timers)
