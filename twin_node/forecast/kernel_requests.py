@@ -262,7 +262,8 @@ class ReckonRequest(ctypes.Structure):
         *((name, c_int32) for name in ("dues", "experts", "knots", "features", "turns", "learnt_from")),
         *((name, c_double) for name in ("startled", "turn", "narrower", "least_gram")),
         *((name, c_void_p) for name in ("times", "positions", "profile", "squared", "errors")),
-        *((name, c_void_p) for name in ("began", "turned", "judged", "gram", "moment", "found", "moved", "wrong", "grown", "left")),
+        *((name, c_void_p) for name in ("began", "turned", "judged", "gram", "moment")),
+        *((name, c_void_p) for name in ("found", "moved", "wrong", "grown", "left")),
         ("due", ctypes.POINTER(DueForecast)),
     )
 
