@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from model_scenes import camera, frames
 
 from twin_node.cell.raycast import RayCaster
@@ -19,7 +17,6 @@ from twin_node.model import sweep as sweeping
 from twin_node.model.matching import COLOUR_SIGMA, Sight, match
 from twin_node.model.plane import Plane
 from twin_node.model.rays import pixel_rays
-from twin_node.model.semi_global import JUMP_COST, smoothed
 from twin_node.model.sweep import Surface, shell_around, sweep
 from twin_node.scene import Bool, Camera, Float32, Float64, View
 
@@ -145,24 +142,3 @@ def test_the_colour_that_agrees_is_the_cheapest() -> None:
     assert seen.sum() > 8
     assert found.costs[row, column][seen].argmin() == apart[seen].argmin()
     assert found.costs[row, column][seen & (apart > 4 * COLOUR_SIGMA)].min() > 0 > found.costs[row, column][seen].min()
-
-
-@given(st.integers(0, 1000), st.booleans(), st.booleans())
-@settings(max_examples=15)
-def test_smoothing_does_not_care_which_way_round(seed: int, across: bool, down: bool) -> None:
-    rng = np.random.default_rng(seed)
-    costs, image = rng.random((7, 9, 5), np.float32), rng.random((7, 9, 3), np.float32)
-    turn = (slice(None, None, -1 if down else 1), slice(None, None, -1 if across else 1))
-    assert np.allclose(smoothed(costs[turn], image[turn]), smoothed(costs, image)[turn], atol=1e-4)
-
-
-def test_neighbours_outvote_a_pixel_unless_colours_end_there() -> None:
-    costs = np.zeros((9, 9, 6), np.float32)
-    costs[..., 1] = -1.0
-    costs[4, 4, 1] = 0
-    costs[4, 4, 5] = -0.8 * JUMP_COST
-    even = np.full((9, 9, 3), 0.5, np.float32)
-    assert smoothed(costs, even).argmin(-1)[4, 4] == 1
-    edged = even.copy()
-    edged[4, 4] = 1.0
-    assert smoothed(costs, edged).argmin(-1)[4, 4] == 5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 9
+INTERFACE_VERSION = 10
 
 
 class MaskRules(ctypes.Structure):
@@ -229,6 +229,17 @@ class GroupRequest(ctypes.Structure):
     """`model::GroupRequest`."""
 
     _fields_ = (("places", c_int64), ("width", c_int64), ("at", c_void_p), ("groups", c_void_p))
+
+
+class SmoothRequest(ctypes.Structure):
+    """`model::SmoothRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("height", "width", "labels")),
+        ("threads", c_int32),
+        *((name, c_float) for name in ("step_cost", "jump_cost", "edge")),
+        *((name, c_void_p) for name in ("costs", "image", "pairs", "smoothed")),
+    )
 
 
 class DeathRules(ctypes.Structure):

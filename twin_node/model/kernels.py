@@ -32,6 +32,7 @@ from twin_node.model.kernel_requests import (
     ObserveRules,
     PublishRequest,
     RefutedRequest,
+    SmoothRequest,
     StaticRequest,
     SumRequest,
     VelocityRequest,
@@ -77,6 +78,7 @@ class Kernels(NativeLibrary):
         self._dll.model_observe.argtypes = [ctypes.POINTER(ObserveRequest)]
         self._dll.model_held.argtypes = [ctypes.POINTER(HeldRequest)]
         self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
+        self._dll.model_smooth.argtypes = [ctypes.POINTER(SmoothRequest)]
         self._dll.model_creep.argtypes = [ctypes.POINTER(CreepRequest)]
 
     def mask(self, requests: Sequence[MaskRequest]) -> None:
@@ -162,6 +164,12 @@ class Kernels(NativeLibrary):
     def cells(self, request: CellRequest) -> None:
         """Deals Gaussians out to cells; takes one thread. Raises `MemoryError`."""
         _check(self._dll.model_cells(request))
+
+    def smooth(self, request: SmoothRequest) -> None:
+        """Makes the labels of neighbours alike. Raises `MemoryError`."""
+        self._require_not_forked()
+        request.threads = thread_count()
+        _check(self._dll.model_smooth(request))
 
     def creep(self, request: CreepRequest) -> None:
         """Finds how far the Gaussians of cells have crept; takes one thread. Raises `MemoryError`."""

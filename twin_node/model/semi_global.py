@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin_node.model.kernel_requests import SmoothRequest
+from twin_node.model.kernels import Kernels, kernels
+from twin_node.native_library import address_of
 from twin_node.scene import Float32
 
 STEP_COST, JUMP_COST = 0.25, 1.5
@@ -19,6 +22,20 @@ def smoothed(costs: Float32, image: Float32) -> Float32:
     `costs` [H, W, K] of the pixels by themselves, `image` [H, W, 3] 0 to 1. The best label of a pixel is that of the
     least.
     """
+    compiled = kernels()
+    return smoothed_plain(costs, image) if compiled is None else _smoothed_compiled(compiled, costs, image)
+
+
+def _smoothed_compiled(compiled: Kernels, costs: Float32, image: Float32) -> Float32:
+    costs, image = (np.ascontiguousarray(field, np.float32) for field in (costs, image))
+    pairs, out = np.empty((4, *costs.shape), np.float32), np.empty_like(costs)
+    given = (address_of(field) for field in (costs, image, pairs, out))
+    compiled.smooth(SmoothRequest(*costs.shape, 1, STEP_COST, JUMP_COST, EDGE, *given))
+    return out
+
+
+def smoothed_plain(costs: Float32, image: Float32) -> Float32:
+    """`smoothed` in NumPy."""
     upright = np.ascontiguousarray(costs.transpose(1, 0, 2)), np.ascontiguousarray(image.transpose(1, 0, 2))
     total = _both_ways(costs, image) + _both_ways(*upright).transpose(1, 0, 2)
     for falling in (True, False):

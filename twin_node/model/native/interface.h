@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 9;
+constexpr int32_t kInterfaceVersion = 10;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -221,6 +221,16 @@ struct GroupRequest {
   int64_t places, width;
   const double *at;    // [places, width] in units of the distance that is too far
   int64_t *groups;     // [places] written: numbers of the groups, in order
+};
+
+// Costs of labels in order, to be made alike among neighbours; see `semi_global.py`.
+struct SmoothRequest {
+  int64_t height, width, labels;
+  int32_t threads;
+  float step_cost, jump_cost, edge;
+  const float *costs, *image;  // [H, W, K], [H, W, 3] 0 to 1
+  float *pairs;                // [4, H, W, K] written: of each pair of opposite paths
+  float *smoothed;             // [H, W, K] written
 };
 
 // What refutes a Gaussian; see `deaths.py`.

@@ -12,6 +12,7 @@
 #include "observing.h"
 #include "poses.h"
 #include "publishing.h"
+#include "semi_global.h"
 #include "velocities.h"
 
 namespace {
@@ -86,6 +87,14 @@ int32_t model_refute(const model::RefutedRequest *request) {
 
 int32_t model_judge(const model::StaticRequest *request) {
   return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::judge(*request, i); });
+}
+
+int32_t model_smooth(const model::SmoothRequest *request) {
+  const int32_t status = side_by_side(request->threads, model::kPathPairs, [&](int i) {
+    model::PathSums(*request, model::kPaths[i], request->pairs + i * model::entries(*request)).run();
+  });
+  if (status == model::kOk) model::add_pairs(*request);
+  return status;
 }
 
 int32_t model_births(const model::BirthRequest *request) {
