@@ -78,6 +78,10 @@ class History:
         velocities: Float64 = self.line[0] - behind * GRAVITY
         return velocities
 
+    def take_fits(self, line: Float64, parabola: Float64, falling: Float64) -> None:
+        """Takes over its fits from where they were made together with more (`outlook`)."""
+        vars(self).update(line=line, parabola=parabola, falling=falling)
+
     def _used(self, degree: int, span: float) -> int:
         """Samples of the last `span` seconds, and one more where they fill less of it than `FILLED`."""
         ages = self.times - self.times[-1]
@@ -267,10 +271,10 @@ SHARPNESS = 0.15
 def mix(squared_errors: Float64) -> Float64:
     """Weights [E, M] of experts from their recent mean square errors [E, M] (m^2): sharper the smaller the best."""
     best = squared_errors.min(axis=0)
-    weights = np.exp(-(squared_errors - best) / (SHARPNESS * best + _INDIFFERENCE**2))
+    weights = np.exp(-(squared_errors - best) / (SHARPNESS * best + INDIFFERENCE**2))
     normalised: Float64 = weights / weights.sum(axis=0)
     return normalised
 
 
-_INDIFFERENCE = 0.003
+INDIFFERENCE = 0.003
 """Errors below this do not tell experts apart, m: what tracking noise leaves."""

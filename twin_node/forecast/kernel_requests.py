@@ -243,6 +243,22 @@ class LeadRequest(ctypes.Structure):
     )
 
 
+class OutlookRequest(ctypes.Structure):
+    """`forecast::OutlookRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("nodes", "samples", "near")),
+        *((name, c_int32) for name in ("horizons", "steps", "seen")),
+        *((name, c_double) for name in ("line_s", "parabola_s", "filled", "step_s")),
+        *((name, c_double) for name in ("near_scale", "body_scale", "cell")),
+        *((name, c_double) for name in ("pooled", "sharpness", "indifference", "bounce", "least")),
+        *((name, c_void_p) for name in ("times", "positions", "distances", "nearest")),
+        *((name, c_void_p) for name in ("squared", "errors", "trust", "alone", "floors", "learnt")),
+        *((name, c_void_p) for name in ("horizon", "travelled", "gravity", "line", "parabola", "falling")),
+        *((name, c_void_p) for name in ("features", "shares", "single", "mixed", "cues")),
+    )
+
+
 class DueForecast(ctypes.Structure):
     """`forecast::DueForecast`."""
 

@@ -23,6 +23,7 @@ from twin_node.forecast.kernel_requests import (
     LookRequest,
     MarkRequest,
     NearestRequest,
+    OutlookRequest,
     ReckonRequest,
     ReviseRequest,
     RunsRequest,
@@ -69,6 +70,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_solve.restype = None
         self._dll.forecast_lead.argtypes = [ctypes.POINTER(LeadRequest)]
         self._dll.forecast_lead.restype = None
+        self._dll.forecast_outlook.argtypes = [ctypes.POINTER(OutlookRequest)]
         self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
         self._dll.forecast_reckon.restype = None
         self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
@@ -154,6 +156,10 @@ class Kernels(NativeLibrary):
     def lead(self, request: LeadRequest) -> None:
         """Says where experts lead nodes; takes one thread."""
         self._dll.forecast_lead(request)
+
+    def outlook(self, request: OutlookRequest) -> None:
+        """Says where experts lead nodes, by what and how weighed; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_outlook(request))
 
     def reckon(self, request: ReckonRequest) -> None:
         """Says what became of forecasts of nodes; takes one thread."""

@@ -17,7 +17,7 @@ BODY_SCALE = 0.8
 """Standard deviation of the wider average, m: most of a person."""
 _NEAREST = 8
 """Nodes that the nearer average is taken over."""
-_CELL = 0.25
+CELL = 0.25
 """Edge of the cells that stand for the nodes in them in the wider average, m: a third of its scale."""
 
 
@@ -36,11 +36,9 @@ class Neighbours:
     def __init__(self, positions: Float64) -> None:
         """`positions` [M, 3] m."""
         count = len(positions)
-        distances, self._nearest = np.zeros((count, 1)), np.zeros((count, 1), np.int64)
-        if count > 1:
-            distances, self._nearest = cKDTree(positions).query(positions, k=min(_NEAREST, count))
+        distances, self._nearest = closest(positions)
         self._near_weights = _weights(distances**2, NEAR_SCALE)
-        self._by_cell, self._starts = _cells_of(np.floor(positions / _CELL))
+        self._by_cell, self._starts = _cells_of(np.floor(positions / CELL))
         self._sizes = np.diff(self._starts, append=count).astype(np.float64)
         squared = cdist(positions, self._cell_means(positions), "sqeuclidean")
         self._body_weights = _weights(squared, BODY_SCALE, self._sizes)
@@ -59,6 +57,23 @@ class Neighbours:
         """[C, F] means over the nodes of each cell."""
         means: Float64 = np.add.reduceat(values[self._by_cell], self._starts) / self._sizes[:, None]
         return means
+
+
+class Closest(NamedTuple):
+    """The k nodes that are nearest to each of M nodes: itself, and others."""
+
+    distances: Float64
+    """[M, k] m."""
+    rows: NDArray[np.int64]
+    """[M, k]."""
+
+
+def closest(positions: Float64) -> Closest:
+    """Of nodes at `positions` [M, 3] (m), those that the nearer average is taken over."""
+    count = len(positions)
+    if count < 2:
+        return Closest(np.zeros((count, 1)), np.zeros((count, 1), np.int64))
+    return Closest(*cKDTree(positions).query(positions, k=min(_NEAREST, count)))
 
 
 def _cells_of(places: Float64) -> _Cells:

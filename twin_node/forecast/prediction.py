@@ -7,18 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.forecast.bound import LEAST, Bound, BoundParameters, CueLengths, cues
-from twin_node.forecast.experts import (
-    EXPERT_NAMES,
-    KNOTS,
-    Autoregression,
-    History,
-    autoregression_features,
-    mix,
-)
+from twin_node.forecast.bound import LEAST, Bound, BoundParameters
+from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, Autoregression, History
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
-from twin_node.forecast.neighbours import Neighbours
+from twin_node.forecast.outlook import Standing, outlook, weighed
 from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
 from twin_node.scene import Bool, Float64
@@ -47,17 +40,14 @@ class Prediction:
     are now as ahead (`turning.whole_ways`)."""
 
 
-_STRAIGHT_ON = np.array([[name == "constant_velocity"] for name in EXPERT_NAMES], np.float64)
-_FALLING = np.array([[name == "free_fall"] for name in EXPERT_NAMES], np.float64)
-"""[E, 1] weights of what is bounded by its reach alone: of most things, and of what flies."""
+_STRAIGHT_ON, _FALLING = EXPERT_NAMES.index("constant_velocity"), EXPERT_NAMES.index("free_fall")
+"""Experts that lead what is bounded by its reach alone: most things, and what flies."""
 _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
 _WARY = 2.0
 """What has turned back may do other things as well: for so many horizons it is bounded by what it can reach too."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
 """An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
-_POOLED = 0.5
-"""Share of the neighbours in the record that experts are weighed by."""
 
 
 class Predictor:
@@ -79,14 +69,12 @@ class Predictor:
         self._measured: Measured | None = None
         self._records = Records()
         self._trust = np.ones(len(EXPERT_NAMES))
-        self._mixture: Float64 | None = None
-        """`_recorded`, until the records or the trust change."""
         self._missed = np.zeros(len(EXPERT_NAMES))
         self._issued: deque[Issued] = deque()
         self._profile = np.array(KNOTS) * USUAL_ERROR
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
-        self._around = Neighbours(np.zeros((0, 3)))
         self._features = np.zeros((0, 3, 0))
+        self._shares = np.zeros((len(EXPERT_NAMES), 0))
         self._cues = np.zeros((0, 0))
         self._learnt_at = np.full(len(KNOTS), -np.inf)
         self.alone = np.zeros((len(EXPERT_NAMES), 0, 3))
@@ -98,25 +86,21 @@ class Predictor:
 
         Where the velocity is measured, what has no record yet goes on at it, or falls.
         """
+        return weighed(self._shares, self._trust, self._alone)
+
+    @property
+    def _alone(self) -> Rows:
+        """[M] experts that lead a node alone; -1 for none."""
         if self._measured is None:
-            return self._recorded
+            return np.full(len(self._records.born), -1, np.int64)
         first = np.where(self._measured.flying, _FALLING, _STRAIGHT_ON)
-        return np.where(self._newcomers, first, self._recorded)
+        return np.where(self._newcomers, first, -1)
 
     @property
     def _floors(self) -> Float64:
         """[M] heights in metres that the nodes do not get below."""
         count = self._history.positions.shape[1]
         return np.full(count, self._floor) if self._measured is None else np.maximum(self._floor, self._measured.floors)
-
-    @property
-    def _recorded(self) -> Float64:
-        """[E, M] weights by the records."""
-        if self._mixture is None:
-            pooled = self._around.body(self._records.squared.T).T
-            weights = mix((1 - _POOLED) * self._records.squared + _POOLED * pooled) * self._trust[:, None]
-            self._mixture = weights / weights.sum(axis=0)
-        return self._mixture
 
     def advance(
         self,
@@ -134,7 +118,6 @@ class Predictor:
         """
         self._horizon_s, self._measured, self._factor = horizon_s, measured, factor
         self._history = history
-        self._around, self._mixture = Neighbours(history.positions[-1]), None
         self._records = self._records.inherited(succession.records, history.times[-1])
         self._inherit(succession.paths)
         self._judge()
@@ -155,7 +138,6 @@ class Predictor:
         """
         rate = 1 - np.exp(-elapsed_s / RECORD_S) if self._missed.any() else 1.0
         self._missed = self._missed + rate * (missed - self._missed)
-        self._mixture = None
         best = float(self._missed.min())
         self._trust = np.exp(-(self._missed - best) / (_TRUST_SHARPNESS * best + _TRUST_SHARE))
 
@@ -238,14 +220,16 @@ class Predictor:
 
     def _issue(self) -> None:
         """Has every expert forecast the places at the knots."""
-        self._features = autoregression_features(self._history, self._around)
-        found = self._led(np.array(KNOTS) * self._horizon_s)
-        self.alone = found.single[:, -1]
-        self._cues = _cues_of(self.alone, found.mixed[-1], self._records.errors, self._around)
+        standing = Standing(self._records.squared, self._records.errors, self._trust, self._alone)
+        shares = np.array(KNOTS)
+        learnt, horizons = self.autoregression.weights(shares), shares * self._horizon_s
+        found = outlook(self._history, standing, self._floors, learnt, horizons)
+        self._features, self._shares, self._cues = found.features, found.shares, found.cues
+        self.alone = found.led.single[:, -1]
         time, count = float(self._history.times[-1]), self._history.positions.shape[1]
         radii = np.maximum(self._radii(self._horizon_s), self._start(np.array([self._horizon_s]))[0])
         rows, turning, span = np.arange(count), self._turning, self._horizon_s
-        forecast = (self._features, found.single, found.mixed, self._cues, radii, turning, self._factor)
+        forecast = (self._features, found.led.single, found.led.mixed, self._cues, radii, turning, self._factor)
         self._issued.append(Issued(time, span, rows, *forecast))
 
     def _judge(self) -> None:
@@ -262,7 +246,6 @@ class Predictor:
             return
         ledger = Ledger(self._records, self._profile, self.autoregression)
         manner = Manner(self.bound.parameters.memory_s, self._turns)
-        self._mixture = None
         for one, found in zip(due, reckon(due, self._history, ledger, manner), strict=True):
             if one.knot == len(KNOTS) - 1:
                 cues, radii = one.issued.cues[found.rows], one.issued.radii[found.rows]
@@ -275,17 +258,3 @@ class Predictor:
         elapsed = min(valid_at - self._learnt_at[knot], issued.horizon_s)
         self._learnt_at[knot] = valid_at
         return float(elapsed)
-
-
-def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:
-    """Cues [M, C] from the experts' displacements [E, M, 3], the mixture's [M, 3] and recent errors [M]."""
-    by_will = single[: EXPERT_NAMES.index("free_fall")]  # what falls is as far from all others whatever they err by
-    spread = np.sort(np.linalg.norm(by_will - mixed, axis=-1), axis=0)[
-        len(by_will) // 2
-    ]  # five: the third is the median
-    by_name = dict(zip(EXPERT_NAMES, single, strict=True))
-    way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
-    acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)
-    squares = np.stack([way, acceleration, errors], axis=1) ** 2
-    body_way, body_acceleration, body_error = np.sqrt(around.body(squares)).T
-    return cues(CueLengths(spread, way, acceleration, body_way, body_acceleration, body_error))

@@ -252,6 +252,30 @@ struct LeadRequest {
   double *single, *mixed;                // [experts, horizons, nodes, 3], [horizons, nodes, 3] m
 };
 
+// What experts go by, how they are weighed, and where they lead nodes; what of it is of History is told there.
+struct OutlookRequest {
+  int64_t nodes, samples, near;                 // near: nodes that the nearer average is taken over
+  int32_t horizons, steps, seen;                // seen: features of the autoregression, three for each step
+  double line_s, parabola_s, filled, step_s;    // spans of fits, and the share of them that samples fill; s
+  double near_scale, body_scale, cell;          // m
+  double pooled, sharpness, indifference;       // share of those around in records; of `mix`; m
+  double bounce, least;                         // share of its speed that what bounces keeps; of cues, m
+  const double *times, *positions;              // [samples] s, [samples, nodes, 3] m
+  const double *distances;                      // [nodes, near] m
+  const int64_t *nearest;                       // [nodes, near]
+  const double *squared, *errors;               // [experts, nodes] m^2, [nodes] m, the records
+  const double *trust;                          // [experts]
+  const int64_t *alone;                         // [nodes] the expert that leads a node alone; negative for none
+  const double *floors;                         // [nodes] m
+  const double *learnt;                         // [horizons, seen] weights of the autoregression
+  const double *horizon, *travelled, *gravity;  // as of LeadRequest
+  double *line, *parabola, *falling;            // [nodes, 3], [2, nodes, 3], [nodes, 3]
+  double *features;                             // [nodes, 3, seen]
+  double *shares;                               // [experts, nodes] weights by the records
+  double *single, *mixed;                       // as of LeadRequest
+  double *cues;                                 // [nodes, 7] of errors at the last horizon
+};
+
 // Forecasts of `before` nodes for a time that has come.
 struct DueForecast {
   int64_t before, knot;

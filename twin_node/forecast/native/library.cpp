@@ -11,6 +11,7 @@
 #include "look.h"
 #include "mark.h"
 #include "nearest.h"
+#include "outlook.h"
 #include "own.h"
 #include "parts.h"
 #include "reckon.h"
@@ -99,6 +100,10 @@ int32_t forecast_tell(const forecast::TellRequest *request) {
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }
 
 void forecast_lead(const forecast::LeadRequest *request) { forecast::lead(*request); }
+
+int32_t forecast_outlook(const forecast::OutlookRequest *request) {
+  return guarded([&] { forecast::Outlook(*request).find(); });
+}
 
 void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(*request); }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 
+#include "between.h"
 #include "interface.h"
 
 namespace forecast {
@@ -24,21 +25,6 @@ inline double off_the_way(const Vector &ahead, const Vector &moved) {
   const double share = std::clamp(moved.dot(ahead) / std::max(ahead.dot(ahead), 1e-12), -1.0, 1.0);
   return (moved - ahead * share).length();
 }
-
-// A time between two samples: a share of the way from one to the other.
-struct Between {
-  int64_t before, after;
-  double share;
-
-  static Between of(const ReckonRequest &r, double time) {
-    const int64_t last = r.samples - 1;
-    if (last < 1) return {last, last, 0};
-    const int64_t found = std::lower_bound(r.times, r.times + r.samples, time) - r.times;
-    const int64_t after = std::clamp<int64_t>(found, 1, last);
-    const double share = (time - r.times[after - 1]) / (r.times[after] - r.times[after - 1]);
-    return {after - 1, after, std::clamp(share, 0.0, 1.0)};
-  }
-};
 
 // What one time's forecasts became.
 class Reckoning {
@@ -87,7 +73,8 @@ class Reckoning {
   void find_errors() {
     const double *mixed = d_.mixed + 3 * d_.knot * d_.before;
     const double mean = r_.profile[d_.knot], last = r_.profile[r_.knots - 1];
-    const Between here = Between::of(r_, d_.valid_at), there = Between::of(r_, d_.time);
+    const Between here = Between::of(r_.times, r_.samples, d_.valid_at);
+    const Between there = Between::of(r_.times, r_.samples, d_.time);
     for (int64_t node = 0; node < r_.nodes; node++) {
       const int64_t row = d_.rows[node];
       if (row < 0) continue;
