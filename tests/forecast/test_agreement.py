@@ -54,7 +54,9 @@ def test_compiled_velocities_are_the_plain_ones(seed: int, views: int, count: in
     expected = Estimate(velocities + rng.normal(size=(count, 3)), rng.uniform(0.05, UNKNOWN_SPEED, count))
     sigmas = np.where(rng.uniform(size=count) < 0.3, 0.2, np.inf)
     whole = replace(Whole.none(count), velocities=rng.normal(size=(count, 3)), sigmas=sigmas)
-    one, other = (find(sightings, expected, whole) for find in (agreed, agreed_plainly))
+    whole.falling[:] = np.isfinite(sigmas) & (rng.uniform(size=count) < 0.5)
+    (one, lost), (other, lost_plainly) = (find(sightings, expected, whole) for find in (agreed, agreed_plainly))
+    assert np.array_equal(lost, lost_plainly) and len(lost) == views
     np.testing.assert_allclose(one.velocities, other.velocities, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(one.sigmas, other.sigmas, rtol=1e-7)
 
@@ -64,12 +66,13 @@ def test_views_that_agree_are_believed_and_one_at_odds_is_not() -> None:
     velocities = rng.normal(size=(20, 3))
     sightings = [sighting(velocities, rng) for _ in range(4)]
     astray = sighting(velocities + 2.0, rng)
-    found = agreed([*sightings, astray], unexpected(20), nothing_whole(20))
+    found, lost = agreed([*sightings, astray], unexpected(20), nothing_whole(20))
+    assert lost[-1]
     assert np.median(np.linalg.norm(found.velocities - velocities, axis=1)) < 0.05
 
 
 def test_what_no_view_shows_moves_as_expected() -> None:
     expected = Estimate(np.array([[0.3, 0.0, -0.1]]), np.array([0.2]))
-    found = agreed([], expected, nothing_whole(1))
+    found, _ = agreed([], expected, nothing_whole(1))
     np.testing.assert_allclose(found.velocities, expected.velocities)
     np.testing.assert_allclose(found.sigmas, expected.sigmas)

@@ -10,7 +10,8 @@ from forecast_worlds import GRID, RIG, ball_voxels, camera, state_of
 
 from twin_node.forecast.agreement import Estimate
 from twin_node.forecast.experts import GRAVITY
-from twin_node.forecast.part_velocities import UNKNOWN_SPEED, PartVelocities
+from twin_node.forecast.measured import UNKNOWN_SPEED
+from twin_node.forecast.part_velocities import PartVelocities
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.tables import RigTables
 from twin_node.scene import Float64, TwinState

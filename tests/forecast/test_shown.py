@@ -10,11 +10,11 @@ from forecast_worlds import RIG
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.image_motion import Image, Shifts, traced, traced_plainly
+from twin_node.forecast.image_motion import Pair, seen, seen_plainly
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.shown import Told, Visible, told, told_plainly, visible, visible_plainly
+from twin_node.forecast.shown import Sample, Visible, told, told_plainly, visible, visible_plainly
 from twin_node.forecast.tables import Blocks, CameraTable
-from twin_node.scene import Float32, Grid
+from twin_node.scene import Bool, Float32, Grid, View
 
 pytestmark = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 BLOCKS = Blocks(Grid(np.array([-0.5, -0.4, 0.1]), 0.05, (21, 18, 14)))
@@ -26,47 +26,93 @@ def random_depth(rng: np.random.Generator) -> Float32:
     return np.where(rng.uniform(size=(HEIGHT, WIDTH)) < 0.3, 0, rng.uniform(1, 3, (HEIGHT, WIDTH))).astype(np.float32)
 
 
-def random_image(rng: np.random.Generator) -> Image:
-    grey = rng.integers(0, 80, (HEIGHT, WIDTH)).astype(np.uint8)
-    depth = random_depth(rng) if rng.uniform() < 0.7 else None
-    return Image(0, grey, rng.uniform(size=(HEIGHT, WIDTH)) < 0.6, depth)
+def random_view(rng: np.random.Generator, stamp: int) -> View:
+    depth = random_depth(rng) if rng.uniform() < 0.8 else None
+    return View(TABLE.camera, stamp, rng.integers(0, 80, (HEIGHT, WIDTH, 3)).astype(np.uint8), depth)
 
 
-@settings(max_examples=60, deadline=None)
+def random_mask(rng: np.random.Generator) -> Bool:
+    """Some squares, whole and with holes: blobs of all sizes, at the image's sides too."""
+    mask = rng.uniform(size=(HEIGHT, WIDTH)) < rng.choice([0, 0.02, 0.3])
+    for _ in range(int(rng.integers(4))):
+        row, column, side = rng.integers(HEIGHT), rng.integers(WIDTH), rng.integers(1, 9)
+        mask[row : row + side, column : column + side] = True
+    return np.asarray(mask)
+
+
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_compiled_traces_are_the_plain_ones(seed: int) -> None:
+def test_compiled_images_are_the_plain_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    now, before = random_image(rng), random_image(rng)
-    shifts = np.round(4 * rng.normal(size=(HEIGHT, WIDTH, 2))).astype(np.float32) / 2  # halves are rounded to even
-    found, plain = traced(now, before, shifts), traced_plainly(now, before, shifts)
-    assert np.array_equal(found.found, plain.found) and found.found.any()
-    assert (found.receded is None) == (plain.receded is None)
-    if found.receded is not None and plain.receded is not None:
-        assert np.array_equal(found.receded, plain.receded, equal_nan=True)
+    view, mask = random_view(rng, 0), random_mask(rng)
+    one, other = seen(view, mask), seen_plainly(view, mask)
+    for name in ("stamp", "window"):
+        assert getattr(one, name) == getattr(other, name)
+    for name in ("grey", "moving"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert np.array_equal(one.blobs.labels > 0, other.blobs.labels > 0)
+    assert len(one.blobs.compact) == len(other.blobs.compact)
+    mine = {tuple(blob) for blob in one.blobs.compact[:, 1:].tolist()}
+    assert mine == {tuple(blob) for blob in other.blobs.compact[:, 1:].tolist()}
+    for row, (label, area) in enumerate(one.blobs.compact[:, :2].tolist()):
+        assert one.blobs.pixels_of(row).sum() == area and label > 0
+
+
+def random_pair(rng: np.random.Generator) -> Pair:
+    """Of blobs that flow, and of some that fly."""
+    now, before = (seen(random_view(rng, stamp), random_mask(rng)) for stamp in (33_000_000, 0))
+    window = now.window.joined(before.window).within(WIDTH, HEIGHT)
+    flow = np.round(4 * rng.normal(size=(HEIGHT, WIDTH, 2))).astype(np.float32) / 2  # halves are rounded to even
+    return Pair(now, before, window, np.ascontiguousarray(flow[window.slices]))
+
+
+def random_sample(rng: np.random.Generator, count: int, parts: int) -> Sample:
+    places = BLOCKS.locate(np.sort(rng.integers(0, BLOCKS.grid.size, count)))
+    centers = BLOCKS.grid.centers(rng.integers(0, BLOCKS.grid.size, parts))
+    return Sample(places, rng.integers(0, parts, 2 * count)[::2], centers)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 400))
 def test_compiled_visible_voxels_are_the_plain_ones(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    places = BLOCKS.locate(np.sort(rng.integers(0, BLOCKS.grid.size, count)))
-    labels = rng.integers(0, 9, 2 * count)[::2]
-    moving = rng.uniform(size=(HEIGHT, WIDTH)) < 0.7
-    found, plain = visible(moving, TABLE, places, labels), visible_plainly(moving, TABLE, places, labels)
+    moving, sample = rng.uniform(size=(HEIGHT, WIDTH)) < 0.7, random_sample(rng, count, 9)
+    found, plain = visible(moving, TABLE, sample), visible_plainly(moving, TABLE, sample)
     assert np.array_equal(found.pixels, plain.pixels) and np.array_equal(found.labels, plain.labels)
+    np.testing.assert_allclose(found.jacobian, plain.jacobian, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 200))
-def test_what_compiled_pixels_tell_is_what_plain_ones_do(seed: int, count: int) -> None:
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_what_compiled_pixels_tell_is_what_plain_ones_do(seed: int) -> None:
     rng, parts = np.random.default_rng(seed), 12
-    flying, found = rng.uniform(size=(2, HEIGHT, WIDTH)) < 0.5
-    receded = np.where(found, rng.normal(0, 0.2, found.shape), np.nan).astype(np.float32)
-    depth = random_depth(rng)
-    moved = rng.normal(0, 3, (HEIGHT, WIDTH, 2)).astype(np.float32)
-    measured = (receded, depth) if rng.uniform() < 0.7 else (None, None)
-    shifts = Shifts(moved, found, *measured, flying, 0.033)
-    seen = Visible(rng.integers(0, found.size, count), rng.integers(0, parts, count))
-    one, other = told(shifts, seen, parts), told_plainly(shifts, seen, parts)
-    for name in Told.__dataclass_fields__:
+    pair = random_pair(rng)
+    shown = np.flatnonzero(pair.now.moving)
+    pixels = rng.choice(shown, 3 * len(shown)) if len(shown) else shown
+    pixels = pixels if rng.uniform() < 0.8 else rng.integers(0, WIDTH * HEIGHT, 50)
+    seen_pixels = Visible(pixels, rng.integers(0, parts, len(pixels)), rng.normal(0, 80, (parts, 2, 3)))
+    one, other = (tell(pair, seen_pixels, np.array([0.0, 0.6, 0.8])) for tell in (told, told_plainly))
+    for name in ("elapsed_s", "shifts", "shown", "receded", "depths", "axis"):
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    np.testing.assert_allclose(one.variances, other.variances, rtol=1e-12)
+
+
+def test_a_blob_that_flies_takes_all_of_its_pixels_along() -> None:
+    """Ten pixels to the right and 0.5 m away from the camera, which flow does not know."""
+    images = []
+    for stamp, (column, depth) in enumerate([(1, 2.0), (11, 2.5)]):
+        mask = np.zeros((HEIGHT, WIDTH), np.bool_)
+        mask[4:8, column : column + 4] = True
+        depths = np.where(mask, depth, 3.0).astype(np.float32)
+        view = View(TABLE.camera, stamp * 33_000_000, np.full((HEIGHT, WIDTH, 3), 90, np.uint8), depths)
+        images.append(seen(view, mask))
+    before, now = images
+    window = now.window.joined(before.window).within(WIDTH, HEIGHT)
+    pair = Pair(now, before, window, np.zeros((window.bottom - window.top, window.right - window.left, 2), np.float32))
+    pixels = np.flatnonzero(now.moving)
+    seen_pixels = Visible(pixels, np.zeros(len(pixels), np.int64), np.ones((1, 2, 3)))
+    for tell in (told, told_plainly):
+        found = tell(pair, seen_pixels, np.array([0.0, 0.0, 1.0]))
+        np.testing.assert_allclose(found.shifts, [[10, 0]], atol=1e-6)
+        assert found.shown.all() and np.isfinite(found.variances).all()
+        assert found.receded[0] == 0  # what goes 15 m/s is another surface

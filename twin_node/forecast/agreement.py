@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ class Sighting:
     jacobian: Float64
     """[M, 2, 3] pixels per metre."""
     shifts: Float64
-    """[M, 2] pixels."""
+    """[M, 2] pixels moved."""
     variances: Float64
     """[M] pixels^2; infinite for parts that it does not show, or did not show before."""
     shown: Bool
@@ -32,7 +33,7 @@ class Sighting:
     axis: Float64
     """[3] the optical axis in the base frame."""
     receded: Float64
-    """[M] m by which they went away from the camera."""
+    """[M] m by which they went away from the camera; 0 where that is not known."""
     depths: Float64
     """[M] m; infinite for parts whose depth was not measured both times."""
 
@@ -41,6 +42,14 @@ class Sighting:
         """[M] s^2/m^2, the inverse of the variance of the velocities along the axis; 0 where it was not measured."""
         sigma: Float64 = _DEPTH_SIGMA + _DEPTH_SHARE * self.depths
         return self.elapsed_s**2 / sigma**2
+
+    def has_lost(self, velocities: Float64) -> bool:
+        """Whether some part went further, at velocities [M, 3], than flow finds it, and another way than it says."""
+        gone = np.einsum("mki,mi->mk", self.jacobian, velocities) * self.elapsed_s
+        far = np.linalg.norm(gone, axis=1)
+        off = np.linalg.norm(gone - self.shifts, axis=1)
+        astray = np.isinf(self.variances) | (off > _ASTRAY * far)
+        return bool(((far > FOUND_PIXELS) & astray & self.shown).any())
 
 
 @dataclass(frozen=True)
@@ -70,10 +79,19 @@ class Estimate:
         )
 
 
-def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+class Agreement(NamedTuple):
+    """What V views, and what was known before, say of the motion of parts."""
+
+    motion: Estimate
+    lost: Bool
+    """[V] views whose flow has not found some part that they show: it went too far, and another way than they say."""
+
+
+def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Agreement:
     """What the sightings, the wholes and what is expected agree on best.
 
-    Compiled; `agreed_plainly` where that cannot be, the same but for rounding.
+    What falls goes as all of it went: what images show of it spins, and is further on than flow looks. Compiled;
+    `agreed_plainly` where that cannot be, the same but for rounding.
     """
     compiled = kernels.kernels()
     if compiled is None:
@@ -81,25 +99,35 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> E
     given = (kernel_requests.SolveView * len(sightings))()
     held = [_arrays(one) for one in sightings]  # alive until the call is over
     for row, (one, arrays) in enumerate(zip(sightings, held, strict=True)):
-        axis = (ctypes.c_double * 3)(*one.axis)
-        given[row] = kernel_requests.SolveView(*addresses_of(*arrays), one.elapsed_s, axis)
-    told = (expected.velocities, expected.sigmas, whole.velocities, whole.trusts)
-    arrays = tuple(np.ascontiguousarray(array, np.float64) for array in told)
+        given[row] = kernel_requests.SolveView(*addresses_of(*arrays), one.elapsed_s, tuple(one.axis.tolist()))
+    told = (expected.velocities, expected.sigmas, whole.velocities, whole.sigmas)
+    known = (*(np.ascontiguousarray(array, np.float64) for array in told), np.ascontiguousarray(whole.falling))
     found = Estimate(np.empty((len(expected.sigmas), 3)), np.empty(len(expected.sigmas)))
-    addresses = addresses_of(*arrays, found.velocities, found.sigmas)
-    sizes = (len(expected.sigmas), len(sightings), _TURNS, UNKNOWN_SPEED)
-    compiled.solve(kernel_requests.SolveRequest(*sizes, ctypes.addressof(given), *addresses))
-    return found
+    lost = np.empty(len(sightings), np.bool_)
+    sizes = (len(expected.sigmas), len(sightings), _TURNS)
+    limits = (UNKNOWN_SPEED, _DEPTH_SIGMA, _DEPTH_SHARE, FOUND_PIXELS, _ASTRAY)
+    addresses = addresses_of(*known, found.velocities, found.sigmas, lost)
+    compiled.solve(kernel_requests.SolveRequest(*sizes, *limits, ctypes.addressof(given), *addresses))
+    return Agreement(found, lost)
 
 
-def _arrays(one: Sighting) -> tuple[Float64, ...]:
+def _arrays(one: Sighting) -> tuple[NDArray[Any], ...]:
     """In the order of `kernel_requests.SolveView`."""
-    given = (one.jacobian, one.shifts, 1 / one.variances, one.receded, one.depth_trusts)
-    return tuple(np.ascontiguousarray(array, np.float64) for array in given)
+    given = (one.jacobian, one.shifts, one.variances, one.receded, one.depths)
+    return (*(np.ascontiguousarray(array, np.float64) for array in given), np.ascontiguousarray(one.shown))
 
 
-def agreed_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+def agreed_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Agreement:
     """What `agreed` does."""
+    found, falling = _solved_plainly(sightings, expected, whole), whole.falling
+    velocities = np.where(falling[:, None], whole.velocities, found.velocities)
+    sigmas = np.where(falling, np.minimum(whole.sigmas, UNKNOWN_SPEED), found.sigmas)
+    lost = [one.has_lost(velocities) for one in sightings]
+    return Agreement(Estimate(velocities, sigmas), np.array(lost, np.bool_))
+
+
+def _solved_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+    """The same of what does not fall."""
     prior = expected.velocities
     designs = [sighting.jacobian * sighting.elapsed_s for sighting in sightings]
     velocities = prior
@@ -127,6 +155,9 @@ def agreed_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Who
 
 _DEPTH_SIGMA, _DEPTH_SHARE = 0.02, 0.02
 """Error of the change of a part's depth, m and as a share of the depth."""
+FOUND_PIXELS, _ASTRAY = 5.0, 0.35
+"""Flow finds what has gone less than the first, pixels; what has gone further it has not found if it is off by more
+than the second, as a share of the way."""
 _TURNS = 4
 """Rounds of reweighting."""
 _ACCELERATION = 5.0

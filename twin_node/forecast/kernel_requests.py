@@ -175,13 +175,13 @@ class LinkRequest(ctypes.Structure):
     _fields_ = (("nodes", c_int64), ("links", c_int64), ("pairs", c_void_p), ("pieces", c_void_p))
 
 
-class TraceRequest(ctypes.Structure):
-    """`forecast::TraceRequest`."""
+class SeeRequest(ctypes.Structure):
+    """`forecast::SeeRequest`."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("width", "height", "alike")),
-        *((name, c_void_p) for name in ("grey", "grey_before", "moving", "moved_before", "shifts")),
-        *((name, c_void_p) for name in ("depth", "depth_before", "found", "receded")),
+        *((name, c_int32) for name in ("width", "height", "painted", "smallest")),
+        ("compact", c_double),
+        *((name, c_void_p) for name in ("rgb", "moving", "grey", "near", "labels", "blobs", "found")),
     )
 
 
@@ -189,12 +189,21 @@ class ShowRequest(ctypes.Structure):
     """`forecast::ShowRequest`."""
 
     _fields_ = (
-        ("voxels", c_int64),
+        *((name, c_int64) for name in ("voxels", "parts")),
         *((name, c_int32) for name in ("width", "height")),
         ("part_size", c_float),
-        *((name, c_void_p) for name in ("places", "labels", "table_pixels", "table_depths", "moving")),
-        *((name, c_void_p) for name in ("pixels", "shown_labels", "count")),
+        ("least_depth", c_double),
+        ("focal", c_double * 2),
+        ("viewmat", c_double * 12),
+        *((name, c_void_p) for name in ("places", "labels", "table_pixels", "table_depths", "moving", "centers")),
+        *((name, c_void_p) for name in ("pixels", "shown_labels", "count", "jacobian")),
     )
+
+
+class SeenImage(ctypes.Structure):
+    """`forecast::SeenImage`."""
+
+    _fields_ = (*((name, c_void_p) for name in ("grey", "near", "labels", "blobs", "depth")), ("count", c_int64))
 
 
 class TellRequest(ctypes.Structure):
@@ -202,10 +211,13 @@ class TellRequest(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int64) for name in ("voxels", "parts", "fewest")),
+        *((name, c_int32) for name in ("width", "height", "alike", "left", "top", "columns", "rows")),
         *((name, c_float) for name in ("flow_noise", "most_receded")),
-        *((name, c_double) for name in ("known_share", "least")),
-        *((name, c_void_p) for name in ("pixels", "labels", "found", "flying", "moved", "receded", "depth")),
-        *((name, c_void_p) for name in ("shifts", "shown", "known", "flies", "recessions", "depths")),
+        *((name, c_double) for name in ("known_share", "least", "same_area", "found_from", "found_until")),
+        *((name, c_double) for name in ("flow_sigma", "flight_sigma", "fast", "lost")),
+        *((name, SeenImage) for name in ("now", "before")),
+        *((name, c_void_p) for name in ("flow", "pixels", "labels", "jacobian")),
+        *((name, c_void_p) for name in ("shifts", "variances", "shown", "receded", "depths")),
     )
 
 
@@ -213,7 +225,7 @@ class SolveView(ctypes.Structure):
     """`forecast::SolveView`."""
 
     _fields_ = (
-        *((name, c_void_p) for name in ("jacobian", "shifts", "trusts", "receded", "depth_trusts")),
+        *((name, c_void_p) for name in ("jacobian", "shifts", "variances", "receded", "depths", "shown")),
         ("elapsed_s", c_double),
         ("axis", c_double * 3),
     )
@@ -225,9 +237,9 @@ class SolveRequest(ctypes.Structure):
     _fields_ = (
         ("parts", c_int64),
         *((name, c_int32) for name in ("views", "turns")),
-        ("most", c_double),
-        *((name, c_void_p) for name in ("seen", "prior", "prior_sigmas", "whole", "whole_trusts")),
-        *((name, c_void_p) for name in ("velocities", "sigmas")),
+        *((name, c_double) for name in ("most", "depth_sigma", "depth_share", "far", "astray")),
+        *((name, c_void_p) for name in ("seen", "prior", "prior_sigmas", "whole", "whole_sigmas", "falling")),
+        *((name, c_void_p) for name in ("velocities", "sigmas", "lost")),
     )
 
 

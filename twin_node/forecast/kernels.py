@@ -27,12 +27,12 @@ from twin_node.forecast.kernel_requests import (
     ReckonRequest,
     ReviseRequest,
     RunsRequest,
+    SeeRequest,
     ShowRequest,
     SolveRequest,
     SplitRequest,
     TakeRequest,
     TellRequest,
-    TraceRequest,
 )
 from twin_node.native_library import NativeLibrary, best_or_none
 
@@ -62,8 +62,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
         self._dll.forecast_split.argtypes = [ctypes.POINTER(SplitRequest)]
         self._dll.forecast_link.argtypes = [ctypes.POINTER(LinkRequest)]
-        self._dll.forecast_trace.argtypes = [ctypes.POINTER(TraceRequest)]
-        self._dll.forecast_trace.restype = None
+        self._dll.forecast_see.argtypes = [ctypes.POINTER(SeeRequest)]
         self._dll.forecast_show.argtypes = [ctypes.POINTER(ShowRequest)]
         self._dll.forecast_tell.argtypes = [ctypes.POINTER(TellRequest)]
         self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
@@ -137,9 +136,9 @@ class Kernels(NativeLibrary):
         """Finds which nodes hang together; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_link(request))
 
-    def trace(self, request: TraceRequest) -> None:
-        """Follows what moves back into the image before; takes one thread."""
-        self._dll.forecast_trace(request)
+    def see(self, request: SeeRequest) -> None:
+        """Says what one image shows to move; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_see(request))
 
     def show(self, request: ShowRequest) -> None:
         """Lists the voxels that a view shows to move; takes one thread. Raises `MemoryError`."""

@@ -174,51 +174,71 @@ struct LinkRequest {
   int64_t *pieces;       // [nodes] piece of each, in the order of their first nodes
 };
 
-// What moves in one image, in the image before.
-struct TraceRequest {
-  int32_t width, height, alike;                // difference in brightness from which pixels show different things
-  const uint8_t *grey, *grey_before;           // [height, width]
-  const uint8_t *moving, *moved_before;        // [height, width] 0 or 1
-  const float *shifts;                         // [height, width, 2] pixels moved since
-  const float *depth, *depth_before;           // [height, width] m; null without depth in either
-  uint8_t *found;                              // [height, width] 1: showed something that moves and looks the same
-  float *receded;                              // [height, width] m by which its depth has grown, or NaN; null without
+// One image of what moves: what it is compared by with the image before.
+struct SeeRequest {
+  int32_t width, height, painted, smallest;  // brightness of all that does not move; pixels of the smallest blob
+  double compact;                            // share of the square about it that a blob fills at least
+  const uint8_t *rgb;                        // [height, width, 3]
+  const uint8_t *moving;                     // [height, width] 0 or 1
+  uint8_t *grey, *near;                      // [height, width] brightness; 1: moves, or is beside what does
+  int32_t *labels;                           // [height, width] blob of each such pixel, from 1 on; 0 for all others
+  double *blobs;                             // [n, 4] of compact blobs: label, pixels, middle; room for most that fit
+  int64_t *found;                            // [5] n; first column, one past the last, first row, one past the last
 };
 
-// Voxels of parts that a view shows to move.
+// Voxels of parts that a view shows to move, and how pixels move with the parts.
 struct ShowRequest {
-  int64_t voxels;
+  int64_t voxels, parts;
   int32_t width, height;
   float part_size;               // m
+  double least_depth;            // m, of the middle of a part
+  double focal[2], viewmat[12];  // pixels; base to camera, row by row
   const int64_t *places;         // [voxels] in the tables
   const int64_t *labels;         // [voxels] part of each
   const int32_t *table_pixels;   // flat pixel of every place; those outside the image come after its last
   const float *table_depths;     // m
   const uint8_t *moving;         // [height, width] 0 or 1
+  const double *centers;         // [parts, 3] m
   int64_t *pixels, *shown_labels, *count;  // [voxels], [voxels], [1]
+  double *jacobian;              // [parts, 2, 3] pixels per metre
 };
 
-// What those show of their parts: means over pixels.
+// One image, as `see` tells of it, and its depths.
+struct SeenImage {
+  const uint8_t *grey, *near;  // [height, width]
+  const int32_t *labels;       // [height, width]
+  const double *blobs;         // [n, 4]
+  const float *depth;          // [height, width] m; null where it is not measured in both images
+  int64_t count;               // n
+};
+
+// What two images of a view show of parts: means over pixels.
 struct TellRequest {
-  int64_t voxels, parts, fewest;       // measured voxels from which a part's depth is known
-  float flow_noise, most_receded;      // pixels, m
-  double known_share, least;           // of a part's pixels that must be found; what sums are at least divided by
-  const int64_t *pixels, *labels;      // [voxels]
-  const uint8_t *found, *flying;       // [height, width] 0 or 1
-  const float *moved;                  // [height, width, 2] pixels
-  const float *receded, *depth;        // [height, width] m; null without depth
-  double *shifts;                      // [parts, 2] pixels
-  uint8_t *shown, *known, *flies;      // [parts]
-  double *recessions, *depths;         // [parts] m; 0 and infinite where they are not known
+  int64_t voxels, parts, fewest;              // measured voxels from which a part's depth is known
+  int32_t width, height, alike;               // difference in brightness from which pixels show different things
+  int32_t left, top, columns, rows;           // where the flow is known
+  float flow_noise, most_receded;             // pixels, m
+  double known_share, least;                  // of a part's pixels that must be found; least that sums are divided by
+  double same_area, found_from, found_until;  // how much larger, and how many widths further, blobs may be than before
+  double flow_sigma, flight_sigma;            // pixels
+  double fast, lost;                          // m, pixels: flow is as good as noise where fast things go further
+  SeenImage now, before;
+  const float *flow;                          // [rows, columns, 2] pixels back to where it was before
+  const int64_t *pixels, *labels;             // [voxels]
+  const double *jacobian;                     // [parts, 2, 3] pixels per metre
+  double *shifts, *variances;                 // [parts, 2] pixels, [parts] pixels^2, infinite where nothing is known
+  uint8_t *shown;                             // [parts]
+  double *receded, *depths;                   // [parts] m; 0 and infinite where they are not known
 };
 
 // What one view says of the motion of parts since its last image.
 struct SolveView {
-  const double *jacobian;      // [parts, 2, 3] pixels per metre
-  const double *shifts;        // [parts, 2] pixels
-  const double *trusts;        // [parts] 1 / pixels^2
-  const double *receded;       // [parts] m by which they went away from the camera
-  const double *depth_trusts;  // [parts] s^2 / m^2
+  const double *jacobian;   // [parts, 2, 3] pixels per metre
+  const double *shifts;     // [parts, 2] pixels
+  const double *variances;  // [parts] pixels^2
+  const double *receded;    // [parts] m by which they went away from the camera
+  const double *depths;     // [parts] m
+  const uint8_t *shown;     // [parts]
   double elapsed_s;
   double axis[3];  // of the camera
 };
@@ -227,11 +247,15 @@ struct SolveView {
 struct SolveRequest {
   int64_t parts;
   int32_t views, turns;
-  double most;  // standard deviation, m/s
+  double most;                         // standard deviation, m/s
+  double depth_sigma, depth_share;     // error of changes of depth, m, and as a share of the depth
+  double far, astray;                  // pixels that flow finds; share of the way that it may be off
   const SolveView *seen;
   const double *prior, *prior_sigmas;  // [parts, 3] m/s, [parts] m/s
-  const double *whole, *whole_trusts;  // [parts, 3] m/s, [parts] s^2 / m^2
+  const double *whole, *whole_sigmas;  // [parts, 3] m/s, [parts] m/s
+  const uint8_t *falling;              // [parts] 1: goes as the whole
   double *velocities, *sigmas;         // [parts, 3] m/s, [parts] m/s
+  uint8_t *lost;                       // [views] 1: some part went further than its flow finds, and another way
 };
 
 // Where experts, and their mixture, lead nodes in some times. The gravity, line, parabola and falling are of History.

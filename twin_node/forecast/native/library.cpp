@@ -15,6 +15,7 @@
 #include "own.h"
 #include "parts.h"
 #include "reckon.h"
+#include "seen.h"
 #include "shown.h"
 #include "solve.h"
 
@@ -87,7 +88,9 @@ int32_t forecast_link(const forecast::LinkRequest *request) {
   return guarded([&] { forecast::link(*request); });
 }
 
-void forecast_trace(const forecast::TraceRequest *request) { forecast::trace(*request); }
+int32_t forecast_see(const forecast::SeeRequest *request) {
+  return guarded([&] { forecast::see(*request); });
+}
 
 int32_t forecast_show(const forecast::ShowRequest *request) {
   return guarded([&] { forecast::show(*request); });
