@@ -17,6 +17,7 @@ from twin_node.model.kernels import kernels
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate
+from twin_node.native_library import addresses_of
 from twin_node.scene import Float32, Float64, Tier
 
 NEWBORN_OPACITY = 0.8
@@ -84,7 +85,7 @@ def nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
         return nearest_plainly(places, own)
     at, columns = np.ascontiguousarray(places), np.ascontiguousarray(own.T)
     found = np.empty(len(at), np.int64)
-    library.nearest(NearestRequest(len(at), *own.shape, at.ctypes.data, columns.ctypes.data, found.ctypes.data))
+    library.nearest(NearestRequest(len(at), *own.shape, *addresses_of(at, columns, found)))
     return found
 
 
@@ -120,7 +121,7 @@ def grouped(places: Float64) -> NDArray[np.int64]:
     if library is None:
         return grouped_plainly(places)
     at, groups = np.ascontiguousarray(places), np.empty(len(places), np.int64)
-    library.group(GroupRequest(*at.shape, at.ctypes.data, groups.ctypes.data))
+    library.group(GroupRequest(*at.shape, *addresses_of(at, groups)))
     return groups
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.kernel_requests import CellRequest
 from twin_node.model.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 
 CELL_M = 0.06
@@ -66,7 +67,7 @@ def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     keys, carriers, of = (np.empty(count, np.int64) for _ in range(3))
     centres, rgb, found = np.empty((count, 3)), np.empty((count, 3)), np.empty(1, np.int64)
     given = [t.contiguous() for t in (rows, gaussians.nodes, gaussians.founders, gaussians.values, means.detach())]
-    pointers = (*(t.data_ptr() for t in given), *(a.ctypes.data for a in (keys, carriers, of, centres, rgb, found)))
+    pointers = (*(t.data_ptr() for t in given), *addresses_of(keys, carriers, of, centres, rgb, found))
     library.cells(CellRequest(count, AXIS_BITS, CELL_M, *pointers))
     cells = int(found[0])
     return Cells(keys[:cells], carriers[:cells], keys[:cells] >> 3 * AXIS_BITS, of, centres[:cells], rgb[:cells])

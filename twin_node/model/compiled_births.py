@@ -16,6 +16,7 @@ from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rendering import Rendering
+from twin_node.native_library import addresses_of
 
 
 def find_births(
@@ -60,8 +61,7 @@ class _Call:
         )
         self._count = np.zeros(1, np.int64)
         self._held = [*given, *list(vars(self._found).values())[:-1], self._count]
-        pointers = (None if array is None else array.ctypes.data for array in self._held)
-        self.view = BirthView(camera.width, camera.height, *pointers)
+        self.view = BirthView(camera.width, camera.height, *addresses_of(*self._held))
 
     def born(self, index: int) -> Births:
         """What the kernel has found for the view number `index`."""

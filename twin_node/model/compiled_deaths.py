@@ -22,7 +22,7 @@ from twin_node.model.kernel_requests import DeathRules, DeathView, RefutedReques
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering
-from twin_node.native_library import thread_count
+from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool
 
 
@@ -39,9 +39,8 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
     views = _Views(observed, None)
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
     held = (means, np.ascontiguousarray(shapes[0].axes), np.ascontiguousarray(shapes[0].radii), carried, refuted)
-    pointers = (array.ctypes.data for array in held)
     counts = (len(carried), len(observed), thread_count())
-    library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *pointers))
+    library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *addresses_of(*held)))
     return refuted
 
 
@@ -57,7 +56,7 @@ def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], 
     views, count = _Views(observed, renderings), len(observed[0].background.static.rows)
     evidence = StaticEvidence(np.empty(count, bool), np.empty(count, bool))
     counts = (count, len(observed), thread_count())
-    pointers = (evidence.left.ctypes.data, evidence.moving.ctypes.data)
+    pointers = addresses_of(evidence.left, evidence.moving)
     library.judge(StaticRequest(*counts, ctypes.pointer(_rules(threshold)), views.array, *pointers))
     return evidence
 
@@ -75,7 +74,7 @@ class _Views:
             DeathView(
                 one.view.camera.width,
                 one.view.camera.height,
-                *(None if array is None else array.ctypes.data for array in given),
+                *addresses_of(*given),
             )
             for one, given in zip(observed, self._held, strict=True)
         )

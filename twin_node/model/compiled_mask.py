@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin_node.model.camera_mask import CameraMask, MovingMaskParameters, seen_by
 from twin_node.model.kernel_requests import MaskRequest, MaskRules
 from twin_node.model.kernels import kernels
+from twin_node.native_library import address_of, addresses_of
 from twin_node.scene import Bool, Float32, View
 
 LARGEST_CLOSING = 31
@@ -55,8 +56,9 @@ class _Call:
             *(camera.colours.ground, camera.colours.moving, self._sigma),
         ]
         height, width = camera.shape
-        pointers = (None if array is None else array.ctypes.data for array in self._held)
-        self.request = MaskRequest(width, height, view.stamp - last_stamp, pointer(self._rules), *pointers)
+        self.request = MaskRequest(
+            width, height, view.stamp - last_stamp, pointer(self._rules), *addresses_of(*self._held)
+        )
 
     def end(self) -> Bool:
         """Takes over what the kernel has found; returns the mask."""
@@ -72,5 +74,5 @@ def _rules(parameters: MovingMaskParameters, closing: NDArray[np.uint8]) -> Mask
         *(p.ground_certainty, p.ground_likelihood, p.learning_rate, p.depth_levels),
         p.growth_pixels,
         closing.shape[0] // 2,
-        closing.ctypes.data,
+        address_of(closing),
     )

@@ -12,6 +12,7 @@ from twin_node.model.gaussians import Gaussians
 from twin_node.model.kernel_requests import CreepRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.nodes import Nodes
+from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 
 
@@ -39,7 +40,7 @@ class Drift:
             return self._crept_plainly(gaussians, rows, cells, homes)
         mean, of, at = np.empty((len(cells), 3)), np.ascontiguousarray(cells.of), rows.contiguous()
         arrays = (of, np.ascontiguousarray(homes), self._ids, self._homes, self._means, mean)
-        pointers = (*(t.data_ptr() for t in (at, gaussians.ids, gaussians.values)), *(a.ctypes.data for a in arrays))
+        pointers = (*(t.data_ptr() for t in (at, gaussians.ids, gaussians.values)), *addresses_of(*arrays))
         library.creep(CreepRequest(len(of), len(cells), len(self._ids), *pointers))
         return mean
 

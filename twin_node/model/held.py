@@ -13,6 +13,7 @@ from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.rays import look
 from twin_node.model.rendering import Splats
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool
 
 SKIRT_PX = 3
@@ -39,7 +40,7 @@ def held_pixels(observed: Sequence[Observed], moving: Splats) -> list[Bool]:
         for index, one in enumerate(observed)
     ]
     views = [
-        HeldView(one.view.camera.width, one.view.camera.height, *(array.ctypes.data for array in arrays))
+        HeldView(one.view.camera.width, one.view.camera.height, *addresses_of(*arrays))
         for one, arrays in zip(observed, given, strict=True)
     ]
     library.held(HeldRequest(means.shape[1], SKIRT_PX, AROUND_PX), views)

@@ -11,6 +11,7 @@ import numpy as np
 from twin_node.model.backgrounds import Background, grow
 from twin_node.model.kernel_requests import ObservedView, ObserveRules
 from twin_node.model.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
 
 MISFIT_GROWTH = 0.02
@@ -169,7 +170,7 @@ class _Call:
         self._held = [np.ascontiguousarray(a) for a in (one.image, one.background, one.usable, one.near_moving)]
         before = (None, None) if one.before is None else (one.before.misfit, one.before.wrong_s)
         arrays = (*self._held, *before, *vars(self.found).values())
-        self.view = ObservedView(one.usable.size, *(None if a is None else a.ctypes.data for a in arrays))
+        self.view = ObservedView(one.usable.size, *addresses_of(*arrays))
 
 
 def compare_plainly(one: Pixels, rules: Comparing) -> Compared:

@@ -14,6 +14,7 @@ from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
+from twin_node.native_library import addresses_of
 from twin_node.scene import GaussianCloud, NodeStates, Tier
 
 
@@ -38,7 +39,7 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
         *(rows, gaussians.values, gaussians.nodes, gaussians.ids, gaussians.tiers, _published(nodes)),
         *(t.contiguous() for t in (nodes.positions, nodes.quats, nodes.velocities, nodes.angular_velocities)),
     )
-    written = (array.ctypes.data for array in vars(cloud).values())
+    written = addresses_of(*vars(cloud).values())
     library.publish(PublishRequest(count, *(tensor.data_ptr() for tensor in given), *written))
     return cloud
 

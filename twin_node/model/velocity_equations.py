@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin_node.model.kernel_requests import JudgeRequest, MoveRequest, SumRequest, VelocityRequest
 from twin_node.model.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 
 SPEED, TURN = 0.3, 1.0
@@ -83,7 +84,7 @@ class VelocityEquations:
             return self.about_plainly(points)
         H, g, at = (np.ascontiguousarray(values, np.float64) for values in (self.H, self.g, points))
         own = VelocityEquations(np.empty_like(H), np.empty_like(g), self.squares, self.counts)
-        library.move_velocities(MoveRequest(len(self), *(a.ctypes.data for a in (H, g, at, own.H, own.g))))
+        library.move_velocities(MoveRequest(len(self), *addresses_of(H, g, at, own.H, own.g)))
         return own
 
     def about_plainly(self, points: Float64) -> VelocityEquations:
@@ -171,7 +172,7 @@ def judge(said: VelocityEquations, points: Float64) -> Judged:
         return judge_plainly(said, points)
     given = [np.ascontiguousarray(values, np.float64) for values in (USUAL, said.H, said.g, said.squares, points)]
     judged = Judged(*np.empty((5, len(said))))
-    library.judge_velocities(JudgeRequest(len(said), *(a.ctypes.data for a in (*given, *vars(judged).values()))))
+    library.judge_velocities(JudgeRequest(len(said), *addresses_of(*given, *vars(judged).values())))
     return judged
 
 
@@ -215,7 +216,7 @@ def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
         return velocities_plainly(said, points)
     given = [np.ascontiguousarray(values, np.float64) for values in (LOOSE, said.H, said.g, points)]
     velocities = np.empty((len(said), PARAMETERS))
-    library.solve_velocities(VelocityRequest(len(said), *(a.ctypes.data for a in (*given, velocities))))
+    library.solve_velocities(VelocityRequest(len(said), *addresses_of(*given, velocities)))
     return velocities
 
 
@@ -232,8 +233,7 @@ def add_up(values: Float64, owners: NDArray[np.int64], sums: Float64) -> None:
         np.add.at(sums, owners, values)
         return
     given, whose = np.ascontiguousarray(values, np.float64), np.ascontiguousarray(owners, np.int64)
-    pointers = (whose.ctypes.data, given.ctypes.data, sums.ctypes.data)
-    library.add_up(SumRequest(len(whose), given[:1].size, *pointers))
+    library.add_up(SumRequest(len(whose), given[:1].size, *addresses_of(whose, given, sums)))
 
 
 def _shift(points: Float64) -> Float64:

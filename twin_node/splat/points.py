@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.native_library import addresses_of
 from twin_node.splat import library as native
 
 Float64 = NDArray[np.float64]
@@ -45,7 +46,7 @@ def find_pixels(points: Float64, viewmat: Float64, K: Float64, width: int, heigh
     pixels = Pixels(np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count), np.empty(count, np.bool_))
     given = [np.ascontiguousarray(a, dtype=np.float64) for a in (points, viewmat, K)]
     arrays = (*given, *vars(pixels).values())
-    library.look(native.LookRequest(count, width, height, *(array.ctypes.data for array in arrays)))
+    library.look(native.LookRequest(count, width, height, *addresses_of(*arrays)))
     return pixels
 
 
@@ -130,8 +131,6 @@ def gather_motion(carried: Carried, seen: Seen, weighing: Weighing, to: Equation
             width,
             height,
             *vars(weighing).values(),
-            *(array.ctypes.data for array in (*floats, carriers, *camera, counted, *images)),
-            None if depth is None else depth.ctypes.data,
-            *(array.ctypes.data for array in vars(to).values()),
+            *addresses_of(*floats, carriers, *camera, counted, *images, depth, *vars(to).values()),
         )
     )
