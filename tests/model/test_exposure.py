@@ -13,8 +13,10 @@ from model_scenes import frames, rig
 from twin_node.model import ModelParameters, WindowModel
 from twin_node.model.balance import balance
 from twin_node.model.exposure import Exposures, fit_exposure, levelled
+from twin_node.model.kernels import kernels
 from twin_node.model.parameters import SeedParameters
 from twin_node.model.quality import psnr, squared_error
+from twin_node.model.remembered import Remembered
 from twin_node.model.seeding import find_plane, find_surfaces
 from twin_node.scene import PLAIN, Exposure, Float32, FrameSet, View
 
@@ -79,6 +81,30 @@ def test_each_camera_is_levelled_by_its_own_exposure_and_comes_back_to_the_usual
     assert len(dark.warnings) == 0
     assert len(exposures.level(under(still, 0.2, 0.2, 0.2), NOBODY).warnings) == 3
     assert all(exposure is PLAIN for exposure in exposures.level(still, NOBODY).exposures)
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@given(st.floats(0.05, 1.6), st.floats(-0.1, 0.1), st.floats(0.0, 1.0), st.integers(0, 2**31))
+@settings(max_examples=40, deadline=None)
+def test_the_compiled_kernels_tell_and_remember_what_numpy_does(
+    gain: float, offset: float, share: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    before = rng.integers(0, 256, (61, 83, 3), dtype=np.uint8)
+    compiled, plain = Remembered(before), Remembered(before)
+    exposure = Exposure(np.full(3, gain, np.float32), np.full(3, offset, np.float32))
+    for _ in range(3):
+        noisy = gain * before + 255 * offset + rng.normal(0, 8, before.shape)
+        rgb, still = np.clip(noisy, 0, 255).astype(np.uint8), rng.random((61, 83)) < share
+        one, other = compiled.ratios(rgb, still, exposure), plain.ratios_plainly(rgb, still, exposure)
+        assert one.still == other.still
+        assert (one.middle is None) == (other.middle is None)
+        if one.middle is not None and other.middle is not None:
+            assert np.allclose(one.middle, other.middle, rtol=1e-5)
+        compiled.take(rgb, still)
+        plain.take_plainly(rgb, still)
+        assert np.array_equal(compiled.newest, plain.newest)
+        assert np.allclose(compiled.samples, plain.samples, atol=1e-6)
 
 
 def test_what_is_too_bright_to_tell_does_not_count_unless_its_depth_is_measured() -> None:

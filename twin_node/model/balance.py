@@ -7,8 +7,9 @@ from itertools import permutations
 
 import numpy as np
 
-from twin_node.model.exposure import FEWEST, is_clear
+from twin_node.model.exposure import is_clear
 from twin_node.model.rays import back_project, look
+from twin_node.model.remembered import FEWEST
 from twin_node.model.sweep import Surface
 from twin_node.scene import PLAIN, Exposure, Float32, View
 

@@ -13,35 +13,22 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from twin_node.model.remembered import DARKEST, FEWEST, QUANTUM, SATURATED, SLACK, Remembered, middle_ratios
 from twin_node.scene import PLAIN, Bool, Exposure, Float32, FrameSet, UInt8, View
 
-SAMPLES = 900
-"""Pixels of an image that are looked at, on a grid: some hundreds tell six numbers well."""
-FEWEST = 50
-"""Of them that must be at rest to tell an exposure."""
 SAME = 0.02
 """Change of brightness under which an exposure is the same: a fifth of what counts as change in the scene. What creeps
 slower than the memory of what a camera sees at rest stays below, and is for the model to learn."""
-UPTAKE = 0.05
-"""Share of each levelled image that enters the memory."""
-DARKEST = 0.06
-"""Colours (0 to 1) under which a ratio tells noise."""
 STRONGEST = 12.0
 """Gain, or its inverse, beyond which an image shows too little to be made good: three and a half stops."""
 UNCERTAIN = 4.0
 """Gain, or its inverse, from which on it is worth a warning: two stops."""
 EXPLAINED = 0.6
 """Share of the pixels at rest that an exposure must explain to be one: what changes less is something in the scene."""
-SLACK = 0.03
-"""Error (0 to 1) of a pixel that is explained, at a gain of one: three sigma of a camera's noise in dim light."""
-QUANTUM = np.float32(1 / 255)
-"""An image's own steps; noise of two of them is there however dark it is."""
 OFFSET_SIGMA = 0.05
 """What offsets are like before anything is known, 1 sigma (0 to 1): lamps and shutters multiply, haze and gamma add."""
 ROUNDS = 3
 """Fits, each to the pixels that the one before explains."""
-SATURATED = 250
-"""Level from which on a pixel may have been brighter than it says."""
 HIDES = 0.1
 """Difference (0 to 1) that saturation may hide before a pixel tells nothing: what counts as change."""
 
@@ -105,20 +92,24 @@ class _Memory:
 
     def __init__(self, view: View, exposure: Exposure) -> None:
         """Of a `view` that has been levelled, as its camera was exposed like `exposure`."""
-        self.shape = view.rgb.shape
-        self._stride = max(1, round(float(np.sqrt(view.rgb.shape[0] * view.rgb.shape[1] / SAMPLES))))
-        self._newest = view.rgb.copy()
-        self._rest = self._sampled(view.rgb)
+        self._rest = Remembered(view.rgb)
         self._first = self._last = exposure
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of its images."""
+        return self._rest.shape
 
     def tell(self, view: View, still: Bool) -> Exposure:
         """How a view is exposed, by its pixels `still` [H, W]."""
-        chosen = still[:: self._stride, :: self._stride]
-        if np.count_nonzero(chosen) >= FEWEST:
-            shown, seen = self._rest[chosen], self._sampled(view.rgb)[chosen]
-            known = (self._first,) if self._last is self._first else (self._first, self._last)
-            same = next((one for one in known if _is_same(shown, seen, one)), None)
-            self._last = same or fit_exposure(shown, seen, self._first)
+        for one in (self._first,) if self._last is self._first else (self._first, self._last):
+            ratios = self._rest.ratios(view.rgb, still, one)
+            if ratios.still < FEWEST:
+                return self._last
+            if ratios.middle is not None and np.all(np.abs(ratios.middle - 1) < SAME):
+                self._last = one
+                return one
+        self._last = fit_exposure(*self._rest.beside(view.rgb, still), self._first)
         return self._last
 
     def shown(self, view: View, exposure: Exposure, still: Bool) -> View:
@@ -131,20 +122,13 @@ class _Memory:
         if np.all((SATURATED * QUANTUM - exposure.offsets) / exposure.gains > 1 - HIDES):
             return even
         burnt: Bool = np.max(view.rgb, axis=-1) >= SATURATED
-        cv2.copyTo(self._newest, (burnt & still).astype(np.uint8), even.rgb)
+        cv2.copyTo(self._rest.newest, (burnt & still).astype(np.uint8), even.rgb)
         blind: Bool = burnt if view.depth is None else burnt & (view.depth <= 0)
         return replace(even, valid=~blind if view.valid is None else view.valid & ~blind)
 
     def take(self, even: View, still: Bool) -> None:
         """Takes in a view that has been levelled."""
-        cv2.copyTo(even.rgb, still.astype(np.uint8), self._newest)
-        change = self._sampled(even.rgb) - self._rest
-        near = still[:: self._stride, :: self._stride] & (np.abs(change).max(-1) < SLACK)
-        self._rest += np.where(near, np.float32(UPTAKE), np.float32(0))[..., None] * change
-
-    def _sampled(self, rgb: UInt8) -> Float32:
-        """[h, w, 3] every few pixels, 0 to 1."""
-        return QUANTUM * rgb[:: self._stride, :: self._stride]
+        self._rest.take(even.rgb, still)
 
 
 def fit_exposure(shown: Float32, seen: Float32, usual: Exposure) -> Exposure:
@@ -152,7 +136,7 @@ def fit_exposure(shown: Float32, seen: Float32, usual: Exposure) -> Exposure:
 
     The `usual` one where it explains more, or no one rule explains enough.
     """
-    gains = _gains(shown, seen)
+    gains = middle_ratios(shown, seen)
     exposure = Exposure(usual.gains if gains is None else gains, np.zeros(3, np.float32))
     clear = seen < SATURATED * QUANTUM
     for _ in range(ROUNDS):
@@ -175,23 +159,6 @@ def levelled(view: View, exposure: Exposure) -> View:
     levels = (np.arange(256, dtype=np.float32)[:, None] * QUANTUM - exposure.offsets) / exposure.gains
     table = np.clip(levels / QUANTUM + np.float32(0.5), 0, 255).astype(np.uint8)
     return replace(view, rgb=cv2.LUT(view.rgb, table[None]).astype(np.uint8))
-
-
-def _is_same(shown: Float32, seen: Float32, exposure: Exposure) -> bool:
-    """Whether an exposure still holds, by the middle pixel."""
-    gains = _gains(exposure.of(shown), seen)
-    return gains is not None and bool(np.all(np.abs(gains - 1) < SAME))
-
-
-def _gains(shown: Float32, seen: Float32) -> Float32 | None:
-    """[3] the middle ratio of `seen` to `shown` [n, 3] per colour, where both tell one; None where too few do."""
-    told = ((seen < SATURATED * QUANTUM) & (shown > DARKEST)).all(1)
-    if np.count_nonzero(told) < FEWEST:
-        return None
-    ratios = (seen[told] / shown[told]).T
-    half = ratios.shape[1] // 2
-    gains: Float32 = np.partition(ratios, half, axis=-1)[:, half]
-    return gains
 
 
 def _explained(shown: Float32, seen: Float32, exposure: Exposure) -> Bool:

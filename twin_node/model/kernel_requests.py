@@ -166,6 +166,35 @@ class ObserveRequest(ctypes.Structure):
     )
 
 
+class SampledImage(ctypes.Structure):
+    """`model::SampledImage`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height", "stride")),
+        *((name, c_void_p) for name in ("rgb", "still")),
+    )
+
+
+class RatioRequest(ctypes.Structure):
+    """`model::RatioRequest`."""
+
+    _fields_ = (
+        ("image", SampledImage),
+        *((name, c_float) for name in ("darkest", "brightest")),
+        *((name, c_void_p) for name in ("rest", "gains", "offsets", "found", "middle")),
+    )
+
+
+class RestRequest(ctypes.Structure):
+    """`model::RestRequest`."""
+
+    _fields_ = (
+        ("image", SampledImage),
+        *((name, c_float) for name in ("slack", "uptake")),
+        *((name, c_void_p) for name in ("newest", "rest")),
+    )
+
+
 class HeldView(ctypes.Structure):
     """`model::HeldView`."""
 

@@ -31,7 +31,9 @@ from twin_node.model.kernel_requests import (
     ObserveRequest,
     ObserveRules,
     PublishRequest,
+    RatioRequest,
     RefutedRequest,
+    RestRequest,
     SmoothRequest,
     StaticRequest,
     SumRequest,
@@ -76,6 +78,9 @@ class Kernels(NativeLibrary):
         self._dll.model_add_up.argtypes = [ctypes.POINTER(SumRequest)]
         self._dll.model_add_up.restype = None
         self._dll.model_observe.argtypes = [ctypes.POINTER(ObserveRequest)]
+        self._dll.model_ratios.argtypes = [ctypes.POINTER(RatioRequest)]
+        self._dll.model_remember.argtypes = [ctypes.POINTER(RestRequest)]
+        self._dll.model_remember.restype = None
         self._dll.model_held.argtypes = [ctypes.POINTER(HeldRequest)]
         self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
         self._dll.model_smooth.argtypes = [ctypes.POINTER(SmoothRequest)]
@@ -92,6 +97,14 @@ class Kernels(NativeLibrary):
         self._require_not_forked()
         given = (ObservedView * len(views))(*views)
         _check(self._dll.model_observe(ObserveRequest(len(views), thread_count(), ctypes.pointer(rules), given)))
+
+    def ratios(self, request: RatioRequest) -> None:
+        """Finds how bright an image is; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.model_ratios(request))
+
+    def remember(self, request: RestRequest) -> None:
+        """Takes in what an image shows at rest; takes one thread."""
+        self._dll.model_remember(request)
 
     def held(self, request: HeldRequest, views: Sequence[HeldView]) -> None:
         """Finds the pixels that a rendering is held to in some views. Raises `MemoryError`."""

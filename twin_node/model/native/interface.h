@@ -39,6 +39,30 @@ struct MaskRequests {
   const MaskRequest *cameras;  // [count]
 };
 
+// An image of which every few pixels, each way, are looked at; h rows of w.
+struct SampledImage {
+  int32_t width, height, stride;
+  const uint8_t *rgb, *still;  // [H, W, 3], [H, W] what stands still
+};
+
+// How bright an image shows what a camera saw at rest; see `exposure.py`.
+struct RatioRequest {
+  SampledImage image;
+  float darkest, brightest;            // colours that tell a ratio, 0 to 1
+  const float *rest;                   // [h, w, 3] what the camera saw at rest, 0 to 1
+  const float *gains, *offsets;        // [3] the exposure that it is looked at with
+  int64_t *found;                      // [2] written: pixels at rest, and those of them that tell
+  float *middle;                       // [3] written where there are any
+};
+
+// The memory of what a camera sees at rest, which is brought up to date in place.
+struct RestRequest {
+  SampledImage image;
+  float slack, uptake;
+  uint8_t *newest;  // [H, W, 3]
+  float *rest;      // [h, w, 3]
+};
+
 // What counts as other than the background; see `observation.py`.
 struct ObserveRules {
   float threshold, growth, elapsed_s, stale_s;

@@ -6,6 +6,7 @@
 #include "births.h"
 #include "cells.h"
 #include "deaths.h"
+#include "exposing.h"
 #include "held.h"
 #include "mask.h"
 #include "nearest.h"
@@ -76,6 +77,12 @@ int32_t model_observe(const model::ObserveRequest *request) {
   return side_by_side(request->threads, request->count,
                       [&](int i) { model::observe(*request->rules, request->views[i]); });
 }
+
+int32_t model_ratios(const model::RatioRequest *request) {
+  return side_by_side(1, 1, [&](int) { model::find_ratios(*request); });
+}
+
+void model_remember(const model::RestRequest *request) { model::remember(*request); }
 
 int32_t model_held(const model::HeldRequest *request) {
   return side_by_side(request->threads, request->count, [&](int i) { model::hold(*request, request->views[i]); });
