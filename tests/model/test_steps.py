@@ -22,6 +22,7 @@ from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.held import SKIRT_PX, held_pixels, held_plainly
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_plainly
+from twin_node.model.occluders import occluders, occluders_plainly
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.plane import Plane
 from twin_node.model.rendering import Rendering, Splats, render
@@ -262,10 +263,20 @@ def test_the_compiled_kernel_holds_a_rendering_to_the_pixels_that_numpy_does() -
 def test_what_can_stand_before_a_moving_thing_is_found_and_no_more() -> None:
     store, backgrounds = world(table())
     known = backgrounds.of(store, CAMERAS)
-    above, under = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, -0.3]])
-    assert not len(backgrounds.occluders(known, [above] * 3))
-    before = backgrounds.occluders(known, [under] * 3)
-    assert 0 < len(before) < len(store) / 4
+    above, under = (np.full((3, 1, 3), [0, 0, z], np.float32) for z in (0.2, -0.3))
+    assert not occluders(known, above).any()
+    assert 0 < occluders(known, under).sum() < len(store) / 4
+
+
+def test_the_compiled_kernel_finds_what_stands_before_as_numpy_does() -> None:
+    store, backgrounds = world(table())
+    known = backgrounds.of(store, CAMERAS)
+    rng = np.random.default_rng(5)
+    near, far = rng.normal(0, 0.2, (3, 6, 3)), rng.normal(0, 5, (3, 20, 3))
+    for points in (near, far, np.concatenate([near, far], 1), near[:, :0]):
+        moving = points.astype(np.float32)
+        assert np.array_equal(occluders(known, moving), occluders_plainly(known, moving))
+    assert occluders(known, near.astype(np.float32)).any()
 
 
 @pytest.mark.parametrize("is_first", [False, True])

@@ -64,13 +64,13 @@ def solve_twists(
     """
     said = NormalEquations(len(cells))
     stride = max(len(carried) // MOST_OBSERVATIONS, 1)
-    carried = carried[::stride]
+    chosen = carried[::stride].numpy()
     within = cells.of[::stride]
     carriers = cells.nodes[within]
-    means = moving.means.detach().cpu()[:, carried].double().numpy()
-    opacities = moving.opacities.detach().cpu()[carried].double().numpy()
+    means = moving.means.detach().cpu().numpy().take(chosen, 1).astype(np.float64)
+    opacities = moving.opacities.detach().cpu().numpy().take(chosen).astype(np.float64)
     for index, one in enumerate(observed):
-        arms = means[index] - origins[index].double().numpy()[carriers]
+        arms = means[index] - origins[index].double().numpy().take(carriers, 0)
         carried_here = Carried(means[index], arms, opacities, within)
         said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * sigma_px**2))
     normal = said.summed(cells.nodes, origins.shape[1])

@@ -180,17 +180,6 @@ class Backgrounds:
             margin_px(camera, depth),
         )
 
-    def occluders(self, backgrounds: Sequence[Background], moving: Sequence[Float64]) -> Tensor:
-        """[k] those of `rows` that can stand before something that moves; `moving` holds its means [n, 3] per view."""
-        before = np.zeros(len(self.rows), bool)
-        for background, means in zip(backgrounds, moving, strict=True):
-            seen, shape = look(background.camera, means), cells_shape(background.camera)
-            deepest = np.zeros(shape)
-            np.maximum.at(deepest.ravel(), cells_at(background.camera, seen)[seen.inside], seen.depth[seen.inside])
-            around = cv2.dilate(deepest, np.ones((3, 3), np.uint8)).ravel()
-            before |= (background.reach_px >= 0) & (background.static.depth < around[background.cells])
-        return self.rows[torch.from_numpy(before).to(self.rows.device)]
-
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
         """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""
         if self._plane is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 10
+INTERFACE_VERSION = 11
 
 
 class MaskRules(ctypes.Structure):
@@ -211,6 +211,26 @@ class HeldRequest(ctypes.Structure):
         ("points", c_int64),
         *((name, c_int32) for name in ("skirt", "around", "count", "threads")),
         ("views", ctypes.POINTER(HeldView)),
+    )
+
+
+class OccluderView(ctypes.Structure):
+    """`model::OccluderView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("viewmat", "K", "means", "depths", "cells", "reach_px")),
+    )
+
+
+class OccluderRequest(ctypes.Structure):
+    """`model::OccluderRequest`; the views are filled in by who asks for it."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("standing", "points")),
+        *((name, c_int32) for name in ("cell_px", "view_count")),
+        ("views", ctypes.POINTER(OccluderView)),
+        ("before", c_void_p),
     )
 
 

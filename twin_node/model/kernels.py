@@ -30,6 +30,8 @@ from twin_node.model.kernel_requests import (
     ObservedView,
     ObserveRequest,
     ObserveRules,
+    OccluderRequest,
+    OccluderView,
     PublishRequest,
     RatioRequest,
     RefutedRequest,
@@ -81,6 +83,7 @@ class Kernels(NativeLibrary):
         self._dll.model_ratios.argtypes = [ctypes.POINTER(RatioRequest)]
         self._dll.model_remember.argtypes = [ctypes.POINTER(RestRequest)]
         self._dll.model_remember.restype = None
+        self._dll.model_occluders.argtypes = [ctypes.POINTER(OccluderRequest)]
         self._dll.model_held.argtypes = [ctypes.POINTER(HeldRequest)]
         self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
         self._dll.model_smooth.argtypes = [ctypes.POINTER(SmoothRequest)]
@@ -105,6 +108,11 @@ class Kernels(NativeLibrary):
     def remember(self, request: RestRequest) -> None:
         """Takes in what an image shows at rest; takes one thread."""
         self._dll.model_remember(request)
+
+    def occluders(self, request: OccluderRequest, views: Sequence[OccluderView]) -> None:
+        """Finds what can stand before something that moves; takes one thread. Raises `MemoryError`."""
+        request.view_count, request.views = len(views), (OccluderView * len(views))(*views)
+        _check(self._dll.model_occluders(request))
 
     def held(self, request: HeldRequest, views: Sequence[HeldView]) -> None:
         """Finds the pixels that a rendering is held to in some views. Raises `MemoryError`."""

@@ -28,6 +28,7 @@ from twin_node.model.mapping import Mapper
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
+from twin_node.model.occluders import occluders
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.pruning import MovingPruner
 from twin_node.model.regrouping import Carried
@@ -377,9 +378,9 @@ class Tracker:
 
     def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
         """STATIC rows that can stand before what moves."""
-        backgrounds = [one.background for one in observed]
-        before = self._backgrounds.occluders(backgrounds, list(moving.means.cpu().double().numpy()))
-        return self._standing(before)
+        before = occluders([one.background for one in observed], moving.means.cpu().numpy())
+        rows = self._backgrounds.rows
+        return self._standing(rows[torch.from_numpy(before).to(rows.device)])
 
     def _standing(self, rows: Tensor) -> Tensor:
         """Those of the background's rows that still live and stand: others have boarded a node in this very set."""

@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 10;
+constexpr int32_t kInterfaceVersion = 11;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -101,6 +101,23 @@ struct HeldRequest {
   int32_t skirt, around;  // pixels around what is active, and around points
   int32_t count, threads;
   const HeldView *views;  // [count]
+};
+
+// One view of points that move, and of the STATIC Gaussians.
+struct OccluderView {
+  int32_t width, height;
+  const double *viewmat, *K;  // [4, 4], [3, 3]
+  const float *means;         // [points, 3] m
+  const double *depths;       // [standing] m
+  const int64_t *cells;       // [standing] which of the image's cells each falls in, counted row by row
+  const float *reach_px;      // [standing] negative: does not reach into the image
+};
+
+struct OccluderRequest {
+  int64_t standing, points;
+  int32_t cell_px, view_count;
+  const OccluderView *views;  // [view_count]
+  uint8_t *before;            // [standing] written: can stand before a point in some view
 };
 
 // What counts as unexplained, and what speaks for a depth; see `births.py`.

@@ -11,6 +11,7 @@
 #include "mask.h"
 #include "nearest.h"
 #include "observing.h"
+#include "occluders.h"
 #include "poses.h"
 #include "publishing.h"
 #include "semi_global.h"
@@ -83,6 +84,10 @@ int32_t model_ratios(const model::RatioRequest *request) {
 }
 
 void model_remember(const model::RestRequest *request) { model::remember(*request); }
+
+int32_t model_occluders(const model::OccluderRequest *request) {
+  return side_by_side(1, 1, [&](int) { model::find_occluders(*request); });
+}
 
 int32_t model_held(const model::HeldRequest *request) {
   return side_by_side(request->threads, request->count, [&](int i) { model::hold(*request, request->views[i]); });
