@@ -142,9 +142,9 @@ class Backgrounds:
     def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
         """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`; absent cameras are forgotten."""
         rows = self.rows = gaussians.static_rows
-        values = gaussians.values[rows]
+        values = gaussians.values.index_select(0, rows)
         means = values[:, MEAN].cpu().double().numpy()
-        reach = 3 * values[:, LOG_SCALE].exp().amax(-1).cpu().numpy()
+        reach = 3 * values[:, LOG_SCALE].amax(-1).exp().cpu().numpy()
         surveyed: dict[str, Background] = {}
         for camera in cameras:
             static = look(camera, means)
@@ -160,7 +160,7 @@ class Backgrounds:
     def _render(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[_Shown]:
         """What each of `cameras` sees."""
         with torch.no_grad():
-            seen = render(gaussians.standing(gaussians.values[gaussians.static_rows]), cameras)
+            seen = render(gaussians.standing(gaussians.values.index_select(0, gaussians.static_rows)), cameras)
         return [self._shown(camera, one) for camera, one in zip(cameras, seen, strict=True)]
 
     def _shown(self, camera: Camera, seen: Rendering) -> _Shown:

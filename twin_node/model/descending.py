@@ -157,5 +157,5 @@ def to_columns(splats: Splats, gradient: Splats) -> Tensor:
 def rates_of(values: Tensor, factor: float) -> Tensor:
     """[n, 14] Adam's rates of Gaussians `values` [n, 14]."""
     rates = (RATES.to(values.device) * factor).repeat(len(values), 1)
-    rates[:, MEAN] *= values[:, LOG_SCALE].exp().mean(-1, keepdim=True)
+    rates[:, MEAN] *= values[:, LOG_SCALE].contiguous().exp().mean(-1, keepdim=True)
     return rates

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
+from twin_node.model.chosen import rows_where
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, Gaussians
 from twin_node.scene import Bool, Camera, Float32, Tier
 
@@ -57,8 +58,8 @@ class Step:
         self._gaussians = gaussians
         self._rows = rows
         self._learners = learners
-        self._ids = gaussians.ids[rows]
-        self._splats = gaussians.standing(gaussians.values[rows])
+        self._ids = gaussians.ids.index_select(0, rows)
+        self._splats = gaussians.standing(gaussians.values.index_select(0, rows))
         kind = splat.Missed if splat.can_miss(gaussians.values.device) else splat.MissedPlainly
         means, quats = self._splats.means[0], self._splats.quats[0]
         scales, opacities, rgb = self._splats.scales, self._splats.opacities, self._splats.rgb
@@ -81,9 +82,9 @@ class Step:
     def take(self) -> None:
         """Takes the step towards all views that were looked through; what stands no longer takes none."""
         gaussians, missed = self._gaussians, self._missed
-        stands = gaussians.alive[self._rows] & (gaussians.tiers[self._rows] == Tier.STATIC)
-        stands &= gaussians.ids[self._rows] == self._ids
-        taken = torch.nonzero(stands & self._learners & (missed.weights > FEWEST_PIXELS))[:, 0]
+        alive, tiers, ids = (s.index_select(0, self._rows) for s in (gaussians.alive, gaussians.tiers, gaussians.ids))
+        stands = alive & (tiers == int(Tier.STATIC)) & (ids == self._ids)
+        taken = rows_where(stands & self._learners & (missed.weights > FEWEST_PIXELS))
         rows, seen = self._rows[taken], missed.weights[taken, None]
         scales, opacities, share = self._splats.scales[taken], self._splats.opacities[taken], SHAPE_SHARE / seen
         size = scales.mean(-1, keepdim=True)

@@ -157,7 +157,7 @@ class Mapper:
         yield
         for _ in range(self._parameters.steps):
             rows = self._gaussians.static_rows
-            step = least_squares.Step(self._gaussians, rows, learns[rows])
+            step = least_squares.Step(self._gaussians, rows, learns.index_select(0, rows))
             for goal in goals:
                 step.look(goal)
                 yield

@@ -49,7 +49,7 @@ class Pruner:
             return
         g = self._gaussians
         rows, camera = g.static_rows, cameras[index]
-        gone = self._unseen.take(camera, rows, blend_weights(g.standing(g.values[rows]), camera))
+        gone = self._unseen.take(camera, rows, blend_weights(g.standing(g.values.index_select(0, rows)), camera))
         if len(gone):
             g.retire(gone)
             self._backgrounds.mark()

@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 11;
+constexpr int32_t kInterfaceVersion = 12;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 

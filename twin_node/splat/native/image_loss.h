@@ -323,7 +323,7 @@ inline int rows_of(const LossWorkspace &w, int index) { return std::max(0, w.ima
 // Takes in the targets and weights: renders are held to them until others are taken in.
 inline void hold_to_target(const LossRequest &r, LossWorkspace &w) {
   while (static_cast<int>(w.images.size()) < r.images) w.images.push_back(std::make_unique<LossImage>());
-  for (int i = 0; i < r.images; i++) measure_weights(r, i, *w.images[i]);
+  parallel_for(r.threads, r.images, [&](int64_t i) { measure_weights(r, static_cast<int>(i), *w.images[i]); });
   for (int i = 0; i < r.images; i++) reserve_planes(*w.images[i]);
   sum_over_bands(
       r, w, [&](int i) { return rows_of(w, i) == 0 ? 0 : w.images[i]->padded_rows; },
