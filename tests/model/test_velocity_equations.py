@@ -41,5 +41,7 @@ def test_bodies_are_judged_by_the_compiled_kernel_as_by_the_plain_one() -> None:
 def test_nobody_is_judged_where_nothing_is_said_of_anybody() -> None:
     said, points = said_of(3)
     nobody = said.of(np.zeros(0, np.int64))
-    assert len(judge(nobody, points[:0]).evidence) == 0
-    assert velocities_of(nobody, points[:0]).shape == (0, PARAMETERS)
+    for judged in (judge, judge_plainly):
+        assert len(judged(nobody, points[:0]).evidence) == 0
+    for velocities in (velocities_of, velocities_plainly):
+        assert velocities(nobody, points[:0]).shape == (0, PARAMETERS)

@@ -238,8 +238,7 @@ def add_up(values: Float64, owners: NDArray[np.int64], sums: Float64) -> None:
 
 def _shift(points: Float64) -> Float64:
     """[n, 6, 6] from the velocity at a place to that [n, 3] m further on: v + w x d = v - [d] w."""
-    shift = np.zeros((len(points), PARAMETERS, PARAMETERS))
-    shift.reshape(len(points), -1)[:, :: PARAMETERS + 1] = 1
+    shift = np.tile(np.eye(PARAMETERS), (len(points), 1, 1))
     x, y, z = points.T
     shift[:, 0, 4], shift[:, 0, 5], shift[:, 1, 5] = z, -y, x
     shift[:, 1, 3], shift[:, 2, 3], shift[:, 2, 4] = -z, y, -x
