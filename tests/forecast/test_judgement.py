@@ -5,12 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
+from numpy.typing import NDArray
 
 from twin_node.forecast.judgement import Judgement
 from twin_node.forecast.margin import Margin
+from twin_node.forecast.moving_surface import Moving, moving_surface, moving_surface_plainly
+from twin_node.forecast.parts import Parts
 from twin_node.forecast.tables import RigTables
 
 CENTER = np.array([0.1, 0.0, 0.4])
+ALL, NONE = np.ones(2, np.bool_), np.zeros(2, np.bool_)
+
+
+def halves(margin: Margin, voxels: NDArray[np.int64]) -> Parts:
+    """Two parts of what is at `voxels` [n] of the inner grid: on this side of `CENTER` along x, and beyond."""
+    centers = GRID.centers(voxels)
+    places = np.stack(np.unravel_index(voxels, GRID.dims)).astype(np.int32)
+    labels = (centers[:, 0] > CENTER[0]).astype(np.int64)
+    return Parts(margin.outward(voxels), places, labels, np.ones(len(voxels), np.bool_), np.stack([CENTER, CENTER]))
 
 
 @pytest.mark.parametrize("depth", [True, False])
@@ -20,7 +32,7 @@ def test_what_is_seen_is_held_by_a_forecast_as_far_as_that_reaches(depth: bool) 
     ball = ball_voxels(CENTER, 0.16)
     half = ball[GRID.centers(ball)[:, 2] > CENTER[2]]
     whole, some, none = (
-        Judgement(state, margin, tables, forecast).of(margin.outward(ball)) for forecast in (ball, half, ball[:0])
+        Judgement(state, margin, tables, forecast, halves(margin, ball)).of(ALL) for forecast in (ball, half, ball[:0])
     )
     assert whole.seen == some.seen == none.seen > 100
     assert whole.covered == whole.seen and none.covered == 0
@@ -31,8 +43,23 @@ def test_what_is_seen_is_held_by_a_forecast_as_far_as_that_reaches(depth: bool) 
 def test_points_that_no_other_camera_confirms_are_not_asked_for() -> None:
     margin = Margin(GRID, 0.15)
     ball = ball_voxels(CENTER, 0.16)
-    judgement = Judgement(state_of(0, CENTER, with_depth=True), margin, RigTables(margin.outer), ball)
-    part = margin.outward(ball[GRID.centers(ball)[:, 0] > CENTER[0]])
-    held, nothing = judgement.of(part), judgement.of(part[:0])
+    state, parts = state_of(0, CENTER, with_depth=True), halves(margin, ball)
+    judgement = Judgement(state, margin, RigTables(margin.outer), ball, parts)
+    held, nothing = judgement.of(np.array([False, True])), judgement.of(NONE)
     assert 0 < held.agreed < held.measured and held.seen == held.covered == held.agreed
     assert nothing.seen == nothing.covered == nothing.agreed == 0
+
+
+@pytest.mark.parametrize("views", [0, 1, 3])
+def test_measured_points_are_found_compiled_as_plainly(views: int) -> None:
+    margin = Margin(GRID, 0.15)
+    ball = ball_voxels(CENTER, 0.16)
+    state = state_of(0, CENTER, with_depth=True)
+    seen = [Moving(*one) for one in zip(state.frames.views, state.moving_masks, strict=True)][:views]
+    parts, forecast = halves(margin, ball[::2]), ball[GRID.centers(ball)[:, 2] > CENTER[2]]
+    found, expected = (one(seen, margin, parts, forecast) for one in (moving_surface, moving_surface_plainly))
+    assert np.array_equal(found.parts, expected.parts)
+    assert np.array_equal(found.foreseen, expected.foreseen)
+    if views:
+        assert {-1, 0, 1} == set(found.parts.tolist())
+        assert 0 < np.count_nonzero(found.foreseen) < len(found.foreseen)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.margin import Margin
-from twin_node.forecast.static import unproject
+from twin_node.forecast.moving_surface import Moving, moving_surface
+from twin_node.forecast.parts import Parts
 from twin_node.forecast.tables import CameraTable, RigTables
-from twin_node.scene import Bool, TwinState, View
+from twin_node.scene import Bool, TwinState
 
 
 @dataclass(frozen=True)
@@ -79,47 +80,36 @@ class Judgement:
     in space the hull holds more than what moves, and flickers.
     """
 
-    def __init__(self, state: TwinState, margin: Margin, tables: RigTables, forecast: NDArray[np.int64]) -> None:
-        """`forecast` [n]: its voxels in the inner grid, flat indices in rising order."""
-        by_pixels = any(view.depth is None for view in state.frames.views)
-        expected = tables.blocks.locate(margin.outward(forecast if by_pixels else forecast[:0]))
-        self._blocks = tables.blocks
-        self._points: list[_Points] = []
-        self._images: list[_Image] = []
-        for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
-            if view.depth is not None:
-                self._points.append(_measured(view, moving, margin, forecast))
-            else:
-                table = tables.of(view.camera)
-                self._images.append(_Image(table, moving, table.image_of(expected)))
+    def __init__(
+        self, state: TwinState, margin: Margin, tables: RigTables, forecast: NDArray[np.int64], parts: Parts
+    ) -> None:
+        """`forecast` [n]: its voxels in the inner grid, flat indices in rising order.
 
-    def of(self, here: NDArray[np.int64]) -> Held:
-        """How much of what is in the voxels `here`, all of which could be foreseen, was.
-
-        `here` [m]: flat indices in the outer grid, in rising order.
+        `parts`: what moves now; flat indices in the outer grid, in rising order.
         """
-        mine = self._blocks.locate(here)
-        measured = agreed = covered = pixels = 0
-        for points in self._points:
-            explained = _are_among(points.places, here)
-            measured += len(explained)
-            agreed += int(np.count_nonzero(explained))
-            covered += int(np.count_nonzero(explained & points.foreseen))
-        for image in self._images:
-            explained = image.moving & image.table.image_of(mine)
-            pixels += int(np.count_nonzero(explained))
-            covered += int(np.count_nonzero(explained & image.foreseen))
-        return Held(agreed + pixels, covered, measured, agreed)
+        self._parts, self._blocks = parts, tables.blocks
+        seen = list(zip(state.frames.views, state.moving_masks, strict=True))
+        measured = [Moving(view, mask) for view, mask in seen if view.depth is not None]
+        self._surface = moving_surface(measured, margin, parts, forecast)
+        self._images: list[_Image] = []
+        if len(measured) < len(seen):
+            expected = tables.blocks.locate(margin.outward(forecast))
+            flat = [(tables.of(view.camera), mask) for view, mask in seen if view.depth is None]
+            self._images = [_Image(table, mask, table.image_of(expected)) for table, mask in flat]
 
-
-@dataclass(frozen=True)
-class _Points:
-    """What a camera with depth measures of what moves."""
-
-    places: NDArray[np.int64]
-    """[n] voxels of the outer grid."""
-    foreseen: Bool
-    """[n]."""
+    def of(self, chosen: Bool) -> Held:
+        """How much of the parts `chosen` [M], all of which could be foreseen, was."""
+        surface = self._surface
+        explained = np.append(chosen, False)[surface.parts]
+        agreed, pixels = int(np.count_nonzero(explained)), 0
+        covered = int(np.count_nonzero(explained & surface.foreseen))
+        if self._images:
+            here = self._blocks.locate(self._parts.indices[chosen[self._parts.labels]])
+            for image in self._images:
+                shown = image.moving & image.table.image_of(here)
+                pixels += int(np.count_nonzero(shown))
+                covered += int(np.count_nonzero(shown & image.foreseen))
+        return Held(agreed + pixels, covered, len(explained), agreed)
 
 
 @dataclass(frozen=True)
@@ -131,21 +121,3 @@ class _Image:
     """[H, W]."""
     foreseen: Bool
     """[H, W] where the forecast projects."""
-
-
-def _measured(view: View, moving: Bool, margin: Margin, forecast: NDArray[np.int64]) -> _Points:
-    """The measured points of what moves in the inner grid, and which are in the `forecast` [n] of it."""
-    assert view.depth is not None
-    points = unproject(view, moving & (view.depth > 0), finer=1)
-    indices = margin.inner.indices(points)
-    is_inside = indices >= 0
-    return _Points(margin.outer.indices(points[is_inside]), _are_among(indices[is_inside], forecast))
-
-
-def _are_among(indices: NDArray[np.int64], others: NDArray[np.int64]) -> Bool:
-    """[n] which of `indices` [n] are among `others` [m], which rise."""
-    if len(others) == 0:
-        return np.zeros(len(indices), np.bool_)
-    nearest = np.minimum(np.searchsorted(others, indices), len(others) - 1)
-    among: Bool = others[nearest] == indices
-    return among

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 21
+INTERFACE_VERSION = 22
 
 
 class GrowRequest(ctypes.Structure):
@@ -303,6 +303,27 @@ class NearestRequest(ctypes.Structure):
         *((name, c_int64) for name in ("groups", "points", "others", "wanted")),
         ("within", c_double),
         *((name, c_void_p) for name in ("asked", "among", "distances", "rows")),
+    )
+
+
+class SurfaceView(ctypes.Structure):
+    """`forecast::SurfaceView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("depth", "moving", "K", "T_base_cam")),
+    )
+
+
+class SurfaceRequest(ctypes.Structure):
+    """`forecast::SurfaceRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("forecasts", "voxels", "views")),
+        ("voxel_size", c_double),
+        *((name, c_void_p) for name in ("inner_dims", "outer_dims", "inner_origin", "outer_origin")),
+        *((name, c_void_p) for name in ("forecast", "indices", "labels", "parts", "foreseen", "count")),
+        ("seen", ctypes.POINTER(SurfaceView)),
     )
 
 

@@ -31,6 +31,7 @@ from twin_node.forecast.kernel_requests import (
     ShowRequest,
     SolveRequest,
     SplitRequest,
+    SurfaceRequest,
     TakeRequest,
     TellRequest,
 )
@@ -73,6 +74,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
         self._dll.forecast_reckon.restype = None
         self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
+        self._dll.forecast_surface.argtypes = [ctypes.POINTER(SurfaceRequest)]
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
         self._dll.forecast_take.restype = None
 
@@ -167,6 +169,10 @@ class Kernels(NativeLibrary):
     def nearest(self, request: NearestRequest) -> None:
         """Finds the nearest of points; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_nearest(request))
+
+    def surface(self, request: SurfaceRequest) -> None:
+        """Finds the measured points of what moves; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_surface(request))
 
     def take(self, request: TakeRequest) -> None:
         """Marks the voxels within capsules; takes one thread."""

@@ -12,7 +12,7 @@ from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageCont
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
-from twin_node.forecast.judgement import Held, Judgement, Watch
+from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.nearest import nearest
 from twin_node.forecast.obstacles import Motion, Sighted
@@ -182,13 +182,13 @@ class Forecaster:
         if due is None or state.stamp - due.valid_at > timely or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9
-        judgement = Judgement(state, self._observer.margin, self._observer.tables, due.indices)
-        found = _held(judgement, evidence, known)
+        judgement = Judgement(state, self._observer.margin, self._observer.tables, due.indices, evidence.parts)
+        found = judgement.of(known)
         if due.stamp >= self._sees_motion_from:
-            self._watch = self._watch.after(judgement.of(evidence.parts.indices))
+            self._watch = self._watch.after(judgement.of(np.ones(evidence.parts.count, np.bool_)))
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
-            steady = _held(judgement, evidence, known & self._predictor.unstartled_since(due.stamp * 1e-9))
+            steady = judgement.of(known & self._predictor.unstartled_since(due.stamp * 1e-9))
             self._control.observe(found.share, steady.share if steady.seen else None, due.factor, elapsed)
         if known.any() and due.places.shape[1]:
             missed = _missed(due.places, evidence.parts.centers[known])
@@ -255,11 +255,6 @@ class Forecaster:
             probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
             layers.append(OccupancyLayer(horizon, reached.indices, probability))
         return tuple(layers)
-
-
-def _held(judgement: Judgement, evidence: Evidence, chosen: Bool) -> Held:
-    """How much of the parts `chosen` [M] lies inside the forecast that is due."""
-    return judgement.of(evidence.parts.indices[chosen[evidence.parts.labels]])
 
 
 @dataclass(frozen=True)

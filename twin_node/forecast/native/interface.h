@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 21;
+constexpr int32_t kInterfaceVersion = 22;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -345,6 +345,28 @@ struct NearestRequest {
   const double *asked, *among;  // [points, 3], [groups, others, 3] m
   double *distances;            // [groups, points, wanted] m, rising; infinite where there are no more
   int64_t *rows;                // the same, among the others; their number where there are no more
+};
+
+// What a view with depth shows of what moves.
+struct SurfaceView {
+  int32_t width, height;
+  const float *depth;             // [height, width] m
+  const uint8_t *moving;          // [height, width] 1: moves
+  const double *K, *T_base_cam;   // [3, 3], [4, 4]
+};
+
+// Points of its surface that lie in the inner one of two grids, view by view.
+struct SurfaceRequest {
+  int64_t forecasts, voxels, views;
+  double voxel_size;
+  const int32_t *inner_dims, *outer_dims;      // [3]
+  const double *inner_origin, *outer_origin;   // [3] m
+  const int64_t *forecast;                     // [forecasts] voxels of the inner grid
+  const int64_t *indices, *labels;             // [voxels] those of parts in the outer grid, rising; part of each
+  int64_t *parts;                              // [points] part that holds each; -1 for none; room for all pixels
+  uint8_t *foreseen;                           // [points] 1: its voxel was forecast
+  int64_t *count;                              // [1] points
+  const SurfaceView *seen;                     // [views]
 };
 
 // The voxels that hold points of measured surfaces, `finer` along each side of a pixel.

@@ -18,6 +18,7 @@
 #include "seen.h"
 #include "shown.h"
 #include "solve.h"
+#include "surface.h"
 
 namespace {
 
@@ -112,6 +113,10 @@ void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(
 
 int32_t forecast_nearest(const forecast::NearestRequest *request) {
   return guarded([&] { forecast::nearest(*request); });
+}
+
+int32_t forecast_surface(const forecast::SurfaceRequest *request) {
+  return guarded([&] { forecast::find_surface(*request); });
 }
 
 void forecast_take(const forecast::TakeRequest *request) { forecast::take(*request); }
