@@ -66,7 +66,7 @@ class Bodies:
     def go_on(self, cells: Cells) -> None:
         """Nodes take over the velocities that were heard of; called once they stand where this set has them."""
         nodes = self._nodes
-        learned = nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)].numpy()
+        learned = nodes.learned_rows.numpy()
         known = torch.from_numpy(learned[np.isin(learned, cells.nodes)])
         velocities = torch.from_numpy(self._merge_split.velocities(known.numpy(), nodes.positions[known].numpy()))
         nodes.velocities[known] = limited(velocities[:, :3], MAX_SPEED)

@@ -13,7 +13,7 @@ from twin_node import splat
 from twin_node.model.carriage import Carriage
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, QUICK, RGB, SMALLEST, WIDTH, Gaussians, activated
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate
-from twin_node.model.rendering import Sheet, Splats, join
+from twin_node.model.rendering import Sheet, Splats, join, stacked
 
 WORSE, WORSE_FLOOR = 1.5, 1e-3
 """Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
@@ -116,7 +116,7 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     aims = splat.Aims(
         torch.from_numpy(np.stack([camera.viewmat for camera in goal.cameras])).float(),
         torch.from_numpy(np.stack([camera.K for camera in goal.cameras])).float(),
-        torch.stack(tuple(goal.backdrops)),
+        stacked(tuple(goal.backdrops)),
         None if goal.masks is None else torch.from_numpy(np.stack(goal.masks)),
         target.rgb,
         target.weights,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 12
+INTERFACE_VERSION = 13
 
 
 class MaskRules(ctypes.Structure):
@@ -103,6 +103,7 @@ class PublishRequest(ctypes.Structure):
 
     _fields_ = (
         ("count", c_int64),
+        ("threads", c_int32),
         *((name, c_void_p) for name in ("rows", "values", "carriers", "id_of", "tier_of", "position_of")),
         *((name, c_void_p) for name in ("node_positions", "node_quats", "node_velocities", "node_turns")),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb", "velocities")),

@@ -163,7 +163,8 @@ class Kernels(NativeLibrary):
         self._dll.model_group(request)
 
     def publish(self, request: PublishRequest) -> None:
-        """Writes Gaussians as other rooms read them; takes one thread."""
+        """Writes Gaussians as other rooms read them."""
+        self._require_not_forked()
         self._dll.model_publish(request)
 
     def extents(self, request: ExtentRequest) -> None:

@@ -14,8 +14,8 @@ from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
-from twin_node.native_library import addresses_of
-from twin_node.scene import GaussianCloud, NodeStates, Tier
+from twin_node.native_library import addresses_of, thread_count
+from twin_node.scene import GaussianCloud, NodeStates
 
 
 def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
@@ -40,7 +40,8 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
         *(t.contiguous() for t in (nodes.positions, nodes.quats, nodes.velocities, nodes.angular_velocities)),
     )
     written = addresses_of(*vars(cloud).values())
-    library.publish(PublishRequest(count, *(tensor.data_ptr() for tensor in given), *written))
+    pointers = (tensor.data_ptr() for tensor in given)
+    library.publish(PublishRequest(count, thread_count(), *pointers, *written))
     return cloud
 
 
@@ -75,19 +76,14 @@ def cloud_plainly(gaussians: Gaussians, motion: Motion, rows: Tensor) -> Gaussia
 def _published(nodes: Nodes) -> Tensor:
     """[M] which of the nodes that are published each is, -1 for none."""
     position_of = torch.full((nodes.capacity,), -1, dtype=torch.int64)
-    published = learned_rows(nodes)
+    published = nodes.learned_rows
     position_of[published] = torch.arange(len(published))
     return position_of
 
 
-def learned_rows(nodes: Nodes) -> Tensor:
-    """[m] rows of the living nodes whose motion is learned: the arm's links follow its joints instead."""
-    return nodes.rows[nodes.tiers[nodes.rows] != int(Tier.ROBOT)]
-
-
 def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
     """Nodes whose motion is learned, each at the opacity-weighted centroid of the Gaussians it carries."""
-    alive, extents = learned_rows(nodes), extents_of(gaussians, nodes)
+    alive, extents = nodes.learned_rows, extents_of(gaussians, nodes)
     arm = rotate(nodes.quats, extents.centroids)
     positions = nodes.positions + arm
     velocities = nodes.velocities + torch.linalg.cross(nodes.angular_velocities, arm)

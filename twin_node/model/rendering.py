@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -97,9 +98,15 @@ def draw(
     sheets = []
     for chosen in by_size(cameras):
         mask = None if masks is None else [masks[i] for i in chosen]
-        behind = None if backdrops is None else torch.stack([backdrops[i] for i in chosen])
+        behind = None if backdrops is None else stacked(tuple(backdrops[i] for i in chosen))
         sheets.append(_rasterise(splats, [cameras[i] for i in chosen], chosen, mask, behind))
     return sheets
+
+
+@lru_cache(maxsize=2)
+def stacked(backdrops: tuple[Tensor, ...]) -> Tensor:
+    """[C, H, W, 4] of C times [H, W, 4], which nobody writes to; a set asks for the same again and again."""
+    return torch.stack(backdrops)
 
 
 def by_size(cameras: Sequence[Camera]) -> list[list[int]]:

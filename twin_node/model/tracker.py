@@ -240,7 +240,7 @@ class Tracker:
 
     def _steer(self, twists: Twists, dt_s: float) -> None:
         """The nodes whose motion is learned take their twists."""
-        steered = self._nodes.rows[self._nodes.tiers[self._nodes.rows] != int(Tier.ROBOT)]
+        steered = self._nodes.learned_rows
         self._nodes.correct(steered, twists.linear[steered], twists.angular[steered], dt_s)
         self._nodes.sigmas[steered] = twists.sigmas[steered]
 

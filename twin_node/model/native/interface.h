@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 12;
+constexpr int32_t kInterfaceVersion = 13;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -179,6 +179,7 @@ struct NodesNow {
 // Gaussians of a store, in the order in which they are published.
 struct PublishRequest {
   int64_t count;
+  int32_t threads;
   const int64_t *rows;                      // [count]
   const float *values;                      // [capacity, 14]
   const int64_t *carriers, *id_of;          // [capacity]

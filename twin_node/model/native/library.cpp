@@ -52,7 +52,10 @@ void model_carry(const model::CarryRequest *request) { model::carry(*request); }
 
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
 
-void model_publish(const model::PublishRequest *request) { model::publish(*request); }
+void model_publish(const model::PublishRequest *request) {
+  const int64_t tasks = (request->count + model::kPublishedPerTask - 1) / model::kPublishedPerTask;
+  crew::parallel_for(request->threads, tasks, [&](int64_t i) { model::publish(*request, i * model::kPublishedPerTask); });
+}
 
 void model_extents(const model::ExtentRequest *request) { model::find_extents(*request); }
 

@@ -22,8 +22,11 @@ inline void velocity_at(const NodesNow &nodes, int64_t node, const float *point,
   }
 }
 
-inline void publish(const PublishRequest &r) {
-  for (int64_t i = 0; i < r.count; i++) {
+constexpr int64_t kPublishedPerTask = 1024;
+
+// Those from number `first` on, as many as a task takes.
+inline void publish(const PublishRequest &r, int64_t first) {
+  for (int64_t i = first; i < std::min(r.count, first + kPublishedPerTask); i++) {
     const int64_t row = r.rows[i], node = r.carriers[row];
     const float *value = r.values + kColumns * row;
     double mean[3], quat[4], own[4];
