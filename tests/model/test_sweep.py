@@ -14,7 +14,8 @@ from twin_node.cell.solids import Solid
 from twin_node.cell.textures import Texture
 from twin_node.geometry import pose, project
 from twin_node.model import sweep as sweeping
-from twin_node.model.matching import COLOUR_SIGMA, Sight, match
+from twin_node.model.kernels import kernels
+from twin_node.model.matching import COLOUR_SIGMA, Sight, compared, compared_plain, match
 from twin_node.model.plane import Plane
 from twin_node.model.rays import pixel_rays
 from twin_node.model.sweep import Surface, shell_around, sweep
@@ -142,3 +143,19 @@ def test_the_colour_that_agrees_is_the_cheapest() -> None:
     assert seen.sum() > 8
     assert found.costs[row, column][seen].argmin() == apart[seen].argmin()
     assert found.costs[row, column][seen & (apart > 4 * COLOUR_SIGMA)].min() > 0 > found.costs[row, column][seen].min()
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+def test_compiled_comparisons_are_those_in_numpy() -> None:
+    """Also of points behind the other view and beside it, and of pixels of it that show nothing."""
+    one, other = CAMERAS[0], CAMERAS[2]
+    rng = np.random.default_rng(4)
+    first, second = (rng.random((HEIGHT, WIDTH, 3), np.float32) for _ in range(2))
+    base = rng.uniform(0.5, 3.0, (HEIGHT, WIDTH))
+    theirs = replace(_sight(other, second, base), valid=rng.random((HEIGHT, WIDTH)) > 0.2)
+    ours = _sight(one, first, base)
+    given = (ours, theirs, ours.rays * base[..., None], np.linspace(-1.0, 2.0, 13))
+    (apart, at), (apart_plain, at_plain) = compared(*given), compared_plain(*given)
+    np.testing.assert_array_equal(at, at_plain)
+    assert 0.1 < (at < 0).mean() < 0.9
+    np.testing.assert_allclose(apart[at >= 0], apart_plain[at >= 0], atol=1e-6)

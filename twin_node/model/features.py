@@ -16,6 +16,8 @@ UPSCALE = 2
 """SIFT finds little below its first octave; working images are small, so they are enlarged."""
 RATIO = 0.8
 """Best to second-best descriptor distance of a match worth keeping (Lowe, 2004, section 7.1)."""
+BLOCK = 1024
+"""Descriptors that are compared with all of another view's at a time: 4 kB each per thousand."""
 REPROJECTION_PX = 2.0
 """Largest reprojection error of a triangulated point, plus what the calibration's own error explains."""
 
@@ -44,14 +46,25 @@ def _matches(at_a: Float64, des_a: NDArray[np.float32], at_b: Float64, des_b: ND
     """Mutual best matches as pixels [n, 2, 2]: (view a or b, (u, v))."""
     if len(des_a) < 2 or len(des_b) < 2:
         return np.zeros((0, 2, 2))
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    back = {match.queryIdx: match.trainIdx for match in matcher.match(des_b, des_a)}
-    kept = [
-        (best.queryIdx, best.trainIdx)
-        for best, second in matcher.knnMatch(des_a, des_b, k=2)
-        if best.distance < RATIO * second.distance and back.get(best.trainIdx) == best.queryIdx
-    ]
-    return np.array([[at_a[i], at_b[j]] for i, j in kept]).reshape(-1, 2, 2)
+    best, is_distinct = np.empty(len(des_a), np.int64), np.empty(len(des_a), np.bool_)
+    nearest, back = np.full(len(des_b), np.inf, np.float32), np.zeros(len(des_b), np.int64)
+    for start in range(0, len(des_a), BLOCK):
+        block = slice(start, start + BLOCK)
+        squared = _squared_distances(des_a[block], des_b)
+        best[block] = squared.argmin(1)
+        first, second = np.sqrt(np.partition(squared, 1, axis=1)[:, :2].astype(np.float64)).T
+        is_distinct[block] = first < RATIO * second
+        nearer = squared.min(0) < nearest
+        back[nearer] = start + squared.argmin(0)[nearer]
+        nearest = np.minimum(nearest, squared.min(0))
+    kept = np.nonzero(is_distinct & (back[best] == np.arange(len(des_a))))[0]
+    return np.stack([at_a[kept], at_b[best[kept]]], axis=1)
+
+
+def _squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """[n, m]; exact, for SIFT's descriptors are whole numbers whose squares add up to less than 2^24."""
+    found: NDArray[np.float32] = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * (a @ b.T)
+    return found
 
 
 def _triangulate_pair(a: Camera, b: Camera, at_a: Float64, at_b: Float64) -> Float64:

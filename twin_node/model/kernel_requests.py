@@ -281,6 +281,17 @@ class GroupRequest(ctypes.Structure):
     _fields_ = (("places", c_int64), ("width", c_int64), ("at", c_void_p), ("groups", c_void_p))
 
 
+class CompareRequest(ctypes.Structure):
+    """`model::CompareRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("pixels", "labels")),
+        *((name, c_int32) for name in ("width", "height", "threads")),
+        *((name, c_void_p) for name in ("centre", "reach", "shares", "viewmat", "K", "rgb", "other", "valid")),
+        *((name, c_void_p) for name in ("apart", "at")),
+    )
+
+
 class SmoothRequest(ctypes.Structure):
     """`model::SmoothRequest`."""
 

@@ -16,6 +16,7 @@ from twin_node.model.kernel_requests import (
     BirthView,
     CarryRequest,
     CellRequest,
+    CompareRequest,
     CreepRequest,
     ExtentRequest,
     GroupRequest,
@@ -86,6 +87,7 @@ class Kernels(NativeLibrary):
         self._dll.model_occluders.argtypes = [ctypes.POINTER(OccluderRequest)]
         self._dll.model_held.argtypes = [ctypes.POINTER(HeldRequest)]
         self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
+        self._dll.model_compare.argtypes = [ctypes.POINTER(CompareRequest)]
         self._dll.model_smooth.argtypes = [ctypes.POINTER(SmoothRequest)]
         self._dll.model_creep.argtypes = [ctypes.POINTER(CreepRequest)]
 
@@ -186,6 +188,12 @@ class Kernels(NativeLibrary):
     def cells(self, request: CellRequest) -> None:
         """Deals Gaussians out to cells; takes one thread. Raises `MemoryError`."""
         _check(self._dll.model_cells(request))
+
+    def compare(self, request: CompareRequest) -> None:
+        """Finds points along rays in another view. Raises `MemoryError`."""
+        self._require_not_forked()
+        request.threads = thread_count()
+        _check(self._dll.model_compare(request))
 
     def smooth(self, request: SmoothRequest) -> None:
         """Makes the labels of neighbours alike. Raises `MemoryError`."""

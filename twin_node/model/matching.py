@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.model.kernel_requests import CompareRequest
+from twin_node.model.kernels import kernels
 from twin_node.model.rays import look
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Camera, Float32, Float64
 
 COLOUR_SIGMA = 0.06
@@ -53,22 +56,49 @@ def match(one: Sight, other: Sight, number: int, shares: Float64) -> Match:
 
     What a colour tells is held against the other colours along the same ray: where all are alike none tells anything.
     """
-    shape = (*one.base.shape, len(shares))
-    likelihoods, pixels = np.empty(shape, np.float32), np.empty(shape, np.int32)
     centre, reach = one.camera.T_base_cam[:3, 3], one.rays * one.base[..., None]
-    for k, share in enumerate(shares):
-        seen = look(other.camera, (centre + reach * share).reshape(-1, 3))
-        counts = seen.inside & other.valid[seen.rows, seen.columns]
-        apart = np.abs(other.rgb[seen.rows, seen.columns] - one.rgb.reshape(-1, 3)).mean(-1)
-        alike = np.where(counts, np.exp(-0.5 * (apart / COLOUR_SIGMA) ** 2) + OUTLIERS, 0.0)
-        likelihoods[..., k] = alike.reshape(shape[:2])
-        at = np.where(counts, seen.rows * other.camera.width + seen.columns, -1)
-        pixels[..., k] = at.reshape(shape[:2])
-    seen_at_all = pixels >= 0
-    usual = likelihoods.sum(-1) / np.maximum(seen_at_all.sum(-1), 1)
-    costs = np.zeros(shape, np.float32)
-    np.divide(usual[..., None], likelihoods, out=costs, where=seen_at_all)
-    np.log(costs, out=costs, where=seen_at_all)
+    apart, pixels = compared(one, other, reach, shares)
+    seen = pixels >= 0
+    alike = np.exp(-0.5 * (apart / COLOUR_SIGMA) ** 2) + np.float32(OUTLIERS)
+    likelihoods = np.where(seen, alike, np.float32(0))
+    usual = likelihoods.sum(-1) / np.maximum(seen.sum(-1), 1)
+    costs = np.zeros(seen.shape, np.float32)
+    np.divide(usual[..., None], likelihoods, out=costs, where=seen)
+    np.log(costs, out=costs, where=seen)
     axis, offset = other.camera.viewmat[2, :3], other.camera.viewmat[2, 3]
-    near = np.full(shape[:2], axis @ centre + offset, np.float32)
+    near = np.full(one.base.shape, axis @ centre + offset, np.float32)
     return Match(number, costs, pixels, near, (reach @ axis).astype(np.float32))
+
+
+def compared(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple[Float32, NDArray[np.int32]]:
+    """[H, W, K] by how much colours differ, mean over channels, and pixels of `other`, -1 where it does not see them.
+
+    Of the points at `shares` [K] of `reach` [H, W, 3] m from the centre of `one`.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return compared_plain(one, other, reach, shares)
+    shape, camera = (*one.base.shape, len(shares)), other.camera
+    apart, at = np.empty(shape, np.float32), np.empty(shape, np.int32)
+    doubles = [
+        np.ascontiguousarray(array, np.float64)
+        for array in (one.camera.T_base_cam[:3, 3], reach, shares, camera.viewmat, camera.K)
+    ]
+    colours = [np.ascontiguousarray(rgb, np.float32) for rgb in (one.rgb, other.rgb)]
+    valid = np.ascontiguousarray(other.valid)
+    given = addresses_of(*doubles, *colours, valid, apart, at)
+    compiled.compare(CompareRequest(one.base.size, len(shares), camera.width, camera.height, 1, *given))
+    return apart, at
+
+
+def compared_plain(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple[Float32, NDArray[np.int32]]:
+    """`compared` in NumPy."""
+    shape = (*one.base.shape, len(shares))
+    apart, at = np.empty(shape, np.float32), np.empty(shape, np.int32)
+    for k, share in enumerate(shares):
+        seen = look(other.camera, (one.camera.T_base_cam[:3, 3] + reach * share).reshape(-1, 3))
+        differences = np.abs(other.rgb[seen.rows, seen.columns] - one.rgb.reshape(-1, 3)).mean(-1)
+        counts = seen.inside & other.valid[seen.rows, seen.columns]
+        pixels = np.where(counts, seen.rows * other.camera.width + seen.columns, -1)
+        apart[..., k], at[..., k] = differences.reshape(shape[:2]), pixels.reshape(shape[:2])
+    return apart, at

@@ -55,16 +55,42 @@ class Plane:
 
 def correlation(a: View, b: View, plane: Plane) -> Float32:
     """[H, W] local normalised correlation of a's image with b's seen through `plane`; NaN where not shared."""
+    return _correlation(_Shades.of(a), _Shades.of(b), plane)
+
+
+@dataclass(frozen=True)
+class _Shades:
+    """A view's brightness, as it is compared with others."""
+
+    camera: Camera
+    gray: Float32
+    """[H, W] 0 to 1."""
+    mean: Float32
+    """[H, W] over the window about each pixel."""
+    variance: Float32
+    """[H, W] over it, and that of the noise."""
+
+    @classmethod
+    def of(cls, view: View) -> _Shades:
+        """Of a view."""
+        gray = np.asarray(cv2.LUT(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), SHARES), np.float32)
+        return cls(view.camera, gray, *_moments(gray))
+
+
+def _correlation(a: _Shades, b: _Shades, plane: Plane) -> Float32:
     T = inverse_pose(b.camera.T_base_cam) @ a.camera.T_base_cam
     normal = a.camera.T_base_cam[:3, :3].T @ plane.normal
     offset = plane.normal @ a.camera.T_base_cam[:3, 3] + plane.offset
     if abs(offset) < 1e-6:
-        return np.full((a.camera.height, a.camera.width), np.nan, np.float32)
+        return np.full(a.gray.shape, np.nan, np.float32)
     H = _corner_K(b.camera) @ (T[:3, :3] - np.outer(T[:3, 3], normal) / offset) @ np.linalg.inv(_corner_K(a.camera))
     size = (a.camera.width, a.camera.height)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    warped = cv2.warpPerspective(_gray(b), H, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0)
-    out = _local_correlation(_gray(a), warped.astype(np.float32))
+    warped = np.asarray(
+        cv2.warpPerspective(b.gray, H, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0), np.float32
+    )
+    mean, variance = _moments(warped)
+    out: Float32 = (_window_mean(a.gray * warped) - a.mean * mean) / np.sqrt(a.variance * variance)
     out[warped < 0] = np.nan
     if offset < 0:  # the camera is below: what looks against the normal meets the plane behind it
         out[pixel_rays(a.camera) @ plane.normal < -1e-6] = np.nan
@@ -73,6 +99,16 @@ def correlation(a: View, b: View, plane: Plane) -> Float32:
         u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
         out[H[2, 0] * u + H[2, 1] * v + H[2, 2] <= 0] = np.nan
     return out
+
+
+def _moments(gray: Float32) -> tuple[Float32, Float32]:
+    """[H, W] mean over the window about each pixel, and the variance there with that of the noise."""
+    mean = _window_mean(gray)
+    return mean, np.maximum(_window_mean(gray * gray) - mean**2, 0) + np.float32(TEXTURE**2)
+
+
+def _window_mean(image: Float32) -> Float32:
+    return np.asarray(cv2.boxFilter(image, -1, (PATCH_PX, PATCH_PX), borderType=cv2.BORDER_REFLECT), np.float32)
 
 
 def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
@@ -91,11 +127,12 @@ def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
     candidates += _ransac(points, centres)
     if len(views) < 2:
         return None
-    scores = [_agreement(views, plane) for plane in candidates]
+    shades = [_Shades.of(view) for view in views]
+    scores = [_agreement(shades, plane) for plane in candidates]
     best = int(np.argmax(scores))
     if scores[best] < max(MIN_AGREEMENT, DISTINCT * float(np.percentile(scores[:levels], 75))):
         return None
-    return _refined(views, candidates[best], scores[best], span)
+    return _refined(shades, candidates[best], scores[best], span)
 
 
 def plane_through(points: Float64, centres: Float64) -> Plane | None:
@@ -115,17 +152,17 @@ def plane_through(points: Float64, centres: Float64) -> Plane | None:
     return Plane(normal, float(-normal @ centre))
 
 
-def _agreement(views: Sequence[View], plane: Plane) -> float:
+def _agreement(views: Sequence[_Shades], plane: Plane) -> float:
     """Mean correlation over the pixels that pairs of views share through the plane, discounted where they share few."""
     total = 0.0
     for a, b in permutations(views, 2):
-        found = correlation(a, b, plane)
+        found = _correlation(a, b, plane)
         shared = np.isfinite(found)
         total += float(found[shared].sum()) / found.size
     return total / (len(views) * (len(views) - 1))
 
 
-def _refined(views: Sequence[View], plane: Plane, score: float, span: float) -> Plane:
+def _refined(views: Sequence[_Shades], plane: Plane, score: float, span: float) -> Plane:
     """Coordinate ascent over tilt (rad) and offset (m), the step halved whenever it no longer helps."""
     step = span / 32
     first = np.cross(plane.normal, [1.0, 0.0, 0.0] if abs(plane.normal[0]) < 0.9 else [0.0, 1.0, 0.0])
@@ -184,18 +221,3 @@ def _corner_K(camera: Camera) -> Float64:
     K = camera.K.copy()
     K[:2, 2] -= 0.5
     return K
-
-
-def _gray(view: View) -> Float32:
-    return np.asarray(cv2.LUT(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), SHARES), np.float32)
-
-
-def _local_correlation(a: Float32, b: Float32) -> Float32:
-    def mean(image: Float32) -> Float32:
-        return cv2.boxFilter(image, -1, (PATCH_PX, PATCH_PX), borderType=cv2.BORDER_REFLECT).astype(np.float32)
-
-    mean_a, mean_b = mean(a), mean(b)
-    var_a = np.maximum(mean(a * a) - mean_a**2, 0) + TEXTURE**2
-    var_b = np.maximum(mean(b * b) - mean_b**2, 0) + TEXTURE**2
-    out: Float32 = (mean(a * b) - mean_a * mean_b) / np.sqrt(var_a * var_b)
-    return out

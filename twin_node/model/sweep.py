@@ -138,9 +138,7 @@ def _matches(sights: Sequence[Sight], index: int, shares: Float64) -> list[Match
 def _costs(matches: Sequence[Match], shares: Float64, chosen: Sequence[Float64]) -> Float32:
     """[H, W, K] what the other views say against each depth; the better half of them, as long as none has `chosen`."""
     if not chosen:
-        terms = np.sort(np.stack([found.costs for found in matches]), axis=0)
-        said: Float32 = terms[: (len(terms) + 1) // 2].sum(0)
-        return said
+        return _least([found.costs for found in matches], (len(matches) + 1) // 2)
     total = np.zeros_like(matches[0].costs)
     for found in matches:
         depths = found.near[..., None] + found.slope[..., None] * shares.astype(np.float32)
@@ -148,6 +146,18 @@ def _costs(matches: Sequence[Match], shares: Float64, chosen: Sequence[Float64])
         seen = found.pixels >= 0
         total += np.where(seen & (depths > theirs * (1 + SAME_SURFACE)), 0, found.costs)
         total += np.float32(SEEN_THROUGH_COST) * (seen & (depths < theirs * (1 - SAME_SURFACE)))
+    return total
+
+
+def _least(terms: Sequence[Float32], count: int) -> Float32:
+    """[...] sum of the `count` least of `terms` [...]; sorting so few at every place takes ten times as long."""
+    rest, total = list(terms), np.zeros_like(terms[0])
+    for _ in range(count):
+        least = rest[0]
+        for index in range(1, len(rest)):
+            rest[index], least = np.maximum(rest[index], least), np.minimum(rest[index], least)
+        total += least
+        rest = rest[1:]
     return total
 
 

@@ -265,6 +265,18 @@ struct GroupRequest {
   int64_t *groups;     // [places] written: numbers of the groups, in order
 };
 
+// Points along the rays of one view's pixels, to be found in another view; see `matching.py`.
+struct CompareRequest {
+  int64_t pixels, labels;
+  int32_t width, height, threads;         // the first two of the other view
+  const double *centre, *reach, *shares;  // [3] m, [pixels, 3] m, [labels] of the reach
+  const double *viewmat, *K;              // [4, 4], [3, 3] of the other view
+  const float *rgb, *other;               // [pixels, 3], [H, W, 3] 0 to 1
+  const uint8_t *valid;                   // [H, W] of the other view
+  float *apart;                           // [pixels, labels] written: by how much colours differ, mean over channels
+  int32_t *at;                            // [pixels, labels] written: the other's pixel; -1 where it does not see it
+};
+
 // Costs of labels in order, to be made alike among neighbours; see `semi_global.py`.
 struct SmoothRequest {
   int64_t height, width, labels;

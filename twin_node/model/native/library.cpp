@@ -9,6 +9,7 @@
 #include "exposing.h"
 #include "held.h"
 #include "mask.h"
+#include "matching.h"
 #include "nearest.h"
 #include "observing.h"
 #include "occluders.h"
@@ -102,6 +103,11 @@ int32_t model_refute(const model::RefutedRequest *request) {
 
 int32_t model_judge(const model::StaticRequest *request) {
   return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::judge(*request, i); });
+}
+
+int32_t model_compare(const model::CompareRequest *request) {
+  return side_by_side(request->threads, static_cast<int>(request->pixels),
+                      [&](int i) { model::compare(*request, i); });
 }
 
 int32_t model_smooth(const model::SmoothRequest *request) {
