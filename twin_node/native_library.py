@@ -126,7 +126,9 @@ def address_of(array: NDArray[Any]) -> int | None:
 
 def addresses_of(*arrays: NDArray[Any] | None) -> list[int | None]:
     """Where each begins; None for None."""
-    return [None if array is None else address_of(array) for array in arrays]
+    if not _LIES_BEHIND_HEAD:
+        return [None if array is None else array.ctypes.data for array in arrays]
+    return [None if array is None else c_void_p.from_address(id(array) + _HEAD).value for array in arrays]
 
 
 _HEAD = object.__basicsize__

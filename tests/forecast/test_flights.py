@@ -63,10 +63,10 @@ def test_a_bounce_begins_a_new_course_of_what_is_known_to_fall() -> None:
     up = down[-1] + path(5, np.array([2.0, 0.0, 2.0]), GRAVITY)[1:] - np.array([0.0, 0.0, 1.0])
     hit = course_of(np.concatenate([down, up[:1]]))
     assert hit.falls
-    assert len(hit.times) == 1
+    assert len(hit.way.times) == 1
     assert hit.velocity_sigma > 1.0
     after = course_of(np.concatenate([down, up]))
-    assert len(after.times) == 4
+    assert len(after.way.times) == 4
     assert np.linalg.norm(after.velocity - (np.array([2.0, 0.0, 2.0]) + 4 * PERIOD * GRAVITY)) < 0.4
 
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import split, split_plainly
-from twin_node.forecast.things import hanging_together, hanging_together_plainly
 from twin_node.scene import Grid
 
 pytestmark = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -32,10 +31,3 @@ def test_compiled_parts_are_the_plain_ones(
     for name in ("indices", "places", "labels", "likely", "centers"):
         one, other = getattr(found, name), getattr(plain, name)
         assert one.dtype == other.dtype and np.array_equal(one, other), name
-
-
-@settings(max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(0, 60))
-def test_compiled_pieces_are_the_plain_ones(seed: int, count: int, links: int) -> None:
-    pairs = np.random.default_rng(seed).integers(0, count, (links, 2))
-    assert np.array_equal(hanging_together(count, pairs), hanging_together_plainly(count, pairs))

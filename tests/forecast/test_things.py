@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from twin_node.forecast import Forecaster
 from twin_node.forecast.experts import GRAVITY
+from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import Parts, split
-from twin_node.forecast.things import Things
-from twin_node.scene import HORIZONS_NS
+from twin_node.forecast.things import Gathered, Things, gather, gather_plainly, pieces_of, pieces_of_plainly
+from twin_node.scene import HORIZONS_NS, Float64, Grid
 
 PERIOD_NS = 66_000_000
 CAMERAS = ("left", "right")
@@ -99,3 +102,46 @@ def test_what_is_thrown_is_expected_to_fall() -> None:
     assert np.isin(there, occupancy.layers[-1].indices).all()
     reached = np.linalg.norm(GRID.centers(np.arange(GRID.size)) - place(stamp), axis=1) < 0.09 + 0.233 * 2.5
     assert len(occupancy.layers[-1].indices) < 0.8 * np.count_nonzero(reached)
+
+
+def test_rims_hang_on_the_nearest_part_that_is_more() -> None:
+    left, right = (ball_voxels(np.array([x, 0.0, 0.5]), 0.06) for x in (-0.24, 0.24))
+    rims = ball_voxels(np.array([0.1, 0.0, 0.5]), 0.03), ball_voxels(np.array([0.0, 0.4, 0.5]), 0.03)
+    indices = np.unique(np.concatenate([left, right, *rims]))
+    parts = split(GRID, indices, np.isin(indices, np.concatenate([left, right])))
+    labels, near = gather(parts).labels, parts.centers[:, 1] < 0.2
+    assert np.array_equal(labels[near], parts.centers[near, 0] > 0)
+    assert (labels[~near] == -1).all() and (~near).any()
+
+
+compared = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+
+
+def scattered(rng: np.random.Generator, count: int) -> Float64:
+    """Middles [count, 3] m, some of them as parts on a lattice are: many are the same way apart."""
+    centers = rng.uniform(0, rng.choice([0.3, 1.0]), (count, 3))
+    on_lattice = rng.uniform(size=count) < 0.5
+    centers[on_lattice] = np.round(centers[on_lattice] / 0.08) * 0.08
+    return np.asarray(centers)
+
+
+@compared
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200))
+def test_compiled_pieces_are_the_plain_ones(seed: int, count: int) -> None:
+    centers = scattered(np.random.default_rng(seed), count)
+    found, plain = pieces_of(centers), pieces_of_plainly(centers)
+    assert found.dtype == plain.dtype and np.array_equal(found, plain)
+
+
+@compared
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.002, 0.02, 0.3]), st.sampled_from([0.0, 0.3, 1.0]))
+def test_compiled_things_are_the_plain_ones(seed: int, share: float, likely_share: float) -> None:
+    rng, grid = np.random.default_rng(seed), Grid(np.array([0.1, -0.2, 0.3]), 0.02, (31, 25, 17))
+    indices = np.flatnonzero(rng.uniform(size=grid.size) < share)
+    parts = split(grid, indices, rng.uniform(size=len(indices)) < likely_share)
+    found, plain = gather(parts), gather_plainly(parts)
+    for name in Gathered.__dataclass_fields__:
+        one, other = getattr(found, name), getattr(plain, name)
+        assert one.dtype == other.dtype and np.array_equal(one, other), name

@@ -51,8 +51,8 @@ class _Line:
 
 
 @dataclass(frozen=True)
-class Course:
-    """Where a thing was, set by set, since it was first seen or last hit something; n sets."""
+class _Way:
+    """Where a thing was, set by set; n sets."""
 
     times: Float64
     """[n] s, rising."""
@@ -60,6 +60,43 @@ class Course:
     """[n, 3] m."""
     sigmas: Float64
     """[n] standard deviation of each component of a middle, m."""
+
+    @classmethod
+    def begun(cls, time: float, middle: Float64, sigma: float) -> _Way:
+        """With one place [3] (m) at a time (s)."""
+        return cls(np.array([time]), middle[None], np.array([sigma]))
+
+    def longer(self, time: float, middle: Float64, sigma: float) -> _Way:
+        """With one more, and without those that are too old for a course."""
+        kept = self.times > time - _KEPT_S
+        times, sigmas = np.append(self.times[kept], time), np.append(self.sigmas[kept], sigma)
+        return _Way(times, np.append(self.middles[kept], middle[None], axis=0), sigmas)
+
+    @cached_property
+    def lines(self) -> dict[bool, _Line]:
+        """Both kinds of course, by whether what is on it falls."""
+        ages, trusts = self.times - self.times[-1], 1 / self.sigmas**2
+        total, first, second = trusts.sum(), trusts @ ages, trusts @ ages**2
+        determinant = total * second - first**2
+        place_sigma, velocity_sigma = np.sqrt(np.array([second, total]) / determinant).tolist()
+
+        def line(gravity: Float64) -> _Line:
+            told = self.middles - (ages**2 / 2)[:, None] * gravity
+            sums, moments = trusts @ told, (trusts * ages) @ told
+            place, velocity = second * sums - first * moments, total * moments - first * sums
+            place, velocity = place / determinant, velocity / determinant
+            misfit = float(trusts @ ((told - place - ages[:, None] * velocity) ** 2).sum(axis=1))
+            return _Line(place, velocity, place_sigma, velocity_sigma, misfit, gravity)
+
+        return {True: line(GRAVITY), False: line(_WEIGHTLESS)}
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where a thing was, set by set, since it was first seen or last hit something; n sets."""
+
+    way: _Way
+    """Its places."""
     velocity: Float64
     """[3] m/s, at the last set; 0 if there is but one."""
     velocity_sigma: float = np.inf
@@ -70,7 +107,7 @@ class Course:
     @classmethod
     def begun(cls, time: float, middle: Float64, sigma: float) -> Course:
         """With one place [3] (m) at a time (s)."""
-        return cls(np.array([time]), middle[None], np.array([sigma]), np.zeros(3))
+        return cls(_Way.begun(time, middle, sigma), np.zeros(3))
 
     @property
     def flies(self) -> bool:
@@ -83,66 +120,45 @@ class Course:
 
         Two places may be those of two things, or of one that has come apart.
         """
-        is_sure = len(self.times) >= _PLACES and self.velocity_sigma < _SURE
+        is_sure = len(self.way.times) >= _PLACES and self.velocity_sigma < _SURE
         return bool(self.falls) or (self.falls is None and self.flies and is_sure)
 
     def followed(self, time: float, middle: Float64, sigma: float) -> Course:
         """The course with the thing's place [3] (m) at a later time (s); begun anew if it does not lead there."""
-        elapsed = time - self.times[-1]
-        step, astray = (middle - self.middles[-1]) / elapsed, float(np.sqrt(2)) * sigma / elapsed
+        elapsed = time - self.way.times[-1]
+        step, astray = (middle - self.way.middles[-1]) / elapsed, float(np.sqrt(2)) * sigma / elapsed
         is_slow, falls = not self.falls and float(np.linalg.norm(step)) < _SLOW, self.falls
-        if not is_slow and len(self.times) > 1:
-            leads = {kind: line.leads_to(middle, sigma, elapsed) for kind, line in self._lines}
+        if not is_slow and len(self.way.times) > 1:
+            leads = {kind: line.leads_to(middle, sigma, elapsed) for kind, line in self.way.lines.items()}
             if not any(leads[kind] for kind in leads if self.falls in (None, kind)):
                 if not any(leads.values()):
                     return self._hit(time, middle, sigma, step, astray)
                 falls = None  # what came down lies or rolls, or what went straight is let go
-        kept = self.times > time - _KEPT_S
-        times, sigmas = np.append(self.times[kept], time), np.append(self.sigmas[kept], sigma)
-        longer = Course(times, np.append(self.middles[kept], middle[None], axis=0), sigmas, step, astray, falls)
+        longer = Course(self.way.longer(time, middle, sigma), step, astray, falls)
         return longer if is_slow else longer._fitted()
 
     def _hit(self, time: float, middle: Float64, sigma: float, step: Float64, astray: float) -> Course:
         """Begun anew where it does not lead to, with the velocity of its last step: that changed on the way."""
         if self.flies:
             astray = max(astray, float(np.linalg.norm(step - self.velocity)))
-        return Course(np.array([time]), middle[None], np.array([sigma]), step, astray, self.falls)
-
-    @property
-    def _lines(self) -> tuple[tuple[bool, _Line], ...]:
-        """Both kinds of line, by whether what is on it falls."""
-        return (True, self._falling), (False, self._straight)
+        return Course(_Way.begun(time, middle, sigma), step, astray, self.falls)
 
     def _fitted(self) -> Course:
         """With what all of its places say of its velocity, where it flies, and of whether it falls."""
-        if len(self.times) < 2:
+        count = len(self.way.times)
+        if count < 2:
             return self
-        falls, limit = self.falls, _ASTRAY**2 * (len(self.times) - 1)
-        difference = self._straight.misfit - self._falling.misfit
-        if difference > _SHOWN and self._falling.misfit < limit and len(self.times) > _PLACES:
+        falls, limit, falling, straight = (
+            self.falls,
+            _ASTRAY**2 * (count - 1),
+            self.way.lines[True],
+            self.way.lines[False],
+        )
+        difference = straight.misfit - falling.misfit
+        if difference > _SHOWN and falling.misfit < limit and count > _PLACES:
             falls = True
-        elif difference < -_SHOWN and self._straight.misfit < limit:
+        elif difference < -_SHOWN and straight.misfit < limit:
             falls = False
-        line = self._straight if falls is False else self._falling
+        line = straight if falls is False else falling
         told = replace(self, velocity=line.velocity, velocity_sigma=line.velocity_sigma, falls=falls)
         return told if told.flies else replace(self, falls=falls)
-
-    @cached_property
-    def _straight(self) -> _Line:
-        return self._line(_WEIGHTLESS)
-
-    @cached_property
-    def _falling(self) -> _Line:
-        return self._line(GRAVITY)
-
-    def _line(self, gravity: Float64) -> _Line:
-        ages, trusts = self.times - self.times[-1], 1 / self.sigmas**2
-        told = self.middles - (ages**2 / 2)[:, None] * gravity
-        total, first, second = trusts.sum(), trusts @ ages, trusts @ ages**2
-        determinant = total * second - first**2
-        sums, moments = trusts @ told, (trusts * ages) @ told
-        place, velocity = second * sums - first * moments, total * moments - first * sums
-        place, velocity = place / determinant, velocity / determinant
-        misfit = float(trusts @ ((told - place - ages[:, None] * velocity) ** 2).sum(axis=1))
-        sigmas = np.sqrt(np.array([second, total]) / determinant)
-        return _Line(place, velocity, float(sigmas[0]), float(sigmas[1]), misfit, gravity)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 22
+INTERFACE_VERSION = 23
 
 
 class GrowRequest(ctypes.Structure):
@@ -172,7 +172,17 @@ class SplitRequest(ctypes.Structure):
 class LinkRequest(ctypes.Structure):
     """`forecast::LinkRequest`."""
 
-    _fields_ = (("nodes", c_int64), ("links", c_int64), ("pairs", c_void_p), ("pieces", c_void_p))
+    _fields_ = (("points", c_int64), ("reach", c_double), ("centers", c_void_p), ("pieces", c_void_p))
+
+
+class GatherRequest(ctypes.Structure):
+    """`forecast::GatherRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("voxels", "parts")),
+        ("reach", c_double),
+        *((name, c_void_p) for name in ("places", "labels", "likely", "centers", "things", "extents", "count")),
+    )
 
 
 class SeeRequest(ctypes.Structure):

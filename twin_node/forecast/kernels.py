@@ -14,6 +14,7 @@ from twin_node.forecast.kernel_requests import (
     CountRequest,
     FillRequest,
     FitRequest,
+    GatherRequest,
     GrowRequest,
     HideRequest,
     HoldRequest,
@@ -63,6 +64,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
         self._dll.forecast_split.argtypes = [ctypes.POINTER(SplitRequest)]
         self._dll.forecast_link.argtypes = [ctypes.POINTER(LinkRequest)]
+        self._dll.forecast_gather.argtypes = [ctypes.POINTER(GatherRequest)]
         self._dll.forecast_see.argtypes = [ctypes.POINTER(SeeRequest)]
         self._dll.forecast_show.argtypes = [ctypes.POINTER(ShowRequest)]
         self._dll.forecast_tell.argtypes = [ctypes.POINTER(TellRequest)]
@@ -135,8 +137,12 @@ class Kernels(NativeLibrary):
         _check(self._dll.forecast_split(request))
 
     def link(self, request: LinkRequest) -> None:
-        """Finds which nodes hang together; takes one thread. Raises `MemoryError`."""
+        """Finds which points hang together; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_link(request))
+
+    def gather(self, request: GatherRequest) -> None:
+        """Finds the things that parts are of; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_gather(request))
 
     def see(self, request: SeeRequest) -> None:
         """Says what one image shows to move; takes one thread. Raises `MemoryError`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.hiding import HAND_M
 from twin_node.forecast.parts import Parts
@@ -16,7 +15,7 @@ def of_things(grid: Grid, parts: Parts) -> Bool:
 
     Where depth ends, at the edges of what stands, single pixels measure now this and now that.
     """
-    pieces = pieces_of(cKDTree(parts.centers))
-    sizes = np.bincount(pieces[parts.labels], minlength=1)
+    pieces = pieces_of(parts.centers)
+    sizes = np.bincount(pieces, np.bincount(parts.labels, minlength=parts.count), minlength=1)
     large: Bool = sizes[pieces] >= (HAND_M / grid.voxel_size) ** 3
     return large

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.flights import Course
-from twin_node.forecast.kernel_requests import LinkRequest
+from twin_node.forecast.kernel_requests import GatherRequest, LinkRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.native_library import addresses_of
@@ -19,8 +19,8 @@ from twin_node.scene import Bool, Float64, Grid
 
 LARGEST = 0.45
 """Longest side of what is followed as a whole, m: limbs bend, and what is larger is rarely seen as a whole."""
-_TOGETHER = 1.6
-"""Parts are of one thing if their middles are no further apart, parts: neighbours, also those across an edge."""
+_REACH = 1.6 * PART_SIZE
+"""Parts are of one thing if their middles are no further apart, m: neighbours, also those across an edge."""
 _FEWEST = 4
 """Voxels of the smallest thing."""
 _ALIKE = 1.6
@@ -75,8 +75,8 @@ class Things:
 
         Only sets that came of the same `cameras` are compared: what another one sees of a thing has another middle.
         """
-        labels = _things(parts)
-        now = _Seen.of(stamp, cameras, self._grid, parts, labels)
+        gathered = gather(parts)
+        labels, now = gathered.labels, _Seen.of(stamp, cameras, self._grid, gathered)
         before, self._before = self._before, now
         whole = Whole.none(parts.count)
         if before is None or before.stamp >= stamp or before.cameras != cameras:
@@ -112,58 +112,94 @@ class _Seen:
     """[T] that led there."""
 
     @classmethod
-    def of(cls, stamp: int, cameras: tuple[str, ...], grid: Grid, parts: Parts, labels: NDArray[np.int64]) -> _Seen:
-        """By the thing `labels` [M] of parts."""
-        count = int(labels.max(initial=-1)) + 1
-        likely = labels[parts.labels[parts.likely]]
-        order = np.argsort(likely, kind="stable")
-        places = np.stack(np.unravel_index(parts.indices[parts.likely][order], grid.dims), axis=1)
-        volumes = np.bincount(likely, minlength=count).astype(np.float64)
-        firsts = (np.cumsum(volumes) - volumes).astype(np.int64)
-        lowest, highest, sums = (by.reduceat(places, firsts) for by in (np.minimum, np.maximum, np.add))
-        middles = grid.origin + (sums / volumes[:, None] + 0.5) * grid.voxel_size
-        squares = np.add.reduceat(places**2, firsts) / volumes[:, None] - (sums / volumes[:, None]) ** 2
+    def of(cls, stamp: int, cameras: tuple[str, ...], grid: Grid, things: Gathered) -> _Seen:
+        """At a time (ns), by some cameras."""
+        volumes = things.volumes.astype(np.float64)
+        middles = grid.origin + (things.sums / volumes[:, None] + 0.5) * grid.voxel_size
+        squares = things.squares / volumes[:, None] - (things.sums / volumes[:, None]) ** 2
         sides = np.sqrt(12 * squares.max(axis=1) + 1) * grid.voxel_size
         # what lies on the grid's bottom, a table or the floor, is not cut off there
-        whole = (lowest[:, :2] > 0).all(axis=1) & (highest < np.array(grid.dims) - 1).all(axis=1)
+        whole = (things.lowest[:, :2] > 0).all(axis=1) & (things.highest < np.array(grid.dims) - 1).all(axis=1)
         chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
         courses = [Course.begun(stamp * 1e-9, middle, grid.voxel_size / 2) for middle in middles]
-        bottoms = grid.origin[2] + lowest[:, 2] * grid.voxel_size
+        bottoms = grid.origin[2] + things.lowest[:, 2] * grid.voxel_size
         return cls(stamp, cameras, middles, volumes, sides, chosen, bottoms, courses)
 
 
+@dataclass(frozen=True)
+class Gathered:
+    """The T things that M parts are of: parts that hang together."""
+
+    labels: NDArray[np.int64]
+    """[M] thing of each part. Rims hang on the nearest part that is more than a rim; -1 for those far from all."""
+    volumes: NDArray[np.int64]
+    """[T] voxels that are no rims, as all that follows."""
+    lowest: NDArray[np.int64]
+    """[T, 3] least coordinates."""
+    highest: NDArray[np.int64]
+    """[T, 3] greatest coordinates."""
+    sums: NDArray[np.int64]
+    """[T, 3] of coordinates."""
+    squares: NDArray[np.int64]
+    """[T, 3] sums of squared coordinates."""
+
+
+def gather(parts: Parts) -> Gathered:
+    """The things that parts are of. Compiled; `gather_plainly` where that cannot be."""
+    compiled = kernels()
+    if compiled is None:
+        return gather_plainly(parts)
+    labels, extents = np.empty(parts.count, np.int64), np.empty((parts.count, 13), np.int64)
+    given = tuple(np.ascontiguousarray(array) for array in (parts.places, parts.labels, parts.likely, parts.centers))
+    count = np.empty(1, np.int64)
+    addresses = addresses_of(*given, labels, extents, count)
+    compiled.gather(GatherRequest(len(parts.labels), parts.count, _REACH, *addresses))
+    extents = extents[: count[0]]
+    return Gathered(labels, extents[:, 0], *(extents[:, first : first + 3] for first in (1, 4, 7, 10)))
+
+
+def gather_plainly(parts: Parts) -> Gathered:
+    """What `gather` does."""
+    things = _things(parts)
+    likely = things[parts.labels[parts.likely]]
+    order = np.argsort(likely, kind="stable")
+    places = parts.places[:, parts.likely].T[order].astype(np.int64)
+    volumes = np.bincount(likely, minlength=int(things.max(initial=-1)) + 1)
+    firsts = np.cumsum(volumes) - volumes
+    lowest, highest, sums = (by.reduceat(places, firsts) for by in (np.minimum, np.maximum, np.add))
+    return Gathered(things, volumes, lowest, highest, sums, np.add.reduceat(places**2, firsts))
+
+
 def _things(parts: Parts) -> NDArray[np.int64]:
-    """Thing [M] of each part: parts that hang together. Rims hang on the nearest part that is more than a rim."""
+    """Thing [M] of each part."""
     solid = np.flatnonzero(np.bincount(parts.labels[parts.likely], minlength=parts.count))
     labels = np.full(parts.count, -1, np.int64)
     if len(solid) == 0:
         return labels
-    tree = cKDTree(parts.centers[solid])
-    mine = np.append(pieces_of(tree), -1)
-    labels[:] = mine[tree.query(parts.centers, distance_upper_bound=_TOGETHER * PART_SIZE)[1]]
+    labels[solid] = pieces_of_plainly(parts.centers[solid])
+    for rim in np.setdiff1d(np.arange(parts.count), solid):
+        squares = ((parts.centers[solid] - parts.centers[rim]) ** 2).sum(axis=1)
+        nearest = squares.argmin()
+        labels[rim] = labels[solid[nearest]] if squares[nearest] < _REACH**2 else -1
     return labels
 
 
-def pieces_of(centers: cKDTree) -> NDArray[np.int64]:
-    """[M] piece that each of M parts is of, by their middles (m): neighbours hang together."""
-    return hanging_together(centers.n, centers.query_pairs(_TOGETHER * PART_SIZE, output_type="ndarray"))
+def pieces_of(centers: Float64) -> NDArray[np.int64]:
+    """[M] piece that each of M parts is of, in the order of their first ones, by their middles [M, 3] (m).
 
-
-def hanging_together(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[count] piece of each node, in the order of their first nodes, where `pairs` [n, 2] hang together.
-
-    Compiled; `hanging_together_plainly` where that cannot be.
+    Neighbours hang together. Compiled; `pieces_of_plainly` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return hanging_together_plainly(count, pairs)
-    pieces, links = np.empty(count, np.int64), np.ascontiguousarray(pairs, np.int64)
-    compiled.link(LinkRequest(count, len(links), *addresses_of(links, pieces)))
+        return pieces_of_plainly(centers)
+    pieces, middles = np.empty(len(centers), np.int64), np.ascontiguousarray(centers, np.float64)
+    compiled.link(LinkRequest(len(centers), _REACH, *addresses_of(middles, pieces)))
     return pieces
 
 
-def hanging_together_plainly(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """What `hanging_together` does."""
+def pieces_of_plainly(centers: Float64) -> NDArray[np.int64]:
+    """What `pieces_of` does."""
+    count, pairs = len(centers), cKDTree(centers).query_pairs(_REACH, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     pieces: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
     return pieces

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 22;
+constexpr int32_t kInterfaceVersion = 23;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -167,11 +167,26 @@ struct SplitRequest {
   int64_t *count;          // [1] parts
 };
 
-// Which nodes hang together.
+// Which points hang together: those that are no further apart than `reach`.
 struct LinkRequest {
-  int64_t nodes, links;
-  const int64_t *pairs;  // [links, 2]
-  int64_t *pieces;       // [nodes] piece of each, in the order of their first nodes
+  int64_t points;
+  double reach;           // m
+  const double *centers;  // [points, 3] m
+  int64_t *pieces;        // [points] piece of each, in the order of their first points
+};
+
+// The things that parts are of: parts that hang together. Rims hang on the nearest part that is more than a rim.
+struct GatherRequest {
+  int64_t voxels, parts;
+  double reach;            // m
+  const int32_t *places;   // [3, voxels] coordinates
+  const int64_t *labels;   // [voxels] part of each
+  const uint8_t *likely;   // [voxels] 0: of a rim
+  const double *centers;   // [parts, 3] m
+  int64_t *things;         // [parts] thing of each; -1 for rims that hang on nothing
+  int64_t *extents;        // [things, 13] voxels that are no rims; their least, greatest, summed, and squared and summed
+                           // coordinates; room for as many as there are parts
+  int64_t *count;          // [1] things
 };
 
 // One image of what moves: what it is compared by with the image before.

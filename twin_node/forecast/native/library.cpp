@@ -19,6 +19,7 @@
 #include "shown.h"
 #include "solve.h"
 #include "surface.h"
+#include "things.h"
 
 namespace {
 
@@ -87,6 +88,10 @@ int32_t forecast_split(const forecast::SplitRequest *request) {
 
 int32_t forecast_link(const forecast::LinkRequest *request) {
   return guarded([&] { forecast::link(*request); });
+}
+
+int32_t forecast_gather(const forecast::GatherRequest *request) {
+  return guarded([&] { forecast::gather(*request); });
 }
 
 int32_t forecast_see(const forecast::SeeRequest *request) {

@@ -36,22 +36,4 @@ inline void split(const SplitRequest &r) {
   *r.count = count;
 }
 
-inline void link(const LinkRequest &r) {
-  std::vector<int64_t> parents(r.nodes);
-  std::iota(parents.begin(), parents.end(), 0);
-  const auto root = [&](int64_t node) {
-    while (parents[node] != node) node = parents[node] = parents[parents[node]];
-    return node;
-  };
-  for (int64_t i = 0; i < r.links; i++) {
-    const int64_t one = root(r.pairs[2 * i]), other = root(r.pairs[2 * i + 1]);
-    parents[std::max(one, other)] = std::min(one, other);
-  }
-  int64_t count = 0;  // a root is the first node of its piece
-  for (int64_t node = 0; node < r.nodes; node++) {
-    const int64_t first = root(node);
-    r.pieces[node] = first == node ? count++ : r.pieces[first];
-  }
-}
-
 }  // namespace forecast
