@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
-from twin_node.forecast.kernel_requests import FillRequest, ReviseRequest
+from twin_node.forecast.kernel_requests import ReviseRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, TwinState, View
@@ -29,39 +31,49 @@ class Backdrops:
     """The standing scene's depth per camera, learnt where nothing moves and where something has moved away."""
 
     def __init__(self) -> None:
-        self._depths: dict[str, Float32] = {}
+        self._known: dict[str, Backdrop] = {}
 
     def update(self, state: TwinState) -> None:
         """Takes in the depth images of a state; what the moving and robot masks hide stays as it was known."""
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             if view.depth is not None:
-                self._depths[view.camera.name] = revised(self._kept(view), view.depth, moving, robot)
+                self._known[view.camera.name] = revised(self._of(view).kept, view.depth, moving, robot)
 
     def of(self, view: View) -> Float32:
         """[H, W] depth of what stands behind each pixel, m; `UNSEEN` where nothing that stands has been seen."""
-        return filled(self._kept(view))
+        return self._of(view).filled
 
-    def _kept(self, view: View) -> Float32:
-        """[H, W] what is known of each pixel by itself."""
-        known = self._depths.get(view.camera.name)
-        if known is None or known.shape != view.rgb.shape[:2]:
-            return np.full(view.rgb.shape[:2], UNSEEN, np.float32)
+    def _of(self, view: View) -> Backdrop:
+        known = self._known.get(view.camera.name)
+        if known is None or known.kept.shape != view.rgb.shape[:2]:
+            nothing = np.full(view.rgb.shape[:2], UNSEEN, np.float32)
+            return Backdrop(nothing, nothing)
         return known
 
 
-def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Float32:
-    """[H, W] the backdrop after one more image. Compiled; `revised_plainly` where that cannot be."""
+@dataclass(frozen=True)
+class Backdrop:
+    """What is known of one camera's pixels."""
+
+    kept: Float32
+    """[H, W] m, of each by itself; `UNMEASURED` where nothing moves and no depth is known."""
+    filled: Float32
+    """[H, W] m, the same with such holes filled."""
+
+
+def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
+    """The backdrop [H, W] after one more image, filled too. Compiled; `revised_plainly` where that cannot be."""
     compiled = kernels()
     if compiled is None:
         return revised_plainly(before, depth, moving, robot)
-    after = np.empty_like(before)
-    given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before, after)
-    lengths = (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED)
-    compiled.revise(ReviseRequest(before.size, *lengths, *addresses_of(*given)))
-    return after
+    found, (height, width) = Backdrop(np.empty_like(before), np.empty_like(before)), before.shape
+    given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before)
+    sizes, lengths = (width, height, HOLE), (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED)
+    compiled.revise(ReviseRequest(*sizes, *lengths, *addresses_of(*given, found.kept, found.filled)))
+    return found
 
 
-def revised_plainly(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Float32:
+def revised_plainly(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
     """What `revised` does."""
     bare = np.ones_like(moving) if robot is None else ~robot
     known = bare & (depth > 0)
@@ -70,22 +82,12 @@ def revised_plainly(before: Float32, depth: Float32, moving: Bool, robot: Bool |
     drawn = before + np.where(known & ~moving & near, LEARNING_RATE * (depth - before), np.float32(0))
     after = np.where(known & (past | ~(moving | near)), depth, drawn).astype(np.float32)
     holes = bare & ~moving & (depth == 0) & (after == UNSEEN)
-    return np.where(holes, UNMEASURED, after)
+    kept = np.where(holes, UNMEASURED, after)
+    return Backdrop(kept, _filled(kept))
 
 
-def filled(kept: Float32) -> Float32:
-    """[H, W] a backdrop with its holes filled. Compiled; `filled_plainly` where that cannot be."""
-    compiled = kernels()
-    if compiled is None:
-        return filled_plainly(kept)
-    whole = np.empty_like(kept)
-    height, width = kept.shape
-    compiled.fill(FillRequest(width, height, HOLE, UNSEEN, UNMEASURED, *addresses_of(kept, whole)))
-    return whole
-
-
-def filled_plainly(kept: Float32) -> Float32:
-    """What `filled` does."""
+def _filled(kept: Float32) -> Float32:
+    """A backdrop [H, W] whose unmeasured pixels are as deep as the deepest about them."""
     measured = np.where(kept < UNSEEN, kept, np.float32(0))
     deepest = cv2.dilate(measured, np.ones((2 * HOLE + 1,) * 2, np.uint8))
     whole = np.where((kept == UNMEASURED) & (deepest > 0), deepest, kept)

@@ -37,6 +37,11 @@ class Bits:
         return cls(dims, np.zeros((*dims[:2], -(-dims[2] // WORD)), np.uint64))
 
     @classmethod
+    def room(cls, dims: Dims) -> Bits:
+        """Any voxels: for what is about to be written."""
+        return cls(dims, np.empty((*dims[:2], -(-dims[2] // WORD)), np.uint64))
+
+    @classmethod
     def all(cls, dims: Dims) -> Bits:
         """Every voxel."""
         return cls.of_mask(dims, np.ones(int(np.prod(dims)), np.bool_))

@@ -12,6 +12,7 @@ from twin_node.forecast.agreement import Estimate
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver
+from twin_node.forecast.concealing import concealed
 from twin_node.forecast.errands import Errand
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.landing import floors_of
@@ -113,10 +114,9 @@ class Observer:
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask
-        unknown = carved.unknown.without(stands)
-        rims = carved.may_move.without(carved.likely_moves)  # what moves passes before them, and leaves them unseen
-        self._unseen = unknown | (self._behind_arm(state, carved) | rims & self._unseen).without(stands)
-        behind = self._look_behind(state.stamp, unknown, carved.may_move, stands)
+        knows_arm = self._arm is not None and state.frames.joints is not None
+        hiding, self._unseen = concealed(carved, knows_arm, stands, self._unseen)
+        behind = self._look_behind(state.stamp, hiding, carved.may_move, stands)
         motion, whole = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         limbs = parts.likely & ~whole.followed[parts.labels]
@@ -167,18 +167,14 @@ class Observer:
             return carved
         return carved.without(own_space(self.grid, self._arm, state.frames.joints))
 
-    def _behind_arm(self, state: TwinState, carved: Carved) -> Bits:
-        """What all views see on the arm, but is not: none if the arm is not known, for then it counts as the arm.
-
-        It is told as unknown, and is no hiding place: it surrounds the arm closely, and would join all of its shadows.
-        """
-        is_known = self._arm is not None and state.frames.joints is not None
-        return carved.on_arm if is_known else Bits.none(self.grid.dims)
-
     def _speed(self) -> float:
-        """How fast things moved last, m/s: the 95th percentile over the parts."""
-        speeds = np.linalg.norm(self._last.velocities, axis=1)
-        return float(np.percentile(speeds, 95)) if len(speeds) else 0.0
+        """How fast things moved last, m/s: so that `_FAST_SHARE` of the parts were slower."""
+        speeds = np.sort(np.linalg.norm(self._last.velocities, axis=1))
+        if len(speeds) == 0:
+            return 0.0
+        place = _FAST_SHARE * (len(speeds) - 1)
+        slower, faster = speeds[int(place)], speeds[min(int(place) + 1, len(speeds) - 1)]
+        return float(slower + (faster - slower) * (place % 1))
 
     def _expected(self, stamp: int, centers: Float64) -> Estimate:
         """How the parts move that were nearest before, as far as that still holds; nothing is known of others."""
@@ -190,3 +186,5 @@ class Observer:
 
 NEAR = 0.12
 """Distance within which a part is taken for the one that was there before, m (one and a half parts)."""
+_FAST_SHARE = 0.95
+"""Of the parts; single ones may be told wrong."""

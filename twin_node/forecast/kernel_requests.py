@@ -88,20 +88,10 @@ class ReviseRequest(ctypes.Structure):
     """`forecast::ReviseRequest`."""
 
     _fields_ = (
-        ("pixels", c_int64),
+        *((name, c_int32) for name in ("width", "height", "reach")),
         ("step_share", c_double),
         *((name, c_float) for name in ("learning_rate", "step", "unseen", "unmeasured")),
-        *((name, c_void_p) for name in ("depth", "moving", "robot", "before", "after")),
-    )
-
-
-class FillRequest(ctypes.Structure):
-    """`forecast::FillRequest`."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("width", "height", "reach")),
-        *((name, c_float) for name in ("unseen", "unmeasured")),
-        *((name, c_void_p) for name in ("kept", "filled")),
+        *((name, c_void_p) for name in ("depth", "moving", "robot", "before", "after", "filled")),
     )
 
 
@@ -156,6 +146,16 @@ class HideRequest(ctypes.Structure):
         *((name, c_int32) for name in ("nx", "ny", "nz", "width", "reach")),
         *((name, c_float) for name in ("elapsed_s", "rest_s", "never")),
         *((name, c_void_p) for name in ("unknown", "moving", "standing", "ages", "reached", "maybe_full", "reachable")),
+    )
+
+
+class ConcealRequest(ctypes.Structure):
+    """`forecast::ConcealRequest`."""
+
+    _fields_ = (
+        ("words", c_int64),
+        *((name, c_void_p) for name in ("unknown", "may_move", "likely_moves", "on_arm", "standing")),
+        *((name, c_void_p) for name in ("hiding", "unseen")),
     )
 
 

@@ -11,8 +11,8 @@ from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import (
     INTERFACE_VERSION,
     CarveRequest,
+    ConcealRequest,
     CountRequest,
-    FillRequest,
     FitRequest,
     GatherRequest,
     GrowRequest,
@@ -53,8 +53,8 @@ class Kernels(NativeLibrary):
         self._dll.forecast_runs.restype = None
         self._dll.forecast_look.argtypes = [ctypes.POINTER(LookRequest)]
         self._dll.forecast_revise.argtypes = [ctypes.POINTER(ReviseRequest)]
-        self._dll.forecast_revise.restype = None
-        self._dll.forecast_fill.argtypes = [ctypes.POINTER(FillRequest)]
+        self._dll.forecast_conceal.argtypes = [ctypes.POINTER(ConcealRequest)]
+        self._dll.forecast_conceal.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
         self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
         self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
@@ -100,12 +100,12 @@ class Kernels(NativeLibrary):
         _check(self._dll.forecast_look(request))
 
     def revise(self, request: ReviseRequest) -> None:
-        """Takes one more depth image into a backdrop; takes one thread."""
-        self._dll.forecast_revise(request)
+        """Takes one more depth image into a backdrop; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_revise(request))
 
-    def fill(self, request: FillRequest) -> None:
-        """Fills the holes of a backdrop; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_fill(request))
+    def conceal(self, request: ConcealRequest) -> None:
+        """Says what cameras do not see; takes one thread."""
+        self._dll.forecast_conceal(request)
 
     def carve(self, request: CarveRequest) -> None:
         """Says of every voxel what the views show. Raises `MemoryError`."""

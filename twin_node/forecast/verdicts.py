@@ -63,8 +63,9 @@ class Carved:
 
     def without(self, taken: Bits) -> Carved:
         """What is left where some voxels count as free."""
+        left = ~taken.words
         masks = (self.may_move, self.likely_moves, self.unknown, self.on_arm)
-        return Carved(*(mask.without(taken) for mask in masks))
+        return Carved(*(Bits(mask.dims, mask.words & left) for mask in masks))
 
     def moved_only(self, moving: Bits) -> Carved:
         """The same where of what may move only some does: nothing explains the rest."""

@@ -248,6 +248,14 @@ class Slab {
   const BlockLattice small_, large_;
 };
 
+inline void conceal(const ConcealRequest &r) {
+  for (int64_t i = 0; i < r.words; i++) {
+    const uint64_t rims = r.may_move[i] & ~r.likely_moves[i], behind = (r.on_arm ? r.on_arm[i] : 0) | (rims & r.unseen[i]);
+    r.hiding[i] = r.unknown[i] & ~r.standing[i];
+    r.unseen[i] = (r.unknown[i] | behind) & ~r.standing[i];
+  }
+}
+
 inline void carve(const CarveRequest &r) {
   std::vector<std::vector<int32_t>> flags;  // words are gathered many at a time, bytes are not
   std::vector<Overview> overviews;

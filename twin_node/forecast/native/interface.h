@@ -88,21 +88,14 @@ struct LookRequest {
 
 // How deep each pixel sees where nothing that moves is in the way, after one more image.
 struct ReviseRequest {
-  int64_t pixels;
+  int32_t width, height, reach;   // pixels within which others tell of those that are not measured
   double step_share;
   float learning_rate, step, unseen, unmeasured;
-  const float *depth;             // [pixels] m
-  const uint8_t *moving, *robot;  // [pixels] 1: moves, is the arm; null: none
-  const float *before;            // [pixels] m
-  float *after;                   // [pixels] m
-};
-
-// The same where it is not known, but beside.
-struct FillRequest {
-  int32_t width, height, reach;
-  float unseen, unmeasured;
-  const float *kept;  // [height, width] m
-  float *filled;      // [height, width] m
+  const float *depth;             // [height, width] m
+  const uint8_t *moving, *robot;  // [height, width] 1: moves, is the arm; null: none
+  const float *before;            // [height, width] m
+  float *after;                   // [height, width] m
+  float *filled;                  // [height, width] m, the same where it is not known, but beside
 };
 
 // Every voxel, in blocks of 4 x 4 x 4, against every view.
@@ -154,6 +147,14 @@ struct HideRequest {
   uint64_t *reached;                             // [columns of cells, words] where that is not `never`
   uint64_t *maybe_full;                          // [nx, ny, words] not known to be empty, before and after
   uint64_t *reachable;                           // [nx, ny, words] something may come out
+};
+
+// What cameras do not see, and what of it something may hide in.
+struct ConcealRequest {
+  int64_t words;
+  const uint64_t *unknown, *may_move, *likely_moves, *on_arm, *standing;  // [words]; `on_arm` null: none
+  uint64_t *hiding;  // [words] unknown, and nothing stands there
+  uint64_t *unseen;  // [words] told as unknown, before and after
 };
 
 // The parts that voxels are of: one per cell of `side` voxels that holds any, in the order of cells.

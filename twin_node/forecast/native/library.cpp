@@ -54,11 +54,11 @@ int32_t forecast_look(const forecast::LookRequest *request) {
   return guarded([&] { forecast::look(*request); });
 }
 
-void forecast_revise(const forecast::ReviseRequest *request) { forecast::revise(*request); }
-
-int32_t forecast_fill(const forecast::FillRequest *request) {
-  return guarded([&] { forecast::fill(*request); });
+int32_t forecast_revise(const forecast::ReviseRequest *request) {
+  return guarded([&] { forecast::revise(*request); });
 }
+
+void forecast_conceal(const forecast::ConcealRequest *request) { forecast::conceal(*request); }
 
 int32_t forecast_carve(const forecast::CarveRequest *request) {
   return guarded([&] { forecast::carve(*request); });
