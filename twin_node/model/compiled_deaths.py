@@ -29,7 +29,7 @@ from twin_node.scene import Bool
 def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
-    `shapes` holds them for each view, with the axes of the first: nothing turns much between two views. `carried` [n]
+    `shapes` holds them for each view, turned as in the first: nothing turns much between two views. `carried` [n]
     says which have a node: a view that shows nothing moving where they reach speaks against them; against others, one
     that shows the background. That holds at the image's edge too, for what reaches in from beyond.
     """
@@ -38,7 +38,7 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
         return refuted_moving_plainly(observed, shapes, carried)
     views = _Views(observed, None)
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
-    held = (means, np.ascontiguousarray(shapes[0].axes), np.ascontiguousarray(shapes[0].radii), carried, refuted)
+    held = (means, np.ascontiguousarray(shapes[0].quats), np.ascontiguousarray(shapes[0].scales), carried, refuted)
     counts = (len(carried), len(observed), thread_count())
     library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *addresses_of(*held)))
     return refuted

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin_node.geometry import rotation_from_quat
 from twin_node.model.backgrounds import OCCLUSION, on_surface, pixels_reached
 from twin_node.model.observation import Observed
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
-from twin_node.scene import Bool, Camera, Float64
+from twin_node.scene import Bool, Camera, Float32, Float64
 
 SEEN_THROUGH = 0.05
 """Share of its depth by which a measured surface must lie behind a Gaussian to refute it."""
@@ -30,19 +29,23 @@ NEAREST_M = 0.02
 class Shapes:
     """n Gaussians where one view sees them, at its time."""
 
-    means: Float64
+    means: Float32
     """[n, 3] m."""
-    axes: Float64
-    """[3, 3, n] m, of 1 sigma: coordinates in `base_link` of the three axes of each."""
-    radii: Float64
-    """[n] m, 1 sigma, mean over the axes."""
+    quats: Float32
+    """[n, 4] w, x, y, z."""
+    scales: Float32
+    """[n, 3] m."""
 
-    @classmethod
-    def of(cls, means: NDArray[np.floating], quats: NDArray[np.floating], scales: NDArray[np.floating]) -> Shapes:
-        """From means [n, 3] m, quaternions [n, 4] w x y z and sizes [n, 3] m."""
-        axes = rotation_from_quat(quats) * scales[:, None, :]
-        radii = np.asarray(scales, np.float64).mean(-1)
-        return cls(np.asarray(means, np.float64), np.ascontiguousarray(np.moveaxis(axes, 0, -1)), radii)
+    @property
+    def axes(self) -> Float64:
+        """[3, 3, n] m, of 1 sigma: coordinates in `base_link` of the three axes of each."""
+        return np.ascontiguousarray(np.moveaxis(rotation_from_quat(self.quats) * self.scales[:, None, :], 0, -1))
+
+    @property
+    def radii(self) -> Float64:
+        """[n] m, 1 sigma, mean over the axes."""
+        radii: Float64 = self.scales.astype(np.float64).mean(-1)
+        return radii
 
 
 def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:

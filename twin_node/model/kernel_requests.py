@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 13
+INTERFACE_VERSION = 14
 
 
 class MaskRules(ctypes.Structure):
@@ -327,7 +327,7 @@ class RefutedRequest(ctypes.Structure):
         *((name, c_int32) for name in ("view_count", "threads")),
         ("rules", ctypes.POINTER(DeathRules)),
         ("views", ctypes.POINTER(DeathView)),
-        *((name, c_void_p) for name in ("means", "axes", "radii", "carried", "refuted")),
+        *((name, c_void_p) for name in ("means", "quats", "scales", "carried", "refuted")),
     )
 
 

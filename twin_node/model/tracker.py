@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -321,11 +322,10 @@ class Tracker:
         g = self._gaussians
         rows = g.moving_rows
         splats = self._place(rows, observed, self._poses(observed))
-        first, *others = splats.means.cpu().double().numpy()
-        own = Shapes.of(first, splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy())
-        shapes = [own, *(replace(own, means=means) for means in others)]  # none turns much between two views
-        gone = refuted_moving(observed, shapes, (g.nodes[rows] >= 0).cpu().numpy())
-        gone |= self._backgrounds.beneath(shapes[0].means, shapes[0].radii)
+        quats, scales = splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy()  # none turns much between two views
+        shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
+        gone = refuted_moving(observed, shapes, (g.nodes.index_select(0, rows) >= 0).cpu().numpy())
+        gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
         g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(rows_where(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before)))

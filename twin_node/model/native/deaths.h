@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "../../native/quaternions.h"
 #include "camera.h"
 #include "interface.h"
 
@@ -122,18 +123,30 @@ class Witness {
   const Pinhole camera_;
 };
 
+// The axes of a Gaussian of any quaternion w, x, y, z, 1 sigma long, one after another.
+inline void half_axes_of(const float *quat, const float *scales, double (*axes)[3]) {
+  double q[4], square = 0;
+  std::copy_n(quat, 4, q);
+  for (const double part : q) square += part * part;
+  for (double &part : q) part /= std::sqrt(square);
+  for (int k = 0; k < 3; k++) {
+    for (int i = 0; i < 3; i++) axes[k][i] = i == k ? scales[k] : 0.;
+    quaternions::turn(q, axes[k]);
+  }
+}
+
 // The moving Gaussians of one task.
 inline void refute(const RefutedRequest &r, int64_t task) {
   const int64_t end = std::min(r.count, (task + 1) * kGaussiansPerTask);
   for (int64_t i = task * kGaussiansPerTask; i < end; i++) {
-    double axes[3][3];
-    for (int k = 0; k < 3; k++) {
-      for (int axis = 0; axis < 3; axis++) axes[k][axis] = r.axes[(axis * 3 + k) * r.count + i];
-    }
+    double axes[3][3], radius = 0;
+    half_axes_of(r.quats + 4 * i, r.scales + 3 * i, axes);
+    for (int k = 0; k < 3; k++) radius += r.scales[3 * i + k] / 3.;
     bool refuted = false;
     for (int view = 0; view < r.view_count && !refuted; view++) {
-      const double *mean = r.means + 3 * (view * r.count + i);
-      refuted = Witness(r.views[view], *r.rules).refutes(mean, axes, r.radii[i], r.carried[i] != 0);
+      double mean[3];
+      std::copy_n(r.means + 3 * (view * r.count + i), 3, mean);
+      refuted = Witness(r.views[view], *r.rules).refutes(mean, axes, radius, r.carried[i] != 0);
     }
     r.refuted[i] = refuted;
   }

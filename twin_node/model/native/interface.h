@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 13;
+constexpr int32_t kInterfaceVersion = 14;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -312,7 +312,8 @@ struct RefutedRequest {
   int32_t view_count, threads;
   const DeathRules *rules;
   const DeathView *views;              // [view_count]
-  const double *means, *axes, *radii;  // [view_count, count, 3] m, [3, 3, count] coordinates of the axes, [count] m
+  const float *means;          // [view_count, count, 3] m
+  const float *quats, *scales; // [count, 4] w, x, y, z and [count, 3] m, alike in all views
   const uint8_t *carried;              // [count]
   uint8_t *refuted;                    // [count] written
 };
