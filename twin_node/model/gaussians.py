@@ -234,8 +234,8 @@ class Gaussians:
 
         What is hidden or fainter than its neighbours has little. Infinite for those that have not learned yet.
         """
-        steps = self.steps[rows]
-        square = self.moment2[rows, RGB].sum(-1) / (1 - QUICK.second ** steps.clamp_min(1).float())
+        steps = self.steps.index_select(0, rows)
+        square = self.moment2[:, RGB].index_select(0, rows).sum(-1) / (1 - QUICK.second ** steps.clamp_min(1).float())
         return torch.where(steps > 0, square.sqrt(), torch.inf)
 
     def forget_moments(self, rows: Tensor) -> None:

@@ -293,10 +293,10 @@ class Tracker:
         """The Gaussians that learned nodes carry, where these are now."""
         g, nodes = self._gaussians, self._nodes
         rows = g.moving_rows
-        rows = rows[g.nodes[rows] >= 0]
+        rows = rows[g.nodes.index_select(0, rows) >= 0]
         with torch.no_grad():
             here = self._motion.place(g, rows, Poses(nodes.positions[None], nodes.quats[None]), [nodes.stamp])
-        carriers, founders = g.nodes[rows].cpu().numpy(), g.founders[rows].cpu().numpy()
+        carriers, founders = (of.index_select(0, rows).cpu().numpy() for of in (g.nodes, g.founders))
         return Members(here.means[0].cpu().double().numpy(), here.rgb.cpu().numpy(), carriers, founders)
 
     def _fit(self, observed: Sequence[Observed], before: Tensor) -> Fitted:
@@ -329,7 +329,8 @@ class Tracker:
         g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(rows_where(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before)))
-        members = torch.bincount(g.nodes[g.moving_rows].cpu() + 1, minlength=self._nodes.capacity + 1)[1:]
+        carriers = g.nodes.index_select(0, g.moving_rows).cpu()
+        members = torch.bincount(carriers + 1, minlength=self._nodes.capacity + 1)[1:]
         empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
         self._nodes.retire(rows_where(empty))
 

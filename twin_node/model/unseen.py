@@ -53,16 +53,18 @@ class Unseen:
         `bodies` [n] names what each is part of, -1 for nothing: while a body shows nowhere its parts are not counted,
         for nothing that shows stands for them.
         """
-        self._most[rows] = torch.maximum(self._most[rows], weights)
+        most = torch.maximum(self._most.index_select(0, rows), weights)
+        self._most[rows] = most
         self._waiting.remove(camera.name)
         if self._waiting:
             return rows[:0]
-        hidden = self._most[rows] < self._least_px
-        counted = hidden & (self._since[rows] == self._gaussians.ids[rows])
+        hidden = most < self._least_px
+        counted = hidden & (self._since.index_select(0, rows) == self._gaussians.ids.index_select(0, rows))
         if bodies is not None:
             counted &= (bodies < 0) | torch.isin(bodies, bodies[~hidden])
-        self._rounds[rows] = (self._rounds[rows] + 1) * counted
-        named = rows[self._rounds[rows] >= self._patience]
+        rounds = (self._rounds.index_select(0, rows) + 1) * counted
+        self._rounds[rows] = rounds
+        named = rows[rounds >= self._patience]
         self._rounds[named] = 0
         return named
 

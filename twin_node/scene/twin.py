@@ -47,7 +47,8 @@ class GaussianCloud:
 
     def only(self, chosen: Bool | NDArray[np.integer]) -> GaussianCloud:
         """The chosen Gaussians: a mask [N], or rows in the order wanted."""
-        return GaussianCloud(**{name: values[chosen] for name, values in vars(self).items()})
+        rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen  # once, not for every attribute
+        return GaussianCloud(**{name: values.take(rows, 0) for name, values in vars(self).items()})
 
     def joined(self, other: GaussianCloud) -> GaussianCloud:
         """These Gaussians and then the other's, whose `nodes` must be rows of the same `NodeStates`."""
