@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,14 +10,10 @@ from twin_node.forecast.bits import Bits
 from twin_node.forecast.boxes import (
     Boxes,
     fitted,
-    fitted_plainly,
     mostly_full,
     smallest_boxes,
-    smallest_boxes_plainly,
-    voxels_per_cell,
-    voxels_per_cell_plainly,
 )
-from twin_node.forecast.kernels import kernels
+from twin_node.forecast.covering import Covers, Share, Wanted, covers, covers_plainly
 from twin_node.scene import Bool, Grid
 
 GRID = Grid(np.zeros(3), 0.02, (50, 37, 29))
@@ -92,33 +85,29 @@ def test_an_earlier_cover_is_kept_where_it_is_nearly_as_good() -> None:
     assert shared >= 0.8
 
 
-def same(one: Boxes, other: Boxes) -> bool:
-    return all(
-        np.array_equal(getattr(one, column.name), getattr(other, column.name)) for column in dataclasses.fields(Boxes)
-    )
+def same(one: Covers, other: Covers) -> bool:
+    return all(np.array_equal(value, vars(other)[name]) for name, value in vars(one).items())
 
 
-@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 12), most=st.integers(1, 60))
-def test_compiled_boxes_are_the_plain_ones(seed: int, count: int, most: int) -> None:
+def test_compiled_covers_are_the_plain_ones(seed: int, count: int, most: int) -> None:
     rng = np.random.default_rng(seed)
     voxels = rng.permutation(np.concatenate([blobs(seed, count), rng.integers(0, GRID.size, count), np.zeros(1, int)]))
-    smallest = smallest_boxes(GRID, voxels)
-    assert same(smallest, smallest_boxes_plainly(GRID, voxels))
-    before = fitted(GRID, smallest, most, NO_PLACES)
-    assert same(before, fitted_plainly(GRID, smallest, most, NO_PLACES))
-    fewer = smallest_boxes(GRID, voxels[::3])
-    places = rng.permutation(before.places(GRID))
-    assert same(fitted(GRID, fewer, most, places), fitted_plainly(GRID, fewer, most, places))
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_compiled_and_plain_counts_agree(seed: int) -> None:
-    mask = np.random.default_rng(seed).uniform(size=GRID.size) < 0.3
-    bits = Bits.of_mask(GRID.dims, mask)
-    assert np.array_equal(voxels_per_cell(GRID, bits), voxels_per_cell_plainly(GRID, bits))
+    other = Grid(np.ones(3), 0.02, (61, 20, 70))
+    mask = Bits.of_mask(GRID.dims, np.isin(np.arange(GRID.size), voxels))
+    wanted = [
+        Wanted(GRID, most, 0, (voxels, voxels[::3])),
+        Wanted(other, most, 9, (rng.integers(0, other.size, 5 * count),)),
+        Wanted(GRID, most, 200, Share(mask, 0.5)),
+        Wanted(GRID, most, 7, (voxels[:0], voxels[:0])),
+    ]
+    first = covers(wanted, np.zeros(0, np.uint32))
+    assert same(first, covers_plainly(wanted, np.zeros(0, np.uint32)))
+    assert len(first.ids) == first.counts.sum() and (first.counts <= most).all() and first.counts[3] == 0
+    fewer = [Wanted(GRID, most, 0, (voxels[::3],)), *wanted[1:]]
+    before = rng.permutation(first.ids)
+    assert same(covers(fewer, before), covers_plainly(fewer, before))
 
 
 def test_cells_count_from_their_share_on() -> None:

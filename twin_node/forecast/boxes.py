@@ -1,4 +1,7 @@
-"""Boxes about voxels on an octree: as few as asked for, about as little else as possible."""
+"""Boxes about voxels on an octree: as few as asked for, about as little else as possible.
+
+The plain way, step by step; `covering` does all of it in one compiled call.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast import kernel_requests, kernels
 from twin_node.forecast.bits import Bits
-from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Grid
 
 SMALLEST = 4
 """Voxels along a cell of level 0; each level doubles it."""
 HIGHEST_LEVEL = 7
 """A cell of this level is 512 voxels wide: a longer grid has several, which one box holds where the cap asks for it."""
-_PRICES = np.append(np.geomspace(1.0, 1e6, 40), np.inf)
+PRICES = np.append(np.geomspace(1.0, 1e6, 40), np.inf)
 """What one more box may cost, in voxels of space that it spares: rising, up to one box at any price."""
-_LOYALTY = 0.7
+LOYALTY = 0.7
 """Space of a box that was there before counts this much less: a cover does not flicker between equally good ones."""
 
 
@@ -60,21 +61,7 @@ class Boxes:
 
 
 def smallest_boxes(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
-    """One box per cell of level 0 that holds any of the voxels [n], which come in any order, also twice.
-
-    Compiled; `smallest_boxes_plainly` where that cannot be.
-    """
-    compiled = kernels.kernels()
-    if compiled is None:
-        return smallest_boxes_plainly(grid, indices)
-    indices = np.ascontiguousarray(indices, np.uint32)
-    room = _Room(min(len(indices), _cells(grid)))
-    compiled.hold(kernel_requests.HoldRequest(len(indices), *grid.dims, *addresses_of(indices), room.list))
-    return room.boxes
-
-
-def smallest_boxes_plainly(grid: Grid, indices: NDArray[np.integer]) -> Boxes:
-    """What `smallest_boxes` does."""
+    """One box per cell of level 0 that holds any of the voxels [n], which come in any order, also twice."""
     voxels = np.stack(np.unravel_index(indices.astype(np.int64), grid.dims), axis=1)
     return _by_cell(0, voxels // SMALLEST, voxels, voxels).boxes
 
@@ -90,17 +77,6 @@ def mostly_full(grid: Grid, mask: Bits, share: float) -> Boxes:
 
 def voxels_per_cell(grid: Grid, mask: Bits) -> NDArray[np.int32]:
     """[cells] how many voxels of a mask each cell of level 0 holds."""
-    compiled = kernels.kernels()
-    if compiled is None:
-        return voxels_per_cell_plainly(grid, mask)
-    words = np.ascontiguousarray(mask.words)
-    counts: NDArray[np.int32] = np.zeros(_cells(grid), np.int32)
-    compiled.count(kernel_requests.CountRequest(*grid.dims, *addresses_of(words, counts)))
-    return counts
-
-
-def voxels_per_cell_plainly(grid: Grid, mask: Bits) -> NDArray[np.int32]:
-    """What `voxels_per_cell` does."""
     sums = mask.mask().reshape(grid.dims).astype(np.int32)
     for axis, size in enumerate(grid.dims):
         sums = np.add.reduceat(sums, np.arange(0, size, SMALLEST), axis=axis)
@@ -111,22 +87,8 @@ def fitted(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Bo
     """At most `most` boxes that hold what `boxes`, of level 0, hold, about as little other space as possible.
 
     Every price of a box has a best set of cells; the lowest price whose set is small enough is taken. `before` [k] are
-    the `places` of an earlier cover, which are kept where they are nearly as good. Compiled; `fitted_plainly` where
-    that cannot be.
+    the `places` of an earlier cover, which are kept where they are nearly as good.
     """
-    compiled = kernels.kernels()
-    if compiled is None or len(boxes) <= most:
-        return fitted_plainly(grid, boxes, most, before)
-    given = (boxes.cells, boxes.lower, boxes.upper, np.sort(before))
-    arrays = (*(np.ascontiguousarray(array, np.int64) for array in given), _PRICES)
-    room = _Room(most)
-    sizes = (len(boxes), len(before), *grid.dims, most, len(_PRICES), HIGHEST_LEVEL, _LOYALTY)
-    compiled.fit(kernel_requests.FitRequest(*sizes, *addresses_of(*arrays), room.list))
-    return room.boxes
-
-
-def fitted_plainly(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64]) -> Boxes:
-    """What `fitted` does."""
     if len(boxes) <= most:
         return boxes
     levels = _octree(boxes)
@@ -138,35 +100,9 @@ def fitted_plainly(grid: Grid, boxes: Boxes, most: int, before: NDArray[np.int64
     return _divided(levels, [split[affordable[0]] for split in divided])
 
 
-class _Room:
-    """Arrays that a kernel writes boxes into."""
-
-    def __init__(self, most: int) -> None:
-        self._levels = np.empty(most, np.int64)
-        self._corners = np.empty((3, most, 3), np.int64)
-        self._count = np.zeros(1, np.int64)
-
-    @property
-    def list(self) -> kernel_requests.BoxList:
-        """Their addresses: good for as long as this lives."""
-        arrays = (self._levels, *self._corners, self._count)
-        return kernel_requests.BoxList(*addresses_of(*arrays))
-
-    @property
-    def boxes(self) -> Boxes:
-        """What was written."""
-        count = int(self._count[0])
-        cells, lower, upper = self._corners[:, :count]
-        return Boxes(self._levels[:count], cells, lower, upper)
-
-
 def _lattice(grid: Grid) -> tuple[int, ...]:
     """Cells of level 0 along each axis."""
     return tuple(-(-n // SMALLEST) for n in grid.dims)
-
-
-def _cells(grid: Grid) -> int:
-    return int(np.prod(_lattice(grid)))
 
 
 @dataclass(frozen=True)
@@ -214,12 +150,12 @@ def _best_divisions(
 
     A cell is divided where its children together cost less than its own box, which costs its space and one price.
     """
-    costs, counts = np.zeros((len(_PRICES), 0)), np.zeros((len(_PRICES), 0), np.int64)
+    costs, counts = np.zeros((len(PRICES), 0)), np.zeros((len(PRICES), 0), np.int64)
     divided: list[Bool] = []
     for number, level in enumerate(levels):
         space = np.prod(level.boxes.upper - level.boxes.lower + 1, axis=1).astype(np.float64)
-        space *= np.where(np.isin(level.boxes.places(grid), before), _LOYALTY, 1.0)
-        whole = space + _PRICES[:, None]
+        space *= np.where(np.isin(level.boxes.places(grid), before), LOYALTY, 1.0)
+        whole = space + PRICES[:, None]
         if number == 0:
             costs, counts = whole, np.ones(whole.shape, np.int64)
             divided.append(np.zeros(whole.shape, np.bool_))

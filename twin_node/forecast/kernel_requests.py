@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_uint32, c_void_p
 
-INTERFACE_VERSION = 23
+INTERFACE_VERSION = 24
 
 
 class GrowRequest(ctypes.Structure):
@@ -104,38 +104,27 @@ class CarveRequest(ctypes.Structure):
     )
 
 
-class BoxList(ctypes.Structure):
-    """`forecast::BoxList`."""
-
-    _fields_ = tuple((name, c_void_p) for name in ("levels", "cells", "lower", "upper", "count"))
-
-
-class HoldRequest(ctypes.Structure):
-    """`forecast::HoldRequest`."""
+class CoverTask(ctypes.Structure):
+    """`forecast::CoverTask`."""
 
     _fields_ = (
-        ("voxels", c_int64),
-        *((name, c_int32) for name in ("nx", "ny", "nz")),
-        ("indices", c_void_p),
-        ("found", BoxList),
+        *((name, c_int32) for name in ("nx", "ny", "nz", "most")),
+        ("prefix", c_uint32),
+        *((name, c_int64) for name in ("several", "more")),
+        *((name, c_void_p) for name in ("voxels", "others", "words")),
+        ("share", c_double),
     )
 
 
-class CountRequest(ctypes.Structure):
-    """`forecast::CountRequest`."""
-
-    _fields_ = (*((name, c_int32) for name in ("nx", "ny", "nz")), ("words", c_void_p), ("counts", c_void_p))
-
-
-class FitRequest(ctypes.Structure):
-    """`forecast::FitRequest`."""
+class CoverRequest(ctypes.Structure):
+    """`forecast::CoverRequest`."""
 
     _fields_ = (
-        *((name, c_int64) for name in ("boxes", "befores")),
-        *((name, c_int32) for name in ("nx", "ny", "nz", "most", "prices", "highest_level")),
+        *((name, c_int64) for name in ("tasks", "befores")),
+        *((name, c_int32) for name in ("prices", "highest_level")),
         ("loyalty", c_double),
-        *((name, c_void_p) for name in ("cells", "lower", "upper", "before", "price")),
-        ("found", BoxList),
+        *((name, c_void_p) for name in ("price", "before", "ids", "lower", "upper", "counts")),
+        ("task", ctypes.POINTER(CoverTask)),
     )
 
 

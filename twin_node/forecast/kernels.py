@@ -12,12 +12,10 @@ from twin_node.forecast.kernel_requests import (
     INTERFACE_VERSION,
     CarveRequest,
     ConcealRequest,
-    CountRequest,
-    FitRequest,
+    CoverRequest,
     GatherRequest,
     GrowRequest,
     HideRequest,
-    HoldRequest,
     LeadRequest,
     LinkRequest,
     ListRequest,
@@ -56,10 +54,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_conceal.argtypes = [ctypes.POINTER(ConcealRequest)]
         self._dll.forecast_conceal.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
-        self._dll.forecast_hold.argtypes = [ctypes.POINTER(HoldRequest)]
-        self._dll.forecast_count.argtypes = [ctypes.POINTER(CountRequest)]
-        self._dll.forecast_count.restype = None
-        self._dll.forecast_fit.argtypes = [ctypes.POINTER(FitRequest)]
+        self._dll.forecast_cover.argtypes = [ctypes.POINTER(CoverRequest)]
         self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
         self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
         self._dll.forecast_split.argtypes = [ctypes.POINTER(SplitRequest)]
@@ -112,17 +107,9 @@ class Kernels(NativeLibrary):
         self._require_not_forked()
         _check(self._dll.forecast_carve(request))
 
-    def hold(self, request: HoldRequest) -> None:
-        """Tight boxes about the voxels in every cell; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_hold(request))
-
-    def count(self, request: CountRequest) -> None:
-        """Counts the set voxels of every cell; takes one thread."""
-        self._dll.forecast_count(request)
-
-    def fit(self, request: FitRequest) -> None:
-        """Takes the boxes that are worth their price; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_fit(request))
+    def cover(self, request: CoverRequest) -> None:
+        """Finds few boxes about voxels; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_cover(request))
 
     def hide(self, request: HideRequest) -> None:
         """Follows what may be hidden by one state; takes one thread. Raises `MemoryError`."""

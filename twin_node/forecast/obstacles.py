@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
-from twin_node.forecast.boxes import Boxes, fitted, mostly_full, smallest_boxes
+from twin_node.forecast.covering import Covers, Share, Wanted, covers
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
@@ -104,29 +104,24 @@ def cover(
     if hidden is None:
         unknown = decode_runs(occupancy.unknown_runs, grid.size)
         hidden = Hidden(reachable=Bits.of_mask(grid.dims, unknown), maybe_full=Bits.none(grid.dims))
-    batches = []
-
-    def hold(
-        boxes: Boxes, most: int, kind: ObstacleKind, interval: int, valid: tuple[int, int], within: Grid = grid
-    ) -> None:
-        few = fitted(within, boxes, most, _before(previous, kind, interval))
-        batches.append(_batch(within, few, kind, interval, *valid))
-
+    throughout, share = (stamps[0], stamps[-1]), parameters.unknown_share
     layers = [layer.indices for layer in occupancy.layers]
-    for interval, valid in enumerate(itertools.pairwise(stamps)):
-        both = smallest_boxes(grid, np.concatenate(layers[interval : interval + 2]))
-        hold(both, parameters.most_moving, ObstacleKind.MOVING, interval, valid)
+    batches = [
+        _Batch(ObstacleKind.MOVING, interval, *valid, grid, parameters.most_moving, both)
+        for interval, (valid, both) in enumerate(zip(pairwise(stamps), pairwise(layers), strict=True))
+    ]
     if sighted is not None and any(len(indices) for indices in layers):
-        seen, at = smallest_boxes(sighted.grid, sighted.indices), (occupancy.stamp, occupancy.stamp)
-        hold(seen, parameters.most_moving, ObstacleKind.MOVING, _AS_SEEN, at, sighted.grid)
-    throughout = stamps[0], stamps[-1]
-    standing = smallest_boxes(grid, occupancy.static.indices)
-    hold(standing, parameters.most_static, ObstacleKind.STATIC, 0, throughout)
-    maybe_full = mostly_full(grid, hidden.maybe_full, parameters.unknown_share)
-    hold(maybe_full, parameters.most_unknown, ObstacleKind.STATIC, 1, throughout)
-    reachable = mostly_full(grid, hidden.reachable, parameters.unknown_share)
-    hold(reachable, parameters.most_unknown, ObstacleKind.UNKNOWN, 0, throughout)
-    return _obstacles(occupancy.stamp, batches, motion)
+        at, seen = (occupancy.stamp, occupancy.stamp), (sighted.indices,)
+        batches.append(_Batch(ObstacleKind.MOVING, _AS_SEEN, *at, sighted.grid, parameters.most_moving, seen))
+    maybe_full, reachable = Share(hidden.maybe_full, share), Share(hidden.reachable, share)
+    batches += [
+        _Batch(ObstacleKind.STATIC, 0, *throughout, grid, parameters.most_static, (occupancy.static.indices,)),
+        _Batch(ObstacleKind.STATIC, 1, *throughout, grid, parameters.most_unknown, maybe_full),
+        _Batch(ObstacleKind.UNKNOWN, 0, *throughout, grid, parameters.most_unknown, reachable),
+    ]
+    before = np.zeros(0, np.uint32) if previous is None else previous.ids
+    found = covers([batch.wanted for batch in batches], before)
+    return _obstacles(occupancy.stamp, batches, found, motion)
 
 
 _SIGMAS = 2.0
@@ -137,14 +132,20 @@ _AS_SEEN = 7
 
 @dataclass(frozen=True)
 class _Batch:
-    """Boxes of one kind and interval."""
+    """Obstacles of one kind and interval."""
 
-    ids: NDArray[np.uint32]
     kind: ObstacleKind
-    lower: Float64
-    upper: Float64
+    interval: int
     valid_from: int
     valid_to: int
+    grid: Grid
+    most: int
+    voxels: tuple[NDArray[np.integer], ...] | Share
+
+    @property
+    def wanted(self) -> Wanted:
+        """Boxes about them."""
+        return Wanted(self.grid, self.most, (int(self.kind) << 3) | self.interval, self.voxels)
 
 
 def _check(parameters: CoverParameters) -> None:
@@ -153,28 +154,12 @@ def _check(parameters: CoverParameters) -> None:
             raise ForecastError(f"{name}: expected at least 1 obstacle, found {getattr(parameters, name)}; raise it")
 
 
-def _before(previous: Obstacles | None, kind: ObstacleKind, interval: int) -> NDArray[np.int64]:
-    """[k] places of the last cover's boxes."""
-    if previous is None:
-        return np.zeros(0, np.int64)
-    ids = previous.ids.astype(np.int64)
-    places: NDArray[np.int64] = ids[ids >> 24 == (int(kind) << 3) | interval] & 0xFFFFFF
-    return places
-
-
-def _batch(grid: Grid, boxes: Boxes, kind: ObstacleKind, interval: int, valid_from: int, valid_to: int) -> _Batch:
-    ids = (((int(kind) << 3) | interval) << 24) | boxes.places(grid)
-    lower = grid.origin + boxes.lower * grid.voxel_size
-    upper = grid.origin + (boxes.upper + 1) * grid.voxel_size
-    return _Batch(ids.astype(np.uint32), kind, lower, upper, valid_from, valid_to)
-
-
-def _obstacles(stamp: int, batches: list[_Batch], motion: Motion | None) -> Obstacles:
-    counts = [len(batch.ids) for batch in batches]
-    lower = np.concatenate([batch.lower for batch in batches])
-    upper = np.concatenate([batch.upper for batch in batches])
-    kinds = np.repeat([int(batch.kind) for batch in batches], counts).astype(np.uint8)
-    total = len(kinds)
+def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion | None) -> Obstacles:
+    counts, total = found.counts, len(found.ids)
+    origins = np.repeat([batch.grid.origin for batch in batches], counts, axis=0)
+    voxel_sizes = np.repeat([batch.grid.voxel_size for batch in batches], counts)[:, None]
+    lower, upper = origins + found.lower * voxel_sizes, origins + (found.upper + 1) * voxel_sizes
+    kinds = np.repeat(np.array([batch.kind for batch in batches], np.uint8), counts)
     quats = np.zeros((total, 4))
     quats[:, 0] = 1
     velocities, bounds = np.zeros((total, 3)), np.zeros(total)
@@ -189,7 +174,7 @@ def _obstacles(stamp: int, batches: list[_Batch], motion: Motion | None) -> Obst
             experts[moving] = motion.experts[nearest]
     return Obstacles(
         stamp=stamp,
-        ids=np.concatenate([batch.ids for batch in batches]),
+        ids=found.ids,
         kinds=kinds,
         shapes=np.full(total, ObstacleShape.BOX, np.uint8),
         positions=(lower + upper) / 2,
@@ -197,8 +182,8 @@ def _obstacles(stamp: int, batches: list[_Batch], motion: Motion | None) -> Obst
         sizes=upper - lower,
         velocities=velocities,
         bounds=bounds,
-        valid_from=np.repeat([batch.valid_from for batch in batches], counts).astype(np.int64),
-        valid_to=np.repeat([batch.valid_to for batch in batches], counts).astype(np.int64),
+        valid_from=np.repeat(np.array([batch.valid_from for batch in batches], np.int64), counts),
+        valid_to=np.repeat(np.array([batch.valid_to for batch in batches], np.int64), counts),
         experts=experts,
     )
 

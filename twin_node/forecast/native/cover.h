@@ -23,6 +23,11 @@ inline Lattice lattice_of(int64_t nx, int64_t ny, int64_t nz) {
   return {(nx + kCell - 1) / kCell, (ny + kCell - 1) / kCell, (nz + kCell - 1) / kCell};
 }
 
+// Number of a cell: its level, and its flat index on the lattice of level 0.
+inline int64_t number_of(const Lattice &lattice, int64_t level, const int64_t *cell) {
+  return level << 21 | (lattice.flat(cell) & 0x1FFFFF);
+}
+
 struct Box {
   int32_t lower[3], upper[3];  // first and last voxel; empty where they are the wrong way round
 
@@ -38,66 +43,100 @@ struct Box {
 
 constexpr Box kNothing = {{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
 
-inline void write(const BoxList &list, int64_t level, const int64_t *cell, const Box &box) {
-  const int64_t row = (*list.count)++;
-  list.levels[row] = level;
-  for (int a = 0; a < 3; a++) {
-    list.cells[3 * row + a] = cell[a];
-    list.lower[3 * row + a] = box.lower[a];
-    list.upper[3 * row + a] = box.upper[a];
-  }
-}
+// A box of a cover, and the cell that it is of.
+struct Covering {
+  int64_t level, cell[3];
+  Box box;
+};
 
-inline void hold_voxels(const HoldRequest &r) {
-  const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
-  std::vector<Box> boxes(lattice.size(), kNothing);
-  const int64_t ny = r.ny, nz = r.nz;
-  int64_t bottom = 0, top = 0;  // first voxel of the column that the last one lay in, and one past its last
-  int32_t x = 0, y = 0;
-  Box *cells = nullptr;
-  for (int64_t i = 0; i < r.voxels;) {
-    const int64_t index = r.indices[i];
-    if (index < bottom || index >= top) {
-      const int64_t column = index / nz;
-      x = static_cast<int32_t>(column / ny), y = static_cast<int32_t>(column % ny);
-      bottom = column * nz, top = bottom + nz;
-      cells = &boxes[((x / kCell) * lattice.y + y / kCell) * lattice.z];
+// The smallest boxes about voxels: cell by cell of level 0.
+class Leaves {
+ public:
+  explicit Leaves(const CoverTask &task) : t_(task), lattice_(lattice_of(t_.nx, t_.ny, t_.nz)) {
+    if (t_.words) {
+      hold_mask();
+      return;
     }
-    const int32_t z = static_cast<int32_t>(index - bottom);
-    const int64_t end = std::min(top, bottom + (z / kCell + 1) * kCell);  // of the cell
-    int64_t next = index + 1;  // voxels mostly stand one upon the other
-    for (i++; i < r.voxels && r.indices[i] == next && next < end; i++) next++;
-    const int32_t low[3] = {x, y, z}, high[3] = {x, y, static_cast<int32_t>(next - 1 - bottom)};
-    cells[z / kCell].hold(low, high);
-  }
-  *r.found.count = 0;
-  int64_t row = 0;
-  for (int64_t x = 0; x < lattice.x; x++) {
-    for (int64_t y = 0; y < lattice.y; y++) {
-      for (int64_t z = 0; z < lattice.z; z++, row++) {
-        const int64_t cell[3] = {x, y, z};
-        if (boxes[row].lower[0] <= boxes[row].upper[0]) write(r.found, 0, cell, boxes[row]);
+    std::vector<Box> boxes(lattice_.size(), kNothing);
+    hold_voxels(boxes.data(), t_.voxels, t_.several);
+    hold_voxels(boxes.data(), t_.others, t_.more);
+    int64_t row = 0;
+    for (int64_t x = 0; x < lattice_.x; x++) {
+      for (int64_t y = 0; y < lattice_.y; y++) {
+        for (int64_t z = 0; z < lattice_.z; z++, row++) {
+          if (boxes[row].lower[0] <= boxes[row].upper[0]) found_.push_back({0, {x, y, z}, boxes[row]});
+        }
       }
     }
   }
-}
 
-inline void count_voxels(const CountRequest &r) {
-  static_assert(kCell == 4, "bits are counted by fours");
-  const Lattice lattice = lattice_of(r.nx, r.ny, r.nz);
-  const int words = words_of(r.nz);
-  const uint64_t *column = r.words;
-  for (int64_t x = 0; x < r.nx; x++) {
-    for (int64_t y = 0; y < r.ny; y++, column += words) {
-      int32_t *counts = r.counts + ((x / kCell) * lattice.y + y / kCell) * lattice.z;
-      for (int w = 0; w < words; w++) {
-        uint64_t fours = column[w] - (column[w] >> 1 & 0x5555555555555555);
-        fours = (fours & 0x3333333333333333) + (fours >> 2 & 0x3333333333333333);
-        for (int64_t z = 16 * w; fours; z++, fours >>= 4) counts[z] += fours & 15;
+  const std::vector<Covering> &found() const { return found_; }
+
+ private:
+  void hold_voxels(Box *boxes, const uint32_t *indices, int64_t voxels) const {
+    const int64_t ny = t_.ny, nz = t_.nz;
+    int64_t bottom = 0, top = 0;  // first voxel of the column that the last one lay in, and one past its last
+    int32_t x = 0, y = 0;
+    Box *cells = nullptr;
+    for (int64_t i = 0; i < voxels;) {
+      const int64_t index = indices[i];
+      if (index < bottom || index >= top) {
+        const int64_t column = index / nz;
+        x = static_cast<int32_t>(column / ny), y = static_cast<int32_t>(column % ny);
+        bottom = column * nz, top = bottom + nz;
+        cells = &boxes[((x / kCell) * lattice_.y + y / kCell) * lattice_.z];
+      }
+      const int32_t z = static_cast<int32_t>(index - bottom);
+      const int64_t end = std::min(top, bottom + (z / kCell + 1) * kCell);  // of the cell
+      int64_t next = index + 1;  // voxels mostly stand one upon the other
+      for (i++; i < voxels && indices[i] == next && next < end; i++) next++;
+      const int32_t low[3] = {x, y, z}, high[3] = {x, y, static_cast<int32_t>(next - 1 - bottom)};
+      cells[z / kCell].hold(low, high);
+    }
+  }
+
+  // Whole cells that the mask fills some of, and a share at least of what lies in the grid.
+  void hold_mask() {
+    const std::vector<int32_t> counts = count_voxels();
+    const int32_t dims[3] = {t_.nx, t_.ny, t_.nz};
+    int64_t row = 0;
+    for (int64_t x = 0; x < lattice_.x; x++) {
+      for (int64_t y = 0; y < lattice_.y; y++) {
+        for (int64_t z = 0; z < lattice_.z; z++, row++) {
+          if (counts[row] == 0) continue;
+          Covering one{0, {x, y, z}, kNothing};
+          for (int a = 0; a < 3; a++) {
+            one.box.lower[a] = static_cast<int32_t>(kCell * one.cell[a]);
+            one.box.upper[a] = std::min(one.box.lower[a] + kCell, dims[a]) - 1;
+          }
+          if (counts[row] >= t_.share * one.box.space()) found_.push_back(one);
+        }
       }
     }
   }
-}
+
+  std::vector<int32_t> count_voxels() const {
+    static_assert(kCell == 4, "bits are counted by fours");
+    std::vector<int32_t> all(lattice_.size());
+    const int words = words_of(t_.nz);
+    const uint64_t *column = t_.words;
+    for (int64_t x = 0; x < t_.nx; x++) {
+      for (int64_t y = 0; y < t_.ny; y++, column += words) {
+        int32_t *counts = all.data() + ((x / kCell) * lattice_.y + y / kCell) * lattice_.z;
+        for (int w = 0; w < words; w++) {
+          uint64_t fours = column[w] - (column[w] >> 1 & 0x5555555555555555);
+          fours = (fours & 0x3333333333333333) + (fours >> 2 & 0x3333333333333333);
+          for (int64_t z = 16 * w; fours; z++, fours >>= 4) counts[z] += fours & 15;
+        }
+      }
+    }
+    return all;
+  }
+
+  const CoverTask &t_;
+  const Lattice lattice_;
+  std::vector<Covering> found_;
+};
 
 // All cells of one level, in the order of their flat indices.
 struct Level {
@@ -145,17 +184,18 @@ inline Level parents_of(const Level &below) {
   return level;
 }
 
-// The octree of a request's boxes, and for every price the cheapest division of each cell.
+// The octree of a task's smallest boxes, and for every price the cheapest division of each cell.
 class Octree {
  public:
-  explicit Octree(const FitRequest &request) : r_(request), prices_(request.prices) {
+  // `before`: numbers of the cells of an earlier cover, rising.
+  Octree(const CoverRequest &request, const CoverTask &task, const std::vector<Covering> &smallest,
+         const std::vector<int64_t> &before)
+      : r_(request), before_(before), most_(task.most), prices_(request.prices) {
     Level leaves;
-    leaves.lattice = lattice_of(r_.nx, r_.ny, r_.nz);
-    leaves.cells.assign(r_.cells, r_.cells + 3 * r_.boxes);
-    for (int64_t row = 0; row < r_.boxes; row++) {
-      Box box = kNothing;
-      for (int a = 0; a < 3; a++) box.lower[a] = r_.lower[3 * row + a], box.upper[a] = r_.upper[3 * row + a];
-      leaves.boxes.push_back(box);
+    leaves.lattice = lattice_of(task.nx, task.ny, task.nz);
+    for (const Covering &one : smallest) {
+      leaves.cells.insert(leaves.cells.end(), one.cell, one.cell + 3);
+      leaves.boxes.push_back(one.box);
     }
     levels_.push_back(std::move(leaves));
     while (levels_.back().count() > 1 && static_cast<int>(levels_.size()) <= r_.highest_level) {
@@ -166,16 +206,14 @@ class Octree {
   }
 
   // The boxes at the lowest price that leaves few enough of them; one box about all where none does.
-  void write_fitted() const {
-    *r_.found.count = 0;
+  std::vector<Covering> fitted() const {
     const int price = affordable();
     if (price < 0) {
-      Box all = kNothing;
-      for (const Box &box : levels_.back().boxes) all.hold(box.lower, box.upper);
-      const int64_t cell[3] = {0, 0, 0};
-      write(r_.found, r_.highest_level, cell, all);
-      return;
+      Covering all{r_.highest_level, {0, 0, 0}, kNothing};
+      for (const Box &box : levels_.back().boxes) all.box.hold(box.lower, box.upper);
+      return {all};
     }
+    std::vector<Covering> found;
     std::vector<uint8_t> reached(levels_.back().count(), 1);
     for (int64_t number = static_cast<int64_t>(levels_.size()) - 1; number >= 0; number--) {
       const Level &level = levels_[number];
@@ -183,21 +221,23 @@ class Octree {
       for (int64_t row = 0; row < level.count(); row++) {
         if (!reached[row]) continue;
         if (number == 0 || !level.is_divided[row * prices_ + price]) {
-          write(r_.found, number, &level.cells[3 * row], level.boxes[row]);
+          const int64_t *cell = &level.cells[3 * row];
+          found.push_back({number, {cell[0], cell[1], cell[2]}, level.boxes[row]});
           continue;
         }
         for (int64_t i = level.starts[row]; i < level.starts[row + 1]; i++) below[level.children[i]] = 1;
       }
       reached = std::move(below);
     }
+    return found;
   }
 
  private:
   void measure(Level &level, int64_t number) const {
     const Lattice lattice = levels_[0].lattice;
     for (int64_t row = 0; row < level.count(); row++) {
-      const int64_t place = number << 21 | (lattice.flat(&level.cells[3 * row]) & 0x1FFFFF);
-      const bool was_there = std::binary_search(r_.before, r_.before + r_.befores, place);
+      const int64_t place = number_of(lattice, number, &level.cells[3 * row]);
+      const bool was_there = std::binary_search(before_.begin(), before_.end(), place);
       level.spaces.push_back(level.boxes[row].space() * (was_there ? r_.loyalty : 1.0));
     }
   }
@@ -242,16 +282,40 @@ class Octree {
     for (int p = 0; p < prices_; p++) {
       int64_t total = 0;
       for (int64_t row = 0; row < roots.count(); row++) total += roots.numbers[row * prices_ + p];
-      if (total <= r_.most) return p;
+      if (total <= most_) return p;
     }
     return -1;
   }
 
-  const FitRequest &r_;
-  const int prices_;
+  const CoverRequest &r_;
+  const std::vector<int64_t> &before_;
+  const int most_, prices_;
   std::vector<Level> levels_;
 };
 
-inline void fit(const FitRequest &r) { Octree(r).write_fitted(); }
+// Writes the boxes of every task, one after the other.
+inline void cover(const CoverRequest &r) {
+  int64_t row = 0;
+  for (int64_t number = 0; number < r.tasks; number++) {
+    const CoverTask &task = r.task[number];
+    const Leaves leaves(task);
+    std::vector<Covering> few = leaves.found();
+    if (static_cast<int64_t>(few.size()) > task.most) {
+      std::vector<int64_t> before;
+      for (int64_t i = 0; i < r.befores; i++) {
+        if (r.before[i] >> 24 == task.prefix) before.push_back(r.before[i] & 0xFFFFFF);
+      }
+      std::sort(before.begin(), before.end());
+      few = Octree(r, task, leaves.found(), before).fitted();
+    }
+    const Lattice lattice = lattice_of(task.nx, task.ny, task.nz);
+    for (const Covering &one : few) {
+      r.ids[row] = task.prefix << 24 | static_cast<uint32_t>(number_of(lattice, one.level, one.cell));
+      for (int a = 0; a < 3; a++) r.lower[3 * row + a] = one.box.lower[a], r.upper[3 * row + a] = one.box.upper[a];
+      row++;
+    }
+    r.counts[number] = static_cast<int64_t>(few.size());
+  }
+}
 
 }  // namespace forecast

@@ -5,7 +5,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 23;
+constexpr int32_t kInterfaceVersion = 24;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -105,37 +105,27 @@ struct CarveRequest {
   uint64_t *unknown, *may_move, *likely_moves, *on_arm;  // [nx, ny, words] come zeroed
 };
 
-// Boxes in voxels; has room for as many as its maker can find.
-struct BoxList {
-  int64_t *levels;                  // [n] of their octree cells
-  int64_t *cells, *lower, *upper;   // [n, 3] cell, first and last voxel
-  int64_t *count;                   // [1]
+// What at most `most` boxes are to hold: listed voxels, or the cells of 4 x 4 x 4 that a mask fills a share of.
+struct CoverTask {
+  int32_t nx, ny, nz, most;
+  uint32_t prefix;                  // of the ids of its boxes, above the 24 bits that number their cells
+  int64_t several, more;            // voxels
+  const uint32_t *voxels, *others;  // [several], [more] flat, in any order, also twice
+  const uint64_t *words;            // [nx, ny, words] the mask; null where voxels are listed
+  double share;
 };
 
-// The tight box about the voxels in every cell of 4 x 4 x 4 that has any, in the order of cells.
-struct HoldRequest {
-  int64_t voxels;
-  int32_t nx, ny, nz;
-  const uint32_t *indices;  // [voxels] flat, in any order, also twice
-  BoxList found;
-};
-
-// The set voxels of every cell of 4 x 4 x 4.
-struct CountRequest {
-  int32_t nx, ny, nz;
-  const uint64_t *words;  // [nx, ny, words]
-  int32_t *counts;        // [cells] comes zeroed
-};
-
-// At most `most` boxes of octree cells that hold what more boxes of level 0 hold.
-struct FitRequest {
-  int64_t boxes, befores;
-  int32_t nx, ny, nz, most, prices, highest_level;
-  double loyalty;                        // share that the space of a box that was there before counts
-  const int64_t *cells, *lower, *upper;  // [boxes, 3] in the order of cells
-  const int64_t *before;                 // [befores] rising: level << 21 | flat index on level 0's lattice
-  const double *price;                   // [prices] rising
-  BoxList found;
+// Boxes about the voxels of octree cells, for some tasks.
+struct CoverRequest {
+  int64_t tasks, befores;
+  int32_t prices, highest_level;
+  double loyalty;          // share that the space of a box that was there before counts
+  const double *price;     // [prices] rising
+  const uint32_t *before;  // [befores] ids of an earlier cover: prefix << 24 | level << 21 | cell on level 0's lattice
+  uint32_t *ids;           // [boxes] the same of this one, task by task; room for as many as all tasks may have
+  int64_t *lower, *upper;  // [boxes, 3] first and last voxel
+  int64_t *counts;         // [tasks] boxes
+  const CoverTask *task;   // [tasks]
 };
 
 // What may be hidden in unknown space, one state after the other.

@@ -64,14 +64,8 @@ int32_t forecast_carve(const forecast::CarveRequest *request) {
   return guarded([&] { forecast::carve(*request); });
 }
 
-int32_t forecast_hold(const forecast::HoldRequest *request) {
-  return guarded([&] { forecast::hold_voxels(*request); });
-}
-
-void forecast_count(const forecast::CountRequest *request) { forecast::count_voxels(*request); }
-
-int32_t forecast_fit(const forecast::FitRequest *request) {
-  return guarded([&] { forecast::fit(*request); });
+int32_t forecast_cover(const forecast::CoverRequest *request) {
+  return guarded([&] { forecast::cover(*request); });
 }
 
 int32_t forecast_hide(const forecast::HideRequest *request) {
