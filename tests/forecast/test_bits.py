@@ -30,6 +30,7 @@ def test_bits_are_the_mask(dims: tuple[int, int, int], seed: int) -> None:
     assert np.array_equal(bits.mask(), one)
     assert np.array_equal(Bits.of_indices(dims, np.flatnonzero(one)).words, bits.words)
     assert np.array_equal(bits.indices(), np.flatnonzero(one))
+    assert bits.count == np.count_nonzero(one)
     assert np.array_equal((bits & others).mask(), one & other)
     assert np.array_equal((bits | others).mask(), one | other)
     assert np.array_equal(bits.without(others).mask(), one & ~other)
@@ -57,3 +58,13 @@ def test_compiled_lists_and_runs_are_the_plain_ones(dims: tuple[int, int, int], 
     found, plain = bits.listed(marks), bits.listed_plainly(marks)
     assert np.array_equal(found.indices, plain.indices) and np.array_equal(found.marked, plain.marked)
     assert np.array_equal(bits.runs(), encode_runs(one))
+    indices = np.random.default_rng(seed).permutation(np.concatenate([plain.indices, plain.indices[:5]]))
+    assert np.array_equal(Bits.of_indices(dims, indices).words, bits.words)
+    assert np.array_equal(Bits.of_indices_plainly(dims, indices).words, bits.words)
+
+
+@pytest.mark.skipif(kernels() is None, reason="NumPy counts negative ones from the end")
+@pytest.mark.parametrize("beside", [-1, 24])
+def test_voxels_beside_the_grid_are_refused(beside: int) -> None:
+    with pytest.raises(IndexError):
+        Bits.of_indices((2, 3, 4), np.array([0, beside]))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.grid import encode_runs
-from twin_node.forecast.kernel_requests import ListRequest, RunsRequest
+from twin_node.forecast.kernel_requests import ListRequest, PackRequest, RunsRequest, TallyRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, UInt32
@@ -56,7 +56,20 @@ class Bits:
 
     @classmethod
     def of_indices(cls, dims: Dims, indices: NDArray[np.integer]) -> Bits:
-        """Those of flat indices [n]."""
+        """Those of flat indices [n]. Compiled; `of_indices_plainly` where that cannot be.
+
+        Raises `IndexError` for voxels that are not in the grid.
+        """
+        compiled = kernels()
+        if compiled is None:
+            return cls.of_indices_plainly(dims, indices)
+        found, places = cls.none(dims), np.ascontiguousarray(indices, np.int64)
+        compiled.pack(PackRequest(len(places), *dims, *addresses_of(places, found.words)))
+        return found
+
+    @classmethod
+    def of_indices_plainly(cls, dims: Dims, indices: NDArray[np.integer]) -> Bits:
+        """What `of_indices` does."""
         mask = np.zeros(int(np.prod(dims)), np.bool_)
         mask[indices] = True
         return cls.of_mask(dims, mask)
@@ -73,7 +86,10 @@ class Bits:
     @property
     def count(self) -> int:
         """Number of voxels."""
-        return int(np.bitwise_count(self.words).sum())
+        compiled, words = kernels(), np.ascontiguousarray(self.words)
+        if compiled is None:
+            return int(np.bitwise_count(words).sum())
+        return compiled.tally(TallyRequest(words.size, *addresses_of(words)))
 
     def listed(self, marks: Bits) -> Listed:
         """The voxels, and which of them are marked too. Compiled; `listed_plainly` where that cannot be."""

@@ -18,6 +18,22 @@ class GrowRequest(ctypes.Structure):
     )
 
 
+class PackRequest(ctypes.Structure):
+    """`forecast::PackRequest`."""
+
+    _fields_ = (
+        ("voxels", c_int64),
+        *((name, c_int32) for name in ("nx", "ny", "nz")),
+        *((name, c_void_p) for name in ("indices", "words")),
+    )
+
+
+class TallyRequest(ctypes.Structure):
+    """`forecast::TallyRequest`."""
+
+    _fields_ = (("words", c_int64), ("mask", c_void_p))
+
+
 class ListRequest(ctypes.Structure):
     """`forecast::ListRequest`."""
 

@@ -23,6 +23,7 @@ from twin_node.forecast.kernel_requests import (
     MarkRequest,
     NearestRequest,
     OutlookRequest,
+    PackRequest,
     ReckonRequest,
     ReviseRequest,
     RunsRequest,
@@ -32,6 +33,7 @@ from twin_node.forecast.kernel_requests import (
     SplitRequest,
     SurfaceRequest,
     TakeRequest,
+    TallyRequest,
     TellRequest,
 )
 from twin_node.native_library import NativeLibrary, best_or_none
@@ -46,6 +48,9 @@ class Kernels(NativeLibrary):
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
         super().__init__(path)
         self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
+        self._dll.forecast_pack.argtypes = [ctypes.POINTER(PackRequest)]
+        self._dll.forecast_tally.argtypes = [ctypes.POINTER(TallyRequest)]
+        self._dll.forecast_tally.restype = ctypes.c_int64
         self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
         self._dll.forecast_runs.argtypes = [ctypes.POINTER(RunsRequest)]
         self._dll.forecast_runs.restype = None
@@ -79,6 +84,15 @@ class Kernels(NativeLibrary):
         """Unites balls about moved voxels, layer by layer. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.forecast_grow(request))
+
+    def pack(self, request: PackRequest) -> None:
+        """Sets voxels of a mask; takes one thread. Raises `IndexError` for those that are not in its grid."""
+        if self._dll.forecast_pack(request):
+            raise IndexError("voxels: expected flat indices within the grid, found some beside it")
+
+    def tally(self, request: TallyRequest) -> int:
+        """Counts the set bits of a mask; takes one thread."""
+        return int(self._dll.forecast_tally(request))
 
     def list(self, request: ListRequest) -> None:
         """Lists the voxels of masks. Raises `MemoryError`."""

@@ -143,6 +143,22 @@ inline Bits halved(const Bits &b, int64_t nz) {
   return out;
 }
 
+inline Status pack(const PackRequest &r) {
+  const int64_t size = static_cast<int64_t>(r.nx) * r.ny * r.nz, words = words_of(r.nz);
+  for (int64_t i = 0; i < r.voxels; i++) {
+    if (r.indices[i] < 0 || r.indices[i] >= size) return kOutside;
+    const int64_t column = r.indices[i] / r.nz, z = r.indices[i] % r.nz;
+    r.words[column * words + z / 64] |= uint64_t{1} << z % 64;
+  }
+  return kOk;
+}
+
+inline int64_t tally(const TallyRequest &r) {
+  int64_t count = 0;
+  for (int64_t i = 0; i < r.words; i++) count += __builtin_popcountll(r.mask[i]);
+  return count;
+}
+
 inline void list(const ListRequest &r) {
   const int words = words_of(r.nz);
   const int64_t columns = static_cast<int64_t>(r.nx) * r.ny;

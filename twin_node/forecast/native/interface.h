@@ -7,7 +7,7 @@ namespace forecast {
 
 constexpr int32_t kInterfaceVersion = 24;
 
-enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
+enum Status : int32_t { kOk = 0, kOutOfMemory = 1, kOutside = 2 };
 
 // Parts of a grid's voxels, moved and grown once per layer. Voxel (x, y, z) is bit z of column (x, y).
 struct GrowRequest {
@@ -21,6 +21,20 @@ struct GrowRequest {
   uint64_t *reached;       // [layers, nx, ny, words] comes zeroed
   uint64_t *core;          // the same
   int64_t *counts;         // [layers] voxels reached
+};
+
+// Voxels that are set in a mask.
+struct PackRequest {
+  int64_t voxels;
+  int32_t nx, ny, nz;
+  const int64_t *indices;  // [voxels] flat, in any order, also twice
+  uint64_t *words;         // [nx, ny, words] come zeroed
+};
+
+// How many bits are set.
+struct TallyRequest {
+  int64_t words;
+  const uint64_t *mask;  // [words]
 };
 
 // The set bits of masks in rising order, mask by mask, and which of them are marked too.

@@ -44,6 +44,10 @@ int32_t forecast_grow(const forecast::GrowRequest *request) {
   return guarded([&] { forecast::grow(*request); });
 }
 
+int32_t forecast_pack(const forecast::PackRequest *request) { return forecast::pack(*request); }
+
+int64_t forecast_tally(const forecast::TallyRequest *request) { return forecast::tally(*request); }
+
 int32_t forecast_list(const forecast::ListRequest *request) {
   return guarded([&] { forecast::list(*request); });
 }
