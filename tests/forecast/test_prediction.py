@@ -68,3 +68,21 @@ def test_nothing_is_forecast_below_the_floor() -> None:
     assert places[1, 2] < 0.1 < places[0, 2]
     assert np.all(heights[0] >= [0.1 - 1e-9, places[1, 2] - 1e-9])
     assert np.all(heights[1][-1] < -0.2)
+
+
+def test_weights_follow_what_is_told_of_nodes_and_of_experts() -> None:
+    no = np.zeros(2, np.bool_)
+    measured = Measured(np.full(2, 0.1), flying=no, alone=no, falling=no, floors=np.full(2, -np.inf))
+    tracks, predictor = Tracks(), Predictor()
+    places = np.array([[0.0, 0.0, 0.5], [0.5, 0.0, 0.5]])
+    for sample in range(3):
+        succession = tracks.follow(sample / 30, places, np.zeros((2, 3)))
+        predictor.advance(tracks.history, succession, float(HORIZONS[-1]), measured)
+    first = predictor.weights
+    predictor.vouch(np.array([True, False]))
+    vouched = predictor.weights
+    predictor.judge_experts(np.array([0.0, 0.5, 0.5, 0.5, 0.5, 0.5]), 0.05)
+    judged = predictor.weights
+    assert first.max(axis=0).tolist() == [1.0, 1.0]  # newcomers are led by one expert alone
+    assert vouched[:, 0].max() < 1.0 == vouched[:, 1].max()
+    assert judged[0, 0] > vouched[0, 0]

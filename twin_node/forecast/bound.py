@@ -86,6 +86,7 @@ class Bound:
     def __init__(self, parameters: BoundParameters | None = None) -> None:
         self.parameters = parameters or BoundParameters()
         self._gram = np.eye(CUES) * _PRIOR
+        self._ridge = np.eye(CUES) * _RIDGE
         self._prior = np.append(0.0, _SLOPES)
         self._moment = self._gram @ self._prior
         self._weights = self._prior
@@ -106,9 +107,9 @@ class Bound:
         if len(errors) == 0:
             return
         p = self.parameters
-        missed = float(np.mean(errors > radii))
+        missed = int(np.count_nonzero(errors > radii)) / len(errors)
         level = self._miss_level + p.correction * elapsed_s * ((1 - p.coverage) - missed)
-        self._miss_level = float(np.clip(level, 0, _MOST_LEVEL * (1 - p.coverage)))
+        self._miss_level = min(max(level, 0.0), _MOST_LEVEL * (1 - p.coverage))
         self._seen_s += elapsed_s
         if grown is not None:
             then, errors, radii = then[grown], errors[grown], radii[grown]
@@ -152,8 +153,7 @@ class Bound:
         weights = np.where(above, _UPPER, 1 - _UPPER) * (2 * elapsed_s / _STEP_S / len(logs))
         self._gram = kept * self._gram + (then.T * weights) @ then
         self._moment = kept * self._moment + then.T @ (weights * logs)
-        ridge = _RIDGE * np.eye(CUES)
-        self._weights = np.linalg.solve(self._gram + ridge, self._moment + ridge @ self._prior)
+        self._weights = np.linalg.solve(self._gram + self._ridge, self._moment + self._ridge @ self._prior)
 
 
 class CoverageControl:

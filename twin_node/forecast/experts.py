@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -220,8 +220,7 @@ class Autoregression:
 
     def weights(self, shares: Float64) -> Float64:
         """[H, F] of the features, at shares [H] of the horizon."""
-        knots = np.concatenate([np.zeros((1, FEATURES)), self._solution()])
-        return np.asarray(_interpolation(shares, np.array([0.0, *KNOTS])) @ knots)
+        return np.asarray(_interpolation(tuple(shares.tolist())) @ self._solution())
 
     def _solution(self) -> Float64:
         """[K, F] as of what was learnt last."""
@@ -254,14 +253,16 @@ KNOTS = (0.25, 0.5, 0.75, 1.0)
 """Shares of the horizon that the autoregression is fitted at."""
 
 
-def _interpolation(at: Float64, knots: Float64) -> Float64:
-    """[H, K] weights of values at `knots` [K] that interpolate linearly at `at` [H], and extrapolate at the ends."""
+@lru_cache(maxsize=16)
+def _interpolation(shares: tuple[float, ...]) -> Float64:
+    """[H, K] weights of values at `KNOTS` that interpolate linearly at H shares, and extrapolate at the end: 0 at 0."""
+    at, knots = np.array(shares), np.array([0.0, *KNOTS])
     after = np.clip(np.searchsorted(knots, at), 1, len(knots) - 1)
     share = (at - knots[after - 1]) / (knots[after] - knots[after - 1])
     weights = np.zeros((len(at), len(knots)))
     rows = np.arange(len(at))
     weights[rows, after - 1], weights[rows, after] = 1 - share, share
-    return weights
+    return weights[:, 1:]
 
 
 SHARPNESS = 0.15

@@ -39,6 +39,8 @@ class Points:
     def beside(self, places: NDArray[np.int32], label: int) -> Points:
         """These, and others at `places` [3, m] of one more part: no cores."""
         count = places.shape[1]
+        if count == 0:
+            return self
         labels, core = np.full(count, label, np.int64), np.zeros(count, np.bool_)
         return Points(
             np.concatenate([self.places, places], axis=1),

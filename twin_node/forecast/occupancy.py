@@ -30,6 +30,8 @@ CORE_PROBABILITY = 230
 BOUND_PROBABILITY = 90
 """Of voxels that only the errors of the carving and the error bound add."""
 
+_PROBABILITIES = np.uint8(CORE_PROBABILITY), np.uint8(BOUND_PROBABILITY)
+
 RIM_RADIUS = 0.05
 """Largest radius of rims, m: two voxels, and half of one for rounding."""
 _NEIGHBOURS = 8
@@ -229,8 +231,10 @@ class Forecaster:
         What leaves is outside already, where a wider bound blocks nothing, and what matters is that it may return.
         """
         here = evidence.parts.centers
-        left = (self.grid.indices(here) < 0) & (self.grid.indices(here + prediction.displacements[-1]) < 0)
-        may_turn: Bool = prediction.turning | left
+        may_turn = prediction.turning.copy()
+        outside = np.flatnonzero(self.grid.indices(here) < 0)
+        if len(outside):
+            may_turn[outside] |= self.grid.indices((here + prediction.displacements[-1])[outside]) < 0
         return may_turn
 
     def _layers(
@@ -252,7 +256,7 @@ class Forecaster:
         spreads = spread(self.grid, ways.points, shifts, reaches)
         layers = []
         for horizon, reached in zip(HORIZONS_NS, spreads, strict=True):
-            probability = np.where(reached.core, CORE_PROBABILITY, BOUND_PROBABILITY).astype(np.uint8)
+            probability = np.where(reached.core, *_PROBABILITIES)
             layers.append(OccupancyLayer(horizon, reached.indices, probability))
         return tuple(layers)
 

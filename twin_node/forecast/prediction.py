@@ -75,6 +75,8 @@ class Predictor:
         self._history = History(np.zeros(0), np.zeros((0, 0, 3)))
         self._features = np.zeros((0, 3, 0))
         self._shares = np.zeros((len(EXPERT_NAMES), 0))
+        self._weights: Float64 | None = None
+        """`weights`, until something that they come of changes."""
         self._cues = np.zeros((0, 0))
         self._learnt_at = np.full(len(KNOTS), -np.inf)
         self.alone = np.zeros((len(EXPERT_NAMES), 0, 3))
@@ -86,7 +88,9 @@ class Predictor:
 
         Where the velocity is measured, what has no record yet goes on at it, or falls.
         """
-        return weighed(self._shares, self._trust, self._alone)
+        if self._weights is None:
+            self._weights = weighed(self._shares, self._trust, self._alone)
+        return self._weights
 
     @property
     def _alone(self) -> Rows:
@@ -138,12 +142,14 @@ class Predictor:
         """
         rate = 1 - np.exp(-elapsed_s / RECORD_S) if self._missed.any() else 1.0
         self._missed = self._missed + rate * (missed - self._missed)
+        self._weights = None
         best = float(self._missed.min())
         self._trust = np.exp(-(self._missed - best) / (_TRUST_SHARPNESS * best + _TRUST_SHARE))
 
     def vouch(self, foreseen: Bool) -> None:
         """Tells which of the nodes [M] are where something was forecast: they begin nothing new, however they came."""
         old = self._history.times[-1] - self._horizon_s
+        self._weights = None
         self._records.began = np.where(foreseen, np.minimum(self._records.began, old), self._records.began)
 
     def unstartled_since(self, time: float) -> Bool:
@@ -225,6 +231,7 @@ class Predictor:
         learnt, horizons = self.autoregression.weights(shares), shares * self._horizon_s
         found = outlook(self._history, standing, self._floors, learnt, horizons)
         self._features, self._shares, self._cues = found.features, found.shares, found.cues
+        self._weights = None
         self.alone = found.led.single[:, -1]
         time, count = float(self._history.times[-1]), self._history.positions.shape[1]
         radii = np.maximum(self._radii(self._horizon_s), self._start(np.array([self._horizon_s]))[0])
