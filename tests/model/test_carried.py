@@ -64,6 +64,7 @@ def test_compiled_cells_are_the_plain_ones() -> None:
     assert len(found) > 20
     assert same(found, expected)
     nobody = cells.cells_of(gaussians, rows[:0], means[:0])
+    assert same(nobody, cells.cells_plainly(gaussians, rows[:0], means[:0]))
     assert len(nobody) == 0
     assert nobody.centres.shape == (0, 3)
 

@@ -99,6 +99,12 @@ def test_gradients_do_not_depend_on_what_is_culled():
     assert all(bool(torch.isfinite(gradient).all()) for gradient in result.gradients.values())
 
 
+def test_where_nothing_is_drawn_gradients_are_zero():
+    case = make_case(count=10, cameras=1).to(torch.float64)
+    result = differentiate(rasterize_plain, replace(case, means=case.means - torch.tensor([0.0, 0.0, 1e3])))
+    assert all(not gradient.any() for gradient in result.gradients.values())
+
+
 def test_harmonics_and_projection_agree_with_gsplats_torch_code():
     reference = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
     case = make_case(count=500, sh_degree=3, cameras=2)

@@ -85,6 +85,7 @@ def cells_plainly(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     of = of.reshape(-1)
     count = np.bincount(of, minlength=len(found))
     shown: Float64 = np.concatenate([here, gaussians.values[rows, RGB].cpu().numpy()], 1)
-    own: Float64 = np.stack([np.bincount(of, weights=column, minlength=len(found)) for column in shown.T], 1)
+    own = np.zeros((len(found), shown.shape[1]))
+    np.add.at(own, of, shown)
     own /= np.maximum(count, 1)[:, None]
     return Cells(found, carriers[first], found >> 3 * AXIS_BITS, of, own[:, :3], own[:, 3:])

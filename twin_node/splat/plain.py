@@ -237,7 +237,9 @@ def _blend(p: Projected, colors: Tensor, width: int, height: int, mask: Tensor |
     """[H, W, channels + 1]: blended channels and the transmittance that is left."""
     lists = _tile_lists(p, width, height, mask)
     tiles, channels = lists.columns * lists.rows, colors.shape[-1]
-    empty = torch.cat([colors.new_zeros(TILE * TILE, channels), colors.new_ones(TILE * TILE, 1)], dim=-1)
+    # sums over no rows: where nothing is drawn, an image is a function of what was given all the same, of gradient zero
+    nothing = sum(given[:0].sum() for given in (p.means2d, p.conics, p.opacities, colors))
+    empty = torch.cat([colors.new_zeros(TILE * TILE, channels), colors.new_ones(TILE * TILE, 1)], dim=-1) + nothing
     pieces, places = [], []
     for chunk in _chunks(lists.count):
         pieces.append(checkpoint(_blend_tiles, chunk, lists, p, colors, semantics, use_reentrant=False))
