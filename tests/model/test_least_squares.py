@@ -11,6 +11,7 @@ from model_scenes import rig, table
 from torch import Tensor
 
 from twin_node.model.gaussians import RGB, Gaussians, Newborns
+from twin_node.model.kernels import kernels
 from twin_node.model.least_squares import AtRest, Step
 from twin_node.model.rendering import render
 from twin_node.scene import Tier
@@ -70,6 +71,28 @@ def test_steps_lead_back_to_what_is_seen_and_stop_there(with_depth: bool) -> Non
         errors.append(missed(store, views))
     assert errors[-1] < 0.05 * errors[0]
     assert max(np.diff(errors)) < 0.05 * errors[0]
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+def test_the_compiled_kernel_takes_the_step_that_torch_does() -> None:
+    store, other = stored(), stored()
+    views = at_rest(store)
+    rng = torch.Generator().manual_seed(4)
+    learners = torch.rand(len(store.static_rows), generator=rng) > 0.2
+    for one, take in ((store, Step.take), (other, Step.take_plainly)):
+        one.values[:, RGB] = (one.values[:, RGB] + 0.15).clamp(0, 1)
+        one.values[::3, 7:10] += 0.3
+        begun = Step(one, one.static_rows, learners)
+        for view in views:
+            begun.look(view)
+        before = one.values.clone()
+        one.retire(one.static_rows[::7])
+        one.largest[5::11] -= 1.0  # some are as large as they may be
+        one.values[3::19, 0] = torch.nan  # and some lead nowhere
+        take(begun)
+        assert ((one.values - before).abs().amax(1) > 1e-4).float().mean() > 0.3
+    assert store.refused == other.refused > 0
+    assert torch.allclose(store.values, other.values, atol=1e-6, equal_nan=True)
 
 
 def test_who_does_not_learn_or_is_not_counted_stays_to_the_bit() -> None:

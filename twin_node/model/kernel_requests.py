@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 14
+INTERFACE_VERSION = 15
 
 
 class MaskRules(ctypes.Structure):
@@ -232,6 +232,19 @@ class OccluderRequest(ctypes.Structure):
         *((name, c_int32) for name in ("cell_px", "view_count")),
         ("views", ctypes.POINTER(OccluderView)),
         ("before", c_void_p),
+    )
+
+
+class DampedRequest(ctypes.Structure):
+    """`model::DampedRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        ("standing", c_int32),
+        *((name, c_float) for name in ("shape_share", "colour_share", "fewest", "longest", "smallest_log_scale")),
+        *((name, c_void_p) for name in ("rows", "learners", "drawn_ids", "scales", "opacities")),
+        *((name, c_void_p) for name in ("means", "quats", "sizes", "logits", "rgb", "weights")),
+        *((name, c_void_p) for name in ("alive", "tiers", "ids", "ceilings", "values", "refused")),
     )
 
 

@@ -18,6 +18,7 @@ from twin_node.model.kernel_requests import (
     CellRequest,
     CompareRequest,
     CreepRequest,
+    DampedRequest,
     ExtentRequest,
     GroupRequest,
     HeldRequest,
@@ -76,6 +77,8 @@ class Kernels(NativeLibrary):
         self._dll.model_solve_velocities.restype = None
         self._dll.model_move_velocities.argtypes = [ctypes.POINTER(MoveRequest)]
         self._dll.model_move_velocities.restype = None
+        self._dll.model_take_damped.argtypes = [ctypes.POINTER(DampedRequest)]
+        self._dll.model_take_damped.restype = None
         self._dll.model_group.argtypes = [ctypes.POINTER(GroupRequest)]
         self._dll.model_group.restype = None
         self._dll.model_add_up.argtypes = [ctypes.POINTER(SumRequest)]
@@ -159,6 +162,10 @@ class Kernels(NativeLibrary):
     def nearest(self, request: NearestRequest) -> None:
         """Finds what is nearest; takes one thread."""
         self._dll.model_nearest(request)
+
+    def take_damped(self, request: DampedRequest) -> None:
+        """Takes a step of what stands; takes one thread."""
+        self._dll.model_take_damped(request)
 
     def group(self, request: GroupRequest) -> None:
         """Deals places out to groups; takes one thread."""

@@ -15,6 +15,8 @@ from torch import Tensor
 from twin_node import splat
 from twin_node.model.chosen import rows_where
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, Gaussians
+from twin_node.model.kernel_requests import DampedRequest
+from twin_node.model.kernels import kernels
 from twin_node.scene import Bool, Camera, Float32, Tier
 
 COLOUR_SHARE = 0.7
@@ -81,6 +83,21 @@ class Step:
 
     def take(self) -> None:
         """Takes the step towards all views that were looked through; what stands no longer takes none."""
+        library, g, missed, splats = kernels(), self._gaussians, self._missed, self._splats
+        if library is None or g.values.device.type != "cpu":
+            self.take_plainly()
+            return
+        refused = torch.zeros(1, dtype=torch.int64)
+        drawn = (self._rows, self._learners, self._ids, splats.scales, splats.opacities)
+        pull = (missed.means, missed.quats, missed.scales, missed.opacities, missed.rgb, missed.weights)
+        held = [of.contiguous() for of in (*drawn, *pull)]
+        pointers = (of.data_ptr() for of in (*held, g.alive, g.tiers, g.ids, g.largest, g.values, refused))
+        shares = (SHAPE_SHARE, COLOUR_SHARE, FEWEST_PIXELS, LONGEST, SMALLEST)
+        library.take_damped(DampedRequest(len(self._rows), int(Tier.STATIC), *shares, *pointers))
+        g.refused += int(refused)
+
+    def take_plainly(self) -> None:
+        """The same in torch, on any device: the reference of the compiled kernel."""
         gaussians, missed = self._gaussians, self._missed
         alive, tiers, ids = (s.index_select(0, self._rows) for s in (gaussians.alive, gaussians.tiers, gaussians.ids))
         stands = alive & (tiers == int(Tier.STATIC)) & (ids == self._ids)

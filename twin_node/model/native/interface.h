@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 14;
+constexpr int32_t kInterfaceVersion = 15;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -219,6 +219,25 @@ struct CreepRequest {
   int64_t *known_ids, *known_homes;          // [capacity]
   float *known_means;                        // [capacity, 3]
   double *crept;                             // [cells, 3] written
+};
+
+// Gaussians that were drawn, what views miss of them, and the store that they come from; see `least_squares.py`.
+struct DampedRequest {
+  int64_t count;
+  int32_t standing;  // the tier of those that may take the step
+  float shape_share, colour_share, fewest, longest, smallest_log_scale;
+  const int64_t *rows;                  // [count] of the store
+  const uint8_t *learners;              // [count]
+  const int64_t *drawn_ids;             // [count] ids that the rows had then
+  const float *scales, *opacities;      // [count, 3] m, [count]
+  const float *means, *quats, *sizes;   // [count, 3], [count, 4], [count, 3] which way each should go, as the next two
+  const float *logits, *rgb;            // [count] by the opacity, [count, 3]
+  const float *weights;                 // [count] blend weights over all pixels
+  const uint8_t *alive, *tiers;         // [capacity]
+  const int64_t *ids;                   // [capacity]
+  const float *ceilings;                // [capacity] largest log scale
+  float *values;                        // [capacity, 14] brought up to date in place
+  int64_t *refused;                     // [1] written: steps that would not have been finite, and were not taken
 };
 
 // Rows of numbers, to be added up by who owns them.

@@ -5,6 +5,7 @@
 #include "../../native/crew.h"
 #include "births.h"
 #include "cells.h"
+#include "damped.h"
 #include "deaths.h"
 #include "exposing.h"
 #include "held.h"
@@ -73,6 +74,8 @@ void model_judge_velocities(const model::JudgeRequest *request) { model::judge_v
 void model_solve_velocities(const model::VelocityRequest *request) { model::solve_velocities(*request); }
 
 void model_move_velocities(const model::MoveRequest *request) { model::move_velocities(*request); }
+
+void model_take_damped(const model::DampedRequest *request) { model::take_damped(*request); }
 
 void model_group(const model::GroupRequest *request) { model::group(*request); }
 
