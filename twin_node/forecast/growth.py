@@ -103,14 +103,14 @@ def _spread_by(
     compiled: Kernels, grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8
 ) -> tuple[Spread, ...]:
     nx, ny, nz = grid.dims
-    layers, parts = reach.shape
+    (layers, parts), threads = reach.shape, thread_count()
     reached, core = np.zeros((2, layers, nx, ny, -(-nz // 64)), np.uint64)
     counts = np.zeros(layers, np.int64)
     given = (points.places.astype(np.int32), points.labels.astype(np.int64), points.core, shifts, reach)
     arrays = (*(np.ascontiguousarray(array) for array in given), reached, core, counts)
-    request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, thread_count(), *addresses_of(*arrays))
+    request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, threads, *addresses_of(*arrays))
     compiled.grow(request)
-    found = all_listed(compiled, grid.dims, reached, core, counts, thread_count())
+    found = all_listed(compiled, grid.dims, reached, core, counts, threads)
     return tuple(Spread(one.indices, one.marked) for one in found)
 
 

@@ -50,5 +50,5 @@ def nearest_plainly(points: Float64, among: Float64, count: int = 1, within: flo
     return Nearest(distances, np.append(known, len(among))[rows])
 
 
-_MOST_PAIRS = 200_000
-"""Pairs of points that are looked at; with more of them a tree takes less time (measured: 250 and 600 points)."""
+_MOST_PAIRS = 100_000
+"""Pairs of points that are looked at; with more of them a tree takes as long or less (measured: 400 points)."""
