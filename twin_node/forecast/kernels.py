@@ -56,6 +56,7 @@ class Kernels(NativeLibrary):
         self._dll.forecast_runs.restype = None
         self._dll.forecast_look.argtypes = [ctypes.POINTER(LookRequest)]
         self._dll.forecast_revise.argtypes = [ctypes.POINTER(ReviseRequest)]
+        self._dll.forecast_revise.restype = None
         self._dll.forecast_conceal.argtypes = [ctypes.POINTER(ConcealRequest)]
         self._dll.forecast_conceal.restype = None
         self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
@@ -109,8 +110,8 @@ class Kernels(NativeLibrary):
         _check(self._dll.forecast_look(request))
 
     def revise(self, request: ReviseRequest) -> None:
-        """Takes one more depth image into a backdrop; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_revise(request))
+        """Takes one more depth image into a backdrop; takes one thread."""
+        self._dll.forecast_revise(request)
 
     def conceal(self, request: ConcealRequest) -> None:
         """Says what cameras do not see; takes one thread."""

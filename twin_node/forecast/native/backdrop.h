@@ -1,10 +1,9 @@
 // How deep each pixel of a depth camera sees when nothing that moves is in the way.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
-#include <vector>
 
-#include "image.h"
 #include "interface.h"
 #include "rounded.h"
 
@@ -28,13 +27,22 @@ FORECAST_ROUNDED inline void revise(const ReviseRequest &r, const IsRobot &is_ro
 
 // Gives pixels that show something of which no depth is known the greatest depth that is known about them.
 inline void fill(const ReviseRequest &r) {
-  const size_t size = static_cast<size_t>(r.width) * r.height;
-  std::vector<float> deepest(size);
-  for (size_t i = 0; i < size; i++) deepest[i] = r.after[i] < r.unseen ? r.after[i] : 0.0f;
-  spread_over<Greatest>(deepest, r.width, r.height, Patch::square(r.reach), 0.0f);
-  for (size_t i = 0; i < size; i++) {
-    const float filled = r.after[i] == r.unmeasured && deepest[i] > 0 ? deepest[i] : r.after[i];
-    r.filled[i] = filled < r.unseen ? filled : r.unseen;
+  const auto deepest_about = [&](int32_t x, int32_t y) {
+    float deepest = 0.0f;
+    for (int32_t v = std::max(y - r.reach, 0); v <= std::min(y + r.reach, r.height - 1); v++) {
+      for (int32_t u = std::max(x - r.reach, 0); u <= std::min(x + r.reach, r.width - 1); u++) {
+        const float depth = r.after[static_cast<int64_t>(v) * r.width + u];
+        deepest = std::max(deepest, depth < r.unseen ? depth : 0.0f);
+      }
+    }
+    return deepest;
+  };
+  const int64_t pixels = static_cast<int64_t>(r.width) * r.height;
+  for (int64_t i = 0; i < pixels; i++) r.filled[i] = std::min(r.after[i], r.unseen);
+  for (int64_t i = 0; i < pixels; i++) {  // these are few
+    if (r.after[i] != r.unmeasured) continue;
+    const float deepest = deepest_about(static_cast<int32_t>(i % r.width), static_cast<int32_t>(i / r.width));
+    if (deepest > 0) r.filled[i] = deepest;
   }
 }
 

@@ -169,8 +169,10 @@ inline void list(const ListRequest &r) {
     int64_t next = firsts[mask];
     for (int64_t column = 0; column < columns; column++) {
       for (int w = 0; w < words; w++) {
+        uint64_t bits = own[column * words + w];
+        if (bits == 0) continue;
         const uint64_t marked = marks[column * words + w];
-        for (uint64_t bits = own[column * words + w]; bits; bits &= bits - 1) {
+        for (; bits; bits &= bits - 1) {
           const int bit = __builtin_ctzll(bits);
           r.indices[next] = static_cast<uint32_t>(column * r.nz + 64 * w + bit);
           r.marked[next++] = marked >> bit & 1;

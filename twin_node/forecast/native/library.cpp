@@ -58,9 +58,7 @@ int32_t forecast_look(const forecast::LookRequest *request) {
   return guarded([&] { forecast::look(*request); });
 }
 
-int32_t forecast_revise(const forecast::ReviseRequest *request) {
-  return guarded([&] { forecast::revise(*request); });
-}
+void forecast_revise(const forecast::ReviseRequest *request) { forecast::revise(*request); }
 
 void forecast_conceal(const forecast::ConcealRequest *request) { forecast::conceal(*request); }
 
