@@ -95,6 +95,7 @@ def kernel_threads(count: int) -> Iterator[None]:
         del _told.threads
 
 
+@cache
 def _openmp_threads() -> int:
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
