@@ -59,7 +59,7 @@ class Seeking:
 def _engine() -> cv2.DISOpticalFlow:
     engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
-    engine.setPatchStride(5)  # of 8 px patches: at 4 a flow takes 1.6 times as long and shows no more
+    engine.setPatchStride(4)  # at 5 a flow takes 0.6 of the time, and bodies in small images come apart more often
     engine.setGradientDescentIterations(12)
     engine.setVariationalRefinementIterations(0)  # on real cells they cost a quarter more and gain nothing
     return engine
