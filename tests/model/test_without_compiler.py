@@ -1,4 +1,4 @@
-"""Without compiled kernels the whole twin works, only slower: every plain path runs as a live set takes it."""
+"""Without compiled kernels the twin works, only slower: the plain paths that a live set takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-// A damped step of Gaussians that stand towards what views miss: `least_squares.Step.take_plainly` in one go.
+// A damped step of Gaussians that stand towards what views miss: `least_squares.Step.take_plainly` in one go, to the bit.
 #pragma once
 
 #include <algorithm>
@@ -7,6 +7,8 @@
 #include "interface.h"
 #include "publishing.h"
 
+#include "../../native/rounded_twice.h"
+
 namespace model {
 
 inline float within(float value, float most) { return std::max(std::min(value, most), -most); }
@@ -14,7 +16,7 @@ inline float within(float value, float most) { return std::max(std::min(value, m
 // Where the step takes row `row` of the store, which is number `i` of those that were drawn; whether that is finite.
 inline bool step_of(const DampedRequest &r, int64_t i, int64_t row, float *next) {
   const float *value = r.values + kColumns * row, *scale = r.scales + 3 * i;
-  const float share = r.shape_share / r.weights[i], size = (scale[0] + scale[1] + scale[2]) / 3.f;
+  const float share = r.shape_share * (1.f / r.weights[i]), size = (scale[0] + scale[1] + scale[2]) / 3.f;
   for (int k = 0; k < 3; k++) {
     next[k] = value[k] + size * within(share * r.means[3 * i + k] * size, r.longest);
     const float log_scale = value[7 + k] + within(share * r.sizes[3 * i + k] * scale[k], r.longest);
@@ -43,3 +45,5 @@ inline void take_damped(const DampedRequest &r) {
 }
 
 }  // namespace model
+
+#include "../../native/rounded_as_usual.h"

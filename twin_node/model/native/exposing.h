@@ -7,6 +7,8 @@
 
 #include "interface.h"
 
+#include "../../native/rounded_twice.h"
+
 namespace model {
 
 constexpr float kQuantum = 1.f / 255.f;  // an image's own steps
@@ -64,3 +66,5 @@ inline void remember(const RestRequest &r) {
 }
 
 }  // namespace model
+
+#include "../../native/rounded_as_usual.h"
