@@ -182,6 +182,12 @@ class Gaussians:
         self.forget_moments(free)
         return free
 
+    def doubt(self, rows: Tensor, refuted: Tensor, sets: int) -> Tensor:
+        """[n] which of `rows` [n] are `refuted` [n] now, and so have been for `sets` sets in a row; those that live."""
+        doubts = (self.doubts[rows] + 1) * refuted.to(rows.device)
+        self.doubts[rows] = doubts
+        return (doubts >= sets) & self.alive[rows]
+
     def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes, founders: Tensor | None = None) -> None:
         """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take.
 

@@ -271,7 +271,8 @@ class Tracker:
         evidence = judge_static(observed, renderings, self._parameters.track.residual)
         resting = (self._gaussians.rested.index_select(0, self._backgrounds.rows) >= 0).cpu().numpy()
         moving = evidence.moving & ~resting  # the masks keep what has moved; it wakes when it looks otherwise
-        doubted = self._doubted(self._backgrounds.rows, torch.from_numpy(evidence.left | moving))
+        refuted = torch.from_numpy(evidence.left | moving)
+        doubted = self._gaussians.doubt(self._backgrounds.rows, refuted, self._parameters.birth.carve_sets)
         left = torch.from_numpy(evidence.left).to(doubted.device)
         self._gaussians.retire(self._backgrounds.rows[doubted & left])
         self._house(self._backgrounds.rows[doubted & ~left])
@@ -326,7 +327,7 @@ class Tracker:
         shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
         gone = refuted_moving(observed, shapes, (g.nodes.index_select(0, rows) >= 0).cpu().numpy())
         gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
-        g.retire(rows[self._doubted(rows, torch.from_numpy(gone))])
+        g.retire(rows[g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)])
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
         g.retire(rows_where(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before)))
         carriers = g.nodes.index_select(0, g.moving_rows).cpu()
@@ -370,12 +371,6 @@ class Tracker:
         if excess > 0:
             least = self._gaussians.influence(rows).argsort(stable=True)[:excess]
             self._gaussians.retire(rows[least])
-
-    def _doubted(self, rows: Tensor, refuted: Tensor) -> Tensor:
-        """[n] which of `rows` [n] have been refuted for enough sets in a row, this one included."""
-        doubts = (self._gaussians.doubts.index_select(0, rows) + 1) * refuted.to(rows.device)
-        self._gaussians.doubts[rows] = doubts
-        return (doubts >= self._parameters.birth.carve_sets) & self._gaussians.alive.index_select(0, rows)
 
     def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
         """STATIC rows that can stand before what moves."""
