@@ -1,0 +1,183 @@
+// What crosses the plain C boundary about voxels; see `interface.h`.
+#pragma once
+
+#include <cstdint>
+
+namespace forecast {
+
+// Parts of a grid's voxels, moved and grown once per layer. Voxel (x, y, z) is bit z of column (x, y).
+struct GrowRequest {
+  int64_t points;
+  int32_t layers, parts, nx, ny, nz, threads;
+  const int32_t *places;   // [3, points] voxels, also outside the grid
+  const int64_t *labels;   // [points] part of each
+  const uint8_t *cores;    // [points] 1: makes its voxel a core
+  const int32_t *shifts;   // [layers, parts, 3] voxels
+  const uint8_t *reaches;  // [layers, parts] radius in quarter voxels
+  uint64_t *reached;       // [layers, nx, ny, words] comes zeroed
+  uint64_t *core;          // the same
+  int64_t *counts;         // [layers] voxels reached
+};
+
+// Voxels that are set in a mask.
+struct PackRequest {
+  int64_t voxels;
+  int32_t nx, ny, nz;
+  const int64_t *indices;  // [voxels] flat, in any order, also twice
+  uint64_t *words;         // [nx, ny, words] come zeroed
+};
+
+// How many bits are set.
+struct TallyRequest {
+  int64_t words;
+  const uint64_t *mask;  // [words]
+};
+
+// The set bits of masks in rising order, mask by mask, and which of them are marked too.
+struct ListRequest {
+  int32_t masks, nx, ny, nz, threads;
+  const uint64_t *words, *marks;  // [masks, nx, ny, words]
+  const int64_t *counts;          // [masks] bits that are set
+  uint32_t *indices;              // [sum of counts]
+  uint8_t *marked;                // the same
+};
+
+// Runs of set bits, from column to column.
+struct RunsRequest {
+  int32_t nx, ny, nz;
+  const uint64_t *words;  // [nx, ny, words]
+  uint32_t *runs;         // [n, 2] first and length; room for one in two voxels
+  int64_t *count;         // [1]
+};
+
+// Where a view sees blocks of voxels.
+struct BlockSightings {
+  const float *near, *far;  // [blocks] m, of the voxels in each
+  const int32_t *windows;   // [blocks, 4] their first and last column, first and last row; last < first for none
+  const uint8_t *whole;     // [blocks] 1: all of them lie inside the image
+};
+
+// Where a view sees voxels and blocks of them.
+struct Table {
+  const int32_t *pixels;        // [blocks * 64] of every voxel, block by block; those outside the image come last
+  const float *depths;          // [blocks * 64] m
+  BlockSightings small, large;  // blocks of 4 x 4 x 4, and of eight of these
+};
+
+// What one view says along the ray of every pixel; one more entry stands for outside the image.
+struct Sight {
+  Table table;
+  const float *free_until;    // [pixels + 1] m
+  const float *begin, *end;   // [pixels + 1] m, where a measured moving surface explains the ray; null without depth
+  const uint8_t *flags;       // [pixels + 1] bits of Flag
+  int64_t size;               // pixels + 1
+  int32_t width, height;
+};
+
+enum Flag : uint8_t { kMoving = 1, kRobot = 2, kSeen = 4, kBeside = 8 };
+
+// What one view shows, and where it is told what that says; one more entry of each stands for outside the image.
+struct LookView {
+  int32_t width, height;
+  double focal, error_pixels;      // by which masks and surfaces may be off
+  const float *depth, *backdrop;   // [height, width] m, of what is seen, and of what stands behind; null without depth
+  const uint8_t *moving;           // [height, width] 1: moves
+  const uint8_t *robot, *valid;    // the same: is the arm, is part of the image; null: none, all
+  float *free_until;               // [pixels + 1] m
+  float *begin, *end;              // [pixels + 1] m, written where there is depth
+  uint8_t *flags;                  // [pixels + 1] bits of Flag
+};
+
+// What views say along the rays of their pixels.
+struct LookRequest {
+  int32_t views, threads, radii, speck;  // smaller blobs than a speck, pixels, are none
+  const double *radius;                  // [radii] pixels, rising, that widths are told apart by
+  double depth_margin, depth_share, thickness, thickness_share, slant;
+  const LookView *looks;  // [views]
+};
+
+// How deep each pixel sees where nothing that moves is in the way, after one more image.
+struct ReviseRequest {
+  int32_t width, height, reach;   // pixels within which others tell of those that are not measured
+  double step_share;
+  float learning_rate, step, unseen, unmeasured;
+  const float *depth;             // [height, width] m
+  const uint8_t *moving, *robot;  // [height, width] 1: moves, is the arm; null: none
+  const float *before;            // [height, width] m
+  float *after;                   // [height, width] m
+  float *filled;                  // [height, width] m, the same where it is not known, but beside
+};
+
+// Every voxel, in blocks of 4 x 4 x 4, against every view.
+struct CarveRequest {
+  int32_t views, nx, ny, nz, threads;
+  const Sight *sights;  // [views]
+  uint64_t *unknown, *may_move, *likely_moves, *on_arm;  // [nx, ny, words] come zeroed
+};
+
+// What at most `most` boxes are to hold: listed voxels, or the cells of 4 x 4 x 4 that a mask fills a share of.
+struct CoverTask {
+  int32_t nx, ny, nz, most;
+  uint32_t prefix;                  // of the ids of its boxes, above the 24 bits that number their cells
+  int64_t several, more;            // voxels
+  const uint32_t *voxels, *others;  // [several], [more] flat, in any order, also twice
+  const uint64_t *words;            // [nx, ny, words] the mask; null where voxels are listed
+  double share;
+};
+
+// Boxes about the voxels of octree cells, for some tasks.
+struct CoverRequest {
+  int64_t tasks, befores;
+  int32_t prices, highest_level;
+  double loyalty;          // share that the space of a box that was there before counts
+  const double *price;     // [prices] rising
+  const uint32_t *before;  // [befores] ids of an earlier cover: prefix << 24 | level << 21 | cell on level 0's lattice
+  uint32_t *ids;           // [boxes] the same of this one, task by task; room for as many as all tasks may have
+  int64_t *lower, *upper;  // [boxes, 3] first and last voxel
+  int64_t *counts;         // [tasks] boxes
+  const CoverTask *task;   // [tasks]
+};
+
+// What may be hidden in unknown space, one state after the other.
+struct HideRequest {
+  int32_t nx, ny, nz, width, reach;              // voxels of a hand, below 64; cells that things move since before
+  float elapsed_s, rest_s, never;                // since before, s; what was reached longer ago lies still, s
+  const uint64_t *unknown, *moving, *standing;   // [nx, ny, words]
+  float *ages;                                   // [cells of 2 x 2 x 2] s since each was reached, before and after
+  uint64_t *reached;                             // [columns of cells, words] where that is not `never`
+  uint64_t *maybe_full;                          // [nx, ny, words] not known to be empty, before and after
+  uint64_t *reachable;                           // [nx, ny, words] something may come out
+};
+
+// What cameras do not see, and what of it something may hide in.
+struct ConcealRequest {
+  int64_t words;
+  const uint64_t *unknown, *may_move, *likely_moves, *on_arm, *standing;  // [words]; `on_arm` null: none
+  uint64_t *hiding;  // [words] unknown, and nothing stands there
+  uint64_t *unseen;  // [words] told as unknown, before and after
+};
+
+// The voxels that hold points of measured surfaces, `finer` along each side of a pixel.
+struct MarkRequest {
+  int32_t width, height, finer, nx, ny, nz;
+  double voxel_size;
+  const double *origin;         // [3] m
+  const float *depth;           // [height, width] m
+  const uint8_t *chosen;        // [height, width] 1: measures such a surface
+  const float *across, *down;   // [width * finer], [height * finer] pixels from the principal point
+  const float *focal;           // [2] pixels
+  const float *T_base_cam;      // [3, 4]
+  uint8_t *marked;              // [nx, ny, nz] 1 where it is; the others stay as they are
+};
+
+// The voxels whose middles lie within some capsules.
+struct TakeRequest {
+  int64_t capsules;
+  int32_t nx, ny, nz;
+  double voxel_size;
+  const double *origin;         // [3] m
+  const double *ends, *radii;   // [capsules, 2, 3], [capsules] m
+  uint64_t *taken;              // [nx, ny, words] comes zeroed
+};
+
+}  // namespace forecast
