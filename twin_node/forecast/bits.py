@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.kernel_requests import ListRequest, PackRequest, RunsRequest, TallyRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.native_library import addresses_of
-from twin_node.scene import Bool, UInt32
+from twin_node.scene import Bool, UInt8, UInt32
 
 Words = NDArray[np.uint64]
 Dims = tuple[int, int, int]
@@ -96,9 +96,9 @@ class Bits:
         compiled = kernels()
         if compiled is None:
             return self.listed_plainly(marks)
-        counts = np.array([self.count])
-        (found,) = all_listed(compiled, self.dims, self.words[None], marks.words[None], counts)
-        return found
+        masks = Masks(self.dims, self.words[None], marks.words[None], np.array([self.count]))
+        ((indices, told),) = all_told(compiled, masks, marked=1, unmarked=0)
+        return Listed(indices, told.view(np.bool_))
 
     def listed_plainly(self, marks: Bits) -> Listed:
         """What `listed` does."""
@@ -157,13 +157,47 @@ class Listed(NamedTuple):
     """[n]."""
 
 
-def all_listed(
-    compiled: Kernels, dims: Dims, words: Words, marks: Words, counts: NDArray[np.int64], threads: int = 1
-) -> list[Listed]:
-    """The voxels of masks, `words` [L, nx, ny, w] with `counts` [L] of them, and which are in `marks` (alike) too."""
-    total = int(counts.sum())
-    indices, marked = np.empty(total, np.uint32), np.empty(total, np.bool_)
-    arrays = (np.ascontiguousarray(words), np.ascontiguousarray(marks), counts, indices, marked)
-    compiled.list(ListRequest(len(words), *dims, threads, *addresses_of(*arrays)))
-    ends = np.cumsum(counts).tolist()
-    return [Listed(indices[first:end], marked[first:end]) for first, end in pairwise([0, *ends])]
+@dataclass(frozen=True)
+class Masks:
+    """L masks of voxels, and which of these are marked."""
+
+    dims: Dims
+    words: Words
+    """[L, nx, ny, w] as those of `Bits`."""
+    marks: Words
+    """[L, nx, ny, w] alike."""
+    counts: NDArray[np.int64]
+    """[L] voxels of each."""
+    planes: NDArray[np.int64] | None = None
+    """[L, 2] least i of any, and one past the greatest: words of other planes may hold anything; None: of all."""
+
+    @classmethod
+    def room(cls, dims: Dims, count: int) -> Masks:
+        """Any voxels of so many masks: for what is about to be written."""
+        words, marks = np.empty((2, count, *dims[:2], -(-dims[2] // WORD)), np.uint64)
+        return cls(dims, words, marks, np.empty(count, np.int64), np.empty((count, 2), np.int64))
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any] | None, ...]:
+        """Words, marks, counts and planes."""
+        return self.words, self.marks, self.counts, self.planes
+
+
+class Told(NamedTuple):
+    """What is told of the voxels of a mask."""
+
+    indices: UInt32
+    """[n] flat, strictly increasing."""
+    values: UInt8
+    """[n]."""
+
+
+def all_told(compiled: Kernels, masks: Masks, marked: int, unmarked: int, threads: int = 1) -> list[Told]:
+    """The voxels of masks; those that are `marked` are told as the one value, others as the other."""
+    total = int(masks.counts.sum())
+    indices, told = np.empty(total, np.uint32), np.empty(total, np.uint8)
+    words, marks = np.ascontiguousarray(masks.words), np.ascontiguousarray(masks.marks)
+    addresses = addresses_of(words, marks, masks.counts, masks.planes, indices, told)
+    compiled.list(ListRequest(len(words), *masks.dims, threads, marked, unmarked, *addresses))
+    ends = np.cumsum(masks.counts).tolist()
+    return [Told(indices[first:end], told[first:end]) for first, end in pairwise([0, *ends])]

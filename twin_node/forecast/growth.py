@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from twin_node.forecast.bits import all_listed
+from twin_node.forecast.bits import Masks, all_told
 from twin_node.forecast.kernel_requests import GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.native_library import addresses_of, thread_count
@@ -58,7 +58,7 @@ def reach_of(grid: Grid, radii: Float64) -> UInt8:
 
     Half a voxel's diagonal is added for the rounding of places to voxels, to all but radii of 0.
     """
-    return np.asarray(_REACHES[np.minimum(np.searchsorted(_REACHES, _reach(grid, radii)), len(_REACHES) - 1)])
+    return np.asarray(REACHES[np.minimum(np.searchsorted(REACHES, _reach(grid, radii)), len(REACHES) - 1)])
 
 
 def exact_reach_of(grid: Grid, radii: Float64) -> UInt8:
@@ -67,23 +67,21 @@ def exact_reach_of(grid: Grid, radii: Float64) -> UInt8:
 
 
 def _reach(grid: Grid, radii: Float64) -> Float64:
-    reach: Float64 = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, _ROUNDING, 0)) - 1e-6
+    reach: Float64 = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, ROUNDING, 0)) - 1e-6
     return reach
 
 
-_ROUNDING = np.sqrt(3) / 2
+ROUNDING = float(np.sqrt(3) / 2)
 """How far a place is from the middle of its voxel at most, voxels."""
-_REACHES = np.array(
-    [*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)], np.uint8
-)
+REACHES = np.array([*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)], np.uint8)
 
 
 def shifts_of(grid: Grid, displacements: Float64) -> NDArray[np.int32]:
     """Displacements [..., 3] (m) in whole voxels, to the nearest."""
-    return np.round(displacements / grid.voxel_size).clip(-_FARTHEST, _FARTHEST).astype(np.int32)
+    return np.round(displacements / grid.voxel_size).clip(-FARTHEST, FARTHEST).astype(np.int32)
 
 
-_FARTHEST = 1 << 20
+FARTHEST = 1 << 20
 """Voxels beyond any grid."""
 
 
@@ -102,16 +100,12 @@ def spread(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) 
 def _spread_by(
     compiled: Kernels, grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8
 ) -> tuple[Spread, ...]:
-    nx, ny, nz = grid.dims
-    (layers, parts), threads = reach.shape, thread_count()
-    reached, core = np.zeros((2, layers, nx, ny, -(-nz // 64)), np.uint64)
-    counts = np.zeros(layers, np.int64)
+    (layers, parts), room = reach.shape, Masks.room(grid.dims, len(reach))
     given = (points.places.astype(np.int32), points.labels.astype(np.int64), points.core, shifts, reach)
-    arrays = (*(np.ascontiguousarray(array) for array in given), reached, core, counts)
-    request = GrowRequest(len(points.labels), layers, parts, nx, ny, nz, threads, *addresses_of(*arrays))
-    compiled.grow(request)
-    found = all_listed(compiled, grid.dims, reached, core, counts, threads)
-    return tuple(Spread(one.indices, one.marked) for one in found)
+    arrays = (*(np.ascontiguousarray(array) for array in given), *room.arrays)
+    compiled.grow(GrowRequest(len(points.labels), layers, parts, *grid.dims, thread_count(), *addresses_of(*arrays)))
+    found = all_told(compiled, room, marked=1, unmarked=0, threads=thread_count())
+    return tuple(Spread(one.indices, one.values.view(np.bool_)) for one in found)
 
 
 def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) -> tuple[Spread, ...]:

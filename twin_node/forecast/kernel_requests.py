@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_float, c_int32, c_int64, c_uint32, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 24
+INTERFACE_VERSION = 25
 
 
 class GrowRequest(ctypes.Structure):
@@ -14,7 +14,21 @@ class GrowRequest(ctypes.Structure):
     _fields_ = (
         ("points", c_int64),
         *((name, c_int32) for name in ("layers", "parts", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("places", "labels", "cores", "shifts", "reaches", "reached", "core", "counts")),
+        *((name, c_void_p) for name in ("places", "labels", "cores", "shifts", "reaches")),
+        *((name, c_void_p) for name in ("reached", "core", "counts", "planes")),
+    )
+
+
+class AheadRequest(ctypes.Structure):
+    """`forecast::AheadRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("voxels", "resting", "parts")),
+        *((name, c_int32) for name in ("layers", "levels", "most_steps", "farthest")),
+        *((name, c_double) for name in ("rim_radius", "narrower", "part_size", "rounding", "voxel_size")),
+        *((name, c_void_p) for name in ("origin", "places", "labels", "likely", "rest", "centers")),
+        *((name, c_void_p) for name in ("displacements", "radii", "turning", "started", "level")),
+        ("grid", GrowRequest),
     )
 
 
@@ -39,7 +53,8 @@ class ListRequest(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int32) for name in ("masks", "nx", "ny", "nz", "threads")),
-        *((name, c_void_p) for name in ("words", "marks", "counts", "indices", "marked")),
+        *((name, c_uint8) for name in ("marked", "unmarked")),
+        *((name, c_void_p) for name in ("words", "marks", "counts", "planes", "indices", "told")),
     )
 
 

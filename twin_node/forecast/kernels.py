@@ -10,6 +10,7 @@ from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import (
     INTERFACE_VERSION,
+    AheadRequest,
     CarveRequest,
     ConcealRequest,
     CoverRequest,
@@ -48,6 +49,7 @@ class Kernels(NativeLibrary):
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
         super().__init__(path)
         self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
+        self._dll.forecast_grow_ahead.argtypes = [ctypes.POINTER(AheadRequest)]
         self._dll.forecast_pack.argtypes = [ctypes.POINTER(PackRequest)]
         self._dll.forecast_tally.argtypes = [ctypes.POINTER(TallyRequest)]
         self._dll.forecast_tally.restype = ctypes.c_int64
@@ -85,6 +87,11 @@ class Kernels(NativeLibrary):
         """Unites balls about moved voxels, layer by layer. Raises `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.forecast_grow(request))
+
+    def grow_ahead(self, request: AheadRequest) -> None:
+        """Unites balls about where parts are forecast, layer by layer. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_grow_ahead(request))
 
     def pack(self, request: PackRequest) -> None:
         """Sets voxels of a mask; takes one thread. Raises `IndexError` for those that are not in its grid."""

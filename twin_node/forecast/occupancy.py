@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.ahead import Ahead, layers_of
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
 from twin_node.forecast.evidence import Evidence, Observer
-from twin_node.forecast.growth import reach_of, shifts_of, spread
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
@@ -21,19 +21,9 @@ from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
-from twin_node.forecast.turning import whole_ways
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState
+from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, TwinState
 
-CORE_PROBABILITY = 230
-"""Of voxels where the likely voxels of the parts are forecast."""
-BOUND_PROBABILITY = 90
-"""Of voxels that only the errors of the carving and the error bound add."""
-
-_PROBABILITIES = np.uint8(CORE_PROBABILITY), np.uint8(BOUND_PROBABILITY)
-
-RIM_RADIUS = 0.05
-"""Largest radius of rims, m: two voxels, and half of one for rounding."""
 _NEIGHBOURS = 8
 """Forecast places that are looked at about a part: those nearest to it."""
 JUDGED_EVERY_NS = 50_000_000
@@ -149,7 +139,8 @@ class Forecaster:
         places = self._tracks.positions[-1] + self._predictor.alone
         prediction = self._predict(horizons)
         started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
-        layers = self._layers(evidence, prediction, may_start, started)
+        moved = (prediction.displacements, prediction.radii, prediction.turning)
+        layers = layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]
         ahead = evidence.parts.centers + prediction.displacements[-1]
@@ -224,41 +215,6 @@ class Forecaster:
             self._tracks, self._predictor = Tracks(), self._new_predictor()
         self._radii = radii
         return found
-
-    def _may_turn(self, evidence: Evidence, prediction: Prediction) -> Bool:
-        """[M] parts held along all of their way: those that have turned of late, and those that leave the grid's space.
-
-        What leaves is outside already, where a wider bound blocks nothing, and what matters is that it may return.
-        """
-        here = evidence.parts.centers
-        may_turn = prediction.turning.copy()
-        outside = np.flatnonzero(self.grid.indices(here) < 0)
-        if len(outside):
-            may_turn[outside] |= self.grid.indices((here + prediction.displacements[-1])[outside]) < 0
-        return may_turn
-
-    def _layers(
-        self, evidence: Evidence, prediction: Prediction, may_start: NDArray[np.int64], started: Float64
-    ) -> tuple[OccupancyLayer, ...]:
-        """Every part moved on by the experts, widened by the bound and held where it may turn back, per horizon.
-
-        Rims, which only errors of the carving add, go with their parts and are widened little: what moves is elsewhere.
-        What rests at `may_start` (flat indices [n] of the outer grid) is widened by `started` [H] (m).
-        """
-        still = np.zeros((len(started), 1, 3))
-        moved = np.concatenate([prediction.displacements, prediction.displacements, still], axis=1)
-        rims = np.minimum(prediction.radii, RIM_RADIUS)
-        radii = np.concatenate([prediction.radii, rims, started[:, None]], axis=1)
-        may_turn = np.append(np.tile(self._may_turn(evidence, prediction), 2), False)
-        points = evidence.parts.points_and_rims.beside(self._observer.places(may_start), 2 * evidence.parts.count)
-        ways = whole_ways(points, moved, radii, may_turn)
-        shifts, reaches = shifts_of(self.grid, ways.displacements), reach_of(self.grid, ways.radii)
-        spreads = spread(self.grid, ways.points, shifts, reaches)
-        layers = []
-        for horizon, reached in zip(HORIZONS_NS, spreads, strict=True):
-            probability = np.where(reached.core, *_PROBABILITIES)
-            layers.append(OccupancyLayer(horizon, reached.indices, probability))
-        return tuple(layers)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from twin_node.scene import Bool, Float64
 
 NARROWER = 0.5
 """Radius along the way as a share of that at its end: what turns back goes where it came from."""
-_MOST_STEPS = 32
+MOST_STEPS = 32
 """Steps of a part's size that a way is taken in at most: both ways at 5 m/s; those of faster things are longer."""
 
 
@@ -36,7 +36,7 @@ def whole_ways(points: Points, displacements: Float64, radii: Float64, turning: 
     if len(rows) == 0:
         return Ways(points, displacements, radii)
     longest = 2 * float(np.linalg.norm(displacements[-1, rows], axis=-1).max())
-    steps = min(int(np.ceil(longest / PART_SIZE)), _MOST_STEPS)
+    steps = min(int(np.ceil(longest / PART_SIZE)), MOST_STEPS)
     shares = 1 - 2 * np.arange(1, steps + 1) / max(steps, 1)
     mine = np.flatnonzero(turning[points.labels])
     number = np.cumsum(turning) - 1

@@ -166,8 +166,10 @@ inline void list(const ListRequest &r) {
   for (int32_t mask = 1; mask < r.masks; mask++) firsts[mask] = firsts[mask - 1] + r.counts[mask - 1];
   crew::parallel_for(r.threads, r.masks, [&](int64_t mask) {
     const uint64_t *own = r.words + mask * columns * words, *marks = r.marks + mask * columns * words;
+    const int64_t begin = r.planes ? r.planes[2 * mask] * r.ny : 0;
+    const int64_t end = r.planes ? r.planes[2 * mask + 1] * r.ny : columns;
     int64_t next = firsts[mask];
-    for (int64_t column = 0; column < columns; column++) {
+    for (int64_t column = begin; column < end; column++) {
       for (int w = 0; w < words; w++) {
         uint64_t bits = own[column * words + w];
         if (bits == 0) continue;
@@ -175,7 +177,7 @@ inline void list(const ListRequest &r) {
         for (; bits; bits &= bits - 1) {
           const int bit = __builtin_ctzll(bits);
           r.indices[next] = static_cast<uint32_t>(column * r.nz + 64 * w + bit);
-          r.marked[next++] = marked >> bit & 1;
+          r.told[next++] = marked >> bit & 1 ? r.marked : r.unmarked;
         }
       }
     }

@@ -179,56 +179,101 @@ class Union {
   std::vector<int> first_, last_;
 };
 
-// One task per layer and radius, of the points that reach the grid; marks the cores.
-inline std::vector<Task> grow_tasks(const GrowRequest &r) {
-  std::vector<Task> tasks;
-  const int words = words_of(r.nz);
-  for (int layer = 0; layer < r.layers; layer++) {
-    const uint8_t *reaches = r.reaches + static_cast<int64_t>(layer) * r.parts;
-    uint64_t *core = r.core + static_cast<int64_t>(layer) * r.nx * r.ny * words;
-    std::vector<int64_t> members[kLevels];
-    for (int64_t point = 0; point < r.points; point++) {
-      const int level = reaches[r.labels[point]], whole = level / kPerVoxel;
-      const Place p = place_of(r, layer, point);
-      if (p.x < -whole || p.x >= r.nx + whole || p.y < -whole || p.y >= r.ny + whole || p.z < -whole ||
-          p.z >= r.nz + whole) {
-        continue;
-      }
-      members[level].push_back(point);
-      const bool inside = p.x >= 0 && p.x < r.nx && p.y >= 0 && p.y < r.ny && p.z >= 0 && p.z < r.nz;
-      if (inside && r.cores[point]) {
-        core[(static_cast<int64_t>(p.x) * r.ny + p.y) * words + p.z / 64] |= uint64_t{1} << p.z % 64;
-      }
+// One task per radius of a layer, of the points that reach the grid.
+inline std::vector<Task> layer_tasks(const GrowRequest &r, int layer) {
+  const uint8_t *reaches = r.reaches + static_cast<int64_t>(layer) * r.parts;
+  int64_t most[kLevels] = {};
+  for (int64_t point = 0; point < r.points; point++) most[reaches[r.labels[point]]]++;
+  std::vector<int64_t> members[kLevels];
+  for (int level = 0; level < kLevels; level++) members[level].reserve(most[level]);
+  for (int64_t point = 0; point < r.points; point++) {
+    const int level = reaches[r.labels[point]], whole = level / kPerVoxel;
+    const Place p = place_of(r, layer, point);
+    if (p.x < -whole || p.x >= r.nx + whole || p.y < -whole || p.y >= r.ny + whole || p.z < -whole ||
+        p.z >= r.nz + whole) {
+      continue;
     }
-    for (int level = 0; level < kLevels; level++) {
-      if (members[level].empty()) continue;
-      const double cost = static_cast<double>(level + kPerVoxel) * (level + kPerVoxel) * members[level].size();
-      tasks.push_back({layer, level, std::move(members[level]), cost});
-    }
+    members[level].push_back(point);
   }
-  std::stable_sort(tasks.begin(), tasks.end(), [](const Task &a, const Task &b) { return a.cost > b.cost; });
+  std::vector<Task> tasks;
+  for (int level = 0; level < kLevels; level++) {
+    if (members[level].empty()) continue;
+    const double cost = static_cast<double>(level + kPerVoxel) * (level + kPerVoxel) * members[level].size();
+    tasks.push_back({layer, level, std::move(members[level]), cost});
+  }
   return tasks;
 }
 
-inline void grow(const GrowRequest &r) {
-  const std::vector<Task> tasks = grow_tasks(r);
-  const int64_t size = static_cast<int64_t>(r.nx) * r.ny * words_of(r.nz);
+// Columns of a layer's masks that its balls may reach are cleared.
+inline void clear_planes(const GrowRequest &r, int layer, const std::vector<Task> &tasks) {
+  int64_t first = r.nx, last = 0;
+  for (const Task &task : tasks) {
+    const int64_t whole = task.level / kPerVoxel;
+    for (const int64_t point : task.points) {
+      const int64_t x = place_of(r, layer, point).x;
+      first = std::min(first, x - whole), last = std::max(last, x + whole + 1);
+    }
+  }
+  first = std::max<int64_t>(first, 0), last = std::max(std::min<int64_t>(last, r.nx), first);
+  r.planes[2 * layer] = first, r.planes[2 * layer + 1] = last;
+  const int64_t row = static_cast<int64_t>(r.ny) * words_of(r.nz), begin = (layer * int64_t{r.nx} + first) * row;
+  std::fill_n(r.reached + begin, (last - first) * row, 0);
+  std::fill_n(r.core + begin, (last - first) * row, 0);
+}
+
+inline void mark_cores(const GrowRequest &r, const Task &task, uint64_t *mask) {
+  for (const int64_t point : task.points) {
+    if (!r.cores[point]) continue;
+    const Place p = place_of(r, task.layer, point);
+    if (p.x < 0 || p.x >= r.nx || p.y < 0 || p.y >= r.ny || p.z < 0 || p.z >= r.nz) continue;
+    mask[(static_cast<int64_t>(p.x) * r.ny + p.y) * words_of(r.nz) + p.z / 64] |= uint64_t{1} << p.z % 64;
+  }
+}
+
+inline int64_t count_planes(const GrowRequest &r, int64_t layer) {
+  const int64_t row = static_cast<int64_t>(r.ny) * words_of(r.nz);
+  const uint64_t *first = r.reached + (layer * r.nx + r.planes[2 * layer]) * row;
+  const uint64_t *last = r.reached + (layer * r.nx + r.planes[2 * layer + 1]) * row;
+  int64_t count = 0;
+  for (; first < last; first++) count += __builtin_popcountll(*first);
+  return count;
+}
+
+// Runs work(i) for each; throws where any has no memory.
+template <class Work>
+inline void for_each_in_parallel(int threads, int64_t count, const Work &work) {
   std::atomic<bool> short_of_memory{false};
-  std::mutex writing;
-  crew::parallel_for(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
+  crew::parallel_for(threads, count, [&](int64_t i) {
     try {
-      const Union balls(r, tasks[i]);
-      const std::lock_guard<std::mutex> lock(writing);
-      balls.enter(r.reached + tasks[i].layer * size);
+      work(i);
     } catch (const std::bad_alloc &) {
       short_of_memory = true;
     }
   });
   if (short_of_memory) throw std::bad_alloc();
-  for (int layer = 0; layer < r.layers; layer++) {
-    r.counts[layer] = 0;
-    for (int64_t w = 0; w < size; w++) r.counts[layer] += __builtin_popcountll(r.reached[layer * size + w]);
+}
+
+inline void grow(const GrowRequest &r) {
+  const int64_t size = static_cast<int64_t>(r.nx) * r.ny * words_of(r.nz);
+  std::vector<std::vector<Task>> layers(r.layers);
+  for_each_in_parallel(r.threads, r.layers, [&](int64_t layer) {
+    layers[layer] = layer_tasks(r, static_cast<int>(layer));
+    clear_planes(r, static_cast<int>(layer), layers[layer]);
+  });
+  std::vector<const Task *> tasks;
+  for (const std::vector<Task> &own : layers) {
+    for (const Task &task : own) tasks.push_back(&task);
   }
+  std::stable_sort(tasks.begin(), tasks.end(), [](const Task *a, const Task *b) { return a->cost > b->cost; });
+  std::vector<std::mutex> writing(r.layers);
+  for_each_in_parallel(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
+    const Task &task = *tasks[i];
+    const Union balls(r, task);
+    const std::lock_guard<std::mutex> lock(writing[task.layer]);
+    balls.enter(r.reached + task.layer * size);
+    mark_cores(r, task, r.core + task.layer * size);
+  });
+  crew::parallel_for(r.threads, r.layers, [&](int64_t layer) { r.counts[layer] = count_planes(r, layer); });
 }
 
 }  // namespace forecast

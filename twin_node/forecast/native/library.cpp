@@ -1,6 +1,7 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
 #include <new>
 
+#include "ahead.h"
 #include "backdrop.h"
 #include "bits.h"
 #include "carve.h"
@@ -42,6 +43,10 @@ int32_t forecast_interface_version() { return forecast::kInterfaceVersion; }
 
 int32_t forecast_grow(const forecast::GrowRequest *request) {
   return guarded([&] { forecast::grow(*request); });
+}
+
+int32_t forecast_grow_ahead(const forecast::AheadRequest *request) {
+  return guarded([&] { forecast::Ways(*request).grow(); });
 }
 
 int32_t forecast_pack(const forecast::PackRequest *request) { return forecast::pack(*request); }

@@ -14,9 +14,30 @@ struct GrowRequest {
   const uint8_t *cores;    // [points] 1: makes its voxel a core
   const int32_t *shifts;   // [layers, parts, 3] voxels
   const uint8_t *reaches;  // [layers, parts] radius in quarter voxels
-  uint64_t *reached;       // [layers, nx, ny, words] comes zeroed
+  uint64_t *reached;       // [layers, nx, ny, words] written in the planes told of
   uint64_t *core;          // the same
   int64_t *counts;         // [layers] voxels reached
+  int64_t *planes;         // [layers, 2] first x of those planes, and one past the last
+};
+
+// Where parts are forecast to be, with rims of their own, and what else may start; both as GrowRequest takes them.
+struct AheadRequest {
+  int64_t voxels, resting, parts;
+  int32_t layers, levels, most_steps, farthest;  // farthest: voxels that anything is moved
+  double rim_radius, narrower, part_size, rounding;  // m; share of a radius along the way; m; voxels added to radii
+  double voxel_size;
+  const double *origin;         // [3] m, of the grid
+  const int32_t *places;        // [3, voxels]
+  const int64_t *labels;        // [voxels] part of each
+  const uint8_t *likely;        // [voxels] 0: of a rim
+  const int32_t *rest;          // [3, resting] voxels that may start
+  const double *centers;        // [parts, 3] m
+  const double *displacements;  // [layers, parts, 3] m
+  const double *radii;          // [layers, parts] m
+  const uint8_t *turning;       // [parts] 1: held along all of its way
+  const double *started;        // [layers] m, radii of what may start
+  const uint8_t *level;         // [levels] quarter voxels that radii are rounded up to, rising
+  GrowRequest grid;             // where they grow: its size, threads and results
 };
 
 // Voxels that are set in a mask.
@@ -33,13 +54,15 @@ struct TallyRequest {
   const uint64_t *mask;  // [words]
 };
 
-// The set bits of masks in rising order, mask by mask, and which of them are marked too.
+// The set bits of masks in rising order, mask by mask, and what is told of those that are marked too, and of others.
 struct ListRequest {
   int32_t masks, nx, ny, nz, threads;
+  uint8_t marked, unmarked;
   const uint64_t *words, *marks;  // [masks, nx, ny, words]
   const int64_t *counts;          // [masks] bits that are set
+  const int64_t *planes;          // [masks, 2] first x that may have any, and one past the last; null: all
   uint32_t *indices;              // [sum of counts]
-  uint8_t *marked;                // the same
+  uint8_t *told;                  // the same
 };
 
 // Runs of set bits, from column to column.

@@ -1,0 +1,137 @@
+// Where parts may be in every layer: moved, widened, and held along their ways where they may turn back.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "grow.h"
+#include "interface.h"
+#include "rounded.h"
+
+namespace forecast {
+
+class Ways {
+ public:
+  // Rows of shifts and reaches: the parts, their rims, what may start, and then every step of those that turn.
+  explicit Ways(const AheadRequest &request) : r_(request), number_(request.parts, -1) {
+    for (int64_t part = 0; part < r_.parts; part++) {
+      if (!turns(part)) continue;
+      number_[part] = static_cast<int64_t>(turning_.size());
+      turning_.push_back(part);
+    }
+    steps_ = turning_.empty() ? 0 : steps();
+    // a part and its rim turn together: the rims' numbers come after all of the parts'
+    rows_ = 2 * r_.parts + 1 + 2 * steps_ * static_cast<int64_t>(turning_.size());
+    shifts_.resize(r_.layers * rows_ * 3), reaches_.resize(r_.layers * rows_);
+    for (int64_t layer = 0; layer < r_.layers; layer++) place(layer);
+    list_points();
+  }
+
+  void grow() const {
+    GrowRequest grid = r_.grid;
+    grid.points = static_cast<int64_t>(labels_.size()), grid.layers = r_.layers, grid.parts = static_cast<int32_t>(rows_);
+    grid.places = places_.data(), grid.labels = labels_.data(), grid.cores = cores_.data();
+    grid.shifts = shifts_.data(), grid.reaches = reaches_.data();
+    forecast::grow(grid);
+  }
+
+ private:
+  bool is_outside(const double *from, const double *moved) const {
+    const int32_t dims[3] = {r_.grid.nx, r_.grid.ny, r_.grid.nz};
+    for (int k = 0; k < 3; k++) {
+      const double place = std::floor((from[k] + (moved ? moved[k] : 0.0) - r_.origin[k]) / r_.voxel_size);
+      if (!(place >= 0 && place < dims[k])) return true;
+    }
+    return false;
+  }
+
+  // What leaves the grid may come back: where it is outside already, a wider bound blocks nothing.
+  bool turns(int64_t part) const {
+    if (r_.turning[part]) return true;
+    const double *here = r_.centers + 3 * part;
+    return is_outside(here, nullptr) && is_outside(here, displacement(r_.layers - 1, part));
+  }
+
+  const double *displacement(int64_t layer, int64_t part) const {
+    return r_.displacements + 3 * (layer * r_.parts + part);
+  }
+
+  FORECAST_ROUNDED int64_t steps() const {
+    FORECAST_ROUNDED_BODY
+    double longest = 0;
+    for (const int64_t part : turning_) {
+      const double *d = displacement(r_.layers - 1, part);
+      const double x = d[0] * d[0], y = d[1] * d[1], z = d[2] * d[2];
+      longest = std::max(longest, std::sqrt(x + y + z));
+    }
+    return std::min<int64_t>(static_cast<int64_t>(std::ceil(2 * longest / r_.part_size)), r_.most_steps);
+  }
+
+  void place(int64_t layer) {
+    int64_t row = layer * rows_;
+    const double *radii = r_.radii + layer * r_.parts;
+    for (int64_t part = 0; part < r_.parts; part++) set(row++, displacement(layer, part), 1, radii[part]);
+    for (int64_t part = 0; part < r_.parts; part++) {
+      set(row++, displacement(layer, part), 1, std::min(radii[part], r_.rim_radius));
+    }
+    constexpr double kStill[3] = {};
+    set(row++, kStill, 1, r_.started[layer]);
+    for (int64_t step = 1; step <= steps_; step++) {
+      const double share = 1 - 2.0 * static_cast<double>(step) / static_cast<double>(steps_);
+      for (const int64_t part : turning_) set(row++, displacement(layer, part), share, r_.narrower * radii[part]);
+      for (const int64_t part : turning_) {
+        set(row++, displacement(layer, part), share, r_.narrower * std::min(radii[part], r_.rim_radius));
+      }
+    }
+  }
+
+  FORECAST_ROUNDED void set(int64_t row, const double *displacement, double share, double radius) {
+    FORECAST_ROUNDED_BODY
+    const double farthest = r_.farthest;
+    for (int k = 0; k < 3; k++) {
+      const double voxels = std::nearbyint(share * displacement[k] / r_.voxel_size);
+      shifts_[3 * row + k] = static_cast<int32_t>(std::min(std::max(voxels, -farthest), farthest));
+    }
+    const double voxels = radius / r_.voxel_size + (radius > 0 ? r_.rounding : 0.0);
+    const double reach = kPerVoxel * voxels - 1e-6;
+    const uint8_t *level = std::lower_bound(r_.level, r_.level + r_.levels - 1, reach);
+    reaches_[row] = *level;
+  }
+
+  void list_points() {
+    const int64_t voxels = r_.voxels, first = 2 * r_.parts + 1, turning = static_cast<int64_t>(turning_.size());
+    std::vector<int64_t> mine;  // voxels of parts that turn
+    for (int64_t i = 0; steps_ > 0 && i < voxels; i++) {
+      if (number_[r_.labels[i]] >= 0) mine.push_back(i);
+    }
+    const int64_t points = voxels + r_.resting + steps_ * static_cast<int64_t>(mine.size());
+    labels_.reserve(points), cores_.assign(points, 0), places_.resize(3 * points);
+    for (int64_t i = 0; i < voxels; i++) labels_.push_back(r_.labels[i] + (r_.likely[i] ? 0 : r_.parts));
+    labels_.insert(labels_.end(), r_.resting, 2 * r_.parts);
+    std::copy_n(r_.likely, voxels, cores_.begin());
+    for (int64_t step = 0; step < steps_; step++) {
+      for (const int64_t i : mine) {
+        labels_.push_back(first + 2 * turning * step + (r_.likely[i] ? 0 : turning) + number_[r_.labels[i]]);
+      }
+    }
+    for (int axis = 0; axis < 3; axis++) {
+      const int32_t *from = r_.places + axis * voxels;
+      auto to = std::copy_n(from, voxels, places_.begin() + axis * points);
+      to = std::copy_n(r_.rest + axis * r_.resting, r_.resting, to);
+      for (int64_t step = 0; step < steps_; step++) {
+        for (const int64_t i : mine) *to++ = from[i];
+      }
+    }
+  }
+
+  const AheadRequest &r_;
+  std::vector<int64_t> number_, turning_;  // of each part among those that turn, or -1; those
+  int64_t steps_ = 0, rows_ = 0;
+  std::vector<int32_t> shifts_, places_;
+  std::vector<uint8_t> reaches_, cores_;
+  std::vector<int64_t> labels_;
+};
+
+}  // namespace forecast
