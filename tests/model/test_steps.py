@@ -220,6 +220,17 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     assert 0 < twists.sigmas[0] < 0.01
 
 
+def test_flow_of_a_view_is_the_same_beside_others_and_none_where_nothing_moves() -> None:
+    observed, renderings = observe(table(), 0.12, False), look_at(joined(table(), block(0.1)))
+    still = replace(observed[1], near_moving=np.zeros_like(observed[1].near_moving))
+    solver, views = FlowSolver(), [observed[0], still, observed[2]]
+    together = solver.begin(renderings, views).found()
+    alone = [solver.begin([shown], [one]).found()[0] for shown, one in zip(renderings, views, strict=True)]
+    assert all(np.array_equal(a, b) for a, b in zip(together, alone, strict=True))
+    assert together[0].any() and together[2].any()
+    assert together[1].shape == (*still.near_moving.shape, 2) and not together[1].any()
+
+
 def test_evidence_needs_more_than_the_extra_parameters_are_worth() -> None:
     def fits(rigid: float, strained: float, count: float) -> Fits:
         return Fits(*(torch.tensor([value], dtype=torch.float64) for value in (rigid, strained, count)))

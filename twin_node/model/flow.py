@@ -29,14 +29,18 @@ class FlowSolver:
         self._pool = ThreadPoolExecutor(THREADS, "flow")
 
     def begin(self, renderings: Sequence[Rendering], observed: Sequence[Observed]) -> Seeking:
-        """Begins to seek the flow of every view, in threads of its own."""
-        flows: list[Float32] = [np.zeros((0, 0, 2), np.float32)] * len(observed)
+        """Begins to seek the flow of every view, in threads of its own: the largest first, whoever is free the next."""
+        flows = [np.zeros((*one.near_moving.shape, 2), np.float32) for one in observed]
+        windows = {index: window for index, one in enumerate(observed) if (window := _window(one.near_moving))}
+        sizes = {index: observed[index].near_moving[window].size for index, window in windows.items()}
+        waiting = iter(sorted(sizes, key=sizes.__getitem__, reverse=True))
 
-        def work(first: int) -> None:
-            for index in range(first, len(observed), THREADS):
-                flows[index] = _flow(self._engines[first], renderings[index], observed[index])
+        def work(engine: cv2.DISOpticalFlow) -> None:
+            for index in waiting:
+                window = windows[index]
+                flows[index][window] = _flow(engine, renderings[index], observed[index], window)
 
-        return Seeking(flows, [self._pool.submit(work, first) for first in range(min(THREADS, len(observed)))])
+        return Seeking(flows, [self._pool.submit(work, engine) for engine in self._engines[: len(windows)]])
 
 
 @dataclass(frozen=True)
@@ -65,16 +69,12 @@ def _engine() -> cv2.DISOpticalFlow:
     return engine
 
 
-def _flow(engine: cv2.DISOpticalFlow, rendering: Rendering, observed: Observed) -> Float32:
-    out = np.zeros((*observed.near_moving.shape, 2), np.float32)
-    window = _window(observed.near_moving)
-    if window is None:
-        return out
+def _flow(engine: cv2.DISOpticalFlow, rendering: Rendering, observed: Observed, window: tuple[slice, slice]) -> Float32:
+    """Flow inside `window`."""
     shown = (rendering.rgb.detach().cpu().numpy()[window].clip(0, 1) * 255).astype(np.uint8)
     a = cv2.cvtColor(shown, cv2.COLOR_RGB2GRAY)
     b = cv2.cvtColor(observed.view.rgb[window], cv2.COLOR_RGB2GRAY)
-    out[window] = engine.calc(a, b, np.zeros((*a.shape, 2), np.float32))
-    return out
+    return engine.calc(a, b, np.zeros((*a.shape, 2), np.float32)).astype(np.float32, copy=False)
 
 
 def _window(mask: Bool) -> tuple[slice, slice] | None:
