@@ -138,7 +138,7 @@ class _Call:
             self.semantics.min_compensation,
             *self._strides(inputs),
             *(_pointer(t) for t in (inputs.means, inputs.quats, inputs.scales, inputs.opacities, inputs.colors)),
-            *(_pointer(t) for t in (inputs.viewmats, inputs.Ks, inputs.backgrounds, self.mask)),
+            *(_pointer(t) for t in (inputs.viewmats, inputs.Ks, inputs.backgrounds, None, None, self.mask)),
             *(_pointer(t) for t in (rendered.renders, rendered.alphas, meta.radii, meta.means2d, meta.depths)),
         )
 

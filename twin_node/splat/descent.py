@@ -164,8 +164,8 @@ class _Call:
         self.v_scales, self.v_opacities = torch.empty_like(self.scales), torch.empty_like(self.opacities)
         self.v_colors = torch.empty_like(self.colors)
         self.renders, self.alphas = torch.empty(times, height, width, 4), torch.empty(times, height, width)
-        self.seen, self.backdrop = torch.empty_like(self.renders), aims.backdrop.contiguous()
-        self.v_renders, self.v_alphas = torch.empty_like(self.renders), torch.empty_like(self.alphas)
+        self.seen, self.v_seen = torch.empty_like(self.renders), torch.empty_like(self.renders)
+        self.backdrop = aims.backdrop.contiguous()
         self.radii = torch.empty(times, count, 2, dtype=torch.int32)
         self.means2d, self.depths = torch.empty(times, count, 2), torch.empty(times, count)
         self.rgb, self.viewmats, self.Ks = aims.rgb.contiguous(), aims.viewmats.contiguous(), aims.Ks.contiguous()
@@ -189,7 +189,6 @@ class _Call:
             self._scene(),
             self._gradients(),
             self._loss(),
-            *(_pointer(t) for t in (self.backdrop, self.seen, self.v_alphas)),
             self.standing,
             self.learned,
             course.steps,
@@ -212,19 +211,17 @@ class _Call:
             semantics.min_compensation,
             *(3 * count, 4 * count, 0, 0, 0),
             *(_pointer(t) for t in (self.means, self.quats, self.scales, self.opacities, self.colors)),
-            *(_pointer(t) for t in (self.viewmats, self.Ks, None, self.mask)),
+            *(_pointer(t) for t in (self.viewmats, self.Ks, None, self.backdrop, self.seen, self.mask)),
             *(_pointer(t) for t in (self.renders, self.alphas, self.radii, self.means2d, self.depths)),
         )
 
     def _gradients(self) -> native.Gradients:
         by = (self.v_means, self.v_quats, self.v_scales, self.v_opacities, self.v_colors)
-        return native.Gradients(
-            _pointer(self.v_renders), _pointer(self.v_alphas), *(_pointer(t) for t in by), None, self.standing
-        )
+        return native.Gradients(_pointer(self.v_seen), None, *(_pointer(t) for t in by), None, self.standing)
 
     def _loss(self) -> native.LossRequest:
         times, height, width = self.rgb.shape[:3]
-        tensors = (self.seen, self.rgb, self.weights, self.depth, self.v_renders, self.loss)
+        tensors = (self.seen, self.rgb, self.weights, self.depth, self.v_seen, self.loss)
         return native.LossRequest(
             *(times, height, width, 4, thread_count()),
             *(times * weight for weight in (0.8, 0.2, self.aims.depth_weight)),

@@ -13,7 +13,7 @@ from twin_node import native_build
 from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, thread_count
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 9
+INTERFACE_VERSION = 10
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -29,7 +29,7 @@ class Request(ctypes.Structure):
         *((name, c_float) for name in ("max_alpha", "min_compensation")),
         *((f"{name}_stride", c_int64) for name in ("means", "quats", "scales", "opacities", "colors")),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")),
-        *((name, c_void_p) for name in ("backgrounds", "pixel_mask")),
+        *((name, c_void_p) for name in ("backgrounds", "backdrop", "seen", "pixel_mask")),
         *((name, c_void_p) for name in ("renders", "alphas", "radii", "means2d", "depths")),
     )
 
@@ -74,7 +74,6 @@ class DescentRequest(ctypes.Structure):
         ("scene", Request),
         ("gradients", Gradients),
         ("loss", LossRequest),
-        *((name, c_void_p) for name in ("backdrop", "seen", "v_alphas")),
         *((name, c_int32) for name in ("standing", "learned", "steps")),
         ("smallest_log_scale", c_float),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "colors")),

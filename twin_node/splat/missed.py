@@ -97,7 +97,7 @@ class Missed:
             semantics.min_compensation,
             *(0, 0, 0, 0, 0),
             *(t.data_ptr() for t in (*self._given, view.viewmat, view.K)),
-            None,
+            *(None, None, None),
             *(t.data_ptr() for t in (view.counted, renders, alphas, *found)),
         )
         written = (t.data_ptr() for t in (pull, pull_alpha, *self._pull))

@@ -14,7 +14,8 @@ inline void blend_vjp_pass(const Request &r, const Gradients &g, Workspace &w, c
     if (image.tile_begin[index] == image.tile_begin[index + 1]) return;
     const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
     const PixelsIn in{r.renders + pixels * pass.total, r.alphas + pixels, g.v_renders + pixels * pass.total,
-                      g.v_alphas == nullptr ? nullptr : g.v_alphas + pixels};
+                      g.v_alphas == nullptr ? nullptr : g.v_alphas + pixels,
+                      r.backdrop == nullptr ? nullptr : r.backdrop + pixels * pass.total};
     const Tile tile(image, index, mask_of(r, i));
     for_width(pass.count, [&](auto width) { blend_tile_vjp<width>(image, tile, pass, r.max_alpha, in, wanted); });
   });

@@ -4,7 +4,7 @@
 // A lane's transmittance turns negative once its pixel is finished; pixels outside the image or the mask start so.
 #pragma once
 
-#include "image.h"
+#include "tile.h"
 
 namespace splat {
 
@@ -12,24 +12,18 @@ constexpr float kTransmittanceCut = 1e-4f;  // a pixel is finished before the sp
 constexpr float kSmallestAlpha = 1e-10f;    // expected depth = depth / max(alpha, this)
 constexpr int kGeometrySums = 6;            // of a slot: sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2
 
-// Channels of the image that one pass over the tiles renders.
-struct Pass {
-  int first, count;  // of `total`
-  int total;
-  bool has_depth;  // the last one of the pass is the depth
-  bool expected_depth;
-  int slot_stride;  // floats per intersection in slot_gradient
-};
-
 // Arrays of one image.
 struct PixelsOut {
   float *render, *alpha;
   const float *background;  // [channels] or null
+  const float *backdrop;    // [H, W, channels] or null, as the next one
+  float *seen;
   bool only_live;           // what no splat can reach is there from the last time
 };
 struct PixelsIn {
   const float *render, *alpha;
   const float *v_render, *v_alpha;  // v_alpha may be null
+  const float *backdrop;            // [H, W, channels] or null: v_render is by what is seen before it
 };
 
 // Pixel centres of a tile's blocks, relative to the tile's corner.
@@ -56,32 +50,6 @@ struct CellGrid {
 };
 inline const PixelGrid kPixels;
 inline const CellGrid kCellCorners;
-
-struct Tile {
-  int index, x0, y0;
-  const uint8_t *mask;  // of the image, or null
-  Tile(const Image &image, int index_, const uint8_t *mask_)
-      : index(index_), x0(index_ % image.tile_columns * kTile), y0(index_ / image.tile_columns * kTile), mask(mask_) {}
-  int block_x(int block) const { return x0 + block % kBlockColumns * kBlockWidth; }
-  int block_y(int block) const { return y0 + block / kBlockColumns * kBlockHeight; }
-};
-
-inline bool inside(const Image &image, const Tile &tile, int block) {
-  return tile.block_x(block) + kBlockWidth <= image.width && tile.block_y(block) + kBlockHeight <= image.height;
-}
-
-// 1 where a lane's pixel is to be rendered, -1 elsewhere.
-inline Vec initial_transmittance(const Image &image, const Tile &tile, int block) {
-  if (tile.mask == nullptr && inside(image, tile, block)) return broadcast(1.f);
-  Vec out;
-  for (int lane = 0; lane < kLanes; lane++) {
-    const int x = tile.block_x(block) + lane % kBlockWidth, y = tile.block_y(block) + lane / kBlockWidth;
-    const bool selected = x < image.width && y < image.height &&
-                          (tile.mask == nullptr || tile.mask[static_cast<int64_t>(y) * image.width + x] != 0);
-    out[lane] = selected ? 1.f : -1.f;
-  }
-  return out;
-}
 
 // A footprint in the coordinates of one tile.
 struct LocalFootprint {
@@ -156,21 +124,21 @@ inline void advance(Vec &transmittance, Vec behind, Mask hit, Mask drawn, int bl
 template <int C>
 inline void write_block(Image &image, const Tile &tile, const Pass &pass, int block, Vec transmittance, const Vec *sums,
                         const PixelsOut &out) {
-  float sum[C][kLanes];
-  for (int q = 0; q < C; q++) store(sum[q], sums[q]);
-  for (int lane = 0; lane < kLanes; lane++) {
-    const int x = tile.block_x(block) + lane % kBlockWidth, y = tile.block_y(block) + lane / kBlockWidth;
-    if (x >= image.width || y >= image.height) continue;
-    const int64_t pixel = static_cast<int64_t>(y) * image.width + x;
-    const float left = std::fabs(transmittance[lane]), alpha = 1.f - left;
-    image.transmittance[pixel] = left;
-    out.alpha[pixel] = alpha;
-    float *to = out.render + pixel * pass.total + pass.first;
-    for (int q = 0; q < C && q < pass.count; q++) {
-      to[q] = sum[q][lane] + (out.background != nullptr ? left * out.background[pass.first + q] : 0.f);
-    }
-    if (pass.has_depth && pass.expected_depth) to[pass.count - 1] /= std::max(alpha, kSmallestAlpha);
+  const Vec left = abs(transmittance), alpha = 1.f - left;
+  Vec value[C];
+  for (int q = 0; q < C; q++) value[q] = sums[q];
+  if (out.background != nullptr) {
+    for (int q = 0; q < C && q < pass.count; q++) value[q] += left * out.background[pass.first + q];
   }
+  if (pass.has_depth && pass.expected_depth) value[pass.count - 1] /= max(alpha, broadcast(kSmallestAlpha));
+  store_plane(image, tile, block, left, image.transmittance.data());
+  store_plane(image, tile, block, alpha, out.alpha);
+  store_pixels<C>(image, tile, pass, block, value, out.render);
+  if (out.backdrop == nullptr) return;
+  Vec behind[C];
+  load_pixels<C>(image, tile, pass, block, out.backdrop, behind);
+  for (int q = 0; q < C; q++) value[q] += (1.f - alpha) * behind[q];
+  store_pixels<C>(image, tile, pass, block, value, out.seen);
 }
 
 // Renders channels [first, first + count) of one tile, count <= C.
@@ -222,28 +190,29 @@ template <int C>
 inline void read_block(const Image &image, const Tile &tile, const Pass &pass, int block, const PixelsIn &in,
                        BlockGradient<C> &out) {
   out.transmittance = initial_transmittance(image, tile, block);
-  float suffix[kLanes] = {}, v_render[C][kLanes] = {};
-  for (int lane = 0; lane < kLanes; lane++) {
-    if (!(out.transmittance[lane] > 0.f)) continue;
-    const int x = tile.block_x(block) + lane % kBlockWidth, y = tile.block_y(block) + lane / kBlockWidth;
-    const int64_t pixel = static_cast<int64_t>(y) * image.width + x;
-    const float *v = in.v_render + pixel * pass.total + pass.first,
-                *value = in.render + pixel * pass.total + pass.first;
-    float v_alpha = pass.first == 0 && in.v_alpha != nullptr ? in.v_alpha[pixel] : 0.f;
-    for (int q = 0; q < C && q < pass.count; q++) {
-      v_render[q][lane] = v[q];
-      suffix[lane] += v[q] * value[q];
-    }
-    if (pass.has_depth && pass.expected_depth) {
-      const int depth = pass.count - 1;
-      const float alpha = in.alpha[pixel];
-      v_render[depth][lane] = v[depth] / std::max(alpha, kSmallestAlpha);
-      if (alpha > kSmallestAlpha) v_alpha -= v[depth] * value[depth] / alpha;
-    }
-    suffix[lane] -= image.transmittance[pixel] * v_alpha;
+  const Mask drawn = gt(out.transmittance, Vec{});
+  Vec value[C], suffix{}, v_alpha{};
+  load_pixels<C>(image, tile, pass, block, in.v_render, out.v_render);
+  load_pixels<C>(image, tile, pass, block, in.render, value);
+  if (pass.first == 0 && in.v_alpha != nullptr) v_alpha = load_plane(image, tile, block, in.v_alpha);
+  if (in.backdrop != nullptr) {
+    Vec behind[C];
+    load_pixels<C>(image, tile, pass, block, in.backdrop, behind);
+    Vec hidden = out.v_render[0] * behind[0];
+    for (int q = 1; q < C; q++) hidden += out.v_render[q] * behind[q];
+    v_alpha -= hidden;
   }
-  out.suffix = load(suffix);
-  for (int q = 0; q < C; q++) out.v_render[q] = load(v_render[q]);
+  for (int q = 0; q < C; q++) suffix += out.v_render[q] * value[q];
+  if (pass.has_depth && pass.expected_depth) {
+    const int depth = pass.count - 1;
+    const Vec alpha = load_plane(image, tile, block, in.alpha), v_depth = out.v_render[depth];
+    const Mask shows = gt(alpha, broadcast(kSmallestAlpha));
+    out.v_render[depth] = v_depth / max(alpha, broadcast(kSmallestAlpha));
+    v_alpha -= select(shows, v_depth * value[depth] / alpha, Vec{});
+  }
+  suffix -= load_plane(image, tile, block, image.transmittance.data()) * v_alpha;
+  out.suffix = select(drawn, suffix, Vec{});
+  for (int q = 0; q < C; q++) out.v_render[q] = select(drawn, out.v_render[q], Vec{});
 }
 
 // Sums over the pixels of one tile and splat: the six of the geometry, then weight * v per channel.
@@ -286,15 +255,26 @@ struct Wanted {
   bool operator()(int32_t id) const { return id >= first_row && (learns == nullptr || learns[id] != 0); }
 };
 
+// Finds the blocks in which each splat of a tile matters: those that it or one behind it has hit whose gradient is
+// wanted. Returns those of all.
+inline BlockSet find_needed(Image &image, const Tile &tile, const Wanted &wanted) {
+  const int begin = image.tile_begin[tile.index], end = image.tile_begin[tile.index + 1];
+  BlockSet behind = 0;
+  for (int at = end - 1; at >= begin; at--) {
+    const BlockSet hit = at < image.tile_end[tile.index] ? image.tile_hit[at] : 0;
+    if (hit != 0 && wanted(image.id[image.tile_splat[at]])) behind |= hit;
+    image.tile_needed[at] = hit & behind;
+  }
+  return behind;
+}
+
 // Fills the slots of one tile's intersections. Front to back: the forward pass's transmittance is met again exactly.
 template <int C>
 inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, float max_alpha, const PixelsIn &in,
                            const Wanted &wanted) {
   const int begin = image.tile_begin[tile.index], end = image.tile_begin[tile.index + 1];
-  int seen = image.tile_end[tile.index];  // behind the last one that is seen and wanted: what hides it counts too
-  while (seen > begin && !wanted(image.id[image.tile_splat[seen - 1]])) seen--;
   BlockGradient<C> blocks[kBlocks];
-  BlockSet alive = seen > begin ? image.live[tile.index] : 0;  // blocks that leave it are hit by no other splat
+  BlockSet alive = find_needed(image, tile, wanted);  // blocks that leave it are hit by no other splat
   for (BlockSet left = alive; left; left &= left - 1) {
     const int block = __builtin_ctzll(left);
     read_block<C>(image, tile, pass, block, in, blocks[block]);
@@ -303,7 +283,7 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
   for (int at = begin; at < end; at++) {
     float *slot = &image.slot_gradient[static_cast<size_t>(image.tile_slot[at]) * pass.slot_stride];
     uint8_t &used = image.slot_used[image.tile_slot[at]];
-    BlockSet left = at < seen ? image.tile_hit[at] : 0;
+    BlockSet left = image.tile_needed[at];
     if (left == 0) {
       clear_slot(pass, slot, used);
       continue;

@@ -135,46 +135,15 @@ inline void clear_gradients(const DescentRequest &d) {
   std::fill_n(g.v_colors + 3 * static_cast<int64_t>(d.standing), 3 * d.learned, 0.f);
 }
 
-inline bool is_drawn(const Request &r, int64_t pixel) { return r.pixel_mask == nullptr || r.pixel_mask[pixel] != 0; }
-
-// Runs work(pixel) over bands of rows of all images, which go to threads as tiles do.
-template <class Work>
-inline void over_pixels(const Request &r, const Work &work) {
-  const int64_t bands = (r.height + kTile - 1) / kTile, pixels = static_cast<int64_t>(r.width) * r.height;
-  parallel_for(r.threads, bands * r.batches, [&](int64_t band) {
-    const int64_t image = band / bands * pixels, first = band % bands * kTile * r.width;
-    for (int64_t at = image + first; at < image + std::min(first + kTile * r.width, pixels); at++) work(at);
-  });
-}
-
-// Puts what was drawn before the backdrop: seen = render + (1 - alpha) * backdrop. Pixels that are not drawn stay as
-// they were at first, when the loss has no gradient yet.
-inline void compose(const DescentRequest &d, bool first) {
-  const Request &r = d.scene;
-  over_pixels(r, [&](int64_t at) {
-    if (!first && !is_drawn(r, at)) return;
-    const float left = 1.f - r.alphas[at];
-    for (int k = 0; k < 4; k++) d.seen[4 * at + k] = r.renders[4 * at + k] + left * d.backdrop[4 * at + k];
-    if (!first) return;
-    for (int k = 0; k < 4; k++) d.loss.gradient[4 * at + k] = 0.f;
-  });
-}
-
-// Gradient of the loss by alpha: what is opaque hides the backdrop.
-inline void alpha_gradient(const DescentRequest &d) {
-  over_pixels(d.scene, [&](int64_t at) {
-    if (!is_drawn(d.scene, at)) return;
-    const float *v = d.loss.gradient + 4 * at, *behind = d.backdrop + 4 * at;
-    d.v_alphas[at] = -(v[0] * behind[0] + v[1] * behind[1] + v[2] * behind[2] + v[3] * behind[3]);
-  });
-}
-
 // Takes the steps; `refused` counts those of single rows that were not taken. A few steps move a Gaussian by less than
 // a pixel: those after the first draw with its order and tiles.
 inline Status descend(Workspace &w, const DescentRequest &d) {
   *d.refused = 0;
   const LossWorkspaceInUse loss;
   hold_to_target(d.loss, *loss);
+  const int64_t floats = 4 * static_cast<int64_t>(d.scene.width) * d.scene.height;
+  parallel_for(d.scene.threads, d.scene.batches,
+               [&](int64_t image) { std::fill_n(d.loss.gradient + image * floats, floats, 0.f); });
   for (int step = 0; step < d.steps; step++) {
     over_rows(d, [&](int i) {
       place_row(d, i);
@@ -187,10 +156,8 @@ inline Status descend(Workspace &w, const DescentRequest &d) {
       redraw(w, d.scene, d.standing);
     }
     if (status != kOk) return status;
-    compose(d, step == 0);
     clear_gradients(d);
     d.losses[step] = loss_terms(d.loss, *loss);
-    alpha_gradient(d);
     status = backward(w, d.scene, d.gradients);
     if (status != kOk) return status;
     *d.refused += over_rows(d, [&](int i) { return step_row(d, i) ? 0 : 1; });

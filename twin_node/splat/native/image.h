@@ -77,6 +77,7 @@ struct Image {
   Buffer<int32_t> tile_splat;   // [intersections] row in `splats`, depth order within a tile
   Buffer<int32_t> tile_slot;    // [intersections] the same one's number, counted splat by splat
   Buffer<BlockSet> tile_hit;    // [intersections] blocks of the tile that it covers unfinished pixels of
+  Buffer<BlockSet> tile_needed; // [intersections] those of them in which it bears on a gradient that is wanted
   Buffer<float> slot_gradient;  // [intersections, slot stride]
   Buffer<uint8_t> slot_used;    // [intersections] whether its gradient is other than zero
   Buffer<float> transmittance;  // [height, width] what is left behind the last splat
@@ -241,6 +242,7 @@ inline bool bin_into_tiles(Image &image) {
   image.tile_splat.reserve(total);
   image.tile_slot.reserve(total);
   image.tile_hit.reserve(total);
+  image.tile_needed.reserve(total);
   for (int row = 0; row < image.visible; row++) {
     const TileRect r = tile_rect(image, image.splats[row]);
     int32_t slot = image.slot_begin[row];

@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 9;
+constexpr int32_t kInterfaceVersion = 10;
 
 enum Status : int32_t {
   kOk = 0,
@@ -38,6 +38,8 @@ struct Request {
   const float *viewmats;      // [B, C, 4, 4]
   const float *Ks;            // [B, C, 3, 3]
   const float *backgrounds;   // [B, C, channels] or null
+  const float *backdrop;      // [B, C, H, W, channels] or null: what stands behind all, pixel by pixel
+  float *seen;                // the same: renders before their backdrop, which gradients are then by
   const uint8_t *pixel_mask;  // [B, C, H, W] or null
   float *renders;             // [B, C, H, W, channels]
   float *alphas;              // [B, C, H, W, 1]
@@ -90,11 +92,8 @@ struct LossRequest {
 // Steps of Adam on the last `learned` Gaussians of a scene whose first `standing` stay as they are.
 struct DescentRequest {
   Request scene;        // batches are times of one camera each; plain colours and accumulated depth
-  Gradients gradients;  // v_renders is loss.gradient, v_alphas the one below
-  LossRequest loss;     // of `seen`
-  const float *backdrop;  // [B, H, W, 4] colour and depth of what stands behind all that is drawn
-  float *seen;            // [B, H, W, 4]
-  float *v_alphas;        // [B, H, W]
+  Gradients gradients;  // v_renders is loss.gradient, v_alphas null
+  LossRequest loss;     // of what is seen
   int32_t standing, learned, steps;
   float smallest_log_scale;
   float *means, *quats, *scales, *opacities, *colors;  // those of the scene; the learned rows are written

@@ -71,7 +71,7 @@ void splat_gather_motion(const splat::MotionRequest *request) { splat::gather_mo
 
 int32_t splat_descend(void *workspace, const splat::DescentRequest *request) {
   splat::LossRequest given = request->loss;
-  given.render = request->backdrop;  // what is seen is not drawn yet
+  given.render = request->scene.backdrop;  // what is seen is not drawn yet
   const int bad = splat::non_finite_argument(given);
   if (bad >= 0) return splat::kNonFinite + bad;
   const splat::Status cameras = check_cameras(request->scene);

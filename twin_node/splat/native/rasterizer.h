@@ -41,6 +41,7 @@ inline int non_finite_argument(const Request &r) {
       {r.viewmats, 16 * images},
       {r.Ks, 9 * images},
       {r.backgrounds, images * channels_of(r)},
+      {r.backdrop, images * channels_of(r) * r.width * r.height},
   };
   return first_non_finite(arguments);
 }
@@ -153,7 +154,9 @@ inline void blend_pass(const Request &r, Workspace &w, const Pass &pass, bool on
   over_tiles(r, w, [&](int i, int index) {
     const int64_t pixels = static_cast<int64_t>(r.width) * r.height * i;
     const PixelsOut out{r.renders + pixels * pass.total, r.alphas + pixels,
-                        r.backgrounds == nullptr ? nullptr : r.backgrounds + i * pass.total, only_live};
+                        r.backgrounds == nullptr ? nullptr : r.backgrounds + i * pass.total,
+                        r.backdrop == nullptr ? nullptr : r.backdrop + pixels * pass.total,
+                        r.backdrop == nullptr ? nullptr : r.seen + pixels * pass.total, only_live};
     const Tile tile(*w.images[i], index, mask_of(r, i));
     for_width(pass.count, [&](auto width) { blend_tile<width>(*w.images[i], tile, pass, r.max_alpha, out); });
   });

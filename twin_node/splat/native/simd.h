@@ -25,8 +25,8 @@ constexpr int kLanes = 4;
 typedef float Vec __attribute__((vector_size(kLanes * 4)));
 typedef int32_t IntVec __attribute__((vector_size(kLanes * 4)));
 
-inline Vec broadcast(float x) { return Vec{} + x; }
-inline IntVec broadcast(int32_t x) { return IntVec{} + x; }
+inline Vec broadcast(float x) { return x - Vec{}; }  // not a sum: -0 + 0 is another number, which has to be computed
+inline IntVec broadcast(int32_t x) { return x - IntVec{}; }
 
 inline Vec load(const float *from) {
   Vec out;
@@ -172,6 +172,95 @@ inline void sum4(Vec a, Vec b, Vec c, Vec d, float *to) {
   to[2] = sum(c);
   to[3] = sum(d);
 #endif
+}
+
+// Every group of four lanes from four floats in a row, `stride` floats from group to group.
+inline Vec load_fours(const float *from, int64_t stride) {
+#if defined(__AVX512F__)
+  __m512 out = _mm512_castps128_ps512(_mm_loadu_ps(from));
+  out = _mm512_insertf32x4(out, _mm_loadu_ps(from + stride), 1);
+  out = _mm512_insertf32x4(out, _mm_loadu_ps(from + 2 * stride), 2);
+  return (Vec)_mm512_insertf32x4(out, _mm_loadu_ps(from + 3 * stride), 3);
+#elif defined(__AVX2__)
+  return (Vec)_mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(from)), _mm_loadu_ps(from + stride), 1);
+#else
+  static_cast<void>(stride);  // there is one group
+  return load(from);
+#endif
+}
+
+inline void store_fours(float *to, int64_t stride, Vec x) {
+#if defined(__AVX512F__)
+  _mm_storeu_ps(to, _mm512_castps512_ps128((__m512)x));
+  _mm_storeu_ps(to + stride, _mm512_extractf32x4_ps((__m512)x, 1));
+  _mm_storeu_ps(to + 2 * stride, _mm512_extractf32x4_ps((__m512)x, 2));
+  _mm_storeu_ps(to + 3 * stride, _mm512_extractf32x4_ps((__m512)x, 3));
+#elif defined(__AVX2__)
+  _mm_storeu_ps(to, _mm256_castps256_ps128((__m256)x));
+  _mm_storeu_ps(to + stride, _mm256_extractf128_ps((__m256)x, 1));
+#else
+  static_cast<void>(stride);
+  store(to, x);
+#endif
+}
+
+// Turns every group of four lanes of four vectors: lane i of v[j] and lane j of v[i] change places.
+inline void transpose4(Vec *v) {
+#if defined(__AVX512F__)
+  const __m512 a = (__m512)v[0], b = (__m512)v[1], c = (__m512)v[2], d = (__m512)v[3];
+  const __m512 ab_low = _mm512_unpacklo_ps(a, b), ab_high = _mm512_unpackhi_ps(a, b);
+  const __m512 cd_low = _mm512_unpacklo_ps(c, d), cd_high = _mm512_unpackhi_ps(c, d);
+  v[0] = (Vec)_mm512_shuffle_ps(ab_low, cd_low, 0x44);
+  v[1] = (Vec)_mm512_shuffle_ps(ab_low, cd_low, 0xee);
+  v[2] = (Vec)_mm512_shuffle_ps(ab_high, cd_high, 0x44);
+  v[3] = (Vec)_mm512_shuffle_ps(ab_high, cd_high, 0xee);
+#elif defined(__AVX2__)
+  const __m256 a = (__m256)v[0], b = (__m256)v[1], c = (__m256)v[2], d = (__m256)v[3];
+  const __m256 ab_low = _mm256_unpacklo_ps(a, b), ab_high = _mm256_unpackhi_ps(a, b);
+  const __m256 cd_low = _mm256_unpacklo_ps(c, d), cd_high = _mm256_unpackhi_ps(c, d);
+  v[0] = (Vec)_mm256_shuffle_ps(ab_low, cd_low, 0x44);
+  v[1] = (Vec)_mm256_shuffle_ps(ab_low, cd_low, 0xee);
+  v[2] = (Vec)_mm256_shuffle_ps(ab_high, cd_high, 0x44);
+  v[3] = (Vec)_mm256_shuffle_ps(ab_high, cd_high, 0xee);
+#elif defined(__SSE2__)
+  __m128 a = (__m128)v[0], b = (__m128)v[1], c = (__m128)v[2], d = (__m128)v[3];
+  _MM_TRANSPOSE4_PS(a, b, c, d);
+  v[0] = (Vec)a;
+  v[1] = (Vec)b;
+  v[2] = (Vec)c;
+  v[3] = (Vec)d;
+#else
+  for (int i = 0; i < 4; i++) {
+    for (int j = 0; j < i; j++) {
+      for (int group = 0; group < kLanes; group += 4) {
+        const float swapped = v[i][group + j];
+        v[i][group + j] = v[j][group + i];
+        v[j][group + i] = swapped;
+      }
+    }
+  }
+#endif
+}
+
+// Four floats of each of as many things as there are lanes, one vector per float: of every four things in a row, the
+// first at `from`, `stride` floats from four to four.
+inline void load_quads(const float *from, int64_t stride, Vec *to) {
+  for (int i = 0; i < 4; i++) to[i] = load_fours(from + 4 * i, stride);
+  transpose4(to);
+}
+
+inline void store_quads(float *to, int64_t stride, const Vec *from) {
+  Vec things[4] = {from[0], from[1], from[2], from[3]};
+  transpose4(things);
+  for (int i = 0; i < 4; i++) store_fours(to + 4 * i, stride, things[i]);
+}
+
+// 1 in the lanes whose byte is not 0, else 0.
+inline IntVec ones_where(const uint8_t *bytes) {
+  typedef uint8_t ByteVec __attribute__((vector_size(kLanes)));
+  ByteVec given;
+  std::memcpy(&given, bytes, sizeof(given));
+  return __builtin_convertvector(given, IntVec) != 0 ? broadcast(int32_t{1}) : IntVec{};
 }
 
 }  // namespace splat
