@@ -72,17 +72,13 @@ class Unseen:
 def blend_weights(splats: Splats, camera: Camera) -> Tensor:
     """[n] how much of `splats`, all at one time, a camera sees, pixels: their blend weights, summed over the image."""
     device = splats.means.device
-    nothing = torch.zeros(splats.means.shape[1], 1, device=device, requires_grad=True)
-    shown, _, _ = splat.rasterize(
+    return splat.weigh(
         splats.means[0],
         splats.quats[0],
         splats.scales,
         splats.opacities,
-        nothing,
-        torch.from_numpy(camera.viewmat)[None].to(device, torch.float32),
-        torch.from_numpy(camera.K)[None].to(device, torch.float32),
+        torch.from_numpy(camera.viewmat).to(device, torch.float32),
+        torch.from_numpy(camera.K).to(device, torch.float32),
         camera.width,
         camera.height,
     )
-    (weights,) = torch.autograd.grad(shown.sum(), nothing)  # of a feature that is zero everywhere
-    return weights[:, 0]

@@ -7,6 +7,7 @@ from twin_node.splat.errors import SplatError
 from twin_node.splat.loss import image_loss, image_loss_plain
 from twin_node.splat.missed import Missed, MissedPlainly, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
+from twin_node.splat.weighing import weigh, weigh_plainly
 
 __all__ = [
     "Aims",
@@ -31,4 +32,6 @@ __all__ = [
     "place",
     "rasterize",
     "rasterize_plain",
+    "weigh",
+    "weigh_plainly",
 ]

@@ -13,7 +13,7 @@ from twin_node import native_build
 from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, thread_count
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 10
+INTERFACE_VERSION = 11
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -155,6 +155,7 @@ class SplatLibrary(NativeLibrary):
         self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
         self._dll.splat_add_missed.argtypes = [c_void_p, ctypes.POINTER(MissRequest)]
+        self._dll.splat_weigh.argtypes = [c_void_p, ctypes.POINTER(Request), c_void_p]
         self._dll.splat_place.argtypes = [ctypes.POINTER(PlaceRequest)]
         self._dll.splat_place.restype = None
         self._dll.splat_look.argtypes = [ctypes.POINTER(LookRequest)]
@@ -196,6 +197,11 @@ class SplatLibrary(NativeLibrary):
         """Adds what a view misses. Raises `NonFiniteError` as `forward`, `ValueError` or `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.splat_add_missed(workspace.handle, request))
+
+    def weigh(self, workspace: Workspace, request: Request, weights: int) -> None:
+        """Writes how much each Gaussian shows in one image. Raises as `forward`."""
+        self._require_not_forked()
+        _check(self._dll.splat_weigh(workspace.handle, request, weights))
 
     def descend(self, workspace: Workspace, request: DescentRequest) -> None:
         """Takes steps of Adam. Raises `NonFiniteError` as `image_loss`, `ValueError` or `MemoryError`."""

@@ -110,6 +110,18 @@ inline Coverage cover(const LocalFootprint &f, int block, Vec transmittance) {
   return out;
 }
 
+// What a splat of `alpha` takes of a block's pixels, and what it leaves to those behind.
+struct Share {
+  Vec behind, weight;
+  Mask drawn;
+  Share(const Coverage &c, Vec transmittance, Vec alpha, Vec cut) {
+    const Vec taken = transmittance * alpha;
+    behind = transmittance - taken;
+    drawn = both(c.hit, gt(behind, cut));
+    weight = select(drawn, taken, Vec{});
+  }
+};
+
 // Moves a block's transmittance behind a splat; a block with no unfinished pixel leaves `alive`.
 inline void advance(Vec &transmittance, Vec behind, Mask hit, Mask drawn, int block, BlockSet &alive) {
   const Mask finished = first_only(hit, drawn);
@@ -162,12 +174,9 @@ inline void blend_tile(Image &image, const Tile &tile, const Pass &pass, float m
       const Coverage c = cover(footprint, block, transmittance[block]);
       if (!any(c.hit)) continue;
       hit |= left & -left;
-      const Vec alpha = min(exp2_nonpositive(c.exponent), limit);
-      const Vec drawn_weight = transmittance[block] * alpha, behind = transmittance[block] - drawn_weight;
-      const Mask drawn = both(c.hit, gt(behind, cut));
-      const Vec weight = select(drawn, drawn_weight, Vec{});
-      for (int q = 0; q < C; q++) sums[block][q] += weight * splat.channel[q];
-      advance(transmittance[block], behind, c.hit, drawn, block, alive);
+      const Share share(c, transmittance[block], min(exp2_nonpositive(c.exponent), limit), cut);
+      for (int q = 0; q < C; q++) sums[block][q] += share.weight * splat.channel[q];
+      advance(transmittance[block], share.behind, c.hit, share.drawn, block, alive);
     }
     image.tile_hit[at] = hit;
   }
@@ -297,20 +306,18 @@ inline void blend_tile_vjp(Image &image, const Tile &tile, const Pass &pass, flo
       BlockGradient<C> &g = blocks[block];
       const Coverage c = cover(footprint, block, g.transmittance);
       const Vec raw = exp2_nonpositive(c.exponent), alpha = min(raw, limit);
-      const Vec drawn_weight = g.transmittance * alpha, behind = g.transmittance - drawn_weight;
-      const Mask drawn = both(c.hit, gt(behind, cut));
-      const Vec weight = select(drawn, drawn_weight, Vec{});
+      const Share share(c, g.transmittance, alpha, cut);
       Vec v_weight = g.v_render[0] * splat.channel[0];
       for (int q = 1; q < C; q++) v_weight += g.v_render[q] * splat.channel[q];
-      g.suffix -= weight * v_weight;
+      g.suffix -= share.weight * v_weight;
       if (learns) {
-        for (int q = 0; q < C; q++) sums.value[kGeometrySums + q] += weight * g.v_render[q];
+        for (int q = 0; q < C; q++) sums.value[kGeometrySums + q] += share.weight * g.v_render[q];
         const Vec v_alpha = g.transmittance * v_weight - g.suffix * reciprocal(1.0f - alpha);
         // alpha = raw where it is not clamped; d raw / d sigma = -raw
-        const Vec v_sigma = select(both(drawn, le(raw, limit)), -(raw * v_alpha), Vec{});
+        const Vec v_sigma = select(both(share.drawn, le(raw, limit)), -(raw * v_alpha), Vec{});
         sums.add_geometry(v_sigma, c.dx, c.dy);
       }
-      advance(g.transmittance, behind, c.hit, drawn, block, alive);
+      advance(g.transmittance, share.behind, c.hit, share.drawn, block, alive);
     }
     if (learns) {
       sums.write(pass, slot);

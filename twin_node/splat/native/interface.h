@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 10;
+constexpr int32_t kInterfaceVersion = 11;
 
 enum Status : int32_t {
   kOk = 0,

@@ -5,6 +5,7 @@
 #include "miss.h"
 #include "motion.h"
 #include "place.h"
+#include "weigh.h"
 
 namespace {
 
@@ -85,6 +86,15 @@ int32_t splat_add_missed(void *workspace, const splat::MissRequest *request) {
   const splat::Status cameras = check_cameras(request->scene);
   if (cameras != splat::kOk) return cameras;
   return guarded([&] { return splat::add_missed(*static_cast<splat::Workspace *>(workspace), *request); });
+}
+
+// For one image and no channels; `weights` [gaussians] are written.
+int32_t splat_weigh(void *workspace, const splat::Request *request, float *weights) {
+  const int bad = splat::non_finite_argument(*request);
+  if (bad >= 0) return splat::kNonFinite + bad;
+  const splat::Status cameras = check_cameras(*request);
+  if (cameras != splat::kOk) return cameras;
+  return guarded([&] { return splat::weigh(*static_cast<splat::Workspace *>(workspace), *request, weights); });
 }
 
 int32_t splat_image_loss(const splat::LossRequest *request) {

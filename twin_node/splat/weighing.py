@@ -1,0 +1,73 @@
+"""How much each of some Gaussians shows to a camera: one call of the compiled library, or the gradient of a feature."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from twin_node.native_library import thread_count
+from twin_node.splat import library as native
+from twin_node.splat.arguments import non_finite
+from twin_node.splat.dispatch import rasterize
+from twin_node.splat.semantics import installed_semantics
+
+
+def weigh(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+) -> Tensor:
+    """[n] blend weights of n Gaussians, summed over the pixels of a camera.
+
+    `means` [n, 3], `quats` [n, 4], `scales` [n, 3], `opacities` [n], `viewmat` [4, 4] and `K` [3, 3] as `rasterize`
+    takes them; nothing is differentiated. Raises `ValueError` naming what is not finite.
+    """
+    library = native.native_library()
+    if library is None or means.device.type != "cpu":
+        return weigh_plainly(means, quats, scales, opacities, viewmat, K, width, height)
+    given = [t.detach().float().contiguous() for t in (means, quats, scales, opacities, viewmat, K)]
+    count, semantics = len(means), installed_semantics()
+    weights = torch.empty(count)
+    found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
+    drawn, camera = given[:4], given[4:]
+    request = native.Request(
+        *(1, 1, count, width, height, 0),
+        *(0, 0, 0, 0, 0, thread_count()),
+        *(0.01, 1e10, 0.0, 0.3),
+        semantics.max_alpha,
+        semantics.min_compensation,
+        *(0, 0, 0, 0, 0),
+        *(*(t.data_ptr() for t in drawn), None),
+        *(t.data_ptr() for t in camera),
+        *(None, None, None, None, None, None),
+        *(t.data_ptr() for t in found),
+    )
+    try:
+        library.weigh(native.Workspace(library), request, weights.data_ptr())
+    except native.NonFiniteError as error:
+        index = error.index if error.index < len(drawn) else error.index - 1  # there are no colours
+        name = ("means", "quats", "scales", "opacities", "viewmat", "K")[index]
+        raise non_finite(name, given[index]) from None
+    return weights
+
+
+def weigh_plainly(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+) -> Tensor:
+    """The same by `rasterize`, on any device, as the gradient of a feature that is zero everywhere."""
+    nothing = torch.zeros(len(means), 1, device=means.device, requires_grad=True)
+    shown, _, _ = rasterize(means, quats, scales, opacities, nothing, viewmat[None], K[None], width, height)
+    (weights,) = torch.autograd.grad(shown.sum(), nothing)
+    return weights[:, 0]
