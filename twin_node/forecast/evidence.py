@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.agreement import Estimate
 from twin_node.forecast.bits import Bits
@@ -17,6 +16,7 @@ from twin_node.forecast.errands import Errand
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.landing import floors_of
 from twin_node.forecast.margin import RIM_S, Margin
+from twin_node.forecast.nearest import nearest_one
 from twin_node.forecast.own_space import own_space
 from twin_node.forecast.part_velocities import PartVelocities
 from twin_node.forecast.parts import Parts, split
@@ -181,7 +181,7 @@ class Observer:
         before = self._last.after((stamp - self._last_stamp) * 1e-9)
         if len(self._last_centers) == 0 or len(centers) == 0:
             return Estimate.unknown(len(centers))
-        return before.of(cKDTree(self._last_centers).query(centers, distance_upper_bound=NEAR)[1])
+        return before.of(nearest_one(centers, self._last_centers, NEAR).rows)
 
 
 NEAR = 0.12

@@ -50,5 +50,27 @@ def nearest_plainly(points: Float64, among: Float64, count: int = 1, within: flo
     return Nearest(distances, np.append(known, len(among))[rows])
 
 
+class NearestOne(NamedTuple):
+    """Which of m points is nearest to each of n others."""
+
+    distances: Float64
+    """[n] m; infinite where there is none."""
+    rows: NDArray[np.int64]
+    """[n] among the m; m where there is none."""
+
+
+def nearest_one(points: Float64, among: Float64, within: float = np.inf) -> NearestOne:
+    """Which of the points `among` [m, 3] is nearest to each of `points` [n, 3], nearer than `within`; in metres.
+
+    Where some point has two that are as near, a tree says which is taken: so it is the same one whoever looks for it.
+    """
+    if kernels() is not None and len(points) * len(among) <= _MOST_PAIRS:
+        distances, rows = nearest(points, among, 2, within)
+        if not ((distances[:, 0] == distances[:, 1]) & (rows[:, 1] < len(among))).any():
+            return NearestOne(distances[:, 0], rows[:, 0])
+    distances, rows = nearest_plainly(points, among, 1, within)
+    return NearestOne(distances[:, 0], rows[:, 0])
+
+
 _MOST_PAIRS = 100_000
 """Pairs of points that are looked at; with more of them a tree takes as long or less (measured: 400 points)."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.agreement import FOUND_PIXELS, Estimate, Sighting, agreed
 from twin_node.forecast.image_motion import ImageMotion, near
+from twin_node.forecast.nearest import nearest_one
 from twin_node.forecast.parts import Parts
 from twin_node.forecast.shown import Sample, Visible, told, visible
 from twin_node.forecast.tables import RigTables
@@ -102,7 +102,7 @@ def _filled(centers: Float64, moving: Estimate, measured: Bool) -> Estimate:
     if len(hidden) == 0 or not measured.any():
         return moving
     shown = np.flatnonzero(measured)
-    distances, rows = cKDTree(centers[shown]).query(centers[hidden], distance_upper_bound=_BODY_M)
+    distances, rows = nearest_one(centers[hidden], centers[shown], _BODY_M)
     attached = np.isfinite(distances)
     source = np.arange(len(centers))
     source[hidden[attached]] = shown[rows[attached]]
