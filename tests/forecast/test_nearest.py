@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin_node.forecast.nearest import nearest, nearest_plainly
+from twin_node.forecast.nearest import nearest, nearest_one, nearest_plainly
 
 
 @pytest.mark.parametrize("within", [np.inf, 0.3])
@@ -28,3 +28,12 @@ def test_what_is_nowhere_is_near_to_nothing() -> None:
     assert found.rows[:, 0].tolist() == [0, 3, 3]
     assert found.rows[0, 1] == 3
     assert np.isinf(found.distances[1:]).all()
+
+
+@pytest.mark.parametrize("others", [0, 1, 90])
+def test_one_of_several_as_near_is_the_one_that_a_tree_finds(others: int) -> None:
+    lattice = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3)
+    asked, among = lattice + np.array([0.5, 0.0, 0.0]), lattice[:others]
+    found, expected = nearest_one(asked, among, 1.2), nearest_plainly(asked, among, 1, 1.2)
+    assert np.array_equal(found.rows, expected.rows[:, 0])
+    assert np.array_equal(found.distances, expected.distances[:, 0])

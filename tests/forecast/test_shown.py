@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from twin_node.forecast.image_motion import Pair, seen, seen_plainly
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.shown import Sample, Visible, told, told_plainly, visible, visible_plainly
+from twin_node.forecast.shown import Sample, Visible, Witness, told, told_plainly, visible, visible_plainly
 from twin_node.forecast.tables import Blocks, CameraTable
 from twin_node.scene import Bool, Float32, Grid, View
 
@@ -45,7 +45,7 @@ def random_mask(rng: np.random.Generator) -> Bool:
 def test_compiled_images_are_the_plain_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     view, mask = random_view(rng, 0), random_mask(rng)
-    one, other = seen(view, mask), seen_plainly(view, mask)
+    (one,), other = seen([view], [mask]), seen_plainly(view, mask)
     for name in ("stamp", "window"):
         assert getattr(one, name) == getattr(other, name)
     for name in ("grey", "moving"):
@@ -60,7 +60,8 @@ def test_compiled_images_are_the_plain_ones(seed: int) -> None:
 
 def random_pair(rng: np.random.Generator) -> Pair:
     """Of blobs that flow, and of some that fly."""
-    now, before = (seen(random_view(rng, stamp), random_mask(rng)) for stamp in (33_000_000, 0))
+    views = [random_view(rng, stamp) for stamp in (33_000_000, 0)]
+    now, before = seen(views, [random_mask(rng) for _ in views])
     window = now.window.joined(before.window).within(WIDTH, HEIGHT)
     flow = np.round(4 * rng.normal(size=(HEIGHT, WIDTH, 2))).astype(np.float32) / 2  # halves are rounded to even
     return Pair(now, before, window, np.ascontiguousarray(flow[window.slices]))
@@ -77,7 +78,12 @@ def random_sample(rng: np.random.Generator, count: int, parts: int) -> Sample:
 def test_compiled_visible_voxels_are_the_plain_ones(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     moving, sample = rng.uniform(size=(HEIGHT, WIDTH)) < 0.7, random_sample(rng, count, 9)
-    found, plain = visible(moving, TABLE, sample), visible_plainly(moving, TABLE, sample)
+    beside = rng.uniform(size=(HEIGHT, WIDTH)) < 0.2
+    for mask, found in zip((moving, beside), visible([moving, beside], [TABLE] * 2, sample), strict=True):
+        same_as_plainly(found, visible_plainly(mask, TABLE, sample))
+
+
+def same_as_plainly(found: Visible, plain: Visible) -> None:
     assert np.array_equal(found.pixels, plain.pixels) and np.array_equal(found.labels, plain.labels)
     np.testing.assert_allclose(found.jacobian, plain.jacobian, rtol=1e-9, atol=1e-9)
 
@@ -91,7 +97,9 @@ def test_what_compiled_pixels_tell_is_what_plain_ones_do(seed: int) -> None:
     pixels = rng.choice(shown, 3 * len(shown)) if len(shown) else shown
     pixels = pixels if rng.uniform() < 0.8 else rng.integers(0, WIDTH * HEIGHT, 50)
     seen_pixels = Visible(pixels, rng.integers(0, parts, len(pixels)), rng.normal(0, 80, (parts, 2, 3)))
-    one, other = (tell(pair, seen_pixels, np.array([0.0, 0.6, 0.8])) for tell in (told, told_plainly))
+    witness = Witness(pair, seen_pixels, np.array([0.0, 0.6, 0.8]))
+    (one, again), other = told([witness, witness]), told_plainly(witness)
+    assert np.array_equal(one.shifts, again.shifts)
     for name in ("elapsed_s", "shifts", "shown", "receded", "depths", "axis"):
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
     np.testing.assert_allclose(one.variances, other.variances, rtol=1e-12)
@@ -105,14 +113,14 @@ def test_a_blob_that_flies_takes_all_of_its_pixels_along() -> None:
         mask[4:8, column : column + 4] = True
         depths = np.where(mask, depth, 3.0).astype(np.float32)
         view = View(TABLE.camera, stamp * 33_000_000, np.full((HEIGHT, WIDTH, 3), 90, np.uint8), depths)
-        images.append(seen(view, mask))
+        images += seen([view], [mask])
     before, now = images
     window = now.window.joined(before.window).within(WIDTH, HEIGHT)
     pair = Pair(now, before, window, np.zeros((window.bottom - window.top, window.right - window.left, 2), np.float32))
     pixels = np.flatnonzero(now.moving)
     seen_pixels = Visible(pixels, np.zeros(len(pixels), np.int64), np.ones((1, 2, 3)))
-    for tell in (told, told_plainly):
-        found = tell(pair, seen_pixels, np.array([0.0, 0.0, 1.0]))
+    witness = Witness(pair, seen_pixels, np.array([0.0, 0.0, 1.0]))
+    for found in (*told([witness]), told_plainly(witness)):
         np.testing.assert_allclose(found.shifts, [[10, 0]], atol=1e-6)
         assert found.shown.all() and np.isfinite(found.variances).all()
         assert found.receded[0] == 0  # what goes 15 m/s is another surface

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from twin_node.forecast.blobs import COMPACT, SMALLEST_BLOB, Blobs, blobs_plainly, flights_plainly
 from twin_node.forecast.kernel_requests import SeeRequest
 from twin_node.forecast.kernels import kernels
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8, View
 
 
@@ -66,21 +67,35 @@ class Image:
     """About what moves."""
 
 
-def seen(view: View, moving: Bool) -> Image:
-    """The image of a view that shows something moving [H, W]. Compiled; `seen_plainly` where that cannot be."""
+def seen(views: Sequence[View], moving: Sequence[Bool]) -> list[Image]:
+    """The images of views that show something moving [H, W] each. Compiled; `seen_plainly` where that cannot be."""
     compiled = kernels()
     if compiled is None:
-        return seen_plainly(view, moving)
-    height, width = moving.shape
-    given = np.ascontiguousarray(view.rgb, np.uint8), np.ascontiguousarray(moving, np.bool_)
-    grey, shown = np.empty(moving.shape, np.uint8), np.empty(moving.shape, np.bool_)
-    labels, compact = np.empty(moving.shape, np.int32), np.empty((moving.size // SMALLEST_BLOB + 1, 4))
-    found = np.empty(5, np.int64)
-    sizes = (width, height, _GREY, SMALLEST_BLOB, COMPACT)
-    compiled.see(SeeRequest(*sizes, *addresses_of(*given, grey, shown, labels, compact, found)))
-    count, *window = found.tolist()
-    blobs = Blobs(labels, compact[:count].copy())
-    return Image(view.stamp, grey, shown, _measured(view), blobs, Window(*window))
+        return [seen_plainly(*one) for one in zip(views, moving, strict=True)]
+    rows = [_SeenRow(view, mask) for view, mask in zip(views, moving, strict=True)]
+    compiled.see([row.request() for row in rows], thread_count())
+    return [row.image() for row in rows]
+
+
+class _SeenRow:
+    """What the kernel is given of one view, and room for what it says."""
+
+    def __init__(self, view: View, moving: Bool) -> None:
+        self._view = view
+        self._given = np.ascontiguousarray(view.rgb, np.uint8), np.ascontiguousarray(moving, np.bool_)
+        self._grey, self._shown = np.empty(moving.shape, np.uint8), np.empty(moving.shape, np.bool_)
+        self._labels = np.empty(moving.shape, np.int32)
+        self._compact, self._found = np.empty((moving.size // SMALLEST_BLOB + 1, 4)), np.empty(5, np.int64)
+
+    def request(self) -> SeeRequest:
+        height, width = self._view.rgb.shape[:2]
+        arrays = (*self._given, self._grey, self._shown, self._labels, self._compact, self._found)
+        return SeeRequest(width, height, _GREY, SMALLEST_BLOB, COMPACT, *addresses_of(*arrays))
+
+    def image(self) -> Image:
+        count, *window = self._found.tolist()
+        blobs = Blobs(self._labels, self._compact[:count].copy())
+        return Image(self._view.stamp, self._grey, self._shown, _measured(self._view), blobs, Window(*window))
 
 
 def seen_plainly(view: View, moving: Bool) -> Image:
@@ -129,9 +144,9 @@ class ImageMotion:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self._flow.setFinestScale(0)
 
-    def see(self, view: View, moving: Bool) -> None:
-        """Takes in the next image and where it shows something moving [H, W]."""
-        self._before, self._now = self._now, seen(view, moving)
+    def see(self, image: Image) -> None:
+        """Takes in the next image."""
+        self._before, self._now = self._now, image
 
     @property
     def elapsed_s(self) -> float | None:

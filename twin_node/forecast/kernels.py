@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
@@ -68,9 +70,9 @@ class Kernels(NativeLibrary):
         self._dll.forecast_split.argtypes = [ctypes.POINTER(SplitRequest)]
         self._dll.forecast_link.argtypes = [ctypes.POINTER(LinkRequest)]
         self._dll.forecast_gather.argtypes = [ctypes.POINTER(GatherRequest)]
-        self._dll.forecast_see.argtypes = [ctypes.POINTER(SeeRequest)]
-        self._dll.forecast_show.argtypes = [ctypes.POINTER(ShowRequest)]
-        self._dll.forecast_tell.argtypes = [ctypes.POINTER(TellRequest)]
+        self._dll.forecast_see.argtypes = _some(SeeRequest)
+        self._dll.forecast_show.argtypes = _some(ShowRequest)
+        self._dll.forecast_tell.argtypes = _some(TellRequest)
         self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
         self._dll.forecast_solve.restype = None
         self._dll.forecast_lead.argtypes = [ctypes.POINTER(LeadRequest)]
@@ -153,17 +155,20 @@ class Kernels(NativeLibrary):
         """Finds the things that parts are of; takes one thread. Raises `MemoryError`."""
         _check(self._dll.forecast_gather(request))
 
-    def see(self, request: SeeRequest) -> None:
-        """Says what one image shows to move; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_see(request))
+    def see(self, views: Sequence[SeeRequest], threads: int) -> None:
+        """Says what images show to move, view by view. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_see((SeeRequest * len(views))(*views), len(views), threads))
 
-    def show(self, request: ShowRequest) -> None:
-        """Lists the voxels that a view shows to move; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_show(request))
+    def show(self, views: Sequence[ShowRequest], threads: int) -> None:
+        """Lists the voxels that views show to move. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_show((ShowRequest * len(views))(*views), len(views), threads))
 
-    def tell(self, request: TellRequest) -> None:
-        """Says what these show of their parts; takes one thread. Raises `MemoryError`."""
-        _check(self._dll.forecast_tell(request))
+    def tell(self, views: Sequence[TellRequest], threads: int) -> None:
+        """Says what these show of their parts. Raises `MemoryError`."""
+        self._require_not_forked()
+        _check(self._dll.forecast_tell((TellRequest * len(views))(*views), len(views), threads))
 
     def solve(self, request: SolveRequest) -> None:
         """Finds the velocities that views agree on; takes one thread."""
@@ -192,6 +197,11 @@ class Kernels(NativeLibrary):
     def take(self, request: TakeRequest) -> None:
         """Marks the voxels within capsules; takes one thread."""
         self._dll.forecast_take(request)
+
+
+def _some(request: type[ctypes.Structure]) -> list[Any]:
+    """Types of an array of requests, their number, and threads."""
+    return [ctypes.POINTER(request), ctypes.c_int64, ctypes.c_int32]
 
 
 def _check(status: int) -> None:

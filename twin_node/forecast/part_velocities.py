@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twin_node.forecast.agreement import FOUND_PIXELS, Estimate, Sighting, agreed
-from twin_node.forecast.image_motion import ImageMotion, near
+from twin_node.forecast.agreement import FOUND_PIXELS, Estimate, agreed
+from twin_node.forecast.image_motion import ImageMotion, near, seen
 from twin_node.forecast.nearest import nearest_one
 from twin_node.forecast.parts import Parts
-from twin_node.forecast.shown import Sample, Visible, told, visible
+from twin_node.forecast.shown import Sample, Visible, Witness, told, visible
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.things import Things, Whole
 from twin_node.scene import Bool, Camera, Float32, Float64, TwinState
@@ -39,13 +39,13 @@ class PartVelocities:
         whole = self._things.follow(state.stamp, cameras, parts)
         if parts.count == 0 or not looks:
             return expected, whole
-        found = [look.sighting(expected.velocities) for look in looks]
+        found = told([look.witness(expected.velocities) for look in looks])
         moving, lost = agreed(found, expected, whole)
         if lost.any():
-            found = [
-                look.sighting(moving.velocities) if is_lost else sighting
-                for look, sighting, is_lost in zip(looks, found, lost.tolist(), strict=True)
-            ]
+            rows = np.flatnonzero(lost).tolist()
+            again = told([looks[row].witness(moving.velocities) for row in rows])
+            for row, sighting in zip(rows, again, strict=True):
+                found[row] = sighting
             moving = agreed(found, expected, whole).motion
         shown = np.zeros(parts.count, np.bool_)
         for sighting in found:
@@ -56,41 +56,51 @@ class PartVelocities:
         """Takes in the images; what each view that has an earlier one shows of some voxels of all parts."""
         chosen = slice(None, None, _SAMPLING)
         sample = Sample(self._tables.blocks.locate(parts.indices[chosen]), parts.labels[chosen], parts.centers)
-        looks = []
-        for view, mask, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
+        views, masks, robots = state.frames.views, state.moving_masks, state.robot_masks
+        seeing, clear = [], []
+        for view, image, mask, robot in zip(views, seen(views, masks), masks, robots, strict=True):
             motion = self._motions.setdefault(view.camera.name, ImageMotion())
-            motion.see(view, mask)
+            motion.see(image)
             if motion.elapsed_s is not None and parts.count:
-                clear = mask if robot is None else mask & ~near(robot, _OCCLUSION_PIXELS)
-                shown = visible(clear, self._tables.of(view.camera), sample)
-                looks.append(_Look(motion, motion.elapsed_s, view.camera, shown))
-        return looks
+                seeing.append(_Seeing(motion, motion.elapsed_s, view.camera))
+                clear.append(mask if robot is None else mask & ~near(robot, _OCCLUSION_PIXELS))
+        shown = visible(clear, [self._tables.of(one.camera) for one in seeing], sample)
+        return [_Look(*one) for one in zip(seeing, shown, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Seeing:
+    """One view's newest pair of images."""
+
+    motion: ImageMotion
+    elapsed_s: float
+    camera: Camera
 
 
 @dataclass(frozen=True)
 class _Look:
     """One view's newest pair of images, and where it shows parts in the newer one."""
 
-    motion: ImageMotion
-    elapsed_s: float
-    camera: Camera
+    seeing: _Seeing
     visible: Visible
 
-    def sighting(self, expected: Float64) -> Sighting:
-        """What the view says, if it begins its search from velocities [M, 3] (m/s)."""
-        return told(self.motion.pair(self._guess(expected)), self.visible, self.camera.viewmat[2, :3])
+    def witness(self, expected: Float64) -> Witness:
+        """What the view shows, if the search for the flow begins from velocities [M, 3] (m/s)."""
+        axis = self.seeing.camera.viewmat[2, :3]
+        return Witness(self.seeing.motion.pair(self._guess(expected)), self.visible, axis)
 
     def _guess(self, expected: Float64) -> Float32 | None:
         """[H, W, 2] pixels that what moves has gone at velocities [M, 3]; None if that is little."""
-        gone = np.einsum("mki,mi->mk", self.visible.jacobian, expected) * self.elapsed_s
+        camera = self.seeing.camera
+        gone = np.einsum("mki,mi->mk", self.visible.jacobian, expected) * self.seeing.elapsed_s
         if len(self.visible.labels) == 0 or np.abs(gone).max() < FOUND_PIXELS / 2:
             return None
         mine = gone[self.visible.labels]
         if np.abs(mine).max() < FOUND_PIXELS / 2:
             return None
-        sums = np.zeros((self.camera.height * self.camera.width, 3), np.float32)
+        sums = np.zeros((camera.height * camera.width, 3), np.float32)
         sums[self.visible.pixels, :2], sums[self.visible.pixels, 2] = mine, 1
-        around = cv2.blur(sums.reshape(self.camera.height, self.camera.width, 3), (_PATCH, _PATCH))
+        around = cv2.blur(sums.reshape(camera.height, camera.width, 3), (_PATCH, _PATCH))
         overall = mine.mean(axis=0)
         known = around[..., 2:] > 0
         return np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), overall).astype(np.float32)

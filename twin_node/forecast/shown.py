@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.tables import CameraTable
 from twin_node.geometry import transform
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Camera, Float64
 
 
@@ -44,27 +45,30 @@ class Visible:
     """[M, 2, 3] how the pixel of each part's middle moves with it, pixels per metre."""
 
 
-def visible(moving: Bool, table: CameraTable, sample: Sample) -> Visible:
-    """Those voxels of a sample that are nearest to the camera, where the mask shows something moving.
+def visible(moving: Sequence[Bool], tables: Sequence[CameraTable], sample: Sample) -> list[Visible]:
+    """Those voxels of a sample that are nearest to each camera, where its mask shows something moving.
 
     Compiled; `visible_plainly` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return visible_plainly(moving, table, sample)
-    camera, count = table.camera, np.zeros(1, np.int64)
-    given: tuple[NDArray[Any], ...] = (
-        *(np.ascontiguousarray(array) for array in (sample.places, sample.labels)),
-        *(table.voxels.pixels, table.voxels.depth),
-        *(np.ascontiguousarray(array) for array in (moving, sample.centers)),
-    )
-    pixels, labels = np.empty((2, len(sample.places)), np.int64)
-    jacobian = np.empty((len(sample.centers), 2, 3))
-    focal, viewmat = (camera.K[0, 0], camera.K[1, 1]), tuple(camera.viewmat[:3].ravel().tolist())
-    sizes = (len(sample.places), len(sample.centers), camera.width, camera.height, PART_SIZE, _LEAST_DEPTH)
-    addresses = addresses_of(*given, pixels, labels, count, jacobian)
-    compiled.show(ShowRequest(*sizes, focal, viewmat, *addresses))
-    return Visible(pixels[: count[0]], labels[: count[0]], jacobian)
+        return [visible_plainly(*one, sample) for one in zip(moving, tables, strict=True)]
+    voxels, parts = len(sample.places), len(sample.centers)
+    places, labels, centers = (np.ascontiguousarray(array) for array in (sample.places, sample.labels, sample.centers))
+    pixels, mine = np.empty((2, len(tables), voxels), np.int64)
+    counts, jacobians = np.zeros((len(tables), 1), np.int64), np.empty((len(tables), parts, 2, 3))
+    held, requests = [], []
+    for row, (mask, table) in enumerate(zip(moving, tables, strict=True)):
+        camera, seen = table.camera, table.voxels
+        given = (places, labels, seen.pixels, seen.depth, np.ascontiguousarray(mask), centers)
+        arrays: tuple[NDArray[Any], ...] = (*given, pixels[row], mine[row], counts[row], jacobians[row])
+        focal, viewmat = (camera.K[0, 0], camera.K[1, 1]), tuple(camera.viewmat[:3].ravel().tolist())
+        sizes = (voxels, parts, camera.width, camera.height, PART_SIZE, _LEAST_DEPTH)
+        requests.append(ShowRequest(*sizes, focal, viewmat, *addresses_of(*arrays)))
+        held.append(arrays)  # alive until the call is over
+    compiled.show(requests, thread_count())
+    ends = counts[:, 0].tolist()
+    return [Visible(pixels[row, :end], mine[row, :end], jacobians[row]) for row, end in enumerate(ends)]
 
 
 def visible_plainly(moving: Bool, table: CameraTable, sample: Sample) -> Visible:
@@ -92,25 +96,43 @@ def _jacobian(camera: Camera, points: Float64) -> Float64:
     return rows
 
 
-def told(pair: Pair, seen: Visible, axis: Float64) -> Sighting:
-    """What two images of a view with the optical `axis` [3] show of the parts, by the mean over their pixels.
+@dataclass(frozen=True)
+class Witness:
+    """What one view shows of parts, and its last two images."""
+
+    pair: Pair
+    visible: Visible
+    """In the newer one."""
+    axis: Float64
+    """[3] the optical axis in the base frame."""
+
+
+def told(witnesses: Sequence[Witness]) -> list[Sighting]:
+    """What two images of each view show of the parts, by the mean over their pixels.
 
     What moves in a pixel counts for more than what stands still beside it. Compiled; `told_plainly` where that cannot
     be.
     """
     compiled = kernels()
     if compiled is None:
-        return told_plainly(pair, seen, axis)
+        return [told_plainly(witness) for witness in witnesses]
+    found = [_room(witness) for witness in witnesses]
+    compiled.tell([_told_by(*one) for one in zip(witnesses, found, strict=True)], thread_count())
+    return found
+
+
+def _room(witness: Witness) -> Sighting:
+    """Arrays for what a view says."""
+    jacobian = witness.visible.jacobian
+    count = len(jacobian)
+    shown, (variances, receded, depths) = np.empty(count, np.bool_), np.empty((3, count))
+    told_s = witness.pair.elapsed_s
+    return Sighting(told_s, jacobian, np.empty((count, 2)), variances, shown, witness.axis, receded, depths)
+
+
+def _told_by(witness: Witness, found: Sighting) -> TellRequest:
+    pair, seen = witness.pair, witness.visible
     count, (height, width) = len(seen.jacobian), pair.now.grey.shape
-    found = Sighting(
-        pair.elapsed_s,
-        seen.jacobian,
-        np.empty((count, 2)),
-        np.empty(count),
-        np.empty(count, np.bool_),
-        axis,
-        *np.empty((2, count)),
-    )
     window = pair.window
     flow = (window.left, window.top, window.right - window.left, window.bottom - window.top)
     lengths = (_FLOW_NOISE, _FASTEST * pair.elapsed_s, _KNOWN, _LEAST, SAME_AREA, FOUND, FLIGHT)
@@ -119,8 +141,7 @@ def told(pair: Pair, seen: Visible, axis: Float64) -> Sighting:
     results = (found.shifts, found.variances, found.shown, found.receded, found.depths)
     addresses = addresses_of(pair.flow, seen.pixels, seen.labels, seen.jacobian, *results)
     sizes = (len(seen.pixels), count, _FEWEST, width, height, ALIKE_GREY, *flow)
-    compiled.tell(TellRequest(*sizes, *lengths, *errors, *images, *addresses))
-    return found
+    return TellRequest(*sizes, *lengths, *errors, *images, *addresses)
 
 
 def _request(image: Image, with_depth: bool) -> SeenImage:
@@ -128,8 +149,9 @@ def _request(image: Image, with_depth: bool) -> SeenImage:
     return SeenImage(*addresses_of(image.grey, image.moving, image.blobs.labels, compact, depth), len(compact))
 
 
-def told_plainly(pair: Pair, seen: Visible, axis: Float64) -> Sighting:
-    """What `told` does."""
+def told_plainly(witness: Witness) -> Sighting:
+    """What `told` does with one view."""
+    pair, seen, axis = witness.pair, witness.visible, witness.axis
     shifts, count = shifts_plainly(pair), len(seen.jacobian)
     pixels, labels = seen.pixels, seen.labels
     found = shifts.found.ravel()[pixels]

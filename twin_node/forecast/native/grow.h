@@ -2,14 +2,12 @@
 #pragma once
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <mutex>
-#include <new>
 #include <vector>
 
-#include "../../native/crew.h"
 #include "bits.h"
+#include "each.h"
 #include "interface.h"
 
 namespace forecast {
@@ -237,20 +235,6 @@ inline int64_t count_planes(const GrowRequest &r, int64_t layer) {
   int64_t count = 0;
   for (; first < last; first++) count += __builtin_popcountll(*first);
   return count;
-}
-
-// Runs work(i) for each; throws where any has no memory.
-template <class Work>
-inline void for_each_in_parallel(int threads, int64_t count, const Work &work) {
-  std::atomic<bool> short_of_memory{false};
-  crew::parallel_for(threads, count, [&](int64_t i) {
-    try {
-      work(i);
-    } catch (const std::bad_alloc &) {
-      short_of_memory = true;
-    }
-  });
-  if (short_of_memory) throw std::bad_alloc();
 }
 
 inline void grow(const GrowRequest &r) {

@@ -6,6 +6,7 @@
 #include "bits.h"
 #include "carve.h"
 #include "cover.h"
+#include "each.h"
 #include "grow.h"
 #include "hide.h"
 #include "lead.h"
@@ -95,16 +96,16 @@ int32_t forecast_gather(const forecast::GatherRequest *request) {
   return guarded([&] { forecast::gather(*request); });
 }
 
-int32_t forecast_see(const forecast::SeeRequest *request) {
-  return guarded([&] { forecast::see(*request); });
+int32_t forecast_see(const forecast::SeeRequest *views, int64_t count, int32_t threads) {
+  return guarded([&] { forecast::for_each_in_parallel(threads, count, [&](int64_t i) { forecast::see(views[i]); }); });
 }
 
-int32_t forecast_show(const forecast::ShowRequest *request) {
-  return guarded([&] { forecast::show(*request); });
+int32_t forecast_show(const forecast::ShowRequest *views, int64_t count, int32_t threads) {
+  return guarded([&] { forecast::for_each_in_parallel(threads, count, [&](int64_t i) { forecast::show(views[i]); }); });
 }
 
-int32_t forecast_tell(const forecast::TellRequest *request) {
-  return guarded([&] { forecast::tell(*request); });
+int32_t forecast_tell(const forecast::TellRequest *views, int64_t count, int32_t threads) {
+  return guarded([&] { forecast::for_each_in_parallel(threads, count, [&](int64_t i) { forecast::tell(views[i]); }); });
 }
 
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }
