@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
 
 from twin_node.forecast import Forecaster
 from twin_node.forecast.bits import Bits
-from twin_node.forecast.resting import RESTING_S, Resting
-from twin_node.scene import Occupancy, TwinState
+from twin_node.forecast.kernels import kernels
+from twin_node.forecast.resting import RESTING_S, Memory, Resting, rested, rested_plainly
+from twin_node.scene import Grid, Occupancy, TwinState
 
 STEP_NS = 33_333_333
 LATENCY_NS = 33_000_000
@@ -37,6 +39,20 @@ def test_what_stood_all_along_is_none_though_something_passed_over_it() -> None:
     resting, nothing = Resting(GRID), np.zeros(0, np.int64)
     resting.update(0, np.array([5, 6]), standing(5))
     assert resting.update(STEP_NS, nothing, standing(5)).tolist() == []
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize("seed", range(5))
+def test_compiled_memory_is_the_plain_one(seed: int) -> None:
+    rng, grid = np.random.default_rng(seed), Grid(np.zeros(3), 0.1, (7, 5, 70))
+    one, other = Memory.of_nothing(grid), Memory.of_nothing(grid)
+    for tick in range(12):
+        stamp, moving = tick * round(RESTING_S * 0.3e9), np.flatnonzero(rng.random(grid.size) < 0.1)
+        stands = Bits.of_mask(grid.dims, rng.random(grid.size) < 0.4)
+        found, plain = rested(one, stamp, moving, stands), rested_plainly(other, stamp, moving, stands)
+        assert np.array_equal(found, plain)
+        assert np.array_equal(one.moved_at, other.moved_at)
+        assert np.array_equal(one.moved.words, other.moved.words)
 
 
 def comes_and_rests(radius: float, rest_s: float) -> tuple[Forecaster, Occupancy]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 26
+INTERFACE_VERSION = 27
 
 
 class GrowRequest(ctypes.Structure):
@@ -354,6 +354,16 @@ class SurfaceRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("inner_dims", "outer_dims", "inner_origin", "outer_origin")),
         *((name, c_void_p) for name in ("forecast", "indices", "labels", "parts", "foreseen", "count")),
         ("seen", ctypes.POINTER(SurfaceView)),
+    )
+
+
+class RestRequest(ctypes.Structure):
+    """`forecast::RestRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("nx", "ny", "nz")),
+        *((name, c_int64) for name in ("voxels", "stamp", "oldest")),
+        *((name, c_void_p) for name in ("moving", "standing", "moved_at", "moved", "resting", "count")),
     )
 
 

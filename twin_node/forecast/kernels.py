@@ -28,6 +28,7 @@ from twin_node.forecast.kernel_requests import (
     OutlookRequest,
     PackRequest,
     ReckonRequest,
+    RestRequest,
     ReviseRequest,
     RunsRequest,
     SeeRequest,
@@ -80,6 +81,8 @@ class Kernels(NativeLibrary):
         self._dll.forecast_outlook.argtypes = [ctypes.POINTER(OutlookRequest)]
         self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
         self._dll.forecast_reckon.restype = None
+        self._dll.forecast_rest.argtypes = [ctypes.POINTER(RestRequest)]
+        self._dll.forecast_rest.restype = None
         self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.forecast_surface.argtypes = [ctypes.POINTER(SurfaceRequest)]
         self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
@@ -185,6 +188,10 @@ class Kernels(NativeLibrary):
     def reckon(self, request: ReckonRequest) -> None:
         """Says what became of forecasts of nodes; takes one thread."""
         self._dll.forecast_reckon(request)
+
+    def rest(self, request: RestRequest) -> None:
+        """Says which standing voxels moved of late; takes one thread."""
+        self._dll.forecast_rest(request)
 
     def nearest(self, request: NearestRequest) -> None:
         """Finds the nearest of points; takes one thread. Raises `MemoryError`."""

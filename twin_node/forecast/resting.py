@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.bits import Bits
+from twin_node.forecast.kernel_requests import RestRequest
+from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Grid
 
 RESTING_S = 20.0
 """How long what has moved by itself may start again, s: one start spoils the forecasts of one horizon of 0.2 s, and a
 target of 99 % allows one in a hundred. Longer rests are those of things that somebody put down."""
+_RESTING_NS = round(RESTING_S * 1e9)
 _NEVER = np.iinfo(np.int64).min // 2
 
 
@@ -18,9 +24,7 @@ class Resting:
     """Follows which standing voxels of one grid moved of late, state by state."""
 
     def __init__(self, grid: Grid) -> None:
-        self._moved_at = np.full(grid.size, _NEVER, np.int64)
-        self._moved = Bits.none(grid.dims)
-        """Where something moved that has not been found to have been too long ago."""
+        self._memory = Memory.of_nothing(grid)
 
     def update(self, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
         """Flat indices [n] of voxels that stand at `stamp` (ns, rising), and did not when something moved in them.
@@ -28,10 +32,47 @@ class Resting:
         `moving` [m]: flat indices where something moves that may rest and start again; `standing`: what stands. A table
         that a hand passes over stood all along: it is none of these.
         """
-        started = moving[~standing.holds(moving)]
-        self._moved_at[started] = stamp
-        self._moved.add(started)
-        stands = (self._moved & standing).indices()
-        is_recent = self._moved_at[stands] > stamp - round(RESTING_S * 1e9)
-        self._moved.remove(stands[~is_recent])
-        return stands[is_recent]
+        return rested(self._memory, stamp, moving, standing)
+
+
+@dataclass(frozen=True)
+class Memory:
+    """When something moved in one grid; `rested` changes it."""
+
+    moved_at: NDArray[np.int64]
+    """[voxels] ns."""
+    moved: Bits
+    """Where something moved that has not been found to have been too long ago."""
+    room: NDArray[np.int64]
+    """[voxels] for what a kernel finds: memory is taken by what is written alone."""
+
+    @staticmethod
+    def of_nothing(grid: Grid) -> Memory:
+        """Before anything moved."""
+        room = np.empty(grid.size, np.int64)
+        return Memory(np.full(grid.size, _NEVER, np.int64), Bits.none(grid.dims), room)
+
+
+def rested(memory: Memory, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
+    """What `Resting.update` finds; the memory is brought up to date.
+
+    Compiled; `rested_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return rested_plainly(memory, stamp, moving, standing)
+    count, places = np.empty(1, np.int64), np.ascontiguousarray(moving, np.int64)
+    arrays = (places, np.ascontiguousarray(standing.words), memory.moved_at, memory.moved.words, memory.room, count)
+    compiled.rest(RestRequest(*standing.dims, len(places), stamp, stamp - _RESTING_NS, *addresses_of(*arrays)))
+    return memory.room[: count[0]].copy()
+
+
+def rested_plainly(memory: Memory, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
+    """What `rested` does."""
+    started = moving[~standing.holds(moving)]
+    memory.moved_at[started] = stamp
+    memory.moved.add(started)
+    stands = (memory.moved & standing).indices()
+    is_recent = memory.moved_at[stands] > stamp - _RESTING_NS
+    memory.moved.remove(stands[~is_recent])
+    return stands[is_recent]

@@ -17,6 +17,7 @@
 #include "own.h"
 #include "parts.h"
 #include "reckon.h"
+#include "rest.h"
 #include "seen.h"
 #include "shown.h"
 #include "solve.h"
@@ -117,6 +118,8 @@ int32_t forecast_outlook(const forecast::OutlookRequest *request) {
 }
 
 void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(*request); }
+
+void forecast_rest(const forecast::RestRequest *request) { forecast::rest(*request); }
 
 int32_t forecast_nearest(const forecast::NearestRequest *request) {
   return guarded([&] { forecast::nearest(*request); });

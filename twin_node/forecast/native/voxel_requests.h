@@ -180,6 +180,18 @@ struct ConcealRequest {
   uint64_t *unseen;  // [words] told as unknown, before and after
 };
 
+// Which of the voxels that stand moved of late, and did not stand then.
+struct RestRequest {
+  int32_t nx, ny, nz;
+  int64_t voxels, stamp, oldest;  // ns, of now, and from when on what moved counts
+  const int64_t *moving;          // [voxels] flat, in the grid
+  const uint64_t *standing;       // [nx, ny, words]
+  int64_t *moved_at;              // [nx, ny, nz] ns, before and after
+  uint64_t *moved;                // [nx, ny, words] where that may be late enough, before and after
+  int64_t *resting;               // [n] flat, rising; room for all voxels
+  int64_t *count;                 // [1] n
+};
+
 // The voxels that hold points of measured surfaces, `finer` along each side of a pixel.
 struct MarkRequest {
   int32_t width, height, finer, nx, ny, nz;
