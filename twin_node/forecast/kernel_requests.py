@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 27
+INTERFACE_VERSION = 28
 
 
 class GrowRequest(ctypes.Structure):

@@ -2,10 +2,12 @@
 #pragma once
 
 #include <algorithm>
+#include <memory>
 #include <vector>
 
 #include "../../native/crew.h"
 #include "bits.h"
+#include "each.h"
 #include "interface.h"
 #include "overview.h"
 
@@ -38,7 +40,7 @@ class BlockVerdicts {
   using Size = BlockSightings Table::*;  // &Table::small or &Table::large
 
   BlockVerdicts(
-      const CarveRequest &request, const std::vector<Overview> &overviews,
+      const CarveRequest &request, const std::vector<std::unique_ptr<Overview>> &overviews,
       const std::vector<std::vector<int32_t>> &flags)
       : r_(request), overviews_(overviews), flags_(flags), dividing_(kParts * request.views) {}
 
@@ -46,7 +48,7 @@ class BlockVerdicts {
   bool freed_as_a_whole(Size size, int64_t block) {
     for (int turn = 0; turn < r_.views; turn++, likeliest_ = (likeliest_ + 1) % r_.views) {
       const BlockSightings &blocks = r_.sights[likeliest_].table.*size;
-      const Overview &overview = overviews_[likeliest_];
+      const Overview &overview = *overviews_[likeliest_];
       const auto window = [&] { return overview.window(blocks.windows + 4 * block); };
       if (blocks.whole[block] && blocks.far[block] < overview.least(window())) return true;
     }
@@ -107,7 +109,7 @@ class BlockVerdicts {
     int moving = 0, robot = 0, surface = 0;
     for (int v = 0; v < r_.views; v++) {
       const BlockSightings &blocks = r_.sights[v].table.*size;
-      const Overview &overview = overviews_[v];
+      const Overview &overview = *overviews_[v];
       const int32_t *ends = blocks.windows + 4 * block;
       Extremes all = overview.outside();
       if (ends[0] <= ends[1]) all = joined(all, overview.over(overview.window(ends)));
@@ -153,7 +155,7 @@ class BlockVerdicts {
   }
 
   const CarveRequest &r_;
-  const std::vector<Overview> &overviews_;
+  const std::vector<std::unique_ptr<Overview>> &overviews_;
   const std::vector<std::vector<int32_t>> &flags_;
   std::vector<int> dividing_;  // views that may free parts of blocks, block by block: so many
   int dividing_count_ = 0;
@@ -179,6 +181,7 @@ class Slab {
         large_(r_.nx, r_.ny, r_.nz, kLarge) {}
 
   void carve() {
+    clear();
     for (int64_t y = 0; y < large_.y; y++) {
       for (int64_t z = 0; z < large_.z; z++) {
         const int64_t block = large_.flat(number_, y, z);
@@ -199,6 +202,14 @@ class Slab {
   struct Corner {
     int64_t x, y, z;
   };
+
+  void clear() const {
+    const int64_t row = static_cast<int64_t>(r_.ny) * words_of(r_.nz), first = number_ * kLarge;
+    const int64_t planes = std::min<int64_t>(kLarge, r_.nx - first);
+    for (uint64_t *mask : {r_.unknown, r_.may_move, r_.likely_moves, r_.on_arm}) {
+      std::fill_n(mask + first * row, planes * row, 0);
+    }
+  }
 
   template <class Work>
   void for_parts(int64_t y, int64_t z, const Work &work) const {
@@ -257,12 +268,12 @@ inline void conceal(const ConcealRequest &r) {
 }
 
 inline void carve(const CarveRequest &r) {
-  std::vector<std::vector<int32_t>> flags;  // words are gathered many at a time, bytes are not
-  std::vector<Overview> overviews;
-  for (int v = 0; v < r.views; v++) {
-    flags.emplace_back(r.sights[v].flags, r.sights[v].flags + r.sights[v].size);
-    overviews.emplace_back(r.sights[v]);
-  }
+  std::vector<std::vector<int32_t>> flags(r.views);  // words are gathered many at a time, bytes are not
+  std::vector<std::unique_ptr<Overview>> overviews(r.views);
+  for_each_in_parallel(r.threads, r.views, [&](int64_t v) {
+    flags[v].assign(r.sights[v].flags, r.sights[v].flags + r.sights[v].size);
+    overviews[v] = std::make_unique<Overview>(r.sights[v]);
+  });
   std::vector<BlockVerdicts> verdicts((r.nx + 2 * kBlock - 1) / (2 * kBlock), BlockVerdicts(r, overviews, flags));
   crew::parallel_for(r.threads, static_cast<int64_t>(verdicts.size()), [&](int64_t slab) {
     Slab(r, verdicts[slab], slab).carve();

@@ -135,7 +135,7 @@ struct ReviseRequest {
 struct CarveRequest {
   int32_t views, nx, ny, nz, threads;
   const Sight *sights;  // [views]
-  uint64_t *unknown, *may_move, *likely_moves, *on_arm;  // [nx, ny, words] come zeroed
+  uint64_t *unknown, *may_move, *likely_moves, *on_arm;  // [nx, ny, words]
 };
 
 // What at most `most` boxes are to hold: listed voxels, or the cells of 4 x 4 x 4 that a mask fills a share of.
