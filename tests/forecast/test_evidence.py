@@ -9,6 +9,7 @@ from forecast_worlds import GRID, ball_depth, floor_depth, state_of
 
 from twin_node.forecast.evidence import Observer
 from twin_node.forecast.grid import decode_runs
+from twin_node.forecast.neighbours import closest
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.scene import Float64, TwinState
@@ -45,3 +46,14 @@ def test_unseen_space_that_what_moves_passes_before_stays_unknown() -> None:
         rims += np.count_nonzero(below[np.ravel_multi_index(tuple(places[:, inside]), GRID.dims)])
         assert unknown[below].all()
     assert rims > 0
+
+
+def test_neighbours_that_are_found_meanwhile_are_those_of_the_parts() -> None:
+    observer = Observer(GRID, CarvingParameters(), StaticParameters())
+    for number in range(3):
+        center = np.array([-0.2 + 0.02 * number, 0.0, 0.45])
+        evidence = observer.observe(over_a_table(number * PERIOD_NS, center))
+    assert evidence.parts.count > 8
+    found, expected = evidence.near.result(), closest(evidence.parts.centers)
+    assert np.array_equal(found.rows, expected.rows)
+    assert np.array_equal(found.distances, expected.distances)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.landing import floors_of
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.nearest import nearest_one
+from twin_node.forecast.neighbours import Closest, closest
 from twin_node.forecast.own_space import own_space
 from twin_node.forecast.part_velocities import PartVelocities
 from twin_node.forecast.parts import Parts, split
@@ -57,6 +59,8 @@ class Evidence:
     """[M] m, heights that the middles of the parts do not get below, for what stands there; -inf where nothing does."""
     static: OccupancyLayer
     """What stands."""
+    near: Errand[Closest]
+    """Which parts are nearest to each, found out meanwhile: only their forecast asks for it."""
     unseen: Errand[Unseen]
     """Found out meanwhile, for no forecast depends on it."""
     resting: NDArray[np.int64]
@@ -110,6 +114,7 @@ class Observer:
         """The evidence of a state; states come in rising order of stamps."""
         found = self._without_arm(state, self._carver.carve(state, self._speed()))
         parts, carved = self._without_specks(found)
+        near = Errand(partial(closest, parts.centers))
         static = self._static.update(state, self._carver)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
@@ -127,6 +132,7 @@ class Observer:
             whole=whole,
             floors=floors_of(self.grid, stands, parts.centers, whole),
             static=self._standing.inner,
+            near=near,
             unseen=behind,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )

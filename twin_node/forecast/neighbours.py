@@ -33,10 +33,10 @@ class _Cells(NamedTuple):
 class Neighbours:
     """Gaussian averages over the nodes about each of M nodes, the node itself included."""
 
-    def __init__(self, positions: Float64) -> None:
-        """`positions` [M, 3] m."""
+    def __init__(self, positions: Float64, near: Closest | None = None) -> None:
+        """`positions` [M, 3] m; `near`: what `closest` says of them, if that is known."""
         count = len(positions)
-        distances, self._nearest = closest(positions)
+        distances, self._nearest = closest(positions) if near is None else near
         self._near_weights = _weights(distances**2, NEAR_SCALE)
         self._by_cell, self._starts = _cells_of(np.floor(positions / CELL))
         self._sizes = np.diff(self._starts, append=count).astype(np.float64)

@@ -133,7 +133,7 @@ class Forecaster:
         told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
         measured = told if has_depth else None
         ahead_s, factor = float(horizons[-1]), self._control.factor
-        self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor)
+        self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor, evidence.near)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.alone

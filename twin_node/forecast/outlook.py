@@ -27,7 +27,7 @@ from twin_node.forecast.experts import (
 from twin_node.forecast.kernel_requests import OutlookRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.leading import Guides, Led, led_plainly
-from twin_node.forecast.neighbours import BODY_SCALE, CELL, NEAR_SCALE, Neighbours, closest
+from twin_node.forecast.neighbours import BODY_SCALE, CELL, NEAR_SCALE, Closest, Neighbours, closest
 from twin_node.forecast.records import Rows
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
@@ -64,23 +64,36 @@ class Outlook:
     """[M, C] of the error at the last horizon."""
 
 
-def outlook(history: History, standing: Standing, floors: Float64, learnt: Float64, horizons: Float64) -> Outlook:
+def outlook(
+    history: History,
+    standing: Standing,
+    floors: Float64,
+    learnt: Float64,
+    horizons: Float64,
+    near: Closest | None = None,
+) -> Outlook:
     """Where the nodes that a history ends with are led in `horizons` [H] (s).
 
     `floors` [M]: heights in metres that they bounce from. `learnt` [H, F]: weights of the autoregression's features.
-    Compiled; `outlook_plainly` where that cannot be.
+    `near`: what `closest` says of where the nodes are, if that is known. Compiled; `outlook_plainly` where that cannot
+    be.
     """
-    compiled = kernels()
+    compiled, near = kernels(), closest(history.positions[-1]) if near is None else near
     if compiled is None:
-        return outlook_plainly(history, standing, floors, learnt, horizons)
-    return _outlook_by(compiled, history, standing, floors, learnt, horizons)
+        return outlook_plainly(history, standing, floors, learnt, horizons, near)
+    return _outlook_by(compiled, history, standing, floors, learnt, horizons, near)
 
 
 def _outlook_by(
-    compiled: Kernels, history: History, standing: Standing, floors: Float64, learnt: Float64, horizons: Float64
+    compiled: Kernels,
+    history: History,
+    standing: Standing,
+    floors: Float64,
+    learnt: Float64,
+    horizons: Float64,
+    near: Closest,
 ) -> Outlook:
     (samples, count, _), experts, ahead = history.positions.shape, len(EXPERT_NAMES), len(horizons)
-    near = closest(history.positions[-1])
     single, mixed = np.empty((experts, ahead, count, 3)), np.empty((ahead, count, 3))
     found = Outlook(
         np.empty((count, 3, FEATURES)), np.empty((experts, count)), Led(single, mixed), np.empty((count, CUES))
@@ -104,10 +117,15 @@ def _outlook_by(
 
 
 def outlook_plainly(
-    history: History, standing: Standing, floors: Float64, learnt: Float64, horizons: Float64
+    history: History,
+    standing: Standing,
+    floors: Float64,
+    learnt: Float64,
+    horizons: Float64,
+    near: Closest | None = None,
 ) -> Outlook:
     """What `outlook` does."""
-    around = Neighbours(history.positions[-1])
+    around = Neighbours(history.positions[-1], near)
     features = autoregression_features(history, around)
     pooled = around.body(standing.squared.T).T
     shares = mix((1 - _POOLED) * standing.squared + _POOLED * pooled)

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.forecast.bound import LEAST, Bound, BoundParameters
+from twin_node.forecast.errands import Errand
 from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, Autoregression, History
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
+from twin_node.forecast.neighbours import Closest
 from twin_node.forecast.outlook import Standing, outlook, weighed
 from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
@@ -113,19 +115,20 @@ class Predictor:
         horizon_s: float,
         measured: Measured | None = None,
         factor: float = 1.0,
+        near: Errand[Closest] | None = None,
     ) -> None:
         """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
 
         Earlier samples of the history are the paths of the nodes of now. What was forecast for the time since the last
         sample is judged. `measured`: what is known of the velocities that the paths end with, if they are. `factor`: on
-        calibrated bounds.
+        calibrated bounds. `near`: who asks for the neighbours of the nodes (`neighbours.closest`), if somebody does.
         """
         self._horizon_s, self._measured, self._factor = horizon_s, measured, factor
         self._history = history
         self._records = self._records.inherited(succession.records, history.times[-1])
         self._inherit(succession.paths)
         self._judge()
-        self._issue()
+        self._issue(None if near is None else near.result())
 
     def _inherit(self, paths: Rows) -> None:
         """Says whose forecasts wait for the truth: each node of now goes on with one of before, as `paths` [M] tell."""
@@ -224,12 +227,12 @@ class Predictor:
         learnt = self.autoregression.weights(horizons / self._horizon_s)
         return led(Guides(self._history, self._features, self._floors), learnt, self.weights, horizons)
 
-    def _issue(self) -> None:
+    def _issue(self, near: Closest | None) -> None:
         """Has every expert forecast the places at the knots."""
         standing = Standing(self._records.squared, self._records.errors, self._trust, self._alone)
         shares = np.array(KNOTS)
         learnt, horizons = self.autoregression.weights(shares), shares * self._horizon_s
-        found = outlook(self._history, standing, self._floors, learnt, horizons)
+        found = outlook(self._history, standing, self._floors, learnt, horizons, near)
         self._features, self._shares, self._cues = found.features, found.shares, found.cues
         self._weights = None
         self.alone = found.led.single[:, -1]
