@@ -53,6 +53,10 @@ inline PixelRect pixel_rect(const Footprint &f, int width, int height) {
           static_cast<int>(std::min(height - 1.f, std::floor(f.y + f.reach_y - 0.5f)))};
 }
 
+struct TileRect {
+  int column0, column1, row0, row1;  // inclusive
+};
+
 struct Image {
   int width = 0, height = 0, tile_columns = 0, tile_rows = 0;
   Camera camera{};
@@ -69,6 +73,7 @@ struct Image {
   Buffer<Splat> splats;                                 // [visible] in depth order
   Buffer<int32_t> id;                                   // [visible] Gaussian
   Buffer<float> depth;                                  // [visible]
+  Buffer<TileRect> reached;                             // [visible] tiles that each comes into
   Buffer<int32_t> row_of;                               // [N] row in `splats`, -1 for none
   Buffer<int32_t> slot_begin;  // [visible + 1] first of a splat's intersections, counted splat by splat
   Buffer<int32_t> tile_begin;  // [tiles + 1] first of a tile's intersections, counted tile by tile
@@ -184,6 +189,7 @@ inline void order_by_depth(Image &image, int gaussians) {
   image.splats.reserve(count);
   image.id.reserve(count);
   image.depth.reserve(count);
+  image.reached.reserve(count);
   image.slot_begin.reserve(static_cast<size_t>(count) + 1);
   for (int task = 0, to = 0; task < tasks; task++) {
     const uint32_t first = static_cast<uint32_t>(task) * kGaussiansPerTask;
@@ -195,25 +201,18 @@ inline void order_by_depth(Image &image, int gaussians) {
   if (count > 0) sort_by_key(image, count);
 }
 
-// Copies what was found into the splats, in depth order.
-inline void gather_splats(Image &image) {
-  for (int row = 0; row < image.visible; row++) {
+// Copies what was found into the splats [begin, end), in depth order, and finds the tiles that they reach.
+inline void gather_splats(Image &image, int begin, int end) {
+  for (int row = begin; row < end; row++) {
     const uint32_t place = image.place[row];
     const int32_t id = image.found_id[place];
     image.splats[row].shape = image.found[place];
     image.id[row] = id;
     std::memcpy(&image.depth[row], &image.found_key[place], sizeof(float));
     image.row_of[id] = row;
+    const PixelRect r = pixel_rect(image.splats[row].shape, image.width, image.height);
+    image.reached[row] = {r.x0 / kTile, r.x1 / kTile, r.y0 / kTile, r.y1 / kTile};
   }
-}
-
-struct TileRect {
-  int column0, column1, row0, row1;  // inclusive
-};
-
-inline TileRect tile_rect(const Image &image, const Splat &splat) {
-  const PixelRect r = pixel_rect(splat.shape, image.width, image.height);
-  return {r.x0 / kTile, r.x1 / kTile, r.y0 / kTile, r.y1 / kTile};
 }
 
 // Lists the splats of every live tile by counting sort; false where there are too many to count.
@@ -223,7 +222,7 @@ inline bool bin_into_tiles(Image &image) {
   std::fill_n(image.tile_begin.data(), tiles + 1, 0);
   int64_t total = 0;
   for (int row = 0; row < image.visible; row++) {
-    const TileRect r = tile_rect(image, image.splats[row]);
+    const TileRect &r = image.reached[row];
     if (total > std::numeric_limits<int32_t>::max() - tiles) return false;
     image.slot_begin[row] = static_cast<int32_t>(total);
     for (int y = r.row0; y <= r.row1; y++) {
@@ -244,7 +243,7 @@ inline bool bin_into_tiles(Image &image) {
   image.tile_hit.reserve(total);
   image.tile_needed.reserve(total);
   for (int row = 0; row < image.visible; row++) {
-    const TileRect r = tile_rect(image, image.splats[row]);
+    const TileRect &r = image.reached[row];
     int32_t slot = image.slot_begin[row];
     for (int y = r.row0; y <= r.row1; y++) {
       for (int x = r.column0; x <= r.column1; x++) {

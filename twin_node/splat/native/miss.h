@@ -7,12 +7,12 @@ namespace splat {
 
 inline float within(float value, float limit) { return std::min(std::max(value, -limit), limit); }
 
-// Which way each drawn pixel's channels and alpha should go; the last colour pulls by one, so that its gradient is the
-// sum of the blend weights.
-inline void pull_pixels(const MissRequest &m) {
+// Which way the channels and alpha of each drawn pixel of [begin, end) should go; the last colour pulls by one, so that
+// its gradient is the sum of the blend weights.
+inline void pull_pixels(const MissRequest &m, int64_t begin, int64_t end) {
   const Request &r = m.scene;
   const int channels = channels_of(r), colors = r.color_channels;
-  for (int64_t at = 0; at < static_cast<int64_t>(r.width) * r.height; at++) {
+  for (int64_t at = begin; at < end; at++) {
     float *pull = m.pull + channels * at;
     m.pull_alpha[at] = 0.f;
     std::fill_n(pull, channels, 0.f);
@@ -33,7 +33,9 @@ inline void pull_pixels(const MissRequest &m) {
 inline Status add_missed(Workspace &w, const MissRequest &m) {
   const Status drawn = forward(w, m.scene);
   if (drawn != kOk) return drawn;
-  pull_pixels(m);
+  const int64_t band = static_cast<int64_t>(kTile) * m.scene.width, pixels = m.scene.width * int64_t{m.scene.height};
+  parallel_for(m.scene.threads, (pixels + band - 1) / band,
+               [&](int64_t i) { pull_pixels(m, i * band, std::min(pixels, (i + 1) * band)); });
   return backward(w, m.scene, m.gradients);
 }
 

@@ -162,26 +162,53 @@ inline void blend_pass(const Request &r, Workspace &w, const Pass &pass, bool on
   });
 }
 
-// From what projection found to tiles with their splats; the images side by side.
+// Runs work(image, begin, end) over the splats of all images, some of one image at a time.
+template <class Work>
+inline void over_splats(int threads, const Request &r, const Workspace &w, const Work &work) {
+  constexpr int kSplatsPerTask = 256;
+  int most = 0;
+  for (int i = 0; i < images_of(r); i++) most = std::max(most, w.images[i]->visible);
+  const int64_t chunks = (most + kSplatsPerTask - 1) / kSplatsPerTask;
+  parallel_for(threads, chunks * images_of(r), [&](int64_t at) {
+    const int i = static_cast<int>(at / chunks), begin = static_cast<int>(at % chunks) * kSplatsPerTask;
+    const int end = std::min(w.images[i]->visible, begin + kSplatsPerTask);
+    if (begin < end) work(i, begin, end);
+  });
+}
+
+// Runs step(image) -> Status for all images side by side; the worst of what they return.
+template <class Step>
+inline Status in_each_image(int threads, const Request &r, const Workspace &w, const Step &step) {
+  std::vector<Status> status(images_of(r), kOk);
+  parallel_for(threads, images_of(r), [&](int64_t i) {
+    try {
+      status[i] = step(*w.images[i]);
+    } catch (const std::bad_alloc &) {
+      status[i] = kOutOfMemory;
+    }
+  });
+  return *std::max_element(status.begin(), status.end());
+}
+
+// From what projection found to tiles with their splats.
 inline Status sort_and_bin(const Request &r, Workspace &w, int tasks) {
   constexpr int64_t kGrain = 2048;  // splats
   int64_t found = 0;
   for (int i = 0; i < images_of(r); i++) {
     for (int task = 0; task < tasks; task++) found += w.images[i]->found_count[task];
   }
-  std::vector<Status> status(images_of(r), kOk);
-  parallel_for(threads_for(r.threads, found, kGrain), images_of(r), [&](int64_t i) {
-    Image &image = *w.images[i];
-    try {
-      order_by_depth(image, r.gaussians);
-      gather_splats(image);
-      load_channels(r, image, static_cast<int>(i), make_pass(r, 0), 0, image.visible);
-      status[i] = bin_into_tiles(image) ? kOk : kTooManyIntersections;
-    } catch (const std::bad_alloc &) {
-      status[i] = kOutOfMemory;
-    }
+  const int threads = threads_for(r.threads, found, kGrain);
+  const Status ordered = in_each_image(threads, r, w, [&](Image &image) {
+    order_by_depth(image, r.gaussians);
+    return kOk;
   });
-  return *std::max_element(status.begin(), status.end());
+  if (ordered != kOk) return ordered;
+  over_splats(threads, r, w, [&](int i, int begin, int end) {
+    gather_splats(*w.images[i], begin, end);
+    load_channels(r, *w.images[i], i, make_pass(r, 0), begin, end);
+  });
+  return in_each_image(threads, r, w,
+                       [](Image &image) { return bin_into_tiles(image) ? kOk : kTooManyIntersections; });
 }
 
 inline Status forward(Workspace &w, const Request &r) {
@@ -236,17 +263,8 @@ inline void refresh_splats(const Request &r, Image &image, int index, int begin,
 // little: they keep their order and their tiles. For no more channels than one pass has.
 inline void redraw(Workspace &w, const Request &r, int first_row) {
   const std::lock_guard<std::mutex> lock(w.in_use);
-  constexpr int kSplatsPerTask = 256;
-  int most = 0;
-  for (int i = 0; i < images_of(r); i++) most = std::max(most, w.images[i]->visible);
-  const int64_t chunks = (most + kSplatsPerTask - 1) / kSplatsPerTask;
-  parallel_for(r.threads, chunks * images_of(r), [&](int64_t at) {
-    const int index = static_cast<int>(at / chunks), begin = static_cast<int>(at % chunks) * kSplatsPerTask;
-    Image &image = *w.images[index];
-    if (begin < image.visible) {
-      refresh_splats(r, image, index, begin, std::min(image.visible, begin + kSplatsPerTask), first_row);
-    }
-  });
+  over_splats(r.threads, r, w,
+              [&](int i, int begin, int end) { refresh_splats(r, *w.images[i], i, begin, end, first_row); });
   blend_pass(r, w, make_pass(r, 0), true);
 }
 
