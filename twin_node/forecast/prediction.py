@@ -80,6 +80,7 @@ class Predictor:
         self._weights: Float64 | None = None
         """`weights`, until something that they come of changes."""
         self._cues = np.zeros((0, 0))
+        self._speeds = np.zeros(0)
         self._learnt_at = np.full(len(KNOTS), -np.inf)
         self.alone = np.zeros((len(EXPERT_NAMES), 0, 3))
         """[E, M, 3] displacements by each expert alone at the horizon of the last `advance`, m."""
@@ -174,7 +175,7 @@ class Predictor:
         if self._measured is None:
             return Prediction(mixed, shares[:, None] * radii, self._turning)
         within = self._measured.sooner(horizons / last, shares) * radii
-        within = np.minimum(within, self._measured.most(np.linalg.norm(self._history.line[0], axis=-1), horizons))
+        within = np.minimum(within, self._measured.most(self._speeds, horizons))
         return Prediction(mixed, np.maximum(within, self._start(horizons)), self._turning)
 
     def _start(self, horizons: Float64) -> Float64:
@@ -189,8 +190,8 @@ class Predictor:
         wary = self._history.times[-1] - self._records.turned < _WARY * horizon_s
         radii = np.where(wary, np.maximum(radii, self.bound.reachable(horizon_s)), radii)
         if self._measured is not None:
-            spread, speeds = np.exp(self._cues[:, 1]) - LEAST, np.linalg.norm(self._history.line[0], axis=-1)
-            reach = self._measured.reach(spread, speeds, self.bound.reachable(horizon_s), horizon_s)
+            spread = np.exp(self._cues[:, 1]) - LEAST
+            reach = self._measured.reach(spread, self._speeds, self.bound.reachable(horizon_s), horizon_s)
             radii = np.where(self._newcomers, reach, radii)
         return np.minimum(radii, self.bound.parameters.largest_radius)
 
@@ -234,6 +235,7 @@ class Predictor:
         learnt, horizons = self.autoregression.weights(shares), shares * self._horizon_s
         found = outlook(self._history, standing, self._floors, learnt, horizons, near)
         self._features, self._shares, self._cues = found.features, found.shares, found.cues
+        self._speeds = np.linalg.norm(self._history.line[0], axis=-1)
         self._weights = None
         self.alone = found.led.single[:, -1]
         time, count = float(self._history.times[-1]), self._history.positions.shape[1]

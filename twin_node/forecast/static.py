@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -68,7 +69,8 @@ class StaticSpace:
         """Voxels within one standard deviation of the opaque STATIC Gaussians."""
         cloud = state.gaussians
         chosen = (cloud.tiers == Tier.STATIC) & (cloud.opacities >= self.parameters.opacity)
-        chosen &= cloud.scales.max(axis=1, initial=0) < 20 * self.grid.voxel_size
+        largest = functools.reduce(np.maximum, cloud.scales.T)  # column by column: rows of three take NumPy long
+        chosen &= largest < 20 * self.grid.voxel_size
         found = self.grid.indices(cloud.means[chosen])
         return found[found >= 0]
 
