@@ -15,6 +15,7 @@ from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import LOOKS, MERGE, SPLIT, Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
+from twin_node.model.parts import halves_of
 from twin_node.model.passing import Passing
 from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Splats, render
@@ -75,10 +76,11 @@ def test_a_block_that_turns_and_slides_ends_carried_by_one_rigid_node_with_its_m
     assert going == pytest.approx([STEP_M / DT_S, 0.0, 0.0], abs=0.25 * STEP_M / DT_S)
 
 
-def test_two_blocks_that_slide_as_one_and_then_part_end_on_two_nodes() -> None:
+@pytest.mark.parametrize("together", [24, 26, 28])
+def test_two_blocks_that_slide_as_one_and_then_part_end_on_two_nodes(together: int) -> None:
     model = WindowModel(QUICK)
-    together, decisions = 26, []
-    for index in range(42):
+    decisions: list[Decision] = []
+    for index in range(together + 16):
         x = -0.15 + STEP_M * min(max(index - 2, 0), together)
         apart = STEP_M * max(index - 2 - together, 0)
         state = model.update(seen(index, block(x, -0.09 - apart), block(x, 0.09 + apart)))
@@ -248,6 +250,20 @@ def test_a_node_whose_cells_move_two_ways_parts_along_the_cut_and_one_body_never
     two[4:, 1] -= 0.1
     splits = [one for one in decided(cells, two, 30) if isinstance(one, Split)]
     assert splits[0].leaving.tolist() == [False] * 4 + [True] * 2
+
+
+def test_a_suspicion_that_explains_less_than_another_cut_gives_way_to_it_and_the_best_stands() -> None:
+    cells = row_of(6, [0] * 6)
+    two = np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    two[4:, 1] -= 0.1
+    said = told(two, cells.centres, 0)
+    smaller, wrong = np.arange(6) >= 4, np.arange(6) % 2 > 0
+    better = halves_of(said, cells.centres, 0.04, wrong)
+    assert better is not None
+    assert np.array_equal(better, smaller)
+    assert halves_of(said, cells.centres, 0.04, smaller) is None
+    almost = np.arange(6) >= 3
+    assert halves_of(said, cells.centres, 1e6, almost) is None, "among errors as large neither tells more"
 
 
 def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_velocity() -> None:

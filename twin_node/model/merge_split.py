@@ -244,14 +244,13 @@ class MergeSplit:
         return leaving
 
     def _search(self, ids: NDArray[np.int64], middles: Float64) -> None:
-        """Looks for ways to see nodes as two bodies, where none is suspected or the one that is does not hold."""
+        """Looks for ways to see nodes in turn as two bodies, and for better ones than those that are suspected."""
         self._turn += 1
-        rows = np.unique(self._cells.nodes)
-        order = np.roll(rows, -SEARCHES * self._turn)
-        idle = [row for row in order if self._holds(int(ids[row])) is False][:SEARCHES]
-        for row in idle:
-            own = np.flatnonzero(self._cells.nodes == row)
-            second = halves_of(self._said.of(own), self._cells.centres[own], float(self._misfits[row]))
+        for row in np.roll(np.unique(self._cells.nodes), -SEARCHES * self._turn)[:SEARCHES]:
+            own, suspected = np.flatnonzero(self._cells.nodes == row), None
+            if self._holds(int(ids[row])):
+                suspected = np.isin(self._cells.keys[own], self._suspicions[int(ids[row])].second)
+            second = halves_of(self._said.of(own), self._cells.centres[own], float(self._misfits[row]), suspected)
             if second is not None:
                 self._suspicions[int(ids[row])] = _Suspicion(self._cells.keys[own[second]])
 

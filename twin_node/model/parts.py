@@ -12,16 +12,18 @@ LEAST = PARAMETERS
 """Independent observations of a part that is told from the rest of its node: as many as its motion has parameters."""
 SURE = 1.0
 """Nats by which one part must explain a cell better for it to be known whose it is."""
+BETTER = 12.0
+"""Nats by which two other bodies must explain what was said better than those that are suspected."""
 ROUNDS = 3
 """Times that cells are dealt out again between two parts."""
 
 
-def halves_of(said: VelocityEquations, centres: Float64, misfit: float) -> Bool | None:
+def halves_of(said: VelocityEquations, centres: Float64, misfit: float, suspected: Bool | None = None) -> Bool | None:
     """[c] which of c cells at `centres` [c, 3] m are the smaller of the two bodies that explain best what was said.
 
-    None where there are not enough observations. Cells are dealt out along the axes of the body and by their own
-    motions, then time and again to the part whose velocity explains them better (Lloyd's algorithm with the flow's own
-    errors, of variance `misfit`, as distance).
+    None where there are not enough observations, or where those that are `suspected` [c] explain nearly as much of it.
+    Cells are dealt out along the axes of the body and by their own motions, then time and again to the part whose
+    velocity explains them better (Lloyd's algorithm with the flow's own errors, of variance `misfit`, as distance).
     """
     weight = said.counts
     if len(said) < 2 or weight.sum() < 2 * LEAST:
@@ -31,6 +33,8 @@ def halves_of(said: VelocityEquations, centres: Float64, misfit: float) -> Bool 
     second = _dealt(own, centres - middle, weight)
     for _ in range(ROUNDS):
         second = _dealt_again(own, second)
+    if suspected is not None:
+        second = np.concatenate([second, suspected[None]])
     parts = _parts(own, second)
     tries = len(second)
     counts = parts.counts.reshape(2, tries)
@@ -38,7 +42,10 @@ def halves_of(said: VelocityEquations, centres: Float64, misfit: float) -> Bool 
     if not enough.any():
         return None
     two = judge(parts.over(np.full(2 * tries, misfit)), np.zeros((2 * tries, 3))).best.reshape(2, tries).sum(0)
-    best = int(np.where(enough, two, -np.inf).argmax())
+    two = np.where(enough, two, -np.inf)
+    best = int(two.argmax())
+    if suspected is not None and two[best] - two[-1] <= BETTER:
+        return None
     smaller: Bool = second[best] if counts[1, best] <= counts[0, best] else ~second[best]
     return smaller
 
