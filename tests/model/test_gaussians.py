@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from twin_node import splat
 from twin_node.model.field import HexPlane
-from twin_node.model.gaussians import LOG_SCALE, MEAN, RGB, Gaussians, Newborns
+from twin_node.model.gaussians import LARGEST, LOG_SCALE, MEAN, RGB, Gaussians, Newborns
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes
 from twin_node.model.rotations import quat_from_vector
@@ -67,7 +68,8 @@ def test_steps_keep_colours_and_sizes_in_bounds() -> None:
     for _ in range(50):
         descend(store, rows, -torch.ones(2, 14), 0.2)
     assert store.values[:, RGB].max() == 1
-    assert store.values[:, LOG_SCALE].exp().max() < 0.025
+    largest = 0.01 * np.exp(LARGEST)
+    assert store.values[:, LOG_SCALE].exp().max() == pytest.approx(largest, rel=1e-5)
     for _ in range(100):
         descend(store, rows, torch.ones(2, 14), 0.2)
     assert store.values[:, RGB].min() == 0
