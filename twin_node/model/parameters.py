@@ -54,9 +54,10 @@ class BirthParameters:
 
     per_set: int = 200
     """Gaussians born per set at most."""
-    moving_share: float = 0.08
-    """Share of the capacity that Gaussians which are not STATIC may take: one per nine pixels where an eighth moves.
-    More than twice as much is worth 0.1 dB of what moves in a recorded cell, and 0.5 to 0.9 where a quarter moves."""
+    moving_share: float = 0.075
+    """Share of the capacity that Gaussians which are not STATIC may take: one per ten pixels where an eighth moves.
+    More than twice as many are worth 0.1 to 0.2 dB of what moves in a recorded cell, 0.9 where a quarter of all pixels
+    moves, and cost a tenth of the sets."""
     ray_samples: int = 24
     """Depths tried along the ray of a pixel that nothing explains."""
     kin_m: float = 0.06
