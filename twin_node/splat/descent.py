@@ -10,7 +10,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import non_finite
+from twin_node.splat.arguments import Options, non_finite
 from twin_node.splat.semantics import installed_semantics
 
 WIDTH = 14
@@ -206,7 +206,7 @@ class _Call:
         return native.Request(
             *(times, 1, count, width, height, 3),
             *(0, 0, 0, 1, 0, thread_count()),
-            *(0.01, 1e10, 0.0, 0.3),
+            *Options().limits,
             semantics.max_alpha,
             semantics.min_compensation,
             *(3 * count, 4 * count, 0, 0, 0),

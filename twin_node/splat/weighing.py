@@ -7,7 +7,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import non_finite
+from twin_node.splat.arguments import Options, non_finite
 from twin_node.splat.dispatch import rasterize
 from twin_node.splat.semantics import installed_semantics
 
@@ -38,7 +38,7 @@ def weigh(
     request = native.Request(
         *(1, 1, count, width, height, 0),
         *(0, 0, 0, 0, 0, thread_count()),
-        *(0.01, 1e10, 0.0, 0.3),
+        *Options().limits,
         semantics.max_alpha,
         semantics.min_compensation,
         *(0, 0, 0, 0, 0),
