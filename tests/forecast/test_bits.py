@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.grid import encode_runs
@@ -68,3 +69,11 @@ def test_compiled_lists_and_runs_are_the_plain_ones(dims: tuple[int, int, int], 
 def test_voxels_beside_the_grid_are_refused(beside: int) -> None:
     with pytest.raises(IndexError):
         Bits.of_indices((2, 3, 4), np.array([0, beside]))
+
+
+@pytest.mark.parametrize("dims", [(4, 3, 1), (5, 4, 64), (3, 6, 70), (4, 4, 130)])
+def test_grown_bits_are_all_that_touch_them(dims: tuple[int, int, int]) -> None:
+    mask = np.random.default_rng(dims[2]).random(dims) < 0.03
+    grown = Bits.of_mask(dims, mask.ravel()).grown()
+    assert np.array_equal(grown.mask().reshape(dims), binary_dilation(mask, np.ones((3, 3, 3))))
+    assert grown.count == grown.mask().sum(), "no bit beyond the grid"

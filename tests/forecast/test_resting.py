@@ -41,6 +41,29 @@ def test_what_stood_all_along_is_none_though_something_passed_over_it() -> None:
     assert resting.update(STEP_NS, nothing, standing(5)).tolist() == []
 
 
+def test_an_edge_of_furniture_that_is_found_after_something_passed_it_is_none_either() -> None:
+    resting, nothing = Resting(GRID), np.zeros(0, np.int64)
+    resting.update(0, np.array([5, 6]), standing(4))
+    assert resting.update(STEP_NS, nothing, standing(4, 5)).tolist() == [], "5 alone is a layer about 4"
+
+
+def test_a_body_that_rests_on_furniture_is_all_of_it() -> None:
+    resting, nothing = Resting(GRID), np.zeros(0, np.int64)
+    resting.update(0, np.array([5, 6, 7]), standing(4))
+    assert resting.update(STEP_NS, nothing, standing(4, 5, 6, 7)).tolist() == [5, 6, 7]
+    assert resting.update(2 * STEP_NS, nothing, standing(4, 5)).tolist() == [], "it left, but for what may be an edge"
+
+
+@pytest.mark.parametrize(("away", "is_limb"), [(20, True), (40, False)])
+def test_a_layer_about_what_stood_is_somebodys_while_they_move_within_reach(away: int, is_limb: bool) -> None:
+    grid = Grid(np.zeros(3), 0.02, (120, 8, 8))
+    resting, line = Resting(grid), np.arange(grid.dims[0]) * 64
+    layer, stands = line[21:22], Bits.of_indices(grid.dims, line[20:22])
+    resting.update(0, layer, Bits.of_indices(grid.dims, line[20:21]))
+    found = resting.update(STEP_NS, line[21 + away :][:1], stands)
+    assert found.tolist() == (layer.tolist() if is_limb else []), f"{away * 0.02:.2f} m"
+
+
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 @pytest.mark.parametrize("seed", range(5))
 def test_compiled_memory_is_the_plain_one(seed: int) -> None:

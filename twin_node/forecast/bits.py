@@ -131,6 +131,20 @@ class Bits:
         places, bits = self._find(indices)
         np.bitwise_and.at(self.words.reshape(-1), places, ~bits)
 
+    def grown(self) -> Bits:
+        """These and all voxels that touch them, by a face, an edge or a corner."""
+        words = self.words | self.words << np.uint64(1) | self.words >> np.uint64(1)
+        words[..., 1:] |= self.words[..., :-1] >> np.uint64(WORD - 1)
+        words[..., :-1] |= self.words[..., 1:] << np.uint64(WORD - 1)
+        if self.dims[2] % WORD:
+            words[..., -1] &= np.uint64((1 << self.dims[2] % WORD) - 1)
+        for axis in (0, 1):
+            lines = np.swapaxes(words, 0, axis)
+            before = lines.copy()
+            lines[1:] |= before[:-1]
+            lines[:-1] |= before[1:]
+        return Bits(self.dims, words)
+
     def _find(self, indices: NDArray[np.integer]) -> tuple[NDArray[np.integer], Words]:
         """Flat words [n] of flat indices [n], and the bit [n] of each."""
         columns, heights = np.divmod(indices, self.dims[2])
