@@ -111,14 +111,17 @@ def test_shares_that_are_broken_off_teach_all_the_same(every: int) -> None:
     assert shown[1] > shown[0] + 1
 
 
-@pytest.mark.parametrize(("waits", "births"), [(False, 8), (True, 7)])
-def test_births_are_put_off_once_where_a_set_waits_and_not_again(waits: bool, births: int) -> None:
+@pytest.mark.parametrize(("waits", "births", "begun"), [(False, 8, 8), (True, 7, 4)])
+def test_births_are_put_off_once_where_a_set_waits_and_learning_every_other_time(
+    waits: bool, births: int, begun: int
+) -> None:
     model, stages = WindowModel(QUICK), []
     model.on_stage = stages.append
     for one in sliding(9, CAMERAS):
         model.update(one)
         model.refine(lambda: not waits)
     assert stages.count("bear") == births
+    assert stages.count("begin") == begun
 
 
 def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
@@ -143,7 +146,7 @@ def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
             now = replace(now, views=tuple(replace(v, rgb=rgb) for v, rgb in zip(now.views, dark, strict=True)))
         observed = observer.observe(now, nothing, [None] * len(CAMERAS), backgrounds.of(store, CAMERAS), 0.033)
         errors.append(np.mean([np.abs(one.rgb - one.background.rgb).mean() for one in observed]))
-        list(mapper.refine(observed, now.stamp))
+        list(mapper.refine(observed, now.stamp, 2))
         list(backgrounds.keep_up(store))
     assert len(store) > count
     assert errors[-1] < 0.5 * errors[1]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from twin_node.model import least_squares
 from twin_node.model.adoption import NEWBORN_OPACITY
+from twin_node.model.aside import Aside
 from twin_node.model.backgrounds import Background, Backgrounds, grow
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.births import SPREAD
@@ -81,16 +83,20 @@ class Mapper:
         self._backgrounds = backgrounds
         self._rests: dict[str, Rest] = {}
         self._pruner = Pruner(gaussians, backgrounds)
+        self._aside = Aside()
         self._turn = 0
 
-    def refine(self, observed: Sequence[Observed], stamp: int) -> Generator[None]:
-        """Takes the share of the set at `stamp` (ns), slice by slice; see `stages.Sliced`."""
+    def refine(self, observed: Sequence[Observed], stamp: int, steps: int) -> Generator[None]:
+        """Takes up to `steps`, 1 or more, by what the set at `stamp` (ns) shows, slice by slice; see `stages.Sliced`.
+
+        From the first slice to the second another thread looks at what the first step misses.
+        """
         self._turn += 1
         views = [_Wanting(one.background, self._rest_of(one)) for one in observed]
         index = self._turn % len(observed)
         views[index].rest.see(observed[index], self._parameters)
         self._fill(views, index, stamp)
-        yield from self._learn(views)
+        yield from self._learn(views, steps)
         self._pruner.watch([view.camera for view in views])
 
     def _rest_of(self, one: Observed) -> Rest:
@@ -146,7 +152,7 @@ class Mapper:
             torch.full((count,), -1, device=device),
         )
 
-    def _learn(self, views: Sequence[_Wanting]) -> Generator[None]:
+    def _learn(self, views: Sequence[_Wanting], steps: int) -> Generator[None]:
         """A few steps for the Gaussians that show at wrong pixels of `views`."""
         chosen = self._backgrounds.rows[torch.from_numpy(self._chosen(views)).to(self._backgrounds.rows.device)]
         if not len(chosen):
@@ -154,13 +160,17 @@ class Mapper:
         learns = torch.zeros_like(self._gaussians.alive)
         learns[chosen] = True
         goals = [view.goal() for view in views]
-        yield
-        for _ in range(self._parameters.steps):
+        for number in range(steps):
             rows = self._gaussians.static_rows
             step = least_squares.Step(self._gaussians, rows, learns.index_select(0, rows))
-            for goal in goals:
-                step.look(goal)
+            if number == 0:
+                looking = self._aside.begin(partial(_look, step, goals))
                 yield
+                looking.end()
+            else:
+                for goal in goals:
+                    step.look(goal)
+                    yield
             step.take()
             self._backgrounds.repaint()
             yield
@@ -175,6 +185,12 @@ class Mapper:
             chosen |= visible & view.rest.wrong[at]
             early |= visible & ~view.rest.counted[at] & ~view.rest.hidden[at]
         return chosen & ~early
+
+
+def _look(step: least_squares.Step, goals: Sequence[AtRest]) -> None:
+    """Through all views, for one step."""
+    for goal in goals:
+        step.look(goal)
 
 
 def _denied(others: Sequence[_Wanting], points: Float64, rgb: Float32) -> Bool:

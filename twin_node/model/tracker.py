@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,6 @@ from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.flow import FlowSolver
 from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.held import held_pixels
-from twin_node.model.mapping import Mapper
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
@@ -36,13 +35,13 @@ from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats, join, render
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
-from twin_node.model.stages import OnStage, Proceed, Sliced, granted, unhurried, unwatched
+from twin_node.model.stages import OnStage, Proceed, granted, unhurried, unwatched
 from twin_node.model.unselected import fit_unselected
-from twin_node.scene import Bool, FrameSet, JointSample, Tier
+from twin_node.model.upkeep import Seen, Upkeep
+from twin_node.scene import Bool, FrameSet, Tier
 
 HURRIED = 4
-"""Slices of refining what stands that are done for a set where time stays short. With one on average for each, what
-stands went astray until more was born and moved than there was: 4 dB worse, at no higher rate."""
+"""Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
@@ -71,13 +70,12 @@ class _Aligned:
 
 @dataclass(frozen=True)
 class _Due:
-    """A set that has been tracked, what the views saw of the model then, and how the arm stood."""
+    """A set that has been tracked, and what the views saw of the model then."""
 
-    observed: Sequence[Observed]
-    aligned: _Aligned
-    fitted: Fitted
-    joints: JointSample | None
-    robots: Sequence[Bool | None]
+    seen: Seen
+    carried: Carried | None
+    """The Gaussians that nodes carried; None where no flow was sought."""
+    renderings: list[Rendering]
 
 
 class Tracker:
@@ -99,9 +97,8 @@ class Tracker:
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
         self._flow = FlowSolver()
         self._links = links
-        self._skin = None if links is None else ArmSkin(links, gaussians, motion)
-        most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
-        self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
+        skin = None if links is None else ArmSkin(links, gaussians, motion)
+        self._upkeep = Upkeep(parameters, gaussians, backgrounds, skin)
         self._bodies = Bodies(gaussians, motion.nodes)
         self._resting = Resting(gaussians, motion.nodes, backgrounds)
         self._pruner = MovingPruner(gaussians)
@@ -110,13 +107,9 @@ class Tracker:
         self._pace = 1.0
         self._born = 0
         self._due: _Due | None = None
-        """A set that has been tracked and that the mapper has not seen yet."""
-        self._learning: Sliced | None = None
-        """What the mapper has begun to make of a set and was not left the time to end."""
+        """A set that has been tracked and that nothing else has been made of yet."""
         self._hurried = 0
         """Sets in a row after which there was no time."""
-        self._is_behind = False
-        """Whether what stands still has not been drawn anew when it was due."""
 
     def track(
         self,
@@ -145,7 +138,8 @@ class Tracker:
         fitted = self._fit(observed, aligned.before)
         on_stage("fit")
         self._nodes.remember()
-        self._due = _Due(observed, aligned, fitted, frames.joints, robots)
+        seen = Seen(observed, frames.joints, robots, self._nodes.stamp)
+        self._due = _Due(seen, aligned.carried, fitted.renderings or aligned.renderings)
         decisions, self._decisions = self._decisions, []
         return Tracked(born, self._pace if fitted.diverged else None, decisions)
 
@@ -154,60 +148,32 @@ class Tracker:
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
         better without; who merges and splits shows in what comes. Where `proceed` leaves no time, nothing is done: what
-        is not born now is with the next set. If that goes on, neither is put off again, nothing is pruned, and of the
-        rest some slices are done for every set; learning what stands and drawing it anew take turns, and go on where
-        they were.
+        is not born now is with the next set. If that goes on, neither is put off again, nothing is pruned, and what
+        stands takes a step after one set and is drawn anew after the next. Another thread looks at what the first step
+        of a set misses while this one regroups and bears.
         """
         due, self._due = self._due, None
         if due is None:
             return True
         self._hurried = 0 if proceed() else self._hurried + 1
+        learns = self._hurried % 2 == 0
+        if learns:
+            self._upkeep.begin(due.seen, 1 if self._hurried else self._parameters.map.steps)
+            on_stage("begin")
         if self._hurried != 1:
-            self._decisions += self._bodies.regroup(due.aligned.carried)
+            self._decisions += self._bodies.regroup(due.carried)
             if self._bodies.decided_s:
                 self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
             on_stage("regroup")
             if not self._hurried:
-                self._prune(due.observed)
-            self._born = self._bear(due.observed, due.fitted.renderings or due.aligned.renderings)
+                self._prune(due.seen.observed)
+            self._born = self._bear(due.seen.observed, due.renderings)
             self._nodes.remember()
             on_stage("bear")
-        if self._hurried > 1:
-            proceed = granted(HURRIED)
-        drawn = (self._is_behind or self._backgrounds.are_outdated) and self._draw(proceed)
-        learnt = self._learn(due, proceed)
-        drawn = drawn or self._draw(proceed)
-        self._is_behind = not drawn
-        return learnt and drawn
-
-    def _learn(self, due: _Due, proceed: Proceed) -> bool:
-        """Goes on with what has been begun to be learnt of what stands, else begins; whether it came to its end."""
-        if self._learning is None or not self._learning.has_begun:
-            if not self._tells_of_what_stands(due):
-                return False
-            self._learning = Sliced(self._slices(due))
-        learnt = self._learning.go_on(proceed)
-        if learnt:
-            self._learning = None
-        return learnt
-
-    def _draw(self, proceed: Proceed) -> bool:
-        """What stands still is drawn anew, for the next set; whether all that is due of it."""
-        return not self._backgrounds.are_behind or Sliced(self._backgrounds.keep_up(self._gaussians)).go_on(proceed)
-
-    def _slices(self, due: _Due) -> Generator[None]:
-        """A set's share of what can be let be, in slices."""
-        if not self._parameters.map.steps:
-            return
-        if self._skin is not None and due.joints is not None:
-            yield from self._skin.refine(due.observed, due.joints, due.robots)
-            yield
-        if self._tells_of_what_stands(due):
-            yield from self._mapper.refine(due.observed, self._nodes.stamp)
-
-    def _tells_of_what_stands(self, due: _Due) -> bool:
-        """Whether a set was observed before the background that there is now: before another it teaches nothing."""
-        return all(self._backgrounds.is_current(one.background) for one in due.observed)
+        if self._hurried < 2:
+            return self._upkeep.go_on(proceed) and not self._hurried
+        keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
+        return keep_up(granted(HURRIED))
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
