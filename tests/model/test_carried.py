@@ -75,6 +75,15 @@ class PlainDrift(drift.Drift):
     _crept = drift.Drift._crept_plainly
 
 
+def test_cells_are_known_by_their_keys() -> None:
+    nobody = np.zeros(5, np.int64)
+    some = cells.Cells(np.array([2, 3, 5, 8, 13]), nobody, nobody, nobody, np.zeros((5, 3)), np.zeros((5, 3)))
+    for keys in ([], [1], [3, 13], [2, 4, 8, 20]):
+        known = np.array(keys, np.int64)
+        assert np.array_equal(some.are_among(known), np.isin(some.keys, known))
+    assert not len(cells.Cells.none().are_among(np.array([1])))
+
+
 def test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one() -> None:
     gaussians, motion = store(3)
     rows = gaussians.moving_rows[gaussians.nodes[gaussians.moving_rows] >= 0]

@@ -175,7 +175,8 @@ class MergeSplit:
 
     def _merges(self, said: VelocityEquations, middles: Float64, near: NDArray[np.int64]) -> list[Merge]:
         """Pairs of neighbours that one motion explains better than two, the surest first."""
-        pairs = np.unique(np.sort(self._cells.nodes[near], axis=1), axis=0)
+        first, second = np.sort(self._cells.nodes[near], axis=1).T
+        pairs = np.stack(np.divmod(np.unique(first * len(middles) + second), len(middles)), 1)
         if not len(pairs):
             return []
         a, b = (said.of(rows).over(self._misfits[rows]) for rows in pairs.T)
@@ -209,7 +210,7 @@ class MergeSplit:
             return []
         second = np.zeros(len(cells), bool)
         for row in rows:
-            second |= (cells.nodes == row) & np.isin(cells.keys, self._suspicions[int(ids[row])].second)
+            second |= (cells.nodes == row) & cells.are_among(self._suspicions[int(ids[row])].second)
         bodies = cells.nodes + count * second
         sums = [said.summed(bodies, 2 * count) for said in (self._said, self._before)]
         firsts, seconds = np.array(rows), np.array(rows) + count
@@ -249,7 +250,7 @@ class MergeSplit:
         for row in np.roll(np.unique(self._cells.nodes), -SEARCHES * self._turn)[:SEARCHES]:
             own, suspected = np.flatnonzero(self._cells.nodes == row), None
             if self._holds(int(ids[row])):
-                suspected = np.isin(self._cells.keys[own], self._suspicions[int(ids[row])].second)
+                suspected = self._cells.are_among(self._suspicions[int(ids[row])].second)[own]
             second = halves_of(self._said.of(own), self._cells.centres[own], float(self._misfits[row]), suspected)
             if second is not None:
                 self._suspicions[int(ids[row])] = _Suspicion(self._cells.keys[own[second]])

@@ -94,7 +94,8 @@ def _errors(own: VelocityEquations, second: Bool) -> Float64:
     """
     tries = len(second)
     velocities = velocities_of(_parts(own, second), np.zeros((2 * tries, 3)))
-    quadratic = np.einsum("pi,cij,pj->pc", velocities, own.H, velocities, optimize=True)
+    pairs = (velocities[:, :, None] * velocities[:, None, :]).reshape(2 * tries, -1)
+    quadratic = pairs @ own.H.reshape(len(own), -1).T  # what `einsum` finds out anew at every call
     errors: Float64 = (quadratic - 2 * velocities @ own.g.T).reshape(2, tries, len(own))
     return errors
 
