@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 
@@ -14,7 +15,9 @@ pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
 
 
 def test_a_fault_is_injected_answered_and_scored(capsys: pytest.CaptureFixture[str]) -> None:
+    scheduled = os.sched_getscheduler(0)
     assert main(["bench", "ur", "--repeats", "1", "--fault", "joints_nan", "--json"]) == 0
+    assert os.sched_getscheduler(0) == scheduled, "what runs after it is not to run before everybody else"
     told = json.loads(capsys.readouterr().out)
     score = told["faults"]["joints_nan"]
     assert score["answered"]["repeats"] == 1

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from twin_node.arm.ur import DriverMode
-from twin_node.arm.ur.priority import ask_for_realtime
+from twin_node.arm.ur.priority import realtime
 from twin_node.bench.errors import BenchError
 from twin_node.bench.ur_rig import Answer, UrRig
 from twin_node.bench.ur_twin import TwinOrder
@@ -148,8 +148,7 @@ def _score(fault: Fault, repeats: int) -> FaultScore:
     answers: list[float] = []
     backs: list[float] = []
     reason, unanswered, not_latched, false_halts = "", 0, 0, 0
-    ask_for_realtime(_PRIORITY, is_inherited=False)  # the time of an injection is taken, then it is made
-    with UrRig(fault.mode) as rig:
+    with realtime(_PRIORITY), UrRig(fault.mode) as rig:  # the time of an injection is taken, then it is made
         while len(answers) + unanswered < repeats:
             rig.prepare()
             time.sleep(random.uniform(0, _PHASE_S))
