@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from twin_node.forecast.ahead import BOUND_PROBABILITY, CORE_PROBABILITY, Ahead, layers_of, layers_of_plainly
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
+from twin_node.forecast.swerving import Swerves
 from twin_node.scene import HORIZONS_NS, Grid, OccupancyLayer
 
 GRID = Grid(np.array([-0.3, 0.1, 0.0]), 0.02, (31, 26, 70))
@@ -31,7 +32,12 @@ def random_case(seed: int, speed: float) -> Ahead:
     ways = rng.normal(0, speed, (count, 3)) * np.linspace(0.2, 1, layers)[:, None, None]
     radii = np.sort(rng.choice([0.0, 0.02, 0.1, 0.4], (layers, count)), axis=0) * rng.random((layers, count))
     rest = rng.integers(-3, 30, (3, resting)).astype(np.int32)
-    return Ahead(parts, ways, radii, rng.random(count) < 0.4, rest, np.linspace(0, 0.1, layers))
+    swerves = Swerves(ways + rng.normal(0, speed, ways.shape), rng.random(count) < 0.4)
+    return Ahead(parts, ways, radii, rng.random(count) < 0.4, swerves, rest, np.linspace(0, 0.1, layers))
+
+
+def _nowhere(ways: np.ndarray) -> Swerves:
+    return Swerves(ways, np.zeros(ways.shape[1], np.bool_))
 
 
 @compiled
@@ -57,7 +63,7 @@ def test_what_leaves_the_grid_is_held_along_its_way_and_what_stays_in_is_not(
     parts = Parts(np.arange(2), places, np.arange(2), np.ones(2, np.bool_), centers)
     no = np.zeros((3, 0), np.int32)
     radii = np.full((len(HORIZONS_NS), 2), PART_SIZE / 2)
-    case = Ahead(parts, ways, radii, np.zeros(2, np.bool_), no, np.zeros(len(HORIZONS_NS)))
+    case = Ahead(parts, ways, radii, np.zeros(2, np.bool_), _nowhere(ways), no, np.zeros(len(HORIZONS_NS)))
     last, back = find(GRID, case)[-1], np.array([0.0, 0.15, 0.0])
     assert np.isin(GRID.indices(centers[:1] + back), last.indices).all()
     assert not np.isin(GRID.indices(centers[1:] + back), last.indices).any()
@@ -68,9 +74,27 @@ def test_rims_grow_little_and_what_rests_grows_by_its_own_radius() -> None:
     layers, no = len(HORIZONS_NS), np.zeros(1, np.bool_)
     rim, rest = np.full((3, 1), 6, np.int32), np.full((3, 1), 20, np.int32)
     parts = Parts(np.arange(1), rim, np.zeros(1, np.int64), no, np.ones((1, 3)))
-    case = Ahead(parts, np.zeros((layers, 1, 3)), np.full((layers, 1), 0.4), no, rest, np.full(layers, 0.1))
+    still = np.zeros((layers, 1, 3))
+    case = Ahead(parts, still, np.full((layers, 1), 0.4), no, _nowhere(still), rest, np.full(layers, 0.1))
     places = np.stack(np.unravel_index(layers_of(GRID, case)[-1].indices, GRID.dims))
     about_rim, about_rest = np.linalg.norm(places - 6, axis=0), np.linalg.norm(places - 20, axis=0)
     assert (about_rim <= 4).any()
     assert ((about_rim <= 4) | (about_rest <= 8)).all()
     assert about_rest[about_rest <= 8].max() > 5
+
+
+@pytest.mark.parametrize("find", [layers_of, layers_of_plainly])
+def test_what_accelerates_is_held_as_far_as_that_leads_and_its_rim_is_not(find: Find) -> None:
+    layers, no = len(HORIZONS_NS), np.zeros(1, np.bool_)
+    places = np.stack([np.full(3, 6), [6, 20, 6]], axis=1).astype(np.int32)
+    parts = Parts(np.arange(2), places, np.zeros(2, np.int64), np.array([True, False]), np.ones((1, 3)))
+    still, aside = np.zeros((layers, 1, 3)), np.zeros((layers, 1, 3))
+    aside[:, :, 0] = 0.3  # 15 voxels
+    swerves, rest = Swerves(aside, np.ones(1, np.bool_)), np.zeros((3, 0), np.int32)
+    case = Ahead(parts, still, np.full((layers, 1), 0.08), no, swerves, rest, np.zeros(layers))
+    found = find(GRID, case)[-1].indices
+    way = np.ravel_multi_index((np.arange(6, 22), 6, 6), GRID.dims)
+    assert np.isin(way, found).all()
+    places = np.stack(np.unravel_index(found, GRID.dims))
+    assert places[0][places[1] >= 16].max() < 10
+    assert np.linalg.norm((places - np.array([[21], [6], [6]]))[:, places[0] >= 21], axis=0).max() < 4

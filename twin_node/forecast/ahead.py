@@ -1,4 +1,4 @@
-"""Where parts may be in every layer: moved, widened, and held along their ways where they may turn back."""
+"""Where parts may be in every layer: moved, widened, and held along their ways where they may turn back or swerve."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from twin_node.forecast.growth import FARTHEST, REACHES, ROUNDING, reach_of, shi
 from twin_node.forecast.kernel_requests import AheadRequest, GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
+from twin_node.forecast.swerving import Swerves, beside
 from twin_node.forecast.turning import MOST_STEPS, NARROWER, whole_ways
 from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, OccupancyLayer
@@ -36,6 +37,8 @@ class Ahead:
     """[H, M] bound about the displaced parts, m."""
     turning: Bool
     """[M] those that are held along all of their way."""
+    swerves: Swerves
+    """Where they get if they go on to accelerate."""
     resting: NDArray[np.int32]
     """[3, n] voxel coordinates of what rests, and may start."""
     started: Float64
@@ -43,7 +46,7 @@ class Ahead:
 
 
 def layers_of(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
-    """Every part moved on, widened by the bound and held where it may turn back, per horizon.
+    """Every part moved on, widened by the bound and held where it may turn back or swerve, per horizon.
 
     Rims, which only errors of the carving add, go with their parts and are widened little: what moves is elsewhere.
     What leaves is outside already, where a wider bound blocks nothing, and what matters is that it may return: it is
@@ -55,7 +58,8 @@ def layers_of(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
 
 def _layers_by(compiled: Kernels, grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     parts, layers, threads = ahead.parts, len(ahead.radii), thread_count()
-    lengths = (ahead.displacements, ahead.radii, ahead.turning, ahead.started, REACHES)
+    swerves = (ahead.swerves.displacements, ahead.swerves.held)
+    lengths = (ahead.displacements, ahead.radii, ahead.turning, *swerves, ahead.started, REACHES)
     given = (grid.origin, parts.places, parts.labels, parts.likely, ahead.resting, parts.centers, *lengths)
     arrays = tuple(np.ascontiguousarray(array) for array in given)
     room = Masks.room(grid.dims, layers)
@@ -75,7 +79,7 @@ def layers_of_plainly(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     radii = np.concatenate([ahead.radii, rims, ahead.started[:, None]], axis=1)
     may_turn = np.append(np.tile(ahead.turning | _leaves(grid, ahead), 2), False)
     points = parts.points_and_rims.beside(ahead.resting, 2 * parts.count)
-    ways = whole_ways(points, moved, radii, may_turn)
+    ways = beside(whole_ways(points, moved, radii, may_turn), parts.points, ahead.swerves)
     spreads = spread_plainly(grid, ways.points, shifts_of(grid, ways.displacements), reach_of(grid, ways.radii))
     core, bound = np.uint8(CORE_PROBABILITY), np.uint8(BOUND_PROBABILITY)
     return tuple(

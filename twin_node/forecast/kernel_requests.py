@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 28
+INTERFACE_VERSION = 29
 
 
 class GrowRequest(ctypes.Structure):
@@ -27,7 +27,10 @@ class AheadRequest(ctypes.Structure):
         *((name, c_int32) for name in ("layers", "levels", "most_steps", "farthest")),
         *((name, c_double) for name in ("rim_radius", "narrower", "part_size", "rounding", "voxel_size")),
         *((name, c_void_p) for name in ("origin", "places", "labels", "likely", "rest", "centers")),
-        *((name, c_void_p) for name in ("displacements", "radii", "turning", "started", "level")),
+        *(
+            (name, c_void_p)
+            for name in ("displacements", "radii", "turning", "swerved", "swerving", "started", "level")
+        ),
         ("grid", GrowRequest),
     )
 

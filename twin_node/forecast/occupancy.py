@@ -139,7 +139,7 @@ class Forecaster:
         places = self._tracks.positions[-1] + self._predictor.alone
         prediction = self._predict(horizons)
         started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
-        moved = (prediction.displacements, prediction.radii, prediction.turning)
+        moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
         layers = layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]

@@ -9,13 +9,14 @@ import numpy as np
 
 from twin_node.forecast.bound import LEAST, Bound, BoundParameters
 from twin_node.forecast.errands import Errand
-from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, Autoregression, History
+from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, PARABOLA_S, Autoregression, History
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Closest
 from twin_node.forecast.outlook import Standing, outlook, weighed
 from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
+from twin_node.forecast.swerving import Swerves, swerves_of
 from twin_node.scene import Bool, Float64
 
 
@@ -40,10 +41,15 @@ class Prediction:
     turning: Bool
     """[M] nodes that have turned back of late: their bounds hold about all of their way, from as far behind where they
     are now as ahead (`turning.whole_ways`)."""
+    swerves: Swerves
+    """Where they get if their accelerations last."""
 
 
 _STRAIGHT_ON, _FALLING = EXPERT_NAMES.index("constant_velocity"), EXPERT_NAMES.index("free_fall")
 """Experts that lead what is bounded by its reach alone: most things, and what flies."""
+_ACCELERATING = EXPERT_NAMES.index("constant_acceleration")
+_SWERVE = 0.5
+"""Accelerations lead no farther aside than so much of the largest radius: 99 % of human motion stays within that."""
 _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
 _WARY = 2.0
@@ -59,7 +65,8 @@ class Predictor:
     """
 
     def __init__(self, parameters: BoundParameters | None = None, turns: bool = False, floor: float = -np.inf) -> None:
-        """`turns`: nodes that turn back are told from others, and judged by all of their way (`Prediction.turning`).
+        """`turns`: nodes that turn back are told from others, and judged by all of their way (`Prediction.turning`);
+        those that accelerate are told of (`Prediction.swerves`).
 
         `floor`: height in metres below which nothing goes.
         """
@@ -70,6 +77,7 @@ class Predictor:
         self._horizon_s = 0.2
         self._measured: Measured | None = None
         self._records = Records()
+        self._path_began = np.zeros(0)
         self._trust = np.ones(len(EXPERT_NAMES))
         self._missed = np.zeros(len(EXPERT_NAMES))
         self._issued: deque[Issued] = deque()
@@ -127,6 +135,8 @@ class Predictor:
         self._horizon_s, self._measured, self._factor = horizon_s, measured, factor
         self._history = history
         self._records = self._records.inherited(succession.records, history.times[-1])
+        before = np.append(self._path_began, history.times[-1])
+        self._path_began = before[np.where(succession.paths < 0, len(before) - 1, succession.paths)]
         self._inherit(succession.paths)
         self._judge()
         self._issue(None if near is None else near.result())
@@ -166,17 +176,31 @@ class Predictor:
 
         `factor`: on calibrated bounds.
         """
-        mixed = self._led(horizons).mixed
+        found = self._led(horizons)
+        mixed, accelerated = found.mixed, found.single[_ACCELERATING]
         left = np.minimum(self._floors - self._history.positions[-1][:, 2], 0)
-        mixed[..., 2] = np.maximum(mixed[..., 2], left)  # else what is about to bounce would be forecast below the grid
+        for places in (mixed, accelerated):  # else what is about to bounce would be forecast below the grid
+            places[..., 2] = np.maximum(places[..., 2], left)
+        radii = self._within(horizons, factor)
+        swerves = swerves_of(mixed, radii, accelerated, _SWERVE * self.bound.parameters.largest_radius)
+        return Prediction(mixed, radii, self._turning, Swerves(swerves.displacements, swerves.held & self._swerving))
+
+    def _within(self, horizons: Float64, factor: float) -> Float64:
+        """[H, M] radii about the nodes after horizons [H] (s), m."""
         last = float(horizons[-1])
         radii = self._radii(last, factor)
         shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
         if self._measured is None:
-            return Prediction(mixed, shares[:, None] * radii, self._turning)
+            return np.asarray(shares[:, None] * radii)
         within = self._measured.sooner(horizons / last, shares) * radii
         within = np.minimum(within, self._measured.most(self._speeds, horizons))
-        return Prediction(mixed, np.maximum(within, self._start(horizons)), self._turning)
+        return np.maximum(within, self._start(horizons))
+
+    @property
+    def _swerving(self) -> Bool:
+        """[M] nodes whose path is as long as what accelerations are fitted to: what was before is made up."""
+        swerving: Bool = self._turns & (self._history.times[-1] - self._path_began >= PARABOLA_S)
+        return swerving
 
     def _start(self, horizons: Float64) -> Float64:
         """[H, M] m, or 0 where nothing is known of velocities: how far what rests may get if it starts."""

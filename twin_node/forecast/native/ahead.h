@@ -1,4 +1,4 @@
-// Where parts may be in every layer: moved, widened, and held along their ways where they may turn back.
+// Where parts may be in every layer: moved, widened, and held along their ways where they may turn back or swerve.
 #pragma once
 
 #include <algorithm>
@@ -14,16 +14,21 @@ namespace forecast {
 
 class Ways {
  public:
-  // Rows of shifts and reaches: the parts, their rims, what may start, and then every step of those that turn.
-  explicit Ways(const AheadRequest &request) : r_(request), number_(request.parts, -1) {
+  // Rows of shifts and reaches: the parts, their rims, what may start, and then every step of those that turn, and of
+  // those that swerve, whose rims do not.
+  explicit Ways(const AheadRequest &request)
+      : r_(request), number_(request.parts, -1), aside_number_(request.parts, -1) {
     for (int64_t part = 0; part < r_.parts; part++) {
-      if (!turns(part)) continue;
-      number_[part] = static_cast<int64_t>(turning_.size());
-      turning_.push_back(part);
+      if (turns(part)) number_[part] = static_cast<int64_t>(turning_.size()), turning_.push_back(part);
+      if (r_.swerving[part]) {
+        aside_number_[part] = static_cast<int64_t>(swerving_.size());
+        swerving_.push_back(part);
+      }
     }
-    steps_ = turning_.empty() ? 0 : steps();
+    steps_ = steps(2 * longest(turning_, nullptr)), aside_steps_ = steps(longest(swerving_, r_.swerved));
     // a part and its rim turn together: the rims' numbers come after all of the parts'
-    rows_ = 2 * r_.parts + 1 + 2 * steps_ * static_cast<int64_t>(turning_.size());
+    first_aside_ = 2 * r_.parts + 1 + 2 * steps_ * static_cast<int64_t>(turning_.size());
+    rows_ = first_aside_ + aside_steps_ * static_cast<int64_t>(swerving_.size());
     shifts_.resize(r_.layers * rows_ * 3), reaches_.resize(r_.layers * rows_);
     for (int64_t layer = 0; layer < r_.layers; layer++) place(layer);
     list_points();
@@ -58,15 +63,24 @@ class Ways {
     return r_.displacements + 3 * (layer * r_.parts + part);
   }
 
-  FORECAST_ROUNDED int64_t steps() const {
+  // Longest of the displacements at the last layer, or of what `to` is beside these.
+  FORECAST_ROUNDED double longest(const std::vector<int64_t> &parts, const double *to) const {
     FORECAST_ROUNDED_BODY
-    double longest = 0;
-    for (const int64_t part : turning_) {
+    double found = 0;
+    for (const int64_t part : parts) {
       const double *d = displacement(r_.layers - 1, part);
-      const double x = d[0] * d[0], y = d[1] * d[1], z = d[2] * d[2];
-      longest = std::max(longest, std::sqrt(x + y + z));
+      double squares[3];
+      for (int k = 0; k < 3; k++) {
+        const double along = to ? to[3 * ((r_.layers - 1) * r_.parts + part) + k] - d[k] : d[k];
+        squares[k] = along * along;
+      }
+      found = std::max(found, std::sqrt(squares[0] + squares[1] + squares[2]));
     }
-    return std::min<int64_t>(static_cast<int64_t>(std::ceil(2 * longest / r_.part_size)), r_.most_steps);
+    return found;
+  }
+
+  int64_t steps(double length) const {
+    return std::min<int64_t>(static_cast<int64_t>(std::ceil(length / r_.part_size)), r_.most_steps);
   }
 
   void place(int64_t layer) {
@@ -85,6 +99,21 @@ class Ways {
         set(row++, displacement(layer, part), share, r_.narrower * std::min(radii[part], r_.rim_radius));
       }
     }
+    for (int64_t step = 1; step <= aside_steps_; step++) {
+      const double share = static_cast<double>(step) / static_cast<double>(aside_steps_);
+      for (const int64_t part : swerving_) set_aside(row++, layer, part, share, r_.narrower * radii[part]);
+    }
+  }
+
+  FORECAST_ROUNDED void set_aside(int64_t row, int64_t layer, int64_t part, double share, double radius) {
+    FORECAST_ROUNDED_BODY
+    const double *led = displacement(layer, part), *swerved = r_.swerved + 3 * (layer * r_.parts + part);
+    double between[3];
+    for (int k = 0; k < 3; k++) {
+      const double aside = share * (swerved[k] - led[k]);
+      between[k] = led[k] + aside;
+    }
+    set(row, between, 1, radius);
   }
 
   FORECAST_ROUNDED void set(int64_t row, const double *displacement, double share, double radius) {
@@ -102,11 +131,13 @@ class Ways {
 
   void list_points() {
     const int64_t voxels = r_.voxels, first = 2 * r_.parts + 1, turning = static_cast<int64_t>(turning_.size());
-    std::vector<int64_t> mine;  // voxels of parts that turn
-    for (int64_t i = 0; steps_ > 0 && i < voxels; i++) {
-      if (number_[r_.labels[i]] >= 0) mine.push_back(i);
+    std::vector<int64_t> mine, swerve;  // voxels of parts that turn; those of parts that swerve
+    for (int64_t i = 0; i < voxels; i++) {
+      if (steps_ > 0 && number_[r_.labels[i]] >= 0) mine.push_back(i);
+      if (aside_steps_ > 0 && r_.likely[i] && aside_number_[r_.labels[i]] >= 0) swerve.push_back(i);
     }
-    const int64_t points = voxels + r_.resting + steps_ * static_cast<int64_t>(mine.size());
+    const int64_t turned = steps_ * static_cast<int64_t>(mine.size());
+    const int64_t points = voxels + r_.resting + turned + aside_steps_ * static_cast<int64_t>(swerve.size());
     labels_.reserve(points), cores_.assign(points, 0), places_.resize(3 * points);
     for (int64_t i = 0; i < voxels; i++) labels_.push_back(r_.labels[i] + (r_.likely[i] ? 0 : r_.parts));
     labels_.insert(labels_.end(), r_.resting, 2 * r_.parts);
@@ -116,6 +147,10 @@ class Ways {
         labels_.push_back(first + 2 * turning * step + (r_.likely[i] ? 0 : turning) + number_[r_.labels[i]]);
       }
     }
+    for (int64_t step = 0; step < aside_steps_; step++) {
+      const int64_t row = first_aside_ + step * static_cast<int64_t>(swerving_.size());
+      for (const int64_t i : swerve) labels_.push_back(row + aside_number_[r_.labels[i]]);
+    }
     for (int axis = 0; axis < 3; axis++) {
       const int32_t *from = r_.places + axis * voxels;
       auto to = std::copy_n(from, voxels, places_.begin() + axis * points);
@@ -123,12 +158,16 @@ class Ways {
       for (int64_t step = 0; step < steps_; step++) {
         for (const int64_t i : mine) *to++ = from[i];
       }
+      for (int64_t step = 0; step < aside_steps_; step++) {
+        for (const int64_t i : swerve) *to++ = from[i];
+      }
     }
   }
 
   const AheadRequest &r_;
-  std::vector<int64_t> number_, turning_;  // of each part among those that turn, or -1; those
-  int64_t steps_ = 0, rows_ = 0;
+  std::vector<int64_t> number_, turning_;         // of each part among those that turn, or -1; those
+  std::vector<int64_t> aside_number_, swerving_;  // the same of those that swerve
+  int64_t steps_ = 0, aside_steps_ = 0, first_aside_ = 0, rows_ = 0;
   std::vector<int32_t> shifts_, places_;
   std::vector<uint8_t> reaches_, cores_;
   std::vector<int64_t> labels_;

@@ -35,6 +35,8 @@ struct AheadRequest {
   const double *displacements;  // [layers, parts, 3] m
   const double *radii;          // [layers, parts] m
   const uint8_t *turning;       // [parts] 1: held along all of its way
+  const double *swerved;        // [layers, parts, 3] m, displacements if accelerations last
+  const uint8_t *swerving;      // [parts] 1: held as far as there
   const double *started;        // [layers] m, radii of what may start
   const uint8_t *level;         // [levels] quarter voxels that radii are rounded up to, rising
   GrowRequest grid;             // where they grow: its size, threads and results

@@ -1,0 +1,98 @@
+"""What accelerates is held as far as its acceleration leads."""
+
+from __future__ import annotations
+
+import numpy as np
+from forecast_worlds import GRID, ball_voxels, state_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.forecast import Forecaster
+from twin_node.forecast.growth import Points, reach_of, shifts_of, spread
+from twin_node.forecast.prediction import Prediction, Predictor
+from twin_node.forecast.swerving import Swerves, beside, swerves_of
+from twin_node.forecast.tracks import Tracks
+from twin_node.forecast.turning import Ways
+from twin_node.scene import HORIZONS_NS, Occupancy
+
+HORIZONS = np.array([0.1, 0.2])
+PERIOD_NS = 33_333_333
+LATENCY_NS = 33_000_000
+SPEED, BRAKING = 1.2, 9.0
+"""m/s; m/s^2."""
+STRAIGHT_S = 0.3
+"""Time before it brakes."""
+
+
+@given(st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.floats(0, 1))
+def test_swerves_are_held_from_one_end_to_the_other(
+    led: tuple[float, float, float], aside: tuple[float, float, float], share: float
+) -> None:
+    places = np.stack(np.meshgrid(*[np.arange(18, 22)] * 3, indexing="ij")).reshape(3, -1).astype(np.int32)
+    points = Points(places, np.zeros(places.shape[1], np.int64), np.ones(places.shape[1], np.bool_))
+    start, far = np.reshape(led, (1, 1, 3)), np.reshape(np.add(led, aside), (1, 1, 3))
+    ways = beside(Ways(points, start, np.full((1, 1), 0.04)), points, Swerves(far, np.ones(1, np.bool_)))
+    held = spread(GRID, ways.points, shifts_of(GRID, ways.displacements), reach_of(GRID, ways.radii))[0].indices
+    middle = GRID.origin + (places.mean(axis=1) + 0.5) * GRID.voxel_size + led + share * np.array(aside)
+    place = GRID.indices(middle[None])
+    assert np.isin(place[place >= 0], held).all()
+
+
+def test_what_stays_in_its_bound_does_not_swerve_and_nothing_swerves_without_end() -> None:
+    mixed, radii = np.zeros((2, 4, 3)), np.full((2, 4), 0.1)
+    accelerated = np.zeros((2, 4, 3))
+    accelerated[:, :, 0] = [[0.02, 0.1, 1.0, np.nan], [0.08, 0.4, 4.0, np.nan]]
+    found = swerves_of(mixed, radii, accelerated, largest=0.8)
+    assert found.held.tolist() == [False, True, True, False]
+    assert np.allclose(found.displacements[:, :, 0], [[0, 0.1, 0.2, 0], [0, 0.4, 0.8, 0]])
+
+
+def braked(samples: int, turns: bool = True, begins: int = 0) -> Prediction:
+    """What is forecast of a node that came at a steady speed and brakes, at 60 Hz; its path begins anew at a sample."""
+    tracks, predictor = Tracks(), Predictor(turns=turns)
+    for sample in range(samples):
+        time, braking = sample / 60, max(sample - 30, 0) / 60
+        place = np.array([[SPEED * time - BRAKING * braking**2 / 2, 0, 0.5]])
+        velocity = np.array([[SPEED - BRAKING * braking, 0, 0]])
+        if 0 < sample == begins:
+            place = place + 5.0
+        place = place + 5.0 * (0 < begins < sample)
+        succession = tracks.follow(time, place, velocity)
+        predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+    return predictor.predict(HORIZONS, factor=0.2)
+
+
+def test_what_brakes_may_come_back() -> None:
+    braking_s = 3 / 60
+    came_true = (SPEED - BRAKING * braking_s) * HORIZONS[-1] - BRAKING * HORIZONS[-1] ** 2 / 2
+    found = braked(34)
+    led, swerved = (places[-1, 0, 0] for places in (found.displacements, found.swerves.displacements))
+    assert found.swerves.held[0]
+    assert came_true < swerved < led - found.radii[-1, 0]
+
+
+def test_what_goes_on_or_is_not_asked_about_or_has_just_come_does_not_swerve() -> None:
+    assert not braked(30).swerves.held[0]
+    assert not braked(34, turns=False).swerves.held[0]
+    assert not braked(34, begins=30).swerves.held[0]
+
+
+def place(stamp: int) -> np.ndarray:
+    """Straight on across the grid, then braking, and back."""
+    time, braking = stamp * 1e-9, max(stamp * 1e-9 - STRAIGHT_S, 0.0)
+    return np.array([SPEED * time - BRAKING * braking**2 / 2 - 0.3, 0.0, 0.45])
+
+
+def share_held(occupancy: Occupancy) -> float:
+    ball = ball_voxels(place(occupancy.publish_stamp + HORIZONS_NS[-1]))
+    return float(np.isin(ball, occupancy.layers[-1].indices).mean())
+
+
+def test_a_first_turn_is_foreseen_once_it_brakes() -> None:
+    forecaster, held = Forecaster(GRID), []
+    for number in range(15):
+        stamp = number * PERIOD_NS
+        occupancy = forecaster.update(state_of(stamp, place(stamp), with_depth=False), stamp + LATENCY_NS)
+        if stamp * 1e-9 > STRAIGHT_S + 0.12:
+            held.append(share_held(occupancy))
+    assert min(held) > 0.9
