@@ -1,7 +1,6 @@
 """From obstacles to the arm's speed: collision scene, checker, separation law."""
 
-from twin_node.arm.allowed import AllowedRegion
-from twin_node.arm.attachment import Attachment, parallel_gripper
+from twin_node.arm.attachment import AllowedRegion, Attachment, parallel_gripper
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError

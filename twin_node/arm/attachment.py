@@ -1,8 +1,8 @@
-"""What the arm carries."""
+"""What the arm carries, and what it may touch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,21 @@ class Attachment:
             )
         if not (np.isfinite(self.ends).all() and np.isfinite(self.radii).all() and (self.radii > 0).all()):
             raise ArmError(f"attachment {self.name}: expected finite ends and positive radii in metres; correct them")
+
+
+@dataclass(frozen=True)
+class AllowedRegion:
+    """A box in which some links may touch what stands still, as a gripper does the table it works on.
+
+    A STATIC obstacle that lies wholly inside is not looked at for these links. MOVING and UNKNOWN always are.
+    """
+
+    lower: Float64
+    """[3] lower corner, m, in `base_link`."""
+    upper: Float64
+    """[3] upper corner, m, in `base_link`."""
+    links: tuple[str, ...] = field(default=("wrist_3_link",))
+    """Names of links and attachments."""
 
 
 def parallel_gripper(length_m: float = 0.16, width_m: float = 0.15) -> Attachment:

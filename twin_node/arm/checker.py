@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.arm.allowed import AllowedRegion, cut
-from twin_node.arm.attachment import Attachment
+from twin_node.arm.attachment import AllowedRegion, Attachment
 from twin_node.arm.errors import ArmError
 from twin_node.arm.narrow import axis_distances, box_distances, point_in_box, sphere_distances
 from twin_node.arm.obstacle_set import ObstacleSet
@@ -111,7 +110,7 @@ class ArmCollisionChecker:
 
     @property
     def obstacles(self) -> ObstacleSet:
-        """The obstacles given last; those that allowed regions cut are several."""
+        """The obstacles given last."""
         return self._obstacles
 
     def attach(self, part: Attachment) -> None:
@@ -134,10 +133,7 @@ class ArmCollisionChecker:
         obstacles given before then stay.
         """
         incoming = ObstacleSet.of(obstacles)
-        if self._allowed:
-            pieces = cut(obstacles, self._allowed)
-            incoming = ObstacleSet.of(pieces) if len(pieces.ids) <= self._max_obstacles else incoming
-        self._scene.place(incoming.source)
+        self._scene.place(obstacles)
         self._obstacles = incoming
         self._exempt = self._exemptions()
 

@@ -12,8 +12,6 @@ from twin_node.geometry import rotation_from_quat
 from twin_node.scene import Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
 
 _SHAPES, _KINDS = np.array(ObstacleShape, np.uint8), np.array(ObstacleKind, np.uint8)
-_ROUNDING_M = 1e-9
-"""By which corners may be off, m."""
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -92,8 +90,7 @@ class ObstacleSet:
     def inside(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
         reach = np.where(self.is_sphere[:, None], self.half, np.einsum("nij,nj->ni", np.abs(self.rotations), self.half))
-        beyond = np.maximum(lower - (self.centers - reach), self.centers + reach - upper)
-        return np.asarray((beyond <= _ROUNDING_M).all(axis=1))
+        return np.asarray(((self.centers - reach >= lower) & (self.centers + reach <= upper)).all(axis=1))
 
 
 def _refuse_wrong(obstacles: Obstacles) -> None:
