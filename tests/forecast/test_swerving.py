@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from twin_node.forecast import Forecaster
 from twin_node.forecast.growth import Points, reach_of, shifts_of, spread
+from twin_node.forecast.measured import Measured
 from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.swerving import Swerves, beside, swerves_of
 from twin_node.forecast.tracks import Tracks
@@ -47,7 +48,7 @@ def test_what_stays_in_its_bound_does_not_swerve_and_nothing_swerves_without_end
     assert np.allclose(found.displacements[:, :, 0], [[0, 0.1, 0.2, 0], [0, 0.4, 0.8, 0]])
 
 
-def braked(samples: int, turns: bool = True, begins: int = 0) -> Prediction:
+def braked(samples: int, turns: bool = True, begins: int = 0, measured: Measured | None = None) -> Prediction:
     """What is forecast of a node that came at a steady speed and brakes, at 60 Hz; its path begins anew at a sample."""
     tracks, predictor = Tracks(), Predictor(turns=turns)
     for sample in range(samples):
@@ -58,7 +59,7 @@ def braked(samples: int, turns: bool = True, begins: int = 0) -> Prediction:
             place = place + 5.0
         place = place + 5.0 * (0 < begins < sample)
         succession = tracks.follow(time, place, velocity)
-        predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+        predictor.advance(tracks.history, succession, float(HORIZONS[-1]), measured)
     return predictor.predict(HORIZONS, factor=0.2)
 
 
@@ -75,6 +76,12 @@ def test_what_goes_on_or_is_not_asked_about_or_has_just_come_does_not_swerve() -
     assert not braked(30).swerves.held[0]
     assert not braked(34, turns=False).swerves.held[0]
     assert not braked(34, begins=30).swerves.held[0]
+
+
+def test_what_has_a_measured_velocity_stays_in_the_bound_of_people() -> None:
+    neither = np.zeros(1, np.bool_)
+    sure = Measured(np.full(1, 0.05), neither, neither, neither, np.full(1, -np.inf))
+    assert not braked(34, measured=sure).swerves.held[0]
 
 
 def place(stamp: int) -> np.ndarray:

@@ -198,8 +198,12 @@ class Predictor:
 
     @property
     def _swerving(self) -> Bool:
-        """[M] nodes whose path is as long as what accelerations are fitted to: what was before is made up."""
-        swerving: Bool = self._turns & (self._history.times[-1] - self._path_began >= PARABOLA_S)
+        """[M] nodes whose path is as long as what accelerations are fitted to: what was before is made up.
+
+        None where velocities are measured: the bound about where these lead holds what people do (`Measured.most`).
+        """
+        may = self._turns and self._measured is None
+        swerving: Bool = may & (self._history.times[-1] - self._path_began >= PARABOLA_S)
         return swerving
 
     def _start(self, horizons: Float64) -> Float64:
