@@ -10,16 +10,20 @@ import torch
 from model_scenes import TICK_NS, block, joined, rig, table
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.births import Births
 from twin_node.model.cells import Cells
-from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, LogEvidence
+from twin_node.model.gaussians import QUAT, RGB, Gaussians
 from twin_node.model.merge_split import LOOKS, MERGE, SPLIT, Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
 from twin_node.model.parts import halves_of
 from twin_node.model.passing import Passing
 from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Splats, render
+from twin_node.model.resting import Resting
 from twin_node.model.rotations import quat_from_vector, quat_product, rotate
+from twin_node.model.sweep import shell_around
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, velocities_of
 from twin_node.scene import FrameSet, Tier, TwinState, View
 
@@ -28,6 +32,7 @@ QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.4)
 DT_S = TICK_NS * 1e-9
 STEP_M, STEP_RAD = 0.008, 0.05
 """Of the moving blocks between two sets."""
+ORANGE, WHITE = (0.9, 0.4, 0.2), (0.7, 0.6, 0.6)
 
 
 def seen(index: int, *blocks: Splats) -> FrameSet:
@@ -108,7 +113,7 @@ def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> No
         model.refine()
         resting[index] = int((model._gaussians.rested >= 0).sum())
         kinds += [(index, one.kind) for one in model.decisions if one.kind in (Kind.SETTLED, Kind.WOKEN)]
-        assert all(isinstance(one.grounds, LogEvidence | ChangedView) for one in model.decisions)
+        assert all(isinstance(one.grounds, LogEvidence | ChangedView | BornBeside) for one in model.decisions)
     settled = [index for index, kind in kinds if kind is Kind.SETTLED]
     woken = [index for index, kind in kinds if kind is Kind.WOKEN]
     assert settled and 16 < settled[0] < 64
@@ -117,6 +122,43 @@ def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> No
     assert len(woken) - len(late) <= 2
     assert resting[settled[0]] >= 8
     assert resting[late[0]] < resting[late[0] - 1]
+
+
+def births_at(*x: float, rgb: tuple[float, float, float] = ORANGE, on_background: bool = False) -> Births:
+    """Of one colour, along x."""
+    count = len(x)
+    means = np.stack([x, np.zeros(count), np.zeros(count)], -1)
+    colours = np.tile(np.float32(rgb), (count, 1))
+    nowhere = np.zeros(count, np.bool_)
+    return Births(means, np.full(count, 0.01), colours, nowhere | on_background, nowhere, np.zeros(count, np.int64))
+
+
+@pytest.mark.parametrize(
+    ("births", "wakes"),
+    [
+        (births_at(0.0, 0.01, 0.02), True),
+        (births_at(0.0, 0.01), False),
+        (births_at(0.1, 0.11, 0.12), False),
+        (births_at(0.0, 0.01, 0.02, rgb=WHITE), False),
+        (births_at(0.0, 0.01, 0.02, on_background=True), False),
+    ],
+    ids=["of its kind", "too few", "too far", "of another colour", "shadows"],
+)
+def test_what_rests_has_a_node_again_where_its_kind_is_born_beside_it(births: Births, wakes: bool) -> None:
+    gaussians, nodes, parameters = Gaussians(8, torch.device("cpu")), Nodes(2, 4), ModelParameters()
+    place = torch.zeros(3, dtype=torch.float64)
+    row = nodes.give_birth(place, place)
+    gaussians.alive[:4], gaussians.nodes[:4] = True, row
+    gaussians.values[:4, QUAT] = torch.tensor([1.0, 0, 0, 0])
+    gaussians.values[:4, RGB] = torch.tensor(ORANGE)
+    gaussians.settle(torch.arange(4), int(nodes.ids[row]), nodes)
+    rested = int(nodes.ids[row])
+    nodes.retire(torch.tensor([row]))
+    resting = Resting(gaussians, nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    decisions = resting.rouse(births, parameters.birth.kin_m)
+    assert [(one.kind, one.node, one.grounds) for one in decisions] == [(Kind.WOKEN, rested, BornBeside(3))] * wakes
+    assert bool((gaussians.nodes[:4] >= 0).all()) == wakes
+    assert bool((gaussians.rested[:4] == rested).all()) != wakes
 
 
 def test_who_merges_and_splits_is_decided_after_the_state_is_published_and_put_off_once_where_time_is_short() -> None:
@@ -153,7 +195,7 @@ def test_nothing_is_decided_about_nodes_and_gaussians_that_have_gone_since() -> 
 def assert_reasoned(decisions: list[Decision]) -> None:
     """Every decision carries the terms that it rests on."""
     for one in decisions:
-        if isinstance(one.grounds, ChangedView) or one.kind is Kind.SETTLED:
+        if isinstance(one.grounds, ChangedView | BornBeside) or one.kind is Kind.SETTLED:
             continue
         gain = one.grounds.one - one.grounds.two
         if one.kind is Kind.PASSED:
@@ -177,9 +219,6 @@ def told(velocities: np.ndarray, centres: np.ndarray, seed: int, noise: float | 
     turned_J = np.swapaxes(J, 1, 2)
     g = (turned_J @ error[..., None])[..., 0]
     return VelocityEquations(turned_J @ J, g, (error**2).sum(1), np.full(len(centres), 120.0))
-
-
-ORANGE, WHITE = (0.9, 0.4, 0.2), (0.7, 0.6, 0.6)
 
 
 def row_of(count: int, nodes: list[int], colours: dict[int, tuple[float, float, float]] | None = None) -> Cells:

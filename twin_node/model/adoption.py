@@ -66,15 +66,15 @@ def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, 
     carriers = Adopted(np.full(len(points), -1, np.int64), np.full(len(points), -1, np.int64))
     if len(members.nodes) and len(points):
         for place, own in (
-            (_looks(points, rgb, parameters.kin_m), _looks(members.means, members.rgb, parameters.kin_m)),
+            (looks_of(points, rgb, parameters.kin_m), looks_of(members.means, members.rgb, parameters.kin_m)),
             (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
         ):
             without = np.flatnonzero(carriers.nodes < 0)
             closest = nearest(place[without], own)
             kin, closest = without[closest >= 0], closest[closest >= 0]
             carriers.nodes[kin], carriers.founders[kin] = members.nodes[closest], members.founders[closest]
-    for looks in (_looks(points, rgb, parameters.node_radius_m), points / parameters.node_radius_m):
-        _found_together(points, looks, carriers, members, nodes, parameters)
+    for places in (looks_of(points, rgb, parameters.node_radius_m), points / parameters.node_radius_m):
+        _found_together(points, places, carriers, members, nodes, parameters)
     return carriers
 
 
@@ -134,7 +134,7 @@ def grouped_plainly(places: Float64) -> NDArray[np.int64]:
     return groups
 
 
-def _looks(points: Float64, rgb: Float32, reach_m: float) -> Float64:
+def looks_of(points: Float64, rgb: Float32, reach_m: float) -> Float64:
     """[n, 6] place and colour, in units of how far both may lie from what is of the same kind."""
     return np.concatenate([points / reach_m, rgb / KIN_COLOUR], axis=1)
 

@@ -30,6 +30,14 @@ class ChangedView:
     """Those of them where a view shows something else."""
 
 
+@dataclass(frozen=True)
+class BornBeside:
+    """What is born of the kind of a thing at rest, next to it."""
+
+    births: int
+    """Gaussians."""
+
+
 class Kind(Enum):
     """What has been decided about nodes."""
 
@@ -52,4 +60,4 @@ class Decision:
     """Id of the node that goes on, loses a part, has come to rest, or had come to rest."""
     other: int
     """Id of the node that has ended, begun, or gained the part; `node` itself where it settles."""
-    grounds: LogEvidence | ChangedView
+    grounds: LogEvidence | ChangedView | BornBeside

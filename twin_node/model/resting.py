@@ -9,10 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from twin_node.model.adoption import looks_of, nearest
 from twin_node.model.backgrounds import OCCLUSION, Backgrounds
+from twin_node.model.births import Births
 from twin_node.model.chosen import rows_where
-from twin_node.model.decisions import ChangedView, Decision, Kind, LogEvidence
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, LogEvidence
+from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.rendering import Rendering
@@ -27,7 +29,7 @@ what is hardly seen is watched for longer."""
 STIRRED = 0.25
 """Share of what is seen of a thing at rest that looks otherwise when it moves again: its edges do so first."""
 LEAST_STIRRED = 3
-"""Gaussians that must look otherwise: one or two may be noise."""
+"""Gaussians that must look otherwise, or be born beside it: one or two may be noise."""
 
 
 class Resting:
@@ -70,13 +72,38 @@ class Resting:
             return []
         groups = groups[at_rest]
         seen, changed = _stirred(observed, renderings, threshold, at_rest)
-        begun = []
+        grounds = {}
         for group in np.unique(groups).tolist():
             own = groups == group
             visible, stirred = int((seen & own).sum()), int((changed & own).sum())
-            if stirred >= max(LEAST_STIRRED, STIRRED * visible) and self._nodes.free:
+            if stirred >= max(LEAST_STIRRED, STIRRED * visible):
+                grounds[group] = ChangedView(visible, stirred)
+        return self._wake(grounds)
+
+    def rouse(self, births: Births, kin_m: float) -> Sequence[Decision]:
+        """Gives what rested a node again where something of its kind is born within `kin_m` of it.
+
+        What creeps looks otherwise at its edges alone. Were these left to newborns, they would hide it, come to rest
+        themselves, and go on until a heap of Gaussians stood there that nobody sees and nobody wakes.
+        """
+        g, off = self._gaussians, ~births.on_background
+        rows = rows_where(g.alive & (g.rested >= 0))
+        if not len(rows) or not off.any():
+            return []
+        means, rgb = g.means[rows].cpu().double().numpy(), g.values[rows, RGB].cpu().numpy()
+        closest = nearest(looks_of(births.means[off], births.rgb[off], kin_m), looks_of(means, rgb, kin_m))
+        groups, counts = np.unique(g.rested[rows].cpu().numpy()[closest[closest >= 0]], return_counts=True)
+        enough = counts >= LEAST_STIRRED
+        counted = zip(groups[enough].tolist(), counts[enough].tolist(), strict=True)
+        return self._wake({group: BornBeside(count) for group, count in counted})
+
+    def _wake(self, grounds: Mapping[int, ChangedView | BornBeside]) -> Sequence[Decision]:
+        """Nodes for what rested, by group, while there is room for nodes."""
+        g, begun = self._gaussians, []
+        for group, why in grounds.items():
+            if self._nodes.free:
                 node = self._begin(rows_where(g.alive & (g.rested == group)))
-                begun.append(Decision(Kind.WOKEN, self._nodes.stamp, group, node, ChangedView(visible, stirred)))
+                begun.append(Decision(Kind.WOKEN, self._nodes.stamp, group, node, why))
         if begun:
             self._backgrounds.renew()
         return begun

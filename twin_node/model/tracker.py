@@ -317,6 +317,7 @@ class Tracker:
         births = find_births(observed, renderings, self._parameters.track.residual, self._parameters.birth)
         if not len(births):
             return 0
+        self._decisions += self._resting.rouse(births, self._parameters.birth.kin_m)
         self._make_room(len(births))
         adopted = adopt(births, self._members(), self._nodes, self._parameters.birth)
         if births.lasting.any():
