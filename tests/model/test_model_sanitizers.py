@@ -15,8 +15,9 @@ from twin_node import native_build
 found = native_build.Kernels.best_library
 given = Path(sys.argv[1])
 native_build.Kernels.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
-import test_compiled_mask, test_nodes, test_semi_global, test_steps, test_sweep
+import test_compiled_mask, test_flow, test_nodes, test_semi_global, test_steps, test_sweep
 test_compiled_mask.test_several_cameras_at_once_are_those_one_by_one()
+test_flow.test_compiled_flow_is_that_in_numpy()
 test_nodes.test_compiled_poses_are_those_in_torch()
 test_sweep.test_compiled_comparisons_are_those_in_numpy()
 for shape in ((12, 17, 33), (1, 6, 4)):

@@ -17,7 +17,7 @@ from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
 from twin_node.model.deaths import Shapes, judge_static_plainly, refuted_moving_plainly
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
-from twin_node.model.flow import FlowSolver
+from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.held import SKIRT_PX, held_pixels, held_plainly
 from twin_node.model.kernels import kernels
@@ -208,7 +208,7 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     before = block(0.1)
     moving = Splats(before.means.expand(3, -1, -1), before.quats.expand(3, -1, -1), *list(vars(before).values())[2:])
     renderings = look_at(joined(table(), before))
-    flows = FlowSolver().begin(renderings, observed).found()
+    flows = flows_between(renderings, observed)
     origins = torch.tensor([0.1, 0.0, 0.05], dtype=torch.float64).expand(3, 1, 3)
     own = torch.arange(before.means.shape[1])
     left = before.means[0, :, 0].numpy() < 0.1
@@ -223,9 +223,9 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
 def test_flow_of_a_view_is_the_same_beside_others_and_none_where_nothing_moves() -> None:
     observed, renderings = observe(table(), 0.12, False), look_at(joined(table(), block(0.1)))
     still = replace(observed[1], near_moving=np.zeros_like(observed[1].near_moving))
-    solver, views = FlowSolver(), [observed[0], still, observed[2]]
-    together = solver.begin(renderings, views).found()
-    alone = [solver.begin([shown], [one]).found()[0] for shown, one in zip(renderings, views, strict=True)]
+    views = [observed[0], still, observed[2]]
+    together = flows_between(renderings, views)
+    alone = [flows_between([shown], [one])[0] for shown, one in zip(renderings, views, strict=True)]
     assert all(np.array_equal(a, b) for a, b in zip(together, alone, strict=True))
     assert together[0].any() and together[2].any()
     assert together[1].shape == (*still.near_moving.shape, 2) and not together[1].any()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 15
+INTERFACE_VERSION = 16
 
 
 class MaskRules(ctypes.Structure):
@@ -68,6 +68,34 @@ class BirthRequest(ctypes.Structure):
         *((name, c_int32) for name in ("count", "threads")),
         ("rules", ctypes.POINTER(BirthRules)),
         ("views", ctypes.POINTER(BirthView)),
+    )
+
+
+class FlowRules(ctypes.Structure):
+    """`model::FlowRules`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("stride", "levels", "passes", "steps", "border")),
+        ("stiffness", c_float),
+    )
+
+
+class FlowView(ctypes.Structure):
+    """`model::FlowView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("shown", "image", "wanted", "flow")),
+    )
+
+
+class FlowRequest(ctypes.Structure):
+    """`model::FlowRequest`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("count", "threads")),
+        ("rules", ctypes.POINTER(FlowRules)),
+        ("views", ctypes.POINTER(FlowView)),
     )
 
 

@@ -20,6 +20,9 @@ from twin_node.model.kernel_requests import (
     CreepRequest,
     DampedRequest,
     ExtentRequest,
+    FlowRequest,
+    FlowRules,
+    FlowView,
     GroupRequest,
     HeldRequest,
     HeldView,
@@ -57,6 +60,7 @@ class Kernels(NativeLibrary):
         super().__init__(path)
         self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
         self._dll.model_births.argtypes = [ctypes.POINTER(BirthRequest)]
+        self._dll.model_flow.argtypes = [ctypes.POINTER(FlowRequest)]
         self._dll.model_refute.argtypes = [ctypes.POINTER(RefutedRequest)]
         self._dll.model_judge.argtypes = [ctypes.POINTER(StaticRequest)]
         self._dll.model_advance.argtypes = [ctypes.POINTER(AdvanceRequest)]
@@ -136,6 +140,12 @@ class Kernels(NativeLibrary):
         given = (BirthView * len(views))(*views)
         request = BirthRequest(len(views), thread_count(), ctypes.pointer(rules), given)
         _check(self._dll.model_births(request))
+
+    def flow(self, rules: FlowRules, views: Sequence[FlowView]) -> None:
+        """Finds the optical flow of some views. Raises `MemoryError`."""
+        self._require_not_forked()
+        given = (FlowView * len(views))(*views)
+        _check(self._dll.model_flow(FlowRequest(len(views), thread_count(), ctypes.pointer(rules), given)))
 
     def refute(self, request: RefutedRequest) -> None:
         """Finds which moving Gaussians views see through. Raises `MemoryError`."""

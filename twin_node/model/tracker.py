@@ -22,7 +22,7 @@ from twin_node.model.deaths import Shapes
 from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving
-from twin_node.model.flow import FlowSolver
+from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.held import held_pixels
 from twin_node.model.motion import Motion
@@ -95,7 +95,6 @@ class Tracker:
         self._nodes = motion.nodes
         self._backgrounds = backgrounds
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
-        self._flow = FlowSolver()
         self._links = links
         skin = None if links is None else ArmSkin(links, gaussians, motion)
         self._upkeep = Upkeep(parameters, gaussians, backgrounds, skin)
@@ -189,12 +188,12 @@ class Tracker:
                 poses = self._poses(observed)
                 splats = self._place(rows, observed, poses)
                 renderings = self._look(observed, splats, self._place(around, observed, poses))
-            seeking = self._flow.begin(renderings, observed)
+            flows = flows_between(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
             if step == 0:
                 cells = cells_of(self._gaussians, rows[carried], splats.means[0, carried])
                 moved = self._bodies.moved(rows[carried], cells)
-            own, flows = carried.cpu(), seeking.found()
+            own = carried.cpu()
             twists = solve_twists(observed, renderings, flows, splats, own, cells, poses.positions, dt_s, sigma_px)
             if step == 0:
                 self._bodies.accumulate(cells, moved, twists.said, dt_s)

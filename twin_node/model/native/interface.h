@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 15;
+constexpr int32_t kInterfaceVersion = 16;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -147,6 +147,27 @@ struct BirthRequest {
   int32_t count, threads;
   const BirthRules *rules;
   const BirthView *views;  // [count]
+};
+
+// How optical flow is sought; see `patch_flow.py`.
+struct FlowRules {
+  int32_t stride, levels, passes, steps, border;
+  float stiffness;
+};
+
+// One view whose flow is sought, from what is shown to what came.
+struct FlowView {
+  int32_t width, height;
+  const float *shown;    // [H, W, 4] rendered colour, 0 to 1, and depth
+  const uint8_t *image;  // [H, W, 3]
+  const uint8_t *wanted;  // [H, W] where it is sought
+  float *flow;           // [H, W, 2] pixels, written; 0 where it is not sought
+};
+
+struct FlowRequest {
+  int32_t count, threads;
+  const FlowRules *rules;
+  const FlowView *views;  // [count]
 };
 
 // Nodes at some times from now.

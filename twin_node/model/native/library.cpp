@@ -8,6 +8,7 @@
 #include "damped.h"
 #include "deaths.h"
 #include "exposing.h"
+#include "flow.h"
 #include "held.h"
 #include "mask.h"
 #include "matching.h"
@@ -119,6 +120,11 @@ int32_t model_smooth(const model::SmoothRequest *request) {
   });
   if (status == model::kOk) model::add_pairs(*request);
   return status;
+}
+
+int32_t model_flow(const model::FlowRequest *request) {
+  return side_by_side(request->threads, request->count,
+                      [&](int i) { model::find_flow(*request->rules, request->views[i]); });
 }
 
 int32_t model_births(const model::BirthRequest *request) {
