@@ -1,0 +1,137 @@
+"""The driver in its own process from its start to its end: whom it finds, refuses, waits for, and leaves standing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shifts import Shift, parameters, wait_for
+
+from twin_node.arm.errors import ArmError
+from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters
+from twin_node.arm.ur.link import load_ur_rtde
+from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
+from twin_node.robot import RobotError, ur_model
+from twin_node.scene import JointPath
+
+
+def test_no_controller_is_reported_and_looked_for_again() -> None:
+    host = free_loopback()
+    heard: list[DriverReport] = []
+    news = threading.Event()
+    with SupervisedDriver(parameters(host), lambda report: (heard.append(report), news.set())):
+        wait_for(lambda: sum("expected a UR controller on port 30004" in r.reason for r in heard) >= 2, news)
+        with StandInProcess(StandInParameters(host=host)):
+            wait_for(lambda: heard[-1].state is DriverState.READY, threading.Event())
+
+
+@pytest.fixture(scope="module")
+def module_other() -> Iterator[StandInProcess]:
+    with StandInProcess(StandInParameters(host=free_loopback())) as running:
+        yield running
+
+
+@pytest.fixture
+def other(module_other: StandInProcess) -> StandInProcess:
+    """Another stand-in, begun anew."""
+    module_other.switch("restart 0")
+    wait_for(lambda: module_other.status().event("fault: restart") is None, threading.Event())
+    return module_other
+
+
+def test_closing_the_driver_stops_the_arm(other: StandInProcess) -> None:
+    shift = Shift(other)
+    shift.until_state(DriverState.READY)
+    shift.play()
+    shift.until_moving()
+    shift.close()
+    assert other.status().speed_slider == 0.0
+    assert shift.driver.latest.state is DriverState.LOST
+
+
+TWIN = """
+import sys, time
+from dataclasses import replace
+from twin_node.arm.ur import SupervisedDriver, UrParameters
+from twin_node.scene import Separation
+if __name__ == "__main__":
+    clear = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
+    driver = SupervisedDriver(UrParameters(robot=sys.argv[1], stale_s=0.3))
+    while True:
+        driver.decide(replace(clear, evidence_stamp=time.monotonic_ns()))
+        time.sleep(1 / 30)
+"""
+
+
+def test_when_the_twin_is_killed_its_driver_stops_the_arm_and_goes(other: StandInProcess) -> None:
+    twin = subprocess.Popen([sys.executable, "-c", TWIN, other.host])
+    pause = threading.Event()
+    wait_for(lambda: other.status().event("speed slider above zero") is not None, pause)
+    begun = other.status().clock
+    twin.kill()
+    twin.wait()
+    wait_for(lambda: other.status().event("speed slider at zero", begun) is not None, pause)
+
+
+def test_a_register_in_use_is_named_and_what_to_do(other: StandInProcess) -> None:
+    other.switch("claim input_int_register_20")
+    shift = Shift(other)
+    shift.until_state(DriverState.LOST, "an input register that ur_rtde writes is in use")
+    other.switch("release input_int_register_20")
+    shift.until_state(DriverState.READY)
+    shift.close()
+
+
+def test_another_type_of_arm_is_refused(other: StandInProcess) -> None:
+    shift = Shift(other, model="ur10e")
+    shift.until_state(DriverState.LOST, "expected a ur10e, the controller says it has a UR5")
+    shift.close()
+
+
+def test_a_driver_that_may_plays_on_by_itself_when_forecasts_are_back(other: StandInProcess) -> None:
+    shift = Shift(other, resumes=True, plays=True)
+    shift.until_state(DriverState.READY)
+    shift.play()
+    shift.until_moving()
+    other.switch("cut")
+    shift.until(lambda: other.status().runtime_state == "PAUSED")
+    other.switch("join")
+    shift.until_moving()
+    shift.close()
+
+
+def test_servo_mode_follows_slows_and_refuses(other: StandInProcess) -> None:
+    shift = Shift(other, mode=DriverMode.SERVO, watchdog_hz=4.0)
+    shift.until(lambda: shift.driver.latest.speed_fraction == 1.0)
+    start = shift.driver.latest.sample
+    assert start is not None
+    s = np.linspace(0, 1, 101)
+    way = (s**3 * (10 - 15 * s + 6 * s**2))[:, None] * np.array([0.4, 0, 0, 0, 0, 0])
+    names = ur_model("ur5e").joint_names
+    path = JointPath(names, (s * 1e9).astype(np.int64), start.target_q + way)
+    shift.driver.follow(replace(path, names=names[:5], positions=path.positions[:, :5]))
+    shift.until(lambda: any("wrist_3_joint" in str(report.refusal) for report in shift.reports))
+    shift.driver.follow(replace(path, positions=path.positions * np.nan))
+    shift.until(lambda: any("finite" in str(report.refusal) for report in shift.reports))
+    assert other.status().q == pytest.approx(start.q, abs=1e-6)
+    shift.driver.follow(path)
+    shift.until(lambda: abs(other.status().q[0] - path.positions[-1, 0]) < 1e-3)
+    shift.is_fed = False
+    shift.until_state(DriverState.HALTED, "no forecast")
+    shift.until(lambda: other.status().program is None)  # the script's own watchdog
+    shift.is_fed = True
+    shift.until(lambda: shift.driver.acknowledge() and shift.driver.latest.speed_fraction == 1.0)
+    shift.close()
+
+
+def test_what_cannot_be_driven_is_refused_before_a_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RobotError, match="ur3e"):
+        SupervisedDriver(UrParameters(model="kuka"))
+    monkeypatch.setitem(sys.modules, "rtde_io", None)
+    with pytest.raises(ArmError, match="pip install ur-rtde"):
+        load_ur_rtde()
