@@ -125,6 +125,7 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
 
 
 def test_seeds_are_run_in_slices(short: FilePath) -> None:
+    short.write_text(SHORT.replace("duration_s: 1.6", "duration_s: 0.3"))
     parameters = cell.CellBenchParameters((str(short),), seeds=2, first_seed=3, processes=1)
     assert [result.seed for result in cell.run(parameters)] == [3, 4]
 

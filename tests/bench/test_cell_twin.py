@@ -13,7 +13,7 @@ from twin_node.bench.cell_twin import BySight, TwinPerception, TwinTiming, run_t
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.scenario import Scenario, load_scenario
-from twin_node.nodes.chain_parameters import load_parameters
+from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.robot import forward_kinematics, place_capsules
 from twin_node.scene import ObstacleKind, Obstacles
 
@@ -22,6 +22,12 @@ from twin_node.scene import ObstacleKind, Obstacles
 def scenario() -> Scenario:
     cross = load_scenario("cross")
     return replace(cross, duration_s=0.3, sensing=replace(cross.sensing, width=96, height=72))
+
+
+def briefly_fitted() -> ChainParameters:
+    """The chain as shipped, but for a shorter first fit."""
+    chain = load_parameters(None)
+    return replace(chain, model=replace(chain.model, seed=replace(chain.model.seed, steps=10)))
 
 
 def test_the_chain_answers_after_its_latency(scenario: Scenario) -> None:
@@ -38,7 +44,7 @@ def test_the_chain_answers_after_its_latency(scenario: Scenario) -> None:
 
 def test_measured_latency_is_simulated_time(scenario: Scenario) -> None:
     case = CellCase(scenario, 33.0, LoopParameters())
-    seen = TwinPerception(case, load_parameters(None), None)
+    seen = TwinPerception(case, briefly_fitted(), None)
     program = RunningProgram(case.arm.cycle, case.table, scenario.start_ns, 0)
     program.tell(1.0)
     known: list[Obstacles] = []
@@ -53,7 +59,7 @@ def test_measured_latency_is_simulated_time(scenario: Scenario) -> None:
 
 def test_sight_alone_knows_nothing_of_motion(scenario: Scenario) -> None:
     case = CellCase(replace(scenario, duration_s=0.9), 33.0, LoopParameters())
-    seen = BySight(TwinPerception(case, load_parameters(None), 50_000_000))
+    seen = BySight(TwinPerception(case, briefly_fitted(), 50_000_000))
     program = RunningProgram(case.arm.cycle, case.table, scenario.start_ns, 0)
     known: list[Obstacles] = []
     while program.now < scenario.start_ns + 300_000_000:

@@ -159,7 +159,7 @@ def test_ablations_leave_out_one_part_each(tmp_path: Path) -> None:
 
 
 def test_an_ablation_is_followed_and_told_of(cell_log: Callable[..., Path]) -> None:
-    log = cell_log(1.0)
+    log = cell_log(1.2)
     parameters = ablations.AblationParameters((log,), 4, names=("no_mapper", ablations.ONE_RATE), width=64)
     rows = ablations.run(parameters)
     figures = json.loads(json.dumps(ablations.as_json(rows)))[log.stem]

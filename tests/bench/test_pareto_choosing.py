@@ -65,7 +65,7 @@ def test_the_best_that_keeps_the_budget_is_taken(
     spent = dict(zip(("tiny", "small", "medium", "large", "full"), (10, 20, 30, 45, 90), strict=True))
     by_width = {SIZES[name].width: ms for name, ms in spent.items()}
     monkeypatch.setattr(choosing, "timed_ms", lambda _, chain: by_width[chain.synchronizer.width])
-    with LogSession(cell_log(1.0)) as session:
+    with LogSession(cell_log(1.2)) as session:
         choice = by_budget(session, ChainParameters(), budget_ms)
     assert choice.size == chosen
     assert f"size {chosen}: {spent[chosen]} ms per set here" in choice.reason
@@ -84,7 +84,7 @@ def test_a_size_is_timed_on_the_logs_own_sets(cell_log: Callable[..., Path]) -> 
             now += 1.0
 
     ticks = seconds()
-    with LogSession(cell_log(1.0)) as session:
+    with LogSession(cell_log(1.2)) as session:
         assert timed_ms(session, chain, lambda: next(ticks)) == pytest.approx(1000)
 
 

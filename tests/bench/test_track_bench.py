@@ -14,12 +14,15 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.track import TrackBenchParameters, run
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.bench.track_scores import score_renderings
+from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.report.quality import Renderings
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.scene import Camera, FrameSet, View
 
-SMALL = ChainParameters(synchronizer=SynchronizerParameters(width=64, max_rate_hz=20))
+SMALL = ChainParameters(
+    synchronizer=SynchronizerParameters(width=64, max_rate_hz=20), model=ModelParameters(seed=SeedParameters(steps=10))
+)
 CAMERA = Camera("one", 16, 12, np.eye(3), np.eye(4))
 
 
@@ -59,7 +62,7 @@ def test_kinds_of_pixels_and_flicker_are_told_apart() -> None:
 
 
 def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Path]) -> None:
-    log = cell_log(1.5)
+    log = cell_log(1.2)
     names = ("all", "moving", "unchanged")
     live = run(log, TrackBenchParameters(rate=1.0, chain=SMALL)).as_json()
     assert json.loads(json.dumps(live))["mode"] == "real time"
@@ -73,8 +76,8 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
 
 def test_wrong_requests_are_named(cell_log: Callable[..., Path]) -> None:
     with pytest.raises(BenchError, match="leave one of the two out"):
-        run(cell_log(1.5), TrackBenchParameters(bounce=2, rate=1.0, chain=SMALL))
+        run(cell_log(1.2), TrackBenchParameters(bounce=2, rate=1.0, chain=SMALL))
     with pytest.raises(BenchError, match="no such camera; expected all or"):
-        run(cell_log(1.5), TrackBenchParameters(leave_out="nobody", chain=SMALL))
+        run(cell_log(1.2), TrackBenchParameters(leave_out="nobody", chain=SMALL))
     with pytest.raises(BenchError, match="longer --duration"):
-        run(cell_log(1.5), TrackBenchParameters(duration_s=1e-6, chain=replace(SMALL)))
+        run(cell_log(1.2), TrackBenchParameters(duration_s=1e-6, chain=replace(SMALL)))

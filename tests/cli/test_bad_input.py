@@ -40,7 +40,7 @@ def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., 
 def test_rig_file_of_another_rig(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(RIG.format(name="cam_elsewhere"))
-    line = refused(cell_log(0.4), "--rig", rig, "--lockstep")
+    line = refused(cell_log(0.5), "--rig", rig, "--lockstep")
     assert "no images of camera 'cam_elsewhere'" in line
     assert "cam_front" in line
 
@@ -48,7 +48,7 @@ def test_rig_file_of_another_rig(refused: Callable[..., str], cell_log: Callable
 def test_rig_file_that_is_none(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: 3\n")
-    assert "rig.yaml" in refused(cell_log(0.4), "--rig", rig)
+    assert "rig.yaml" in refused(cell_log(0.5), "--rig", rig)
 
 
 @pytest.mark.parametrize("pace", [["--lockstep"], ["--rate", "4"]])
@@ -82,24 +82,24 @@ def test_a_file_that_is_no_log(refused: Callable[..., str], tmp_path: Path, cont
 
 
 def test_a_remap_of_a_topic_that_is_not_there(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
-    assert "has no topic /nothing" in refused(cell_log(0.4), "--remap", "/nothing:=/cam/image_raw")
+    assert "has no topic /nothing" in refused(cell_log(0.5), "--remap", "/nothing:=/cam/image_raw")
 
 
 def test_a_start_past_the_end(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
-    assert "--start-offset 9 s is past its end" in refused(cell_log(0.4), "--start-offset", "9")
+    assert "--start-offset 9 s is past its end" in refused(cell_log(0.5), "--start-offset", "9")
 
 
 def test_an_unknown_parameter(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     file = tmp_path / "p.yaml"
     file.write_text("synchronizer: {ros__parameters: {widht: 80}}\n")
-    assert "did you mean 'width'?" in refused(cell_log(0.4), "--params", file)
+    assert "did you mean 'width'?" in refused(cell_log(0.5), "--params", file)
 
 
 def test_the_log_is_never_its_own_output(
     cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "log.mcap"
-    shutil.copy(cell_log(0.4), log)
+    shutil.copy(cell_log(0.5), log)
     before = log.read_bytes()
     assert main(["replay", str(log), "-o", str(log), "--lockstep"]) == 2
     assert log.read_bytes() == before

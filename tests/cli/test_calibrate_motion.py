@@ -27,7 +27,7 @@ def test_refine_refuses_in_one_line_and_writes_nothing(
     cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "refined.yaml"
-    assert main(["calibrate", "refine", str(cell_log(1.0)), "-o", str(out), "--duration", "0.1"]) == 2
+    assert main(["calibrate", "refine", str(cell_log(1.2)), "-o", str(out), "--duration", "0.1"]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
     assert len(lines) == 1
     assert not out.exists()
@@ -42,7 +42,7 @@ def test_refine_of_a_log_with_depth(
     """Surfaces tell how the cameras stand: no time is spent on a plane."""
     monkeypatch.delattr("twin_node.model.plane.dominant_plane")
     out = tmp_path / "refined.yaml"
-    assert main(["calibrate", "refine", str(cell_log(1.0)), "-o", str(out), "--json"]) == 0
+    assert main(["calibrate", "refine", str(cell_log(1.2)), "-o", str(out), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["surfaces_mm"] < 5
     assert [camera.name for camera in load_rig(out).rig.cameras] == list(figures["cameras"])
@@ -66,5 +66,5 @@ def test_refine_times_the_clocks_too(
 
 
 def test_time_says_what_is_missing(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", "time", str(cell_log(1.0)), "--duration", "0.3"]) == 2
+    assert main(["calibrate", "time", str(cell_log(1.2)), "--duration", "0.3"]) == 2
     assert "expected at least 20 images to time its motion by, found" in capsys.readouterr().err

@@ -39,12 +39,12 @@ def test_a_folder_that_cannot_be_made_is_told_before_anything_is_run(
 def test_a_size_that_is_measured_cannot_repeat_itself_to_the_byte(
     capsys: pytest.CaptureFixture[str], cell_log: Callable[..., Path]
 ) -> None:
-    log = str(cell_log(0.4))
+    log = str(cell_log(0.5))
     assert "use --target" in refused(capsys, "replay", log, "--lockstep", "--budget-ms", "30")
     assert "leave one of them out" in refused(capsys, "replay", log, "--width", "80", "--target", "10")
     assert "the best of launch/sizes.yaml" in refused(capsys, "replay", log, "--lockstep", "--target", "90")
 
 
 def test_a_replay_of_a_quality_says_its_size(capsys: pytest.CaptureFixture[str], cell_log: Callable[..., Path]) -> None:
-    assert main(["replay", str(cell_log(0.4)), "--lockstep", "--target", "1"]) == 0
+    assert main(["replay", str(cell_log(0.5)), "--lockstep", "--target", "1"]) == 0
     assert "twin_node: size tiny: the fastest that reached 1 dB" in capsys.readouterr().err

@@ -41,7 +41,7 @@ def _nowhere(ways: np.ndarray) -> Swerves:
 
 
 @compiled
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 2.0]))
 def test_compiled_layers_are_the_plain_ones_bit_by_bit(seed: int, speed: float) -> None:
     case = random_case(seed, speed)
