@@ -17,7 +17,7 @@ demo: $(READY)
 
 # Tests side by side: most wait for something, or keep one core busy. Who has done its share takes from another's.
 test: lint
-	$(BIN)/pytest -n auto --maxprocesses 4 --dist worksteal
+	$(BIN)/pytest -n auto --maxprocesses 3 --dist worksteal
 
 lint: $(READY)
 	$(BIN)/ruff check .
