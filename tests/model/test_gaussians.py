@@ -40,6 +40,16 @@ def test_more_births_than_room_fill_the_room_and_no_more() -> None:
     assert sorted(store.ids.tolist()) == [0, 2, 3, 4, 5]
 
 
+def test_each_of_a_batch_has_its_own_tier_as_far_as_there_is_room() -> None:
+    store = Gaussians(3, torch.device("cpu"))
+    store.homeless[:] = True
+    tiers = torch.tensor([int(t) for t in (Tier.RIGID, Tier.TRANSIENT, Tier.TRANSIENT, Tier.STATIC)], dtype=torch.uint8)
+    homeless = torch.tensor([False, True, False, False])
+    rows = store.spawn(replace(newborns(4), tiers=tiers, homeless=homeless), 1)
+    assert store.tiers[rows].tolist() == tiers[:3].tolist()
+    assert store.homeless[rows].tolist() == [False, True, False]
+
+
 def descend(store: Gaussians, rows: torch.Tensor, gradient: torch.Tensor, rate: float) -> None:
     """One step, stored."""
     descent = store.descent(rows)

@@ -9,9 +9,10 @@ import pytest
 import torch
 from model_scenes import block, frames, joined, rig, table
 
+from twin_node.model.adoption import Adopted, as_newborns
 from twin_node.model.alignment import solve_twists
 from twin_node.model.backgrounds import Backgrounds, grow
-from twin_node.model.births import find_births_plainly
+from twin_node.model.births import Births, find_births_plainly
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
@@ -21,6 +22,7 @@ from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.held import SKIRT_PX, held_pixels, held_plainly
 from twin_node.model.kernels import kernels
+from twin_node.model.nodes import Poses
 from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_plainly
 from twin_node.model.occluders import occluders, occluders_plainly
 from twin_node.model.parameters import BirthParameters
@@ -229,6 +231,27 @@ def test_flow_of_a_view_is_the_same_beside_others_and_none_where_nothing_moves()
     assert all(np.array_equal(a, b) for a, b in zip(together, alone, strict=True))
     assert together[0].any() and together[2].any()
     assert together[1].shape == (*still.near_moving.shape, 2) and not together[1].any()
+
+
+def test_newborns_come_in_one_batch_each_with_the_tier_of_who_carries_it() -> None:
+    at = np.arange(5.0)
+    births = Births(
+        means=np.stack([at, at, at], 1),
+        radii=0.01 + at,
+        rgb=np.full((5, 3), 0.5, np.float32),
+        on_background=np.array([True, False, True, False, False]),
+        lasting=np.array([True, False, False, False, False]),
+        views=np.zeros(5, np.int64),
+    )
+    adopted = Adopted(np.array([-1, -1, -1, 0, -1]), np.array([-1, -1, -1, 7, -1]))
+    poses = Poses(torch.tensor([[[1.0, 0, 0]]]).double(), torch.tensor([[[1.0, 0, 0, 0]]]).double())
+    born = as_newborns(births, adopted, poses, torch.device("cpu"))
+    assert isinstance(born.tiers, torch.Tensor) and born.homeless is not None and born.founders is not None
+    assert born.tiers.tolist() == [Tier.RIGID, Tier.TRANSIENT, Tier.TRANSIENT, Tier.TRANSIENT, Tier.STATIC]
+    assert born.homeless.tolist() == [False, True, True, False, False]
+    assert born.nodes.tolist() == [0, -1, -1, -1, -1] and born.founders.tolist() == [7, -1, -1, -1, -1]
+    assert born.means[:, 0].tolist() == [2, 1, 4, 2, 0], "the first in the frame of its node, a metre on"
+    assert born.scales[:, 2].numpy() == pytest.approx(0.01 + np.array([3, 1, 4, 2, 0]))
 
 
 def test_evidence_needs_more_than_the_extra_parameters_are_worth() -> None:

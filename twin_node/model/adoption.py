@@ -147,34 +147,34 @@ def _found(centre: Tensor, members: Members, nodes: Nodes, radius_m: float) -> i
     return nodes.give_birth(centre, velocity)
 
 
-def as_newborns(births: Births, adopted: Adopted, poses: Poses, device: torch.device) -> list[Newborns]:
-    """Births in the frames of their nodes, whose `poses` are those at each view's time, one batch per tier."""
-    node, founders = torch.from_numpy(adopted.nodes), torch.from_numpy(adopted.founders)
-    view = torch.from_numpy(births.views)
-    row = node.clamp_min(0)
-    means = torch.from_numpy(births.means)
-    local = rotate(conjugate(poses.quats[view, row]), means - poses.positions[view, row])
-    quats = torch.where(node[:, None] >= 0, conjugate(poses.quats[view, row]), poses.quats.new_tensor([1.0, 0, 0, 0]))
-    means = torch.where(node[:, None] >= 0, local, means)
-    lasting, free = torch.from_numpy(births.lasting), torch.from_numpy(~births.on_background)
+def as_newborns(births: Births, adopted: Adopted, poses: Poses, device: torch.device) -> Newborns:
+    """Births in the frames of their nodes, whose `poses` are those at each view's time.
+
+    What nodes carry comes first, then what stands in free space without one, passes over the background, or lasts.
+    """
+    node, free, lasting = adopted.nodes, ~births.on_background, births.lasting
     kinds = (
-        (Tier.RIGID, node >= 0, False),
-        (Tier.TRANSIENT, (node < 0) & free, True),
-        (Tier.TRANSIENT, (node < 0) & ~free & ~lasting, False),
-        (Tier.STATIC, (node < 0) & lasting, False),
+        (Tier.RIGID, node >= 0),
+        (Tier.TRANSIENT, (node < 0) & free),
+        (Tier.TRANSIENT, (node < 0) & ~free & ~lasting),
+        (Tier.STATIC, (node < 0) & lasting),
     )
-    return [
-        Newborns(
-            means[chosen].float().to(device),
-            quats[chosen].float().to(device),
-            torch.from_numpy(births.radii).float()[chosen, None].repeat(1, 3).to(device),
-            torch.full((int(chosen.sum()),), NEWBORN_OPACITY, device=device),
-            torch.from_numpy(births.rgb).float()[chosen].to(device),
-            tier,
-            node[chosen].to(device),
-            homeless,
-            founders[chosen].to(device),
-        )
-        for tier, chosen, homeless in kinds
-        if bool(chosen.any())
-    ]
+    chosen = [np.flatnonzero(kind) for _, kind in kinds]
+    order, sizes = np.concatenate(chosen), [len(part) for part in chosen]
+    tiers = np.repeat(np.array([int(tier) for tier, _ in kinds], np.uint8), sizes)
+    homeless = np.repeat([False, True, False, False], sizes)
+    carriers, view = torch.from_numpy(node[order]), torch.from_numpy(births.views[order])
+    row, carried = carriers.clamp_min(0), carriers[:, None] >= 0
+    means, quats = torch.from_numpy(births.means[order]), conjugate(poses.quats[view, row])
+    local = rotate(quats, means - poses.positions[view, row])
+    return Newborns(
+        torch.where(carried, local, means).float().to(device),
+        torch.where(carried, quats, poses.quats.new_tensor([1.0, 0, 0, 0])).float().to(device),
+        torch.from_numpy(births.radii[order]).float()[:, None].repeat(1, 3).to(device),
+        torch.full((len(order),), NEWBORN_OPACITY, device=device),
+        torch.from_numpy(births.rgb[order]).float().to(device),
+        torch.from_numpy(tiers).to(device),
+        carriers.to(device),
+        torch.from_numpy(homeless).to(device),
+        torch.from_numpy(adopted.founders[order]).to(device),
+    )

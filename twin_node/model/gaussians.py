@@ -30,7 +30,7 @@ what is like it around its own patch too. With 0.7 as few of them cost a recorde
 
 @dataclass(frozen=True)
 class Newborns:
-    """Gaussians about to be stored, all of one tier; canonical, so in the frame of `nodes` where that is not -1."""
+    """Gaussians about to be stored; canonical, so in the frame of `nodes` where that is not -1."""
 
     means: Tensor
     """[n, 3] m."""
@@ -42,11 +42,12 @@ class Newborns:
     """[n] 0 to 1."""
     rgb: Tensor
     """[n, 3] 0 to 1."""
-    tier: Tier
+    tiers: Tier | Tensor
+    """[n] uint8, or that of all."""
     nodes: Tensor
     """[n] int64 row of the node that carries it, -1 for none."""
-    homeless: bool = False
-    """Whether they stand in free space without a node: the next set may find them one."""
+    homeless: Tensor | None = None
+    """[n] whether it stands in free space without a node: the next set may find it one. None: none does."""
     founders: Tensor | None = None
     """[n] int64 id of the node that carried their kind first, -1 for none; None: none."""
 
@@ -170,7 +171,7 @@ class Gaussians:
         n = len(free)
         self.values[free] = born.packed()[:n]
         self.alive[free] = True
-        self.tiers[free] = int(born.tier)
+        self.tiers[free] = born.tiers[:n] if isinstance(born.tiers, Tensor) else int(born.tiers)
         self.nodes[free] = born.nodes[:n]
         self.rested[free] = -1
         self.founders[free] = -1 if born.founders is None else born.founders[:n]
@@ -178,7 +179,7 @@ class Gaussians:
         self.births[free] = stamp
         self.largest[free] = born.scales[:n].amax(-1).log() + LARGEST
         self.doubts[free] = 0
-        self.homeless[free] = born.homeless
+        self.homeless[free] = False if born.homeless is None else born.homeless[:n]
         self._next_id += n
         self.forget_moments(free)
         return free

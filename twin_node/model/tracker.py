@@ -322,7 +322,7 @@ class Tracker:
         if births.lasting.any():
             self._backgrounds.mark()
         newborns = as_newborns(births, adopted, self._poses(observed), self._gaussians.values.device)
-        rows = torch.cat([self._gaussians.spawn(part, self._nodes.stamp) for part in newborns])
+        rows = self._gaussians.spawn(newborns, self._nodes.stamp)
         carried = rows[self._gaussians.nodes[rows] >= 0]
         tiers = self._nodes.tiers[self._gaussians.nodes[carried].cpu()]
         self._gaussians.tiers[carried] = tiers.to(carried.device)
