@@ -52,6 +52,7 @@ def test_refine_times_the_clocks_too(
     cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One file with places and clocks; where the arm hardly moves, the places alone, and a warning."""
+    little = ("--arm", "ur5e", "--duration", "1")
     out, log, narrow = tmp_path / "refined.yaml", str(cell_log(2.0, width=160, height=120)), ("--max-offset", "0.05")
     assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow]) == 0
     clocks = json.loads(capsys.readouterr().out)["clocks"]
@@ -60,7 +61,7 @@ def test_refine_times_the_clocks_too(
     assert file.evidence is not None and all(
         one is not None and one.time_offset_sigma is not None for one in file.evidence
     )
-    assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow, "--arm", "ur5e"]) == 0
+    assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow, *little]) == 0
     captured = capsys.readouterr()
     assert "clocks are left as they are" in captured.err and "clocks" not in json.loads(captured.out)
 
