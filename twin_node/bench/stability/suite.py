@@ -57,7 +57,7 @@ def _quick() -> StabilityParameters:
     chain = _small_chain()
     model = replace(chain.model, seed=replace(chain.model.seed, steps=16))
     names = tuple(name for name in FAILURES if name not in LONG)
-    return StabilityParameters(names, seconds=1.8, width=96, most_levels=2, chain=replace(chain, model=model))
+    return StabilityParameters(names, seconds=1.6, width=96, most_levels=2, chain=replace(chain, model=model))
 
 
 QUICK = _quick()
