@@ -49,38 +49,6 @@ def test_no_plane_is_claimed_where_images_share_nothing() -> None:
     assert plane_through(rng.uniform(-1, 1, (2000, 3)), np.array([[0, 0, 3.0]])) is None
 
 
-def test_a_plane_that_a_camera_stands_in_is_none_however_well_images_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    def agreement(_: object, plane: Plane) -> float:
-        return 1.0 if plane.normal[2] < 0.5 else 0.5 * (abs(plane.offset) < 0.1)
-
-    monkeypatch.setattr("twin_node.model.plane._agreement", agreement)
-    views = frames(0, None, CAMERAS).views
-    across, up = np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(0, 0.4, 5))
-    wall = views[0].camera.T_base_cam[:3, 3] + np.stack([across, 0.01 + 0 * across, up], -1).reshape(-1, 3)
-    plane = dominant_plane(views, wall)
-    assert plane is not None
-    assert plane.normal[2] > 0.9
-
-
-def test_a_plane_between_the_heights_that_are_tried_is_found_beside_a_worse_one_at_such_a_height(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    views = frames(0, None, CAMERAS).views
-    tried: list[float] = []
-
-    def agreement(_: object, plane: Plane) -> float:
-        tried.append(-plane.offset / plane.normal[2])
-        step = (tried[1] - tried[0]) if len(tried) > 1 else 1.0
-        true, false = tried[0] + 30.5 * step, tried[0] + 50 * step
-        return float(np.exp(-abs(tried[-1] - true) / step) + 0.7 * np.exp(-abs(tried[-1] - false) / step))
-
-    monkeypatch.setattr("twin_node.model.plane._agreement", agreement)
-    plane = dominant_plane(views, np.zeros((0, 3)))
-    assert plane is not None
-    step = tried[1] - tried[0]
-    assert -plane.offset / plane.normal[2] == pytest.approx(tried[0] + 30.5 * step, abs=0.2 * step)
-
-
 def test_images_agree_through_the_true_plane_and_not_through_another() -> None:
     a, b, _ = frames(0, None, CAMERAS).views
     true, off = correlation(a, b, TABLE), correlation(a, b, TABLE.shifted(0.15))

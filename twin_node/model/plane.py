@@ -22,11 +22,6 @@ SHARES = (np.arange(256) / 255).astype(np.float32)
 """[256] of full brightness, per 8-bit level."""
 MEASURED_SHARE = 0.15
 """Share of the measured points that a dominant plane holds at least."""
-CLEARANCE = 0.05
-"""How far all cameras stand above a dominant plane at least, in units of the rig's width: who stands in a plane, or
-beneath it, does not see it."""
-FINALISTS = 3
-"""Horizontal planes that are refined, beside the best other one."""
 MIN_AGREEMENT, DISTINCT = 0.01, 2.0
 """A plane is believed if it scores this much, and this many times what three quarters of the heights do not reach."""
 
@@ -119,28 +114,25 @@ def _window_mean(image: Float32) -> Float32:
 def dominant_plane(views: Sequence[View], points: Float64) -> Plane | None:
     """The plane that explains most of the views, or None where nothing agrees.
 
-    Candidates are planes through triangulated `points` [n, 3] (RANSAC) and horizontal planes, all of them below every
-    camera. Those under which the images agree best are refined in tilt and offset, and the best of these it is: how
-    well they agree a hand's breadth off tells little where cameras look from far apart.
+    Candidates are planes through triangulated `points` [n, 3] (RANSAC) and horizontal planes below the cameras; the one
+    under which the images agree best is refined in tilt and offset.
     """
     centres = np.stack([view.camera.T_base_cam[:3, 3] for view in views])
     lowest = centres[:, 2].min()
     span = max(np.ptp(centres, axis=0).max(), 0.2)
     candidates = [
-        Plane(np.array([0.0, 0.0, 1.0]), -z) for z in np.linspace(lowest - 2 * span, lowest - CLEARANCE * span, 96)
+        Plane(np.array([0.0, 0.0, 1.0]), -z) for z in np.linspace(lowest - 2 * span, lowest - 0.05 * span, 96)
     ]
     levels = len(candidates)
-    candidates += [plane for plane in _ransac(points, centres) if plane.height(centres).min() > CLEARANCE * span]
+    candidates += _ransac(points, centres)
     if len(views) < 2:
         return None
     shades = [_Shades.of(view) for view in views]
     scores = [_agreement(shades, plane) for plane in candidates]
-    if max(scores) < max(MIN_AGREEMENT, DISTINCT * float(np.percentile(scores[:levels], 75))):
+    best = int(np.argmax(scores))
+    if scores[best] < max(MIN_AGREEMENT, DISTINCT * float(np.percentile(scores[:levels], 75))):
         return None
-    order = np.argsort(np.negative(scores), kind="stable")
-    finalists = [*order[order < levels][:FINALISTS], *order[order >= levels][:1]]
-    refined = [_refined(shades, candidates[at], scores[at], span) for at in finalists]
-    return max(refined, key=lambda plane: _agreement(shades, plane))
+    return _refined(shades, candidates[best], scores[best], span)
 
 
 def plane_through(points: Float64, centres: Float64) -> Plane | None:
