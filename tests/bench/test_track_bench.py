@@ -66,7 +66,8 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
     names = ("all", "moving", "unchanged")
     live = run(log, TrackBenchParameters(rate=1.0, chain=SMALL)).as_json()
     assert json.loads(json.dumps(live))["mode"] == "real time"
-    assert live["latency_ms"]["p99"] > 0  # type: ignore[index]
+    latency = live["latency_ms"]
+    assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"]  # type: ignore[index]
     camera = run(log, TrackBenchParameters(duration_s=0.1, chain=SMALL)).followed.model
     assert camera.capacity > 0
     bounced = run(log, TrackBenchParameters(bounce=3, duration_s=0.3, leave_out="all", chain=SMALL)).as_json()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from twin_node.model.flow import flows
+from twin_node.model.kernels import kernels
 from twin_node.model.patch_flow import SIDE, flow_between
 from twin_node.scene import Bool, Float32, UInt8
 
@@ -83,6 +84,19 @@ def test_what_is_even_tells_no_motion() -> None:
     assert np.abs(flow).max() < 0.5
 
 
+def test_a_rendering_with_what_is_no_number_tells_the_motion_of_the_rest() -> None:
+    rgb, wanted = textured(SIZE), np.ones(SIZE, bool)
+    broken = rgb.copy()
+    broken[30:40, 40:50] = np.nan
+    for flow in (
+        flows([with_depth(broken)], [moved(rgb, (1.0, 0.0))], [wanted])[0],
+        flow_between(broken, moved(rgb, (1.0, 0.0)), wanted),
+    ):
+        assert np.isfinite(flow).all()
+        assert np.median(np.linalg.norm(flow[:, :24] - np.array([1, 0], np.float32), axis=-1)) < 0.1
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 def test_compiled_flow_is_that_in_numpy() -> None:
     random = np.random.default_rng(3)
     shown, images, wanted = [], [], []

@@ -200,7 +200,7 @@ def test_a_learning_rate_that_explodes_is_braked_and_reported() -> None:
     assert warned and len(warned) < 15
     for state in states:
         assert all(np.isfinite(values.astype(np.float64)).all() for values in vars(state.gaussians).values())
-    assert np.mean(gains) > 1.5, "it goes up and down, and stays of use: 2 to 10 dB, by chance"
+    assert np.mean(gains) > 3, "it goes up and down, and stays of use"
 
 
 def test_a_box_a_hundred_times_too_large_does_no_harm() -> None:

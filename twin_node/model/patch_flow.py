@@ -33,11 +33,11 @@ GREY = np.array([0.299, 0.587, 0.114], np.float32)
 def flow_between(shown: Float32, image: UInt8, wanted: Bool) -> Float32:
     """[H, W, 2] pixels from where `shown` [H, W, 3] (0 to 1) shows a thing to where `image` [H, W, 3] does.
 
-    0 but for the patches that hold pixels which are `wanted` [H, W].
+    0 but for the patches that hold pixels which are `wanted` [H, W]. Where `shown` is no number it is black.
     """
-    if min(wanted.shape) < SIDE:
+    if not wanted.any() or min(wanted.shape) < SIDE:
         return np.zeros((*wanted.shape, 2), np.float32)
-    whole = _Level((255 * shown.clip(0, 1)) @ GREY, image.astype(np.float32) @ GREY, wanted)
+    whole = _Level((255 * np.where(shown > 0, shown, 0).clip(0, 1)) @ GREY, image.astype(np.float32) @ GREY, wanted)
     levels = [whole]
     while len(levels) < LEVELS and min(levels[-1].wanted.shape) >= 2 * SIDE:
         levels.append(levels[-1].halved())

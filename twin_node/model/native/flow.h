@@ -11,7 +11,7 @@
 
 namespace model {
 
-constexpr int kSide = 8, kPixels = kSide * kSide;  // of a patch
+constexpr int kSide = 8, kPixels = kSide * kSide;  // of a patch: `patch_flow.SIDE`
 
 typedef float Row __attribute__((vector_size(kSide * sizeof(float))));  // of a patch
 
@@ -275,18 +275,20 @@ class FlowLevel {
 };
 
 inline void find_flow(const FlowRules &rules, const FlowView &view) {
-  if (std::min(view.width, view.height) < kSide) {
-    std::fill_n(view.flow, 2 * static_cast<int64_t>(view.width) * view.height, 0.f);
+  const int64_t pixels = static_cast<int64_t>(view.width) * view.height;
+  const bool is_wanted = std::any_of(view.wanted, view.wanted + pixels, [](uint8_t one) { return one != 0; });
+  if (!is_wanted || std::min(view.width, view.height) < kSide) {
+    std::fill_n(view.flow, 2 * pixels, 0.f);
     return;
   }
   std::vector<FlowLevel> levels;
   levels.reserve(rules.levels);
   levels.emplace_back(rules, view.width, view.height);
   FlowLevel &whole = levels.front();
-  for (int64_t i = 0; i < static_cast<int64_t>(view.width) * view.height; i++) {
+  for (int64_t i = 0; i < pixels; i++) {
     const float *seen = view.shown + 4 * i;
     const uint8_t *came = view.image + 3 * i;
-    const auto level = [](float part) { return 255 * std::min(std::max(part, 0.f), 1.f); };
+    const auto level = [](float part) { return part > 0 ? 255 * std::min(part, 1.f) : 0.f; };  // no number: 0
     whole.shown[i] = 0.299f * level(seen[0]) + 0.587f * level(seen[1]) + 0.114f * level(seen[2]);
     whole.image[i] = 0.299f * came[0] + 0.587f * came[1] + 0.114f * came[2];
     whole.wanted[i] = view.wanted[i];
