@@ -10,8 +10,9 @@ from forecast_worlds import GRID, RIG, ball_voxels, camera, state_of
 
 from twin_node.forecast.agreement import Estimate
 from twin_node.forecast.experts import GRAVITY
+from twin_node.forecast.image_motion import Window
 from twin_node.forecast.measured import UNKNOWN_SPEED
-from twin_node.forecast.part_velocities import PartVelocities
+from twin_node.forecast.part_velocities import PartVelocities, spread_about
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.tables import RigTables
 from twin_node.scene import Float64, TwinState
@@ -119,3 +120,15 @@ def test_what_falls_goes_as_all_of_it_went_whatever_its_surface_does() -> None:
     assert whole.falling.all()
     assert np.allclose(moving.velocities, speed + seconds * GRAVITY, atol=0.35)
     assert (moving.sigmas < 0.2).all()
+
+
+@pytest.mark.parametrize("window", [Window(20, 60, 10, 45), Window(0, 33, 0, 32), Window(70, 100, 31, 80)])
+def test_shifts_spread_over_a_window_are_those_of_the_whole_image(window: Window) -> None:
+    rng = np.random.default_rng(1)
+    width, height = 100, 80
+    columns, rows = rng.integers(window.left, window.right, 60), rng.integers(window.top, window.bottom, 60)
+    pixels, shifts = rows * width + columns, rng.normal(0, 5, (60, 2))
+    whole = spread_about(Window(0, width, 0, height), pixels, shifts, (width, height))
+    spread = spread_about(window, pixels, shifts, (width, height))
+    assert np.array_equal(spread, whole[window.slices])
+    assert np.ptp(spread[..., 0]) > 5

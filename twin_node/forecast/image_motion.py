@@ -29,6 +29,19 @@ class Window(NamedTuple):
         """Rows and columns."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
+    def slices_of(self, other: Window) -> tuple[slice, slice]:
+        """The same in a window that holds this one."""
+        rows, columns = (
+            (self.top - other.top, self.bottom - other.top),
+            (self.left - other.left, self.right - other.left),
+        )
+        return slice(*rows), slice(*columns)
+
+    def wider(self, pixels: int, width: int, height: int) -> Window:
+        """With so many more on each side, in an image of so many pixels."""
+        left, right = max(0, self.left - pixels), min(width, self.right + pixels)
+        return Window(left, right, max(0, self.top - pixels), min(height, self.bottom + pixels))
+
     def joined(self, other: Window) -> Window:
         """The least that holds both."""
         if self.right == 0 or other.right == 0:
@@ -156,19 +169,24 @@ class ImageMotion:
             return None
         return (now.stamp - before.stamp) * 1e-9
 
-    def pair(self, guess: Float32 | None = None) -> Pair:
-        """The last two images, and the flow on what moves alone; asked only where `elapsed_s` is known.
-
-        `guess` [H, W, 2]: pixels moved that the search for the flow begins with. All that does not move is grey: still
-        ground would hold back the flow of thin limbs.
-        """
+    @property
+    def window(self) -> Window:
+        """About what moves in either of the last two images; asked only where `elapsed_s` is known."""
         now, before = self._now, self._before
         assert now is not None and before is not None
         height, width = now.grey.shape
-        window = now.window.joined(before.window).within(width, height)
-        within = window.slices
-        here, there = np.ascontiguousarray(now.grey[within]), np.ascontiguousarray(before.grey[within])
-        flow = np.zeros((*here.shape, 2), np.float32) if guess is None else np.ascontiguousarray(-guess[within])
+        return now.window.joined(before.window).within(width, height)
+
+    def pair(self, window: Window, guess: Float32 | None = None) -> Pair:
+        """The last two images, and the flow on what moves alone; asked only where `elapsed_s` is known.
+
+        `window`: of them. `guess` [h, w, 2]: pixels moved in it that the search for the flow begins with. All that does
+        not move is grey: still ground would hold back the flow of thin limbs.
+        """
+        now, before = self._now, self._before
+        assert now is not None and before is not None
+        here, there = (np.ascontiguousarray(image.grey[window.slices]) for image in (now, before))
+        flow = np.zeros((*here.shape, 2), np.float32) if guess is None else -guess
         if flow.size:
             flow = np.ascontiguousarray(self._flow.calc(here, there, flow), np.float32)
         return Pair(now, before, window, flow)

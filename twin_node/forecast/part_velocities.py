@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.forecast.agreement import FOUND_PIXELS, Estimate, agreed
-from twin_node.forecast.image_motion import ImageMotion, near, seen
+from twin_node.forecast.image_motion import ImageMotion, Window, near, seen
 from twin_node.forecast.nearest import nearest_one
 from twin_node.forecast.parts import Parts
 from twin_node.forecast.shown import Sample, Visible, Witness, told, visible
@@ -86,24 +87,34 @@ class _Look:
 
     def witness(self, expected: Float64) -> Witness:
         """What the view shows, if the search for the flow begins from velocities [M, 3] (m/s)."""
-        axis = self.seeing.camera.viewmat[2, :3]
-        return Witness(self.seeing.motion.pair(self._guess(expected)), self.visible, axis)
+        window, axis = self.seeing.motion.window, self.seeing.camera.viewmat[2, :3]
+        return Witness(self.seeing.motion.pair(window, self._guess(window, expected)), self.visible, axis)
 
-    def _guess(self, expected: Float64) -> Float32 | None:
-        """[H, W, 2] pixels that what moves has gone at velocities [M, 3]; None if that is little."""
-        camera = self.seeing.camera
+    def _guess(self, window: Window, expected: Float64) -> Float32 | None:
+        """[h, w, 2] pixels that what moves in a window has gone at velocities [M, 3]; None if that is little."""
         gone = np.einsum("mki,mi->mk", self.visible.jacobian, expected) * self.seeing.elapsed_s
         if len(self.visible.labels) == 0 or np.abs(gone).max() < FOUND_PIXELS / 2:
             return None
         mine = gone[self.visible.labels]
         if np.abs(mine).max() < FOUND_PIXELS / 2:
             return None
-        sums = np.zeros((camera.height * camera.width, 3), np.float32)
-        sums[self.visible.pixels, :2], sums[self.visible.pixels, 2] = mine, 1
-        around = cv2.blur(sums.reshape(camera.height, camera.width, 3), (_PATCH, _PATCH))
-        overall = mine.mean(axis=0)
-        known = around[..., 2:] > 0
-        return np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), overall).astype(np.float32)
+        return spread_about(window, self.visible.pixels, mine, (self.seeing.camera.width, self.seeing.camera.height))
+
+
+def spread_about(window: Window, pixels: NDArray[np.int64], shifts: Float64, size: tuple[int, int]) -> Float32:
+    """[h, w, 2] shifts all over a window of an image of `size` (width, height), of those at some of its pixels.
+
+    `pixels` [n], flat, and their `shifts` [n, 2]. Others go as those about them do, or as all together.
+    """
+    wider = window.wider(_PATCH // 2, *size)
+    rows, columns = np.divmod(pixels, size[0])
+    sums = np.zeros((wider.bottom - wider.top, wider.right - wider.left, 3), np.float32)
+    sums[rows - wider.top, columns - wider.left, :2] = shifts
+    sums[rows - wider.top, columns - wider.left, 2] = 1
+    around = cv2.blur(sums, (_PATCH, _PATCH))[window.slices_of(wider)]
+    known = around[..., 2:] > 0
+    spread = np.where(known, around[..., :2] / np.maximum(around[..., 2:], 1e-6), shifts.mean(axis=0))
+    return spread.astype(np.float32)
 
 
 def _filled(centers: Float64, moving: Estimate, measured: Bool) -> Estimate:
