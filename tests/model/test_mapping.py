@@ -98,6 +98,24 @@ def test_ground_far_from_what_moves_keeps_its_place() -> None:
     assert np.percentile(moved, 90) < 0.001 and moved.max() < 0.01
 
 
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_a_step_is_let_be_once_while_all_its_views_are_looked_through(steps: int) -> None:
+    whole, nothing = table(), [np.zeros((60, 80), bool)] * len(CAMERAS)
+    count = whole.means.shape[1]
+    store = Gaussians(count, torch.device("cpu"))
+    nobody = torch.full((count,), -1, dtype=torch.int64)
+    parts = (whole.means[0], whole.quats[0], whole.scales, whole.opacities, 0.5 * whole.rgb)
+    store.spawn(Newborns(*parts, Tier.STATIC, nobody), 0)
+    backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
+    mapper, observer = Mapper(MapParameters(calm_s=0.05), store, backgrounds, count), Observer(0.1, 60.0)
+    slices = []
+    for index in range(2 * len(CAMERAS)):
+        now, known = frames(index, None, CAMERAS), backgrounds.of(store, CAMERAS)
+        observed = observer.observe(now, nothing, [None] * len(CAMERAS), known, 0.033)
+        slices.append(len(list(mapper.refine(observed, now.stamp, steps))))
+    assert slices[0] == 0 and slices[-1] == steps
+
+
 @pytest.mark.parametrize("every", [1, 4])
 def test_shares_that_are_broken_off_teach_all_the_same(every: int) -> None:
     """Every so many of the questions whether to go on are answered with no: every one where a set always waits."""

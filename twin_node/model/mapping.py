@@ -89,7 +89,7 @@ class Mapper:
     def refine(self, observed: Sequence[Observed], stamp: int, steps: int) -> Generator[None]:
         """Takes up to `steps`, 1 or more, by what the set at `stamp` (ns) shows, slice by slice; see `stages.Sliced`.
 
-        From the first slice to the second another thread looks at what the first step misses.
+        From each slice to the next another thread looks at what a step misses, which then is taken.
         """
         self._turn += 1
         views = [_Wanting(one.background, self._rest_of(one)) for one in observed]
@@ -160,20 +160,14 @@ class Mapper:
         learns = torch.zeros_like(self._gaussians.alive)
         learns[chosen] = True
         goals = [view.goal() for view in views]
-        for number in range(steps):
+        for _ in range(steps):
             rows = self._gaussians.static_rows
             step = least_squares.Step(self._gaussians, rows, learns.index_select(0, rows))
-            if number == 0:
-                looking = self._aside.begin(partial(_look, step, goals))
-                yield
-                looking.end()
-            else:
-                for goal in goals:
-                    step.look(goal)
-                    yield
+            looking = self._aside.begin(partial(_look, step, goals))
+            yield
+            looking.end()
             step.take()
             self._backgrounds.repaint()
-            yield
 
     def _chosen(self, views: Sequence[_Wanting]) -> Bool:
         """[n] which of the background's rows show at a wrong pixel of some view, while no other view comes to rest."""

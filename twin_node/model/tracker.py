@@ -148,8 +148,8 @@ class Tracker:
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
         better without; who merges and splits shows in what comes. Where `proceed` leaves no time, nothing is done: what
         is not born now is with the next set. If that goes on, neither is put off again, nothing is pruned, and what
-        stands takes a step after one set and is drawn anew after the next. Another thread looks at what the first step
-        of a set misses while this one regroups and bears.
+        stands takes a step after one set and is drawn anew after the next. Another thread looks at what a set's steps
+        miss while this one regroups and prunes, and while it bears.
         """
         due, self._due = self._due, None
         if due is None:
@@ -166,6 +166,7 @@ class Tracker:
             on_stage("regroup")
             if not self._hurried:
                 self._prune(due.seen.observed)
+                self._upkeep.learn(granted(1))
             self._born = self._bear(due.seen.observed, due.renderings)
             self._nodes.remember()
             on_stage("bear")

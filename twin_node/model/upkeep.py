@@ -48,7 +48,7 @@ class Upkeep:
     def begin(self, seen: Seen, steps: int) -> None:
         """Begins to learn `steps` at most from a set, where nothing else has been begun.
 
-        Another thread takes the first look at what stands while this one does other things, up to `go_on`.
+        Another thread looks at what stands while this one does other things, from each slice of `learn` to the next.
         """
         if self._learning is None and self._tells_of_what_stands(seen) and not self._backgrounds.are_outdated:
             self._learning = Sliced(self._slices(seen, min(steps, self._steps)))
@@ -74,12 +74,13 @@ class Upkeep:
         return not self._backgrounds.are_behind or Sliced(self._backgrounds.keep_up(self._gaussians)).go_on(proceed)
 
     def _slices(self, seen: Seen, steps: int) -> Generator[None]:
-        """A set's share of what can be let be; a look is taken meanwhile from the first slice on."""
+        """A set's share of what can be let be; the arm's while the second look is taken."""
         if not steps:
             return
         learning = self._mapper.refine(seen.observed, seen.stamp, steps)
-        next(learning, None)
-        yield
+        for _ in range(2):
+            next(learning, None)
+            yield
         if self._skin is not None and seen.joints is not None:
             yield from self._skin.refine(seen.observed, seen.joints, seen.robots)
             yield
