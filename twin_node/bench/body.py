@@ -12,6 +12,7 @@ import torch
 from twin_node.bench.truth import ColourOf
 from twin_node.forecast.node_motion import Moves, NodeMotion
 from twin_node.forecast.score import iou
+from twin_node.model.rays import look
 from twin_node.model.rendering import Splats, render
 from twin_node.scene import HORIZONS_NS, Bool, Camera, Float64, GaussianCloud, TwinState
 
@@ -23,6 +24,8 @@ MOVED = 0.95
 """Overlap of a thing's pixels with themselves a horizon later below which it has moved."""
 LEAST = 30
 """Gaussians of the colour from which on it tells which node carries it."""
+WITNESSES = 2
+"""Views in which a Gaussian lies on pixels of the colour, of the thing that has it."""
 LEAST_PX = 20
 """Pixels of the colour that a view must show."""
 
@@ -87,7 +90,7 @@ class BodyTally:
 
     def _foretell(self, state: TwinState, ahead_ns: int) -> _Foretold | None:
         cloud = state.gaussians
-        own = _of_colour(state, self.colour) & (cloud.nodes >= 0)
+        own = _of_thing(state, self.colour) & (cloud.nodes >= 0)
         if own.sum() < LEAST:
             return None
         counts = np.bincount(cloud.nodes[own], minlength=len(state.nodes.ids))
@@ -115,10 +118,20 @@ class BodyTally:
                     self.overlaps.setdefault(name, []).append(iou(shown, truth))
 
 
-def _of_colour(state: TwinState, colour: ColourOf) -> Bool:
-    """[N] which Gaussians have the colour themselves."""
-    rgb = (255 * state.gaussians.rgb.clip(0, 1)).astype(np.uint8)
-    return colour.mask(rgb[None])[0] if len(rgb) else np.zeros(0, np.bool_)
+def _of_thing(state: TwinState, colour: ColourOf) -> Bool:
+    """[N] which Gaussians have the colour themselves and lie where the images have it too: shade is any colour.
+
+    That has to be so in `WITNESSES` views, in all of them where there are fewer.
+    """
+    cloud, views = state.gaussians, state.frames.views
+    rgb = (255 * cloud.rgb.clip(0, 1)).astype(np.uint8)
+    own = colour.mask(rgb[None])[0] if len(rgb) else np.zeros(0, np.bool_)
+    showing = np.zeros(len(own), np.int64)
+    for view in views:
+        seen = look(view.camera, cloud.means)
+        showing += seen.inside & seen.within(colour.mask(view.rgb))
+    thing: Bool = own & (showing >= min(WITNESSES, len(views)))
+    return thing
 
 
 def _shown(cloud: GaussianCloud, places: Float64, camera: Camera) -> Bool:
