@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT := out
-# Python compiles what it imports when it first does; all of torch ahead would be a third of the set-up.
+# Python compiles what it imports when it first does; all of torch and Open3D ahead would be a third of the set-up.
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
@@ -28,12 +28,15 @@ lint: $(READY)
 bench: $(READY)
 	$(BIN)/twin_node bench raster
 
-# Debian ships venv apart from Python: installed when we may, named when we may not.
+# Open3D needs libusb and libGL, and Debian ships venv apart from Python: installed when we may, named when we may not.
 $(READY): pyproject.toml setup.py constraints.txt constraints-cpu.txt
-	@if ! $(PYTHON) -c 'import ensurepip' 2>/dev/null; then \
+	@missing=; for lib in libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1; do \
+	  ldconfig -p | grep -q "$${lib%%:*}" || missing="$$missing $${lib##*:}"; done; \
+	$(PYTHON) -c 'import ensurepip' 2>/dev/null || missing="$$missing python3-venv"; \
+	if [ -n "$$missing" ]; then \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq python3-venv; \
-	  else echo "note: install python3-venv first" >&2; fi; fi
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$missing; \
+	  else echo "note: install these system packages for full function:$$missing" >&2; fi; fi
 	@if $(PYTHON) -c 'import torch, sys; sys.exit(torch.version.cuda is None)' 2>/dev/null; then \
 	  echo "using the torch of $(PYTHON), which has CUDA"; $(PYTHON) -m venv --system-site-packages $(VENV); \
 	else \

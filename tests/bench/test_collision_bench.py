@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -97,10 +96,3 @@ def test_wrong_references_are_refused(reference: Path, capsys: pytest.CaptureFix
     (reference / "one.urdf").unlink()
     assert main(["bench", "collision", "--reference", str(reference)]) == 2
     assert "expected a *.urdf file" in capsys.readouterr().err
-
-
-def test_a_missing_package_is_named(reference: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "igl", None)
-    arm = ArmReference(reference)
-    with pytest.raises(BenchError, match=r"libigl.*twin-node\[bench\]"):
-        arm.mesh_distances(np.eye(4)[None, None].repeat(2, axis=1), ("base", "arm"), np.zeros((1, 1, 3)))

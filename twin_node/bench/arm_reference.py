@@ -20,9 +20,9 @@ from twin_node.scene import Float64
 class LinkMesh:
     """A link's collision mesh in the link's own frame."""
 
-    vertices: Float64
+    vertices: NDArray[np.float32]
     """[V, 3] m."""
-    faces: NDArray[np.int64]
+    faces: NDArray[np.uint32]
     """[F, 3] rows of `vertices`."""
 
 
@@ -63,19 +63,26 @@ class ArmReference:
     def mesh_distances(self, poses: Float64, links: tuple[str, ...], points: Float64) -> Float64:
         """Exact signed distances [T, P] (m) of points [T, P, 3] to the meshes of all links but the first.
 
-        `poses` [T, L, 4, 4] places the links. libigl finds the nearest triangle; negative is where the mesh winds
-        around the point (Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers").
+        `poses` [T, L, 4, 4] places the links. Open3D's `RaycastingScene` finds the nearest point of the nearest
+        triangle; negative is inside the mesh.
         """
-        igl = _libigl()
+        import open3d.core as o3c
+        from open3d.t.geometry import RaycastingScene
+
+        device = o3c.Device("CPU:0")
+
         nearest = np.full(points.shape[:2], np.inf)
         for row, name in enumerate(links):
             if row == 0 or name not in self._meshes:
                 continue
+            scene = RaycastingScene(nthreads=1)
             mesh = self._meshes[name]
-            local = _seen_from(poses[:, row], points).reshape(-1, 3)
-            signs = igl.SIGNED_DISTANCE_TYPE_WINDING_NUMBER
-            distances = igl.signed_distance(local, mesh.vertices, mesh.faces, sign_type=signs)[0]
-            nearest = np.minimum(nearest, distances.reshape(nearest.shape))
+            scene.add_triangles(
+                o3c.Tensor(mesh.vertices, o3c.float32, device), o3c.Tensor(mesh.faces, o3c.uint32, device)
+            )
+            local = np.ascontiguousarray(_seen_from(poses[:, row], points), np.float32)
+            distances = scene.compute_signed_distance(o3c.Tensor(local, o3c.float32, device)).numpy()
+            nearest = np.minimum(nearest, distances)
         return nearest
 
     def sphere_distances(self, poses: Float64, links: tuple[str, ...], points: Float64) -> Float64 | None:
@@ -104,17 +111,9 @@ class ArmReference:
             placed = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
             local = (placed - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
             first, count = int(engine.mesh_faceadr[mesh]), int(engine.mesh_facenum[mesh])
-            faces = engine.mesh_face[first : first + count].astype(np.int64)
-            found[engine.body(body).name] = LinkMesh(np.ascontiguousarray(local), faces)
+            faces = engine.mesh_face[first : first + count].astype(np.uint32)
+            found[engine.body(body).name] = LinkMesh(np.ascontiguousarray(local, np.float32), faces)
         return found
-
-
-def _libigl() -> Any:
-    try:
-        import igl
-    except ImportError:
-        raise BenchError("meshes: expected the package libigl; pip install 'twin-node[bench]' brings it") from None
-    return igl
 
 
 def _load(urdf: Path) -> Any:
