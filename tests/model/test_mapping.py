@@ -17,7 +17,7 @@ from twin_node.model import (
     WindowModel,
 )
 from twin_node.model.backgrounds import Backgrounds
-from twin_node.model.gaussians import Gaussians, Newborns
+from twin_node.model.gaussians import RGB, Gaussians, Newborns
 from twin_node.model.mapping import Mapper
 from twin_node.model.observation import Observer
 from twin_node.model.plane import Plane
@@ -114,6 +114,30 @@ def test_a_step_is_let_be_once_while_all_its_views_are_looked_through(steps: int
         observed = observer.observe(now, nothing, [None] * len(CAMERAS), known, 0.033)
         slices.append(len(list(mapper.refine(observed, now.stamp, steps))))
     assert slices[0] == 0 and slices[-1] == steps
+
+
+def test_a_camera_is_drawn_meanwhile_as_gaussians_were_when_that_began() -> None:
+    whole = table()
+    store = Gaussians(whole.means.shape[1], torch.device("cpu"))
+    nobody = torch.full((store.capacity,), -1, dtype=torch.int64)
+    born = Newborns(whole.means[0], whole.quats[0], whole.scales, whole.opacities, whole.rgb, Tier.STATIC, nobody)
+    store.spawn(born, 0)
+    backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
+    before = backgrounds.of(store, CAMERAS)
+    drawn = []
+    for green in (0.5, 1.0):
+        store.values[:, RGB] = torch.tensor([0.0, green, 0.0])
+        backgrounds.repaint()
+        list(backgrounds.keep_up(store))
+        store.values[:, RGB] = 0
+        drawn.append(backgrounds.of(store, CAMERAS))
+    for at, later in enumerate(drawn):
+        for index, (old, new) in enumerate(zip(before, later, strict=True)):
+            if index <= at:
+                assert new.rgb[..., 0].max() == 0 and new.rgb[..., 1].max() == pytest.approx(0.5 + 0.5 * index, 0.02)
+            else:
+                assert np.array_equal(old.rgb, new.rgb)
+            np.testing.assert_allclose(new.alpha, old.alpha, atol=1e-6)
 
 
 @pytest.mark.parametrize("every", [1, 4])

@@ -4,32 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Generic, TypeVar
 
 from twin_node.native_library import kernel_threads, thread_count
 
+Result = TypeVar("Result")
 
-class Begun:
+
+class Begun(Generic[Result]):
     """Work that has been begun, or that is done when it is asked for."""
 
-    def __init__(self, work: Callable[[], None], done: Future[None] | None) -> None:
+    def __init__(self, work: Callable[[], Result], done: Future[Result] | None) -> None:
         self._work = work
         self._done = done
 
-    def end(self) -> None:
-        """Waits until it is done, or does it here where nobody has begun; called once. Raises what the work raises."""
+    def end(self) -> Result:
+        """What it comes to, waited for, or found here where nobody has begun; called once. Raises as the work does."""
         if self._done is None or self._done.cancel():
-            self._work()
-        else:
-            self._done.result()
+            return self._work()
+        return self._done.result()
 
 
 class Aside:
-    """A thread beside the one that asks. Worth it for compiled calls alone, which leave the interpreter to others."""
+    """A thread beside the one that asks. Worth it for compiled calls, which leave the interpreter to others."""
 
     def __init__(self) -> None:
         self._threads = ThreadPoolExecutor(1, "aside")
 
-    def begin(self, work: Callable[[], None]) -> Begun:
+    def begin(self, work: Callable[[], Result]) -> Begun[Result]:
         """Hands `work` over, which must touch nothing that anybody changes before its end.
 
         Its kernels take one thread, so that those of others find theirs. Where there is one thread at all (see
@@ -38,6 +40,6 @@ class Aside:
         return Begun(work, self._threads.submit(_alone, work) if thread_count() > 1 else None)
 
 
-def _alone(work: Callable[[], None]) -> None:
+def _alone(work: Callable[[], Result]) -> Result:
     with kernel_threads(1):
-        work()
+        return work()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,11 +12,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from twin_node import splat
 from twin_node.geometry import project
+from twin_node.model.aside import Aside, Begun
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look, pixel_rays
-from twin_node.model.rendering import Rendering, render
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64
 
@@ -69,10 +71,22 @@ class Background(_Shown):
         return seen.depth > self.depth[seen.rows, seen.columns] * (1 + OCCLUSION)
 
 
+@dataclass(frozen=True)
+class _Behind:
+    """What stands behind all Gaussians."""
+
+    camera: Camera
+    surface: Float64
+    """[H, W] m, as in `_Shown`."""
+    rays: Float64
+    """[H, W, 3]."""
+
+
 class Backgrounds:
     """The background of every camera of a rig, rendered anew after the STATIC Gaussians have changed.
 
-    One camera is rendered per set, so that no set pays for all.
+    One camera is rendered per set, so that no set pays for all, by another thread: what it has drawn shows from the
+    next set on, whenever it is done.
     """
 
     def __init__(self, plane: Plane | None, shell: Shell) -> None:
@@ -83,6 +97,9 @@ class Backgrounds:
         self._changed = self._outdated = False
         self._waiting: list[str] = []
         self._wanted: Sequence[Camera] = ()
+        self._aside = Aside()
+        self._begun: tuple[str, Begun[_Shown]] | None = None
+        """What another thread draws for the next set, and the name of its camera."""
         self.rows = torch.zeros(0, dtype=torch.int64)
 
     @property
@@ -114,6 +131,7 @@ class Backgrounds:
 
     def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
         """The background of each camera; called once per set."""
+        self._take()
         known = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
         if self._outdated or not known:
             self._renew(gaussians, cameras)
@@ -123,6 +141,7 @@ class Backgrounds:
 
     def keep_up(self, gaussians: Gaussians) -> Generator[None]:
         """Brings the backgrounds up to date for the next set, where there is time for it; they change slowly."""
+        self._take()
         if self._outdated:
             self._renew(gaussians, self._wanted)
         elif self._changed and self._age >= REFRESH_SETS:
@@ -131,13 +150,20 @@ class Backgrounds:
             yield
         if self._waiting:
             name = self._waiting.pop(0)
-            (shown,) = self._render(gaussians, [self._known[name].camera])
-            self._known[name] = replace(self._known[name], **vars(shown))
+            (draw,) = self._drawings(gaussians, [self._known[name].camera])
+            self._begun = name, self._aside.begin(draw)
+
+    def _take(self) -> None:
+        """What has been begun to be drawn shows from now on."""
+        if self._begun is not None:
+            name, drawing = self._begun
+            self._begun = None
+            self._known[name] = replace(self._known[name], **vars(drawing.end()))
 
     def _renew(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
         """Finds and renders all there is, for `cameras` and no other."""
-        shown = self._render(gaussians, cameras)
-        self._survey(gaussians, cameras, {camera.name: one for camera, one in zip(cameras, shown, strict=True)})
+        drawings = zip(cameras, self._drawings(gaussians, cameras), strict=True)
+        self._survey(gaussians, cameras, {camera.name: draw() for camera, draw in drawings})
 
     def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
         """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`; absent cameras are forgotten."""
@@ -157,28 +183,23 @@ class Backgrounds:
         self._changed = self._outdated = False
         self._age = 0
 
-    def _render(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[_Shown]:
-        """What each of `cameras` sees."""
-        with torch.no_grad():
-            seen = render(gaussians.standing(gaussians.values.index_select(0, gaussians.static_rows)), cameras)
-        return [self._shown(camera, one) for camera, one in zip(cameras, seen, strict=True)]
-
-    def _shown(self, camera: Camera, seen: Rendering) -> _Shown:
-        known = self._known.get(camera.name)
-        same = known is not None and known.camera is camera
-        surface = known.surface if known is not None and same else self._surface(camera)
-        rays = known.rays if known is not None and same else pixel_rays(camera)
-        depth = np.where(seen.alpha.cpu() > 0.5, seen.depth.cpu(), surface)
-        backdrop = torch.cat([seen.rgb, torch.from_numpy(depth).to(seen.rgb)[..., None]], -1)
-        return _Shown(
-            np.ascontiguousarray(seen.rgb.cpu().numpy()),
-            depth,
-            seen.alpha.cpu().numpy(),
-            backdrop,
-            surface,
-            rays,
-            margin_px(camera, depth),
-        )
+    def _drawings(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Callable[[], _Shown]]:
+        """What finds out what each of `cameras` sees of the Gaussians as they are now."""
+        device = gaussians.values.device
+        seen = gaussians.standing(gaussians.values.index_select(0, gaussians.static_rows))
+        means, quats, scales, opacities, rgb = seen.means[0], seen.quats[0], seen.scales, seen.opacities, seen.rgb
+        kind = splat.Still if splat.can_draw(device) else splat.StillPlainly
+        drawings: list[Callable[[], _Shown]] = []
+        for camera in cameras:
+            known = self._known.get(camera.name)
+            if known is None or known.camera is not camera:
+                behind = _Behind(camera, self._surface(camera), pixel_rays(camera))
+            else:
+                behind = _Behind(camera, known.surface, known.rays)
+            viewmat, K = (torch.from_numpy(of).to(device, torch.float32) for of in (camera.viewmat, camera.K))
+            still = kind(means, quats, scales, opacities, rgb, viewmat, K, camera.width, camera.height)
+            drawings.append(partial(_drawn, still, behind))
+        return drawings
 
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
         """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""
@@ -190,6 +211,15 @@ class Backgrounds:
         shell = self._shell.depth(camera)
         plane = shell if self._plane is None else self._plane.depth(camera)
         return np.where((plane > 0.05) & (plane < shell), plane, shell)
+
+
+def _drawn(still: splat.Still | splat.StillPlainly, behind: _Behind) -> _Shown:
+    """What a camera sees, drawn now."""
+    still.draw()
+    seen, alpha = still.rgbd.cpu().numpy(), still.alpha.cpu().numpy()
+    rgb, depth = np.ascontiguousarray(seen[..., :3]), np.where(alpha > 0.5, seen[..., 3], behind.surface)
+    backdrop = torch.from_numpy(np.concatenate([rgb, depth[..., None]], -1, dtype=np.float32)).to(still.rgbd.device)
+    return _Shown(rgb, depth, alpha, backdrop, behind.surface, behind.rays, margin_px(behind.camera, depth))
 
 
 def cells_shape(camera: Camera) -> tuple[int, int]:
