@@ -55,8 +55,8 @@ class Tracks:
         leaps = np.linalg.norm(positions - last, axis=1) > np.maximum(MOST_SPEED * step, JUMP)
         rows = np.where(leaps, -1, rows)
         moved = np.where(rows[:, None] < 0, 0, positions - last)
-        self._inherit(time, rows, positions - moved, shift=False)
-        self._append(time, positions, moved / step if step > 0 else np.zeros_like(moved))
+        self._go_on(time, rows, positions - moved, positions, shift=False)
+        self.velocities = moved / step if step > 0 else np.zeros_like(moved)
         return Succession(rows, rows)
 
     def follow(self, time: float, centers: Float64, velocities: Float64) -> Succession:
@@ -68,8 +68,8 @@ class Tracks:
         step = time - self.times[-1] if len(self.times) else 0.0
         places = centers - velocities * step
         rows, kin = self._nearest(places)
-        self._inherit(time, rows, places, shift=True)
-        self._append(time, centers, velocities)
+        self._go_on(time, rows, places, centers, shift=True)
+        self.velocities = velocities
         return Succession(rows, kin)
 
     def _nearest(self, places: Float64) -> tuple[Rows, Rows]:
@@ -81,20 +81,22 @@ class Tracks:
         kin = np.where(found[:, 0] == self.count, -1, found[:, 0])
         return np.where(distances[:, 0] < REACH, kin, -1), kin
 
-    def _inherit(self, time: float, rows: Rows, before: Float64, shift: bool) -> None:
-        """Re-indexes paths by rows; new nodes have stood at `before` [M', 3]; `shift` moves others there too."""
-        new = rows < 0
-        if self.count == 0:
-            self.positions = np.tile(before, (len(self.times), 1, 1))
-            self.born = np.full(len(rows), time)
-            return
-        self.positions = np.where(new[:, None], before, self.positions[:, rows])
-        self.born = np.where(new, time, self.born[rows])
-        if shift:
-            self.positions = self.positions + (before - self.positions[-1])
+    def _go_on(self, time: float, rows: Rows, before: Float64, positions: Float64, shift: bool) -> None:
+        """Takes in where nodes are at `time`, `positions` [M', 3], and re-indexes their paths by rows.
 
-    def _append(self, time: float, positions: Float64, velocities: Float64) -> None:
-        kept = int(np.searchsorted(self.times, time - KEPT_S))
-        self.positions = np.concatenate([self.positions[kept:], positions[None]])
-        self.times = np.append(self.times[kept:], time)
-        self.velocities = velocities
+        New nodes have stood at `before` [M', 3]; `shift` moves the paths of others there too.
+        """
+        new, kept = rows < 0, int(np.searchsorted(self.times, time - KEPT_S))
+        samples = len(self.times) - kept
+        paths = np.empty((samples + 1, len(rows), 3))
+        if self.count == 0:
+            paths[:-1] = before
+            self.born = np.full(len(rows), time)
+        else:
+            np.take(self.positions[kept:], rows, axis=1, out=paths[:-1], mode="wrap")
+            paths[:-1, new] = before[new]
+            if shift and samples:
+                paths[:-1] += before - paths[-2]
+            self.born = np.where(new, time, self.born[rows])
+        paths[-1] = positions
+        self.positions, self.times = paths, np.append(self.times[kept:], time)
