@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 29
+INTERFACE_VERSION = 30
 
 
 class GrowRequest(ctypes.Structure):
@@ -310,8 +310,7 @@ class DueForecast(ctypes.Structure):
     _fields_ = (
         *((name, c_int64) for name in ("before", "knot")),
         *((name, c_void_p) for name in ("rows", "features", "places", "mixed", "radii", "turning")),
-        *((name, c_double) for name in ("valid_at", "time", "factor", "grown_s", "knot_share")),
-        *((name, c_double) for name in ("kept", "rate", "rise", "fall", "learnt", "weight")),
+        *((name, c_double) for name in ("valid_at", "time", "factor", "grown_s", "knot_share", "elapsed_s")),
     )
 
 
@@ -322,6 +321,7 @@ class ReckonRequest(ctypes.Structure):
         *((name, c_int64) for name in ("nodes", "samples")),
         *((name, c_int32) for name in ("dues", "experts", "knots", "features", "turns", "learnt_from")),
         *((name, c_double) for name in ("startled", "turn", "narrower", "least_gram")),
+        *((name, c_double) for name in ("memory_s", "record_s", "rise_s", "fall_s", "learnt_s", "step_s")),
         *((name, c_void_p) for name in ("times", "positions", "profile", "squared", "errors")),
         *((name, c_void_p) for name in ("began", "turned", "judged", "gram", "moment")),
         *((name, c_void_p) for name in ("found", "moved", "wrong", "grown", "left")),

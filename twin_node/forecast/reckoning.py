@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,7 @@ from twin_node.forecast.kernel_requests import DueForecast, ReckonRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.records import FALL_S, RECORD_S, RISE_S, Records, Rows
 from twin_node.forecast.turning import NARROWER, off_the_way
-from twin_node.native_library import addresses_of
+from twin_node.native_library import address_of, addresses_of
 from twin_node.scene import Bool, Float64
 
 STARTLED = 1.5
@@ -131,7 +130,7 @@ def _reckon_by(
         np.empty((len(due), count), np.bool_),
     )
     left = np.zeros(len(due), np.int64)
-    asked = (DueForecast * len(due))(*(_asked(one, history, manner, learning.memory_s) for one in due))
+    asked = (DueForecast * len(due))(*(_asked(one) for one in due))
     kept = (ledger.profile, records.squared, records.errors, records.began, records.turned, records.judged)
     times, positions = (np.ascontiguousarray(array, np.float64) for array in (history.times, history.positions))
     compiled.reckon(
@@ -139,6 +138,7 @@ def _reckon_by(
             *(count, len(history.times), len(due), len(records.squared), *learning.moment.shape),
             *(manner.turns, _LEARNT_FROM),
             *(STARTLED, _TURN, NARROWER, LEAST_GRAM),
+            *(manner.memory_s, RECORD_S, RISE_S, FALL_S, learning.memory_s, LAG_S),
             *addresses_of(times, positions, *kept, learning.gram, learning.moment, *results, left),
             asked,
         )
@@ -151,17 +151,10 @@ def _reckon_by(
     ]
 
 
-def _asked(due: Due, history: History, manner: Manner, learnt_s: float) -> DueForecast:
-    """`learnt_s`: time constant of the autoregression, s."""
-    issued, constants = due.issued, (manner.memory_s, RECORD_S, RISE_S, FALL_S, learnt_s)
-    kept, *rates, learnt = (math.exp(-due.elapsed_s / constant) for constant in constants)
-    return DueForecast(
-        *(len(issued.radii), due.knot),
-        *addresses_of(issued.rows),
-        *issued.addresses,
-        *(issued.valid_at(due.knot), issued.time, issued.factor, _GROWN * issued.horizon_s, KNOTS[due.knot]),
-        *(kept, *(1 - rate for rate in rates), learnt, due.elapsed_s / LAG_S),
-    )
+def _asked(due: Due) -> DueForecast:
+    issued, knot = due.issued, due.knot
+    times = (issued.valid_at(knot), issued.time, issued.factor, _GROWN * issued.horizon_s, KNOTS[knot], due.elapsed_s)
+    return DueForecast(len(issued.radii), knot, address_of(issued.rows), *issued.addresses, *times)
 
 
 def reckon_plainly(due: Sequence[Due], history: History, ledger: Ledger, manner: Manner) -> list[Reckoned]:

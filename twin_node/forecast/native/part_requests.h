@@ -175,9 +175,7 @@ struct DueForecast {
   const uint8_t *turning;           // [before] 1: held along all of its way
   double valid_at, time;            // s, that time, and that of the forecasts
   double factor, grown_s;           // on their radii; s
-  double knot_share, kept, rate;    // of the horizon, of what the profile was; at which records follow
-  double rise, fall;                // rates of the mixture's error, as it grows and shrinks
-  double learnt, weight;            // share kept of what was learnt, and weight of all these nodes together
+  double knot_share, elapsed_s;     // of the horizon; since errors by this knot were reckoned last
 };
 
 // What became of forecasts, and the records that it enters, one after the other. Nodes are those of now; where `before`
@@ -188,6 +186,9 @@ struct ReckonRequest {
   int32_t turns, learnt_from;             // 1: nodes that turn back are told from others; most nodes to learn from
   double startled, turn;                  // on radii, from where on something new began; m
   double narrower, least_gram;            // share of a radius along the way, m^2
+  double memory_s, record_s;              // time constants of the profile, of the records,
+  double rise_s, fall_s;                  // of the mixture's error, as it grows and shrinks,
+  double learnt_s, step_s;                // and of what is learnt, from whose steps
   const double *times;                    // [samples] s, rising, the last is now
   const double *positions;                // [samples, nodes, 3] m
   double *profile;                        // [knots] m, mean errors

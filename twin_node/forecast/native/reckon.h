@@ -36,13 +36,18 @@ class Reckoning {
         moved_(request.moved + 3 * number * request.nodes),
         wrong_(request.wrong + number * request.nodes),
         grown_(request.grown + number * request.nodes),
-        now_(request.times[request.samples - 1]) {}
+        now_(request.times[request.samples - 1]),
+        kept_(left_of(request.memory_s)),
+        rate_(1 - left_of(request.record_s)),
+        rise_(1 - left_of(request.rise_s)),
+        fall_(1 - left_of(request.fall_s)),
+        learnt_(left_of(request.learnt_s)) {}
 
   // Enters it in all records; how many of the nodes there are still.
   int64_t enter() {
     find_errors();
     double &mean = r_.profile[d_.knot];
-    if (count_) mean = d_.kept * mean + (1 - d_.kept) * (sum_ / static_cast<double>(count_));
+    if (count_) mean = kept_ * mean + (1 - kept_) * (sum_ / static_cast<double>(count_));
     const double last = r_.profile[r_.knots - 1];
     for (int64_t node = 0, i = 0; node < r_.nodes; node++) {
       const int64_t row = d_.rows[node];
@@ -59,6 +64,9 @@ class Reckoning {
   }
 
  private:
+  // Share that is kept of what was, in what follows with a time constant (s).
+  double left_of(double constant) const { return std::exp(-d_.elapsed_s / constant); }
+
   // Where a node was between two samples.
   Vector place_of(const Between &b, int64_t node) const {
     const double *before = r_.positions + 3 * (b.before * r_.nodes + node);
@@ -100,14 +108,14 @@ class Reckoning {
       const double *place = d_.places + 3 * ((expert * r_.knots + d_.knot) * d_.before + row);
       const double error = (Vector::at(place) - moved).length() / d_.knot_share;
       double &square = r_.squared[expert * r_.nodes + node];
-      square += d_.rate * (error * error - square);
+      square += rate_ * (error * error - square);
     }
   }
 
   // Enters that of their mixture.
   void enter_error(int64_t node, double wrong) const {
     const double before = r_.errors[node], first = 1 / (1 + static_cast<double>(r_.judged[node]));
-    const double rate = std::max(wrong > before ? d_.rise : d_.fall, first);
+    const double rate = std::max(wrong > before ? rise_ : fall_, first);
     r_.errors[node] = before + rate * (wrong - before);
     r_.judged[node]++;
   }
@@ -117,11 +125,11 @@ class Reckoning {
     if (count_ == 0) return;
     const int64_t size = r_.features, step = (count_ + r_.learnt_from - 1) / r_.learnt_from;
     double *gram = r_.gram + d_.knot * size * size, *moment = r_.moment + d_.knot * size;
-    const double weight = d_.weight / static_cast<double>((count_ + step - 1) / step);
-    for (int64_t i = 0; i < size * size; i++) gram[i] *= d_.learnt;
+    const double weight = d_.elapsed_s / r_.step_s / static_cast<double>((count_ + step - 1) / step);
+    for (int64_t i = 0; i < size * size; i++) gram[i] *= learnt_;
     for (int64_t i = 0; i < size; i++) {
-      gram[i * (size + 1)] += (1 - d_.learnt) * r_.least_gram;
-      moment[i] *= d_.learnt;
+      gram[i * (size + 1)] += (1 - learnt_) * r_.least_gram;
+      moment[i] *= learnt_;
     }
     for (int64_t node = 0; node < count_; node += step) {
       for (int axis = 0; axis < 3; axis++) {
@@ -142,6 +150,7 @@ class Reckoning {
   double *moved_, *wrong_;
   uint8_t *grown_;
   const double now_;
+  const double kept_, rate_, rise_, fall_, learnt_;  // shares kept of the profile and of what was learnt; rates
   int64_t count_ = 0;
   double sum_ = 0;
 };
