@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,6 +76,15 @@ LEAST = 0.05
 """Lengths well below this do not tell errors apart, m: a voxel or two, and the noise of tracking."""
 
 
+class Expected(NamedTuple):
+    """What is expected of the errors of M nodes."""
+
+    scales: Float64
+    """[M] m at the last horizon: upper ones, not means."""
+    spread: Float64
+    """[M] m, how far the experts are apart."""
+
+
 class Bound:
     """Radius = a node's own expected error x a quantile pooled over all nodes.
 
@@ -93,7 +103,8 @@ class Bound:
         self._past = PastErrors(CUES, self.parameters.memory_s)
         self._miss_level = 1 - self.parameters.coverage
         self._seen_s = 0.0
-        self._quantile = _FIRST_QUANTILE
+        self.quantile = _FIRST_QUANTILE
+        """Of errors over expected ones."""
 
     def observe(
         self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float, grown: Bool | None = None
@@ -124,7 +135,7 @@ class Bound:
         self._past.enter(time, then[some], logs, elapsed_s)
         quantile = self._past.log_quantile(time, self._weights, 1 - self._miss_level)
         share = np.exp(-self._seen_s / _TRUSTED_S)
-        self._quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * quantile)
+        self.quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * quantile)
 
     def scales(self, now: Float64) -> Float64:
         """Expected errors [M] in metres at the last horizon, of nodes with cues [M, CUES]: upper ones, not means."""
@@ -137,9 +148,16 @@ class Bound:
         Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach, and no
         expert has shown to be right: their radius is at least a h^2 / 2 and the spread of the experts.
         """
-        calibrated = factor * self._quantile * self.scales(now)
-        spread = np.exp(now[:, 1]) - LEAST
-        reachable = self.reachable(horizon_s) + spread
+        return self.radii_of(self.expected(now), ages, horizon_s, factor)
+
+    def expected(self, now: Float64) -> Expected:
+        """What is expected of the errors of nodes with cues [M, CUES]."""
+        return Expected(self.scales(now), np.exp(now[:, 1]) - LEAST)
+
+    def radii_of(self, expected: Expected, ages: Float64, horizon_s: float, factor: float = 1.0) -> Float64:
+        """What `radii` does with the cues that this is expected by."""
+        calibrated = factor * self.quantile * expected.scales
+        reachable = self.reachable(horizon_s) + expected.spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
         return np.minimum(radii, self.parameters.largest_radius)
 

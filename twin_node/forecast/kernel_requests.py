@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 30
+INTERFACE_VERSION = 31
 
 
 class GrowRequest(ctypes.Structure):
@@ -326,6 +326,22 @@ class ReckonRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("began", "turned", "judged", "gram", "moment")),
         *((name, c_void_p) for name in ("found", "moved", "wrong", "grown", "left")),
         ("due", ctypes.POINTER(DueForecast)),
+    )
+
+
+class ReachRequest(ctypes.Structure):
+    """`forecast::ReachRequest`."""
+
+    _fields_ = (
+        ("nodes", c_int64),
+        *((name, c_int32) for name in ("horizons", "capped")),
+        *((name, c_double) for name in ("now", "last", "horizon_s", "wary_s")),
+        *((name, c_double) for name in ("multiplier", "reachable", "largest", "person_speed", "fallen")),
+        *((name, c_double) for name in ("newcomer_sigmas", "most_sigmas", "blind")),
+        *((name, c_double) for name in ("astray_at_rest", "astray_rise", "astray", "fast", "astray_fast")),
+        *((name, c_void_p) for name in ("horizon", "shares", "roots", "power", "start")),
+        *((name, c_void_p) for name in ("scales", "spread", "born", "began", "turned", "speeds")),
+        *((name, c_void_p) for name in ("sigmas", "flying", "alone", "falling", "radii")),
     )
 
 

@@ -27,6 +27,7 @@ from twin_node.forecast.kernel_requests import (
     NearestRequest,
     OutlookRequest,
     PackRequest,
+    ReachRequest,
     ReckonRequest,
     RestRequest,
     ReviseRequest,
@@ -81,6 +82,8 @@ class Kernels(NativeLibrary):
         self._dll.forecast_outlook.argtypes = [ctypes.POINTER(OutlookRequest)]
         self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
         self._dll.forecast_reckon.restype = None
+        self._dll.forecast_reach.argtypes = [ctypes.POINTER(ReachRequest)]
+        self._dll.forecast_reach.restype = None
         self._dll.forecast_rest.argtypes = [ctypes.POINTER(RestRequest)]
         self._dll.forecast_rest.restype = None
         self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
@@ -188,6 +191,10 @@ class Kernels(NativeLibrary):
     def reckon(self, request: ReckonRequest) -> None:
         """Says what became of forecasts of nodes; takes one thread."""
         self._dll.forecast_reckon(request)
+
+    def reach(self, request: ReachRequest) -> None:
+        """Says how far nodes may be from where they are led; takes one thread."""
+        self._dll.forecast_reach(request)
 
     def rest(self, request: RestRequest) -> None:
         """Says which standing voxels moved of late; takes one thread."""

@@ -26,6 +26,11 @@ from 83 to 300 ms: 2.0 at rest, 2.3 to 3.6 at 0.1 to 0.2 m/s, 3.4 to 5.3 up to 1
 motion capture 01_01, their velocity that of the last 33 ms)."""
 _MOST_SIGMAS = 0.5
 """Standard deviations of the velocity that the largest radius holds: a line through 0.1 s halves them."""
+RATES = (
+    *(_SIGMAS, _MOST_SIGMAS, _BLIND * UNKNOWN_SPEED),
+    *(_ASTRAY_AT_REST, _ASTRAY_RISE, _ASTRAY, _FAST, _ASTRAY_FAST),
+)
+"""These, in the order of `kernel_requests.ReachRequest`."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +65,8 @@ class Measured:
         """
         astray = np.minimum(_SIGMAS * self.sigmas, PERSON_SPEED) * horizon_s
         is_known = self.sigmas < _BLIND * UNKNOWN_SPEED
-        fallen = float(np.linalg.norm(GRAVITY)) * horizon_s**2 / 2
         may_fall = ~self.flying & (speeds > PERSON_SPEED)
-        radii: Float64 = np.where(may_fall, max(fallen, reachable), reachable)
+        radii: Float64 = np.where(may_fall, max(fallen(horizon_s), reachable), reachable)
         return radii + np.where(is_known, np.minimum(astray, spread), astray)
 
     def sooner(self, times: Float64, profile: Float64) -> Float64:
@@ -86,6 +90,14 @@ class Measured:
         unbounded = self.flying | (self.sigmas >= _BLIND * UNKNOWN_SPEED)
         most: Float64 = np.where(unbounded, np.inf, within)
         return most
+
+
+_G = float(np.linalg.norm(GRAVITY))
+
+
+def fallen(horizon_s: float) -> float:
+    """How far what falls from rest gets, m."""
+    return _G * horizon_s**2 / 2
 
 
 def most_astray(speeds: Float64, horizons: Float64) -> Float64:

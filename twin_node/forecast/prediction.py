@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.forecast.bound import LEAST, Bound, BoundParameters
+from twin_node.forecast.bound import Bound, BoundParameters, Expected
 from twin_node.forecast.errands import Errand
 from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, PARABOLA_S, Autoregression, History
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Closest
 from twin_node.forecast.outlook import Standing, outlook, weighed
+from twin_node.forecast.reaches import Known, Span, reaches
 from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
 from twin_node.forecast.swerving import Swerves, swerves_of
@@ -52,8 +53,6 @@ _SWERVE = 0.5
 """Accelerations lead no farther aside than so much of the largest radius: 99 % of human motion stays within that."""
 _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
-_WARY = 2.0
-"""What has turned back may do other things as well: for so many horizons it is bounded by what it can reach too."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
 """An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
 
@@ -89,6 +88,7 @@ class Predictor:
         """`weights`, until something that they come of changes."""
         self._cues = np.zeros((0, 0))
         self._speeds = np.zeros(0)
+        self._expected = Expected(np.zeros(0), np.zeros(0))
         self._learnt_at = np.full(len(KNOTS), -np.inf)
         self.alone = np.zeros((len(EXPERT_NAMES), 0, 3))
         """[E, M, 3] displacements by each expert alone at the horizon of the last `advance`, m."""
@@ -187,14 +187,16 @@ class Predictor:
 
     def _within(self, horizons: Float64, factor: float) -> Float64:
         """[H, M] radii about the nodes after horizons [H] (s), m."""
-        last = float(horizons[-1])
-        radii = self._radii(last, factor)
-        shares = np.interp(horizons / last, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
-        if self._measured is None:
-            return np.asarray(shares[:, None] * radii)
-        within = self._measured.sooner(horizons / last, shares) * radii
-        within = np.minimum(within, self._measured.most(self._speeds, horizons))
-        return np.maximum(within, self._start(horizons))
+        times = horizons / float(horizons[-1])
+        shares = np.interp(times, [0.0, *KNOTS], [0.0, *np.minimum(self._profile / self._profile[-1], 1)])
+        return reaches(self._known, self.bound, factor, Span(horizons, shares, capped=True))
+
+    @property
+    def _known(self) -> Known:
+        """What the bounds of the nodes come of."""
+        records, now = self._records, float(self._history.times[-1])
+        kept = (records.born, records.began, records.turned)
+        return Known(now, self._horizon_s, self._expected, *kept, self._speeds, self._measured)
 
     @property
     def _swerving(self) -> Bool:
@@ -205,23 +207,6 @@ class Predictor:
         may = self._turns and self._measured is None
         swerving: Bool = may & (self._history.times[-1] - self._path_began >= PARABOLA_S)
         return swerving
-
-    def _start(self, horizons: Float64) -> Float64:
-        """[H, M] m, or 0 where nothing is known of velocities: how far what rests may get if it starts."""
-        count = self._history.positions.shape[1]
-        least = np.zeros((len(horizons), count)) if self._measured is None else self._measured.start(horizons)
-        return np.minimum(least, self.bound.parameters.largest_radius)
-
-    def _radii(self, horizon_s: float, factor: float = 1.0) -> Float64:
-        """[M] m, but for what may start."""
-        radii = self.bound.radii(self._cues, self._ages, horizon_s, factor)
-        wary = self._history.times[-1] - self._records.turned < _WARY * horizon_s
-        radii = np.where(wary, np.maximum(radii, self.bound.reachable(horizon_s)), radii)
-        if self._measured is not None:
-            spread = np.exp(self._cues[:, 1]) - LEAST
-            reach = self._measured.reach(spread, self._speeds, self.bound.reachable(horizon_s), horizon_s)
-            radii = np.where(self._newcomers, reach, radii)
-        return np.minimum(radii, self.bound.parameters.largest_radius)
 
     @property
     def _newcomers(self) -> Bool:
@@ -267,7 +252,8 @@ class Predictor:
         self._weights = None
         self.alone = found.led.single[:, -1]
         time, count = float(self._history.times[-1]), self._history.positions.shape[1]
-        radii = np.maximum(self._radii(self._horizon_s), self._start(np.array([self._horizon_s]))[0])
+        self._expected = self.bound.expected(self._cues)
+        (radii,) = reaches(self._known, self.bound, 1.0, Span(np.array([self._horizon_s]), np.ones(1), capped=False))
         rows, turning, span = np.arange(count), self._turning, self._horizon_s
         forecast = (self._features, found.led.single, found.led.mixed, self._cues, radii, turning, self._factor)
         self._issued.append(Issued(time, span, rows, *forecast))

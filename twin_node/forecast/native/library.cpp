@@ -16,6 +16,7 @@
 #include "outlook.h"
 #include "own.h"
 #include "parts.h"
+#include "reach.h"
 #include "reckon.h"
 #include "rest.h"
 #include "seen.h"
@@ -118,6 +119,8 @@ int32_t forecast_outlook(const forecast::OutlookRequest *request) {
 }
 
 void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(*request); }
+
+void forecast_reach(const forecast::ReachRequest *request) { forecast::reach(*request); }
 
 void forecast_rest(const forecast::RestRequest *request) { forecast::rest(*request); }
 

@@ -203,6 +203,26 @@ struct ReckonRequest {
   const DueForecast *due;                 // [dues]
 };
 
+// How far nodes may be from where they are led. What is of measured velocities is null where they are not.
+struct ReachRequest {
+  int64_t nodes;
+  int32_t horizons, capped;                  // capped: 1: no farther than people get from where measured velocities lead
+  double now, last, horizon_s, wary_s;       // s; s ahead; who has been known for less is new; what turned since is wary
+  double multiplier, reachable, largest;     // of scales; m
+  double person_speed, fallen;               // m/s; m that what falls gets in the last horizon
+  double newcomer_sigmas, most_sigmas;       // standard deviations of the velocity that bounds hold
+  double blind;                              // m/s, from which on a velocity is not known
+  double astray_at_rest, astray_rise;        // how far people get from where they go straight on: rates over time^1.5,
+  double astray, fast, astray_fast;          // and how they grow with the speed, m/s
+  const double *horizon, *shares;            // [horizons] s ahead; of the radius at the last
+  const double *roots, *power, *start;       // [horizons] root of the share of the last; time^1.5; m that what rests gets
+  const double *scales, *spread;             // [nodes] m, expected errors, and by how much experts differ
+  const double *born, *began, *turned;       // [nodes] s
+  const double *speeds, *sigmas;             // [nodes] m/s
+  const uint8_t *flying, *alone, *falling;   // [nodes] 1: as in Measured
+  double *radii;                             // [horizons, nodes] m
+};
+
 // The nearest of other points to each of some, group by group.
 struct NearestRequest {
   int64_t groups, points, others, wanted;

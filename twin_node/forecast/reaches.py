@@ -1,0 +1,99 @@
+"""How far nodes may be from where they are led: what is calibrated, what they can reach, and how far people get."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.forecast import measured
+from twin_node.forecast.bound import PERSON_SPEED, Bound, Expected
+from twin_node.forecast.kernel_requests import ReachRequest
+from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.forecast.measured import Measured
+from twin_node.native_library import addresses_of
+from twin_node.scene import Float64
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the bounds of M nodes come of."""
+
+    now: float
+    """s."""
+    horizon_s: float
+    """How far ahead they are forecast; who has been known for less is new."""
+    expected: Expected
+    """Their errors."""
+    born: Float64
+    """[M] s when each was first known."""
+    began: Float64
+    """[M] s when it began something new."""
+    turned: Float64
+    """[M] s when it last turned back; -inf if never."""
+    speeds: Float64
+    """[M] m/s."""
+    measured: Measured | None
+    """What is known of these velocities, if they are measured."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """The times that bounds are asked for."""
+
+    horizons: Float64
+    """[H] s from now, rising."""
+    shares: Float64
+    """[H] of the calibrated radius at the last of them."""
+    capped: bool
+    """No radius about a measured velocity exceeds how far people get from it (`Measured.most`)."""
+
+
+def reaches(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
+    """[H, M] radii (m) about where the nodes are led; `factor` multiplies what is calibrated.
+
+    Compiled; `reaches_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return reaches_plainly(known, bound, factor, span)
+    return _reaches_by(compiled, known, bound, factor, span)
+
+
+def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, span: Span) -> Float64:
+    horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
+    radii = np.empty((len(horizons), len(known.born)))
+    by_time = (horizons, span.shares, np.sqrt(horizons / last), horizons**1.5, measured.start_radii(horizons))
+    by_node = (*known.expected, known.born, known.began, known.turned, known.speeds)
+    velocities = (None,) * 4 if told is None else (told.sigmas, told.flying, told.alone, told.falling)
+    given = [None if array is None else np.ascontiguousarray(array) for array in (*by_time, *by_node, *velocities)]
+    sizes = (radii.shape[1], len(horizons), span.capped)
+    times = (known.now, last, known.horizon_s, WARY * last)
+    lengths = (factor * bound.quantile, bound.reachable(last), bound.parameters.largest_radius)
+    compiled.reach(
+        ReachRequest(
+            *sizes, *times, *lengths, PERSON_SPEED, measured.fallen(last), *measured.RATES, *addresses_of(*given, radii)
+        )
+    )
+    return radii
+
+
+def reaches_plainly(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
+    """What `reaches` does."""
+    horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
+    ages, largest, reachable = known.now - known.began, bound.parameters.largest_radius, bound.reachable(last)
+    radii = bound.radii_of(known.expected, ages, last, factor)
+    wary = known.now - known.turned < WARY * last
+    radii = np.where(wary, np.maximum(radii, reachable), radii)
+    if told is None:
+        return np.asarray(span.shares[:, None] * np.minimum(radii, largest))
+    reach = told.reach(known.expected.spread, known.speeds, reachable, last)
+    radii = np.where(told.newcomers(known.now - known.born, ages, known.horizon_s), reach, radii)
+    within = told.sooner(horizons / last, span.shares) * np.minimum(radii, largest)
+    if span.capped:
+        within = np.minimum(within, told.most(known.speeds, horizons))
+    return np.maximum(within, np.minimum(told.start(horizons), largest))
+
+
+WARY = 2.0
+"""What has turned back may do other things as well: for so many horizons it is bounded by what it can reach too."""
