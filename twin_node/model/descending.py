@@ -156,6 +156,7 @@ def to_columns(splats: Splats, gradient: Splats) -> Tensor:
 
 def rates_of(values: Tensor, factor: float) -> Tensor:
     """[n, 14] Adam's rates of Gaussians `values` [n, 14]."""
-    rates = (RATES.to(values.device) * factor).repeat(len(values), 1)
-    rates[:, MEAN] *= values[:, LOG_SCALE].contiguous().exp().mean(-1, keepdim=True)
+    rates = (RATES.to(values.device) * factor).expand(len(values), -1).contiguous()
+    x, y, z = values[:, LOG_SCALE].contiguous().exp().unbind(1)  # a mean over rows of three takes five times as long
+    rates[:, MEAN] *= ((x + y + z) / 3)[:, None]
     return rates

@@ -16,7 +16,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
 from twin_node.model.photometric import Goal, targets_of
-from twin_node.model.rendering import Rendering, split
+from twin_node.model.rendering import Rendering, Splats, split
 from twin_node.model.rotations import quat_product
 from twin_node.scene import Bool, View
 
@@ -67,26 +67,24 @@ def fit_moving(
     observed: Sequence[Observed],
     poses: Poses,
     masks: Sequence[Bool],
-    bystanders: Tensor,
+    static: Splats,
     steps: int,
     learning_rate: float,
 ) -> Fitted:
     """A few steps on the Gaussians that move, before the backgrounds, inside `masks` [H, W].
 
-    Each view is fitted at its own time, for which `poses` holds the nodes'. `bystanders` are rows that can stand before
-    what moves and are not touched. Where a node is DEFORMABLE the field learns along, from the last step. Where more
-    than `FULL_SHARE` of the pixels count there are fewer steps. Steps that make the images worse are undone.
+    Each view is fitted at its own time, for which `poses` holds the nodes'. `static` is what can stand before what
+    moves and is not touched. Where a node is DEFORMABLE the field learns along, from the last step. Where more than
+    `FULL_SHARE` of the pixels count there are fewer steps. Steps that make the images worse are undone.
     """
     rows = gaussians.moving_rows
     if not len(rows) or not steps:
         return Fitted([], False)
     stamps = motion.stamps([one.offset_s for one in observed])
     views = [one.view for one in observed]
-    targets = targets_of(views, masks, gaussians.values.device)
+    targets = targets_of(views, masks, gaussians.values.device, [one.rgb for one in observed])
     backdrops = [one.background.backdrop for one in observed]
     goal = Goal([view.camera for view in views], masks, targets, backdrops)
-    with torch.no_grad():
-        static = motion.place(gaussians, bystanders, poses, stamps)
     values = gaussians.values.index_select(0, rows)
     rates = rates_of(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE * _looseness(gaussians, rows, motion.nodes.stamp)[:, None]

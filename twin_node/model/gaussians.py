@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -147,8 +146,8 @@ class Gaussians:
             self._rows, self._rows_version = {}, version
         if (first, last) not in self._rows:
             tiers, alive = self.tiers.cpu().numpy(), self.alive.cpu().numpy()
-            of_them = np.flatnonzero(alive & (tiers >= int(first)) & (tiers <= int(last)))
-            self._rows[first, last] = torch.from_numpy(of_them).to(self.alive.device)
+            of_them = alive & (tiers - int(first) <= int(last) - int(first))  # without a sign: those before wrap around
+            self._rows[first, last] = torch.from_numpy(of_them.nonzero()[0]).to(self.alive.device)
         return self._rows[first, last]
 
     def population(self, rows: Tensor, nodes: Nodes) -> Population:
@@ -186,21 +185,21 @@ class Gaussians:
 
     def doubt(self, rows: Tensor, refuted: Tensor, sets: int) -> Tensor:
         """[n] which of `rows` [n] are `refuted` [n] now, and so have been for `sets` sets in a row; those that live."""
-        doubts = (self.doubts[rows] + 1) * refuted.to(rows.device)
-        self.doubts[rows] = doubts
-        return (doubts >= sets) & self.alive[rows]
+        doubts = self.doubts.index_select(0, rows).add_(1).mul_(refuted.to(rows.device))
+        self.doubts.index_copy_(0, rows, doubts)
+        return (doubts >= sets) & self.alive.index_select(0, rows)
 
     def board(self, rows: Tensor, carriers: Tensor, nodes: Nodes, founders: Tensor | None = None) -> None:
         """Gaussians `rows` [n] without a node are from now on carried by nodes `carriers` [n], whose tier they take.
 
         `founders` [n]: see `Gaussians.founders`; None: the carriers themselves.
         """
-        device = self.values.device
-        turn = conjugate(nodes.quats[carriers])
-        means = rotate(turn, self.values[rows, MEAN].cpu().double() - nodes.positions[carriers])
-        quats = quat_product(turn, self.values[rows, QUAT].cpu().double())
-        self.values[rows, MEAN] = means.float().to(device)
-        self.values[rows, QUAT] = quats.float().to(device)
+        device, turn = self.values.device, conjugate(nodes.quats[carriers])
+        own = self.values.index_select(0, rows)
+        here = own.cpu().double()
+        own[:, MEAN] = rotate(turn, here[:, MEAN] - nodes.positions[carriers]).to(own)
+        own[:, QUAT] = quat_product(turn, here[:, QUAT]).to(own)
+        self.values.index_copy_(0, rows, own)
         self.tiers[rows] = nodes.tiers[carriers].to(device)
         self.founders[rows] = (nodes.ids[carriers] if founders is None else founders).to(device)
         self.nodes[rows] = carriers.to(device)
@@ -225,10 +224,11 @@ class Gaussians:
 
     def _stand(self, rows: Tensor, nodes: Nodes) -> None:
         """The attributes of `rows` [n], which nodes carry, become those in `base_link`."""
-        device, old = self.values.device, self.nodes[rows].cpu()
-        means = rotate(nodes.quats[old], self.values[rows, MEAN].cpu().double()) + nodes.positions[old]
-        quats = quat_product(nodes.quats[old], self.values[rows, QUAT].cpu().double())
-        self.values[rows, MEAN], self.values[rows, QUAT] = means.float().to(device), quats.float().to(device)
+        carriers, own = self.nodes[rows].cpu(), self.values.index_select(0, rows)
+        turn, here = nodes.quats[carriers], own.cpu().double()
+        own[:, MEAN] = (rotate(turn, here[:, MEAN]) + nodes.positions[carriers]).to(own)
+        own[:, QUAT] = quat_product(turn, here[:, QUAT]).to(own)
+        self.values.index_copy_(0, rows, own)
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""

@@ -29,11 +29,20 @@ class Motion:
         self.field = field
         grids, decoder = (field.space, field.time), (field.hidden, field.hidden_bias, field.out)
         self._adam = Adam([*((p, GRID_RATE) for p in grids), *((p, DECODER_RATE) for p in decoder)])
+        self._bends, self._bends_version = False, (-1, -1)
 
     @property
     def bends(self) -> bool:
-        """Whether any node is DEFORMABLE, so that the field is evaluated at all."""
-        return bool((self.nodes.alive.numpy() & (self.nodes.tiers.numpy() == int(Tier.DEFORMABLE))).any())
+        """Whether any node is DEFORMABLE, so that the field is evaluated at all.
+
+        Found anew only when lives or tiers have changed: a set asks a dozen times.
+        """
+        alive, tiers = self.nodes.alive, self.nodes.tiers
+        version = (alive._version, tiers._version)
+        if version != self._bends_version:
+            self._bends = bool((alive.numpy() & (tiers.numpy() == int(Tier.DEFORMABLE))).any())
+            self._bends_version = version
+        return self._bends
 
     def poses(self, offsets_s: Sequence[float]) -> Poses:
         """The nodes at their stamp plus each of `offsets_s` (s)."""

@@ -12,6 +12,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.kernel_requests import AdvanceRequest, MovedRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
+from twin_node.native_library import address_of
 from twin_node.scene import Tier
 
 POSITION_GAIN, VELOCITY_GAIN = 0.9, 0.35
@@ -182,13 +183,11 @@ def advanced(positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor
     library = kernels()
     if library is None:
         return advanced_plainly(positions, quats, velocities, turns, seconds)
-    given = [
-        torch.tensor(seconds, dtype=torch.float64),
-        *(t.contiguous() for t in (positions, quats, velocities, turns)),
-    ]
-    written = [positions.new_empty(len(seconds), len(positions), width) for width in (3, 4)]
+    given, times = [t.contiguous() for t in (positions, quats, velocities, turns)], np.array(seconds, np.float64)
+    count = positions.shape[0]
+    written = [torch.empty(len(seconds), count, width, dtype=torch.float64) for width in (3, 4)]
     pointers = (tensor.data_ptr() for tensor in (*given, *written))
-    library.advance(AdvanceRequest(len(seconds), len(positions), *pointers))
+    library.advance(AdvanceRequest(len(seconds), count, address_of(times), *pointers))
     return Poses(*written)
 
 
@@ -208,5 +207,5 @@ def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:
 def limited(vectors: Tensor, longest: float) -> Tensor:
     """Vectors [..., 3], those longer than `longest` cut to it."""
     own = vectors.numpy()  # on the CPU, few: by NumPy in a third of the time
-    length = np.linalg.norm(own, axis=-1, keepdims=True)
+    length = np.sqrt(np.square(own).sum(-1, keepdims=True))
     return torch.from_numpy(own * np.minimum(longest / np.maximum(length, 1e-9), 1.0))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.rendering import Sheet, Splats, by_size, draw
-from twin_node.scene import Bool, Camera, Float32, UInt8, View
+from twin_node.scene import Bool, Camera, Float32, View
 
 DEPTH_WEIGHT = 0.2
 """Weight of a metre of depth error beside the photometric loss."""
@@ -29,10 +29,15 @@ class Targets:
     """[C, H, W] m, 0 where unknown; None where no view measures it."""
 
 
-def targets_of(views: Sequence[View], masks: Sequence[Bool | None], device: torch.device) -> list[Targets]:
+def targets_of(
+    views: Sequence[View],
+    masks: Sequence[Bool | None],
+    device: torch.device,
+    images: Sequence[Float32] | None = None,
+) -> list[Targets]:
     """The views' images (and depths) inside `masks` [H, W] and their valid pixels, one record per size of image.
 
-    Each view weighs the same, however few of its pixels count.
+    Each view weighs the same, however few of its pixels count. `images` [H, W, 3] are theirs, 0 to 1, if at hand.
     """
     out = []
     for chosen in by_size([view.camera for view in views]):
@@ -41,7 +46,9 @@ def targets_of(views: Sequence[View], masks: Sequence[Bool | None], device: torc
         depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in part]
         out.append(
             Targets(
-                torch.from_numpy(_colours([view.rgb for view in part])).to(device),
+                torch.from_numpy(_colours(part) if images is None else np.stack([images[i] for i in chosen])).to(
+                    device
+                ),
                 None if all(one is None for one in counted) else torch.from_numpy(_weights(part, counted)).to(device),
                 None if all(view.depth is None for view in part) else torch.from_numpy(np.stack(depths)).to(device),
             )
@@ -55,16 +62,19 @@ def _counted(view: View, mask: Bool | None) -> Bool | None:
     return mask & view.valid
 
 
-def _colours(images: Sequence[UInt8]) -> Float32:
-    """[C, H, W, 3] images [H, W, 3], 0 to 1."""
-    return np.divide(np.stack(images), np.float32(255), dtype=np.float32)
+def _colours(views: Sequence[View]) -> Float32:
+    """[C, H, W, 3] their images, 0 to 1."""
+    return np.divide(np.stack([view.rgb for view in views]), np.float32(255), dtype=np.float32)
 
 
 def _weights(views: Sequence[View], counted: Sequence[Bool | None]) -> Float32:
     """[C, H, W] ones where pixels count, scaled so that each view's add up to the same."""
     masks = [np.ones(v.rgb.shape[:2], bool) if m is None else m for v, m in zip(views, counted, strict=True)]
     shares = [np.float32(max(int(np.count_nonzero(mask)), 1) / mask.size) for mask in masks]
-    return np.stack([np.where(mask, 1 / share, np.float32(0)) for mask, share in zip(masks, shares, strict=True)])
+    weights = np.empty((len(masks), *masks[0].shape), np.float32)
+    for mask, share, out in zip(masks, shares, weights, strict=True):
+        np.multiply(mask, 1 / share, out=out)
+    return weights
 
 
 def photometric(sheets: Sequence[Sheet], targets: Sequence[Targets]) -> Tensor:

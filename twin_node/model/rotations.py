@@ -5,20 +5,16 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+_PARTNERS = torch.tensor([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_SIGNS = torch.tensor([[1.0, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
+"""What the parts w, x, y, z of one quaternion are multiplied by for each part of their product with another."""
+
 
 def quat_product(a: Tensor, b: Tensor) -> Tensor:
     """Hamilton product [..., 4] of a and b [..., 4]: the rotation b followed by a."""
-    aw, ax, ay, az = a.unbind(-1)
-    bw, bx, by, bz = b.unbind(-1)
-    return torch.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        -1,
-    )
+    w, x, y, z = (a[..., None] * (b[..., _PARTNERS] * _SIGNS.to(b))).unbind(-2)
+    product: Tensor = w + x + y + z
+    return product
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
@@ -33,7 +29,7 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 
 def conjugate(q: Tensor) -> Tensor:
     """Inverse [..., 4] of unit quaternions."""
-    return q * q.new_tensor([1.0, -1.0, -1.0, -1.0])
+    return torch.cat([q[..., :1], -q[..., 1:]], -1)
 
 
 def rotate(q: Tensor, v: Tensor) -> Tensor:

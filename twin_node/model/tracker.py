@@ -64,6 +64,8 @@ class _Aligned:
 
     renderings: list[Rendering]
     before: Tensor
+    around: Splats
+    """These and the arm, at each view's time."""
     carried: Carried | None
     """The Gaussians that nodes carry; None where no flow was sought."""
 
@@ -134,7 +136,7 @@ class Tracker:
         self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)
         on_stage("judge")
-        fitted = self._fit(observed, aligned.before)
+        fitted = self._fit(observed, aligned)
         on_stage("fit")
         self._nodes.remember()
         seen = Seen(observed, frames.joints, robots, self._nodes.stamp)
@@ -181,14 +183,14 @@ class Tracker:
         rows, told_of = self._gaussians.moving_rows, None
         splats = self._place(rows, observed, poses)
         before = self._before(observed, splats)
-        around = torch.cat([before, self._gaussians.robot_rows])
-        renderings = self._look(observed, splats, self._place(around, observed, poses))
+        around = self._place(torch.cat([before, self._gaussians.robot_rows]), observed, poses)
+        renderings = self._look(observed, splats, around)
         carried = rows_where(self._gaussians.nodes.index_select(0, rows) >= 0)
         for step in range(self._parameters.track.alignments if len(carried) else 0):
             if step:
                 poses = self._poses(observed)
                 splats = self._place(rows, observed, poses)
-                renderings = self._look(observed, splats, self._place(around, observed, poses))
+                renderings = self._look(observed, splats, around)  # whose motion is known
             flows = flows_between(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
             if step == 0:
@@ -203,7 +205,7 @@ class Tracker:
             if step == 0:
                 self._bodies.go_on(cells)
                 told_of = Carried(rows[carried], cells, self._nodes.ids.clone())
-        return _Aligned(renderings, before, told_of)
+        return _Aligned(renderings, before, around, told_of)
 
     def _steer(self, twists: Twists, dt_s: float) -> None:
         """The nodes whose motion is learned take their twists."""
@@ -239,11 +241,14 @@ class Tracker:
         moving = evidence.moving & ~resting  # the masks keep what has moved; it wakes when it looks otherwise
         refuted = torch.from_numpy(evidence.left | moving)
         doubted = self._gaussians.doubt(self._backgrounds.rows, refuted, self._parameters.birth.carve_sets)
-        left = torch.from_numpy(evidence.left).to(doubted.device)
-        self._gaussians.retire(self._backgrounds.rows[doubted & left])
-        self._house(self._backgrounds.rows[doubted & ~left])
-        if bool(doubted.any()):
-            self._backgrounds.mark()
+        chosen = rows_where(doubted)
+        if not len(chosen):
+            return
+        rows = self._backgrounds.rows.index_select(0, chosen)
+        left = torch.from_numpy(evidence.left).to(rows.device).index_select(0, chosen)
+        self._gaussians.retire(rows[left])
+        self._house(rows[~left])
+        self._backgrounds.mark()
 
     def _house(self, rows: Tensor) -> None:
         """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
@@ -260,24 +265,23 @@ class Tracker:
         """The Gaussians that learned nodes carry, where these are now."""
         g, nodes = self._gaussians, self._nodes
         rows = g.moving_rows
-        rows = rows[g.nodes.index_select(0, rows) >= 0]
+        rows = rows.index_select(0, rows_where(g.nodes.index_select(0, rows) >= 0))
         with torch.no_grad():
             here = self._motion.place(g, rows, Poses(nodes.positions[None], nodes.quats[None]), [nodes.stamp])
         carriers, founders = (of.index_select(0, rows).cpu().numpy() for of in (g.nodes, g.founders))
         return Members(here.means[0].cpu().double().numpy(), here.rgb.cpu().numpy(), carriers, founders)
 
-    def _fit(self, observed: Sequence[Observed], before: Tensor) -> Fitted:
-        """Canonical attributes of what moves by a few gradient steps.
-
-        `before` are STATIC rows that can stand before what moves. After steps that diverged the next ones are smaller.
-        """
+    def _fit(self, observed: Sequence[Observed], aligned: _Aligned) -> Fitted:
+        """Canonical attributes of what moves by a few gradient steps; after some that diverged the next are smaller."""
         g, track = self._gaussians, self._parameters.track
         poses = self._poses(observed)
         if not track.selects:
             self._backgrounds.mark()
             return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
         moving = self._place(g.moving_rows, observed, poses)
-        around = torch.cat([self._standing(before), g.robot_rows])
+        standing, around = self._standing(aligned.before), aligned.around
+        if len(standing) < len(aligned.before):
+            around = self._place(torch.cat([standing, g.robot_rows]), observed, poses)
         masks = held_pixels(observed, moving)
         rate = self._pace * track.learning_rate
         fitted = fit_moving(g, self._motion, observed, poses, masks, around, track.steps, rate)
@@ -343,12 +347,13 @@ class Tracker:
         """STATIC rows that can stand before what moves."""
         before = occluders([one.background for one in observed], moving.means.cpu().numpy())
         rows = self._backgrounds.rows
-        return self._standing(rows[torch.from_numpy(before).to(rows.device)])
+        return self._standing(rows.index_select(0, torch.from_numpy(before.nonzero()[0]).to(rows.device)))
 
     def _standing(self, rows: Tensor) -> Tensor:
         """Those of the background's rows that still live and stand: others have boarded a node in this very set."""
         g = self._gaussians
-        return rows[g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))]
+        stand = g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))
+        return rows.index_select(0, rows_where(stand))
 
     def _poses(self, observed: Sequence[Observed]) -> Poses:
         """The nodes, as they are now, at each view's own time."""
