@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Generic, TypeVar
 
 from twin_node.native_library import kernel_threads, thread_count
+from twin_node.splat.library import native_library
 
 Result = TypeVar("Result")
 
@@ -29,15 +30,21 @@ class Aside:
     """A thread beside the one that asks. Worth it for compiled calls, which leave the interpreter to others."""
 
     def __init__(self) -> None:
-        self._threads = ThreadPoolExecutor(1, "aside")
+        self._threads = ThreadPoolExecutor(1, "aside", initializer=_keep_torch_alone)
 
     def begin(self, work: Callable[[], Result]) -> Begun[Result]:
         """Hands `work` over, which must touch nothing that anybody changes before its end.
 
-        Its kernels take one thread, so that those of others find theirs. Where there is one thread at all (see
-        `thread_count`) it is done when it is asked for.
+        Its kernels and torch's loops take one thread, so that those of others find theirs. Where there is one thread at
+        all (see `thread_count`) it is done when it is asked for.
         """
         return Begun(work, self._threads.submit(_alone, work) if thread_count() > 1 else None)
+
+
+def _keep_torch_alone() -> None:
+    library = native_library()
+    if library is not None:
+        library.limit_openmp(1)
 
 
 def _alone(work: Callable[[], Result]) -> Result:

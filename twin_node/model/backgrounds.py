@@ -185,10 +185,7 @@ class Backgrounds:
 
     def _drawings(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Callable[[], _Shown]]:
         """What finds out what each of `cameras` sees of the Gaussians as they are now."""
-        device = gaussians.values.device
-        seen = gaussians.standing(gaussians.values.index_select(0, gaussians.static_rows))
-        means, quats, scales, opacities, rgb = seen.means[0], seen.quats[0], seen.scales, seen.opacities, seen.rgb
-        kind = splat.Still if splat.can_draw(device) else splat.StillPlainly
+        values = gaussians.values.index_select(0, gaussians.static_rows)
         drawings: list[Callable[[], _Shown]] = []
         for camera in cameras:
             known = self._known.get(camera.name)
@@ -196,9 +193,7 @@ class Backgrounds:
                 behind = _Behind(camera, self._surface(camera), pixel_rays(camera))
             else:
                 behind = _Behind(camera, known.surface, known.rays)
-            viewmat, K = (torch.from_numpy(of).to(device, torch.float32) for of in (camera.viewmat, camera.K))
-            still = kind(means, quats, scales, opacities, rgb, viewmat, K, camera.width, camera.height)
-            drawings.append(partial(_drawn, still, behind))
+            drawings.append(partial(_drawn, values, behind))
         return drawings
 
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
@@ -213,13 +208,17 @@ class Backgrounds:
         return np.where((plane > 0.05) & (plane < shell), plane, shell)
 
 
-def _drawn(still: splat.Still | splat.StillPlainly, behind: _Behind) -> _Shown:
-    """What a camera sees, drawn now."""
-    still.draw()
-    seen, alpha = still.rgbd.cpu().numpy(), still.alpha.cpu().numpy()
-    rgb, depth = np.ascontiguousarray(seen[..., :3]), np.where(alpha > 0.5, seen[..., 3], behind.surface)
-    backdrop = torch.from_numpy(np.concatenate([rgb, depth[..., None]], -1, dtype=np.float32)).to(still.rgbd.device)
-    return _Shown(rgb, depth, alpha, backdrop, behind.surface, behind.rays, margin_px(behind.camera, depth))
+def _drawn(values: Tensor, behind: _Behind) -> _Shown:
+    """What a camera sees of STATIC Gaussians with the attributes `values` [n, 14]."""
+    device, camera, seen = values.device, behind.camera, Gaussians.standing(values)
+    viewmat, K = (torch.from_numpy(of).to(device, torch.float32) for of in (camera.viewmat, camera.K))
+    drawn, opaque = splat.draw_still(
+        seen.means[0], seen.quats[0], seen.scales, seen.opacities, seen.rgb, viewmat, K, camera.width, camera.height
+    )
+    rgbd, alpha = drawn.cpu().numpy(), opaque.cpu().numpy()
+    rgb, depth = np.ascontiguousarray(rgbd[..., :3]), np.where(alpha > 0.5, rgbd[..., 3], behind.surface)
+    backdrop = torch.from_numpy(np.concatenate([rgb, depth[..., None]], -1, dtype=np.float32)).to(device)
+    return _Shown(rgb, depth, alpha, backdrop, behind.surface, behind.rays, margin_px(camera, depth))
 
 
 def cells_shape(camera: Camera) -> tuple[int, int]:

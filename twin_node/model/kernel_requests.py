@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 16
+INTERFACE_VERSION = 17
 
 
 class MaskRules(ctypes.Structure):
@@ -271,7 +271,7 @@ class DampedRequest(ctypes.Structure):
         ("standing", c_int32),
         *((name, c_float) for name in ("shape_share", "colour_share", "fewest", "longest", "smallest_log_scale")),
         *((name, c_void_p) for name in ("rows", "learners", "drawn_ids", "scales", "opacities")),
-        *((name, c_void_p) for name in ("means", "quats", "sizes", "logits", "rgb", "weights")),
+        *((name, c_void_p) for name in ("means", "quats", "sizes", "logits", "colours")),
         *((name, c_void_p) for name in ("alive", "tiers", "ids", "ceilings", "values", "refused")),
     )
 

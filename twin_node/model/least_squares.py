@@ -8,6 +8,7 @@ weights (one sweep of SIRT, Gilbert 1972); its shape follows with the same curva
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -17,6 +18,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, Gaussians
 from twin_node.model.kernel_requests import DampedRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.rendering import Splats
 from twin_node.scene import Bool, Camera, Float32, Tier
 
 COLOUR_SHARE = 0.7
@@ -61,15 +63,23 @@ class Step:
         self._rows = rows
         self._learners = learners
         self._ids = gaussians.ids.index_select(0, rows)
-        self._splats = gaussians.standing(gaussians.values.index_select(0, rows))
-        kind = splat.Missed if splat.can_miss(gaussians.values.device) else splat.MissedPlainly
-        means, quats = self._splats.means[0], self._splats.quats[0]
-        scales, opacities, rgb = self._splats.scales, self._splats.opacities, self._splats.rgb
-        self._missed = kind(means, quats, scales, opacities, rgb, learners)
+        self._values = gaussians.values.index_select(0, rows)
+
+    @cached_property
+    def _splats(self) -> Splats:
+        """The Gaussians as they stood when the step began; found with the first look, by the thread that takes it."""
+        return self._gaussians.standing(self._values)
+
+    @cached_property
+    def _missed(self) -> splat.Missed | splat.MissedPlainly:
+        """What the views that were looked through miss of them."""
+        kind = splat.Missed if splat.can_miss(self._values.device) else splat.MissedPlainly
+        drawn = self._splats
+        return kind(drawn.means[0], drawn.quats[0], drawn.scales, drawn.opacities, drawn.rgb, self._learners)
 
     def look(self, view: AtRest) -> None:
         """Takes in what `view` misses."""
-        device, camera = self._splats.means.device, view.camera
+        device, camera = self._values.device, view.camera
         with_depth = bool(view.depth.any())
         sight = splat.Sight(
             torch.from_numpy(camera.viewmat).to(device, torch.float32),
@@ -89,7 +99,7 @@ class Step:
             return
         refused = torch.zeros(1, dtype=torch.int64)
         drawn = (self._rows, self._learners, self._ids, splats.scales, splats.opacities)
-        pull = (missed.means, missed.quats, missed.scales, missed.opacities, missed.rgb, missed.weights)
+        pull = (missed.means, missed.quats, missed.scales, missed.opacities, missed.colours)
         held = [of.contiguous() for of in (*drawn, *pull)]
         pointers = (of.data_ptr() for of in (*held, g.alive, g.tiers, g.ids, g.largest, g.values, refused))
         shares = (SHAPE_SHARE, COLOUR_SHARE, FEWEST_PIXELS, LONGEST, SMALLEST)

@@ -64,19 +64,19 @@ class Missed:
         features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
         self._given = tuple(t.detach().contiguous() for t in (means, quats, scales, opacities, features))
         self._pull = tuple(torch.zeros_like(t) for t in self._given)
-        self.means, self.quats, self.scales, self.opacities = self._pull[:4]
-        """[n, ...] which way each should go."""
+        self.means, self.quats, self.scales, self.opacities, self.colours = self._pull
+        """[n, ...] which way each should go; behind each colour [n, 4] its Gaussian's weight."""
         self._workspace: native.Workspace | None = None
 
     @property
     def rgb(self) -> Tensor:
         """[n, 3]."""
-        return self._pull[4][:, :3]
+        return self.colours[:, :3]
 
     @property
     def weights(self) -> Tensor:
         """[n] blend weights summed over the counted pixels."""
-        return self._pull[4][:, 3]
+        return self.colours[:, 3]
 
     def add(self, sight: Sight, tolerance: Tolerance) -> None:
         """Takes in what one camera should see. Raises `ValueError` naming Gaussians that are not finite."""
@@ -155,14 +155,19 @@ class MissedPlainly:
         return self._gradient(3)
 
     @property
+    def colours(self) -> Tensor:
+        """[n, 4] `rgb` and `weights`."""
+        return self._gradient(4)
+
+    @property
     def rgb(self) -> Tensor:
         """[n, 3]."""
-        return self._gradient(4)[:, :3]
+        return self.colours[:, :3]
 
     @property
     def weights(self) -> Tensor:
         """[n] blend weights summed over the counted pixels."""
-        return self._gradient(4)[:, 3]
+        return self.colours[:, 3]
 
     def _gradient(self, index: int) -> Tensor:
         gradient = self._leaves[index].grad

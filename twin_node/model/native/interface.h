@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 16;
+constexpr int32_t kInterfaceVersion = 17;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -252,8 +252,7 @@ struct DampedRequest {
   const int64_t *drawn_ids;             // [count] ids that the rows had then
   const float *scales, *opacities;      // [count, 3] m, [count]
   const float *means, *quats, *sizes;   // [count, 3], [count, 4], [count, 3] which way each should go, as the next two
-  const float *logits, *rgb;            // [count] by the opacity, [count, 3]
-  const float *weights;                 // [count] blend weights over all pixels
+  const float *logits, *colours;        // [count] by the opacity, [count, 4] and blend weights over all pixels
   const uint8_t *alive, *tiers;         // [capacity]
   const int64_t *ids;                   // [capacity]
   const float *ceilings;                // [capacity] largest log scale
