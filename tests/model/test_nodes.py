@@ -8,7 +8,9 @@ import torch
 
 from twin_node.model.adoption import grouped, grouped_plainly, nearest, nearest_plainly
 from twin_node.model.carriage import carry, carry_plainly
+from twin_node.model.field import HexPlane
 from twin_node.model.kernels import kernels
+from twin_node.model.motion import Motion
 from twin_node.model.nodes import MAX_SPEED, Nodes, advanced, advanced_plainly
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
 from twin_node.scene import Tier
@@ -160,3 +162,14 @@ def test_how_nodes_have_moved_and_what_they_carry_are_by_kernel_what_they_are_in
         expected = plain[name]
         assert found.dtype == expected.dtype
         assert torch.allclose(found, expected, atol=1e-6)
+
+
+def test_whether_anything_bends_is_asked_anew_when_tiers_or_lives_change() -> None:
+    nodes = Nodes(4, 2)
+    motion = Motion(nodes, HexPlane(torch.full((3,), -1.0), torch.ones(3), 2))
+    row = nodes.give_birth(torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
+    assert not motion.bends
+    nodes.tiers[row] = int(Tier.DEFORMABLE)
+    assert motion.bends
+    nodes.retire(torch.tensor([row]))
+    assert not motion.bends

@@ -78,6 +78,7 @@ def solve_twists(
     motion = np.array([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
     rigid = normal.solve(6, motion)
     strained = normal.solve(12, np.concatenate([motion, np.full(6, STRAIN)]))
-    sigmas = rigid.covariance.diagonal(dim1=1, dim2=2)[:, :3].mean(-1).clamp_min(MATRIX_FLOOR).sqrt()
+    xx, yy, zz = (rigid.covariance[:, axis, axis] for axis in range(3))
+    sigmas = ((xx + yy + zz) / 3).clamp_min(MATRIX_FLOOR).sqrt()
     fits = Fits(rigid.cost, strained.cost, torch.from_numpy(normal.count))
     return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits, said)

@@ -13,7 +13,7 @@ from twin_node.model.decisions import Decision, LogEvidence
 from twin_node.model.drift import Drift
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import MergeSplit
-from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, limited
+from twin_node.model.nodes import Nodes
 from twin_node.model.normal_equations import NormalEquations
 from twin_node.model.regrouping import Carried, regroup
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations
@@ -65,12 +65,10 @@ class Bodies:
 
     def go_on(self, cells: Cells) -> None:
         """Nodes take over the velocities that were heard of; called once they stand where this set has them."""
-        nodes = self._nodes
-        learned = nodes.learned_rows.numpy()
-        known = torch.from_numpy(learned[np.isin(learned, cells.nodes)])
-        velocities = torch.from_numpy(self._merge_split.velocities(known.numpy(), nodes.positions[known].numpy()))
-        nodes.velocities[known] = limited(velocities[:, :3], MAX_SPEED)
-        nodes.angular_velocities[known] = limited(velocities[:, 3:], MAX_TURN)
+        nodes, learned = self._nodes, self._nodes.learned_rows.numpy()
+        known = learned[np.bincount(cells.nodes, minlength=nodes.capacity)[learned] > 0]
+        velocities = self._merge_split.velocities(known, nodes.positions.numpy()[known])
+        nodes.speed_up(torch.from_numpy(known), velocities[:, :3], velocities[:, 3:])
 
     def regroup(self, carried: Carried | None) -> Sequence[Decision]:
         """Merges and splits nodes by what was said up to now, where that is due.

@@ -48,7 +48,7 @@ class Levelled:
             f"camera {view.camera.name} shows {_times(exposure)} the light of the first set: it tells little; "
             "give the cell its light back or start the twin anew"
             for view, exposure in zip(self.frames.views, self.exposures, strict=True)
-            if np.any(exposure.gains > UNCERTAIN) or np.any(exposure.gains < 1 / UNCERTAIN)
+            if not 1 / UNCERTAIN <= exposure.gains.min() <= exposure.gains.max() <= UNCERTAIN
         )
 
 

@@ -169,6 +169,12 @@ class CreepRequest(ctypes.Structure):
     )
 
 
+class BackdropRequest(ctypes.Structure):
+    """`model::BackdropRequest`."""
+
+    _fields_ = (("pixels", c_int64), *((name, c_void_p) for name in ("alphas", "backdrop", "renders")))
+
+
 class ObserveRules(ctypes.Structure):
     """`model::ObserveRules`."""
 

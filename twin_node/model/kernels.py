@@ -11,6 +11,7 @@ from twin_node import native_build
 from twin_node.model.kernel_requests import (
     INTERFACE_VERSION,
     AdvanceRequest,
+    BackdropRequest,
     BirthRequest,
     BirthRules,
     BirthView,
@@ -89,6 +90,8 @@ class Kernels(NativeLibrary):
         self._dll.model_add_up.restype = None
         self._dll.model_observe.argtypes = [ctypes.POINTER(ObserveRequest)]
         self._dll.model_ratios.argtypes = [ctypes.POINTER(RatioRequest)]
+        self._dll.model_put_before.argtypes = [ctypes.POINTER(BackdropRequest)]
+        self._dll.model_put_before.restype = None
         self._dll.model_remember.argtypes = [ctypes.POINTER(RestRequest)]
         self._dll.model_remember.restype = None
         self._dll.model_occluders.argtypes = [ctypes.POINTER(OccluderRequest)]
@@ -117,6 +120,10 @@ class Kernels(NativeLibrary):
     def remember(self, request: RestRequest) -> None:
         """Takes in what an image shows at rest; takes one thread."""
         self._dll.model_remember(request)
+
+    def put_before(self, request: BackdropRequest) -> None:
+        """Puts images before what stands behind; takes one thread."""
+        self._dll.model_put_before(request)
 
     def occluders(self, request: OccluderRequest, views: Sequence[OccluderView]) -> None:
         """Finds what can stand before something that moves; takes one thread. Raises `MemoryError`."""

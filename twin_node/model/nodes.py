@@ -13,7 +13,7 @@ from twin_node.model.kernel_requests import AdvanceRequest, MovedRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
 from twin_node.native_library import address_of
-from twin_node.scene import Tier
+from twin_node.scene import Float64, Tier
 
 POSITION_GAIN, VELOCITY_GAIN = 0.9, 0.35
 """Alpha-beta filter of a node's pose: alpha near one because the measurement is the image itself, beta a quarter of the
@@ -108,11 +108,18 @@ class Nodes:
         `shifts` [m, 3] m and `turns` [m, 3] rad lead from the poses as they are to those measured; `dt_s` is the time
         since the set before.
         """
-        at = advanced(self.positions[rows], self.quats[rows], shifts, turns, [POSITION_GAIN])
-        self.positions[rows], self.quats[rows] = at.positions[0], at.quats[0]
+        positions, quats = (of.index_select(0, rows) for of in (self.positions, self.quats))
+        at = advanced(positions, quats, shifts, turns, [POSITION_GAIN])
+        self.positions.index_copy_(0, rows, at.positions[0])
+        self.quats.index_copy_(0, rows, at.quats[0])
+        velocities, angular = (of.index_select(0, rows).numpy() for of in (self.velocities, self.angular_velocities))
         gain = VELOCITY_GAIN / max(dt_s, 1e-3)
-        self.velocities[rows] = limited(self.velocities[rows] + gain * shifts, MAX_SPEED)
-        self.angular_velocities[rows] = limited(self.angular_velocities[rows] + gain * turns, MAX_TURN)
+        self.speed_up(rows, velocities + gain * shifts.numpy(), angular + gain * turns.numpy())
+
+    def speed_up(self, rows: Tensor, velocities: Float64, turns: Float64) -> None:
+        """Nodes `rows` [m] have `velocities` [m, 3] m/s and `turns` [m, 3] rad/s from now on, as far as any may."""
+        self.velocities.index_copy_(0, rows, torch.from_numpy(_limited(velocities, MAX_SPEED)))
+        self.angular_velocities.index_copy_(0, rows, torch.from_numpy(_limited(turns, MAX_TURN)))
 
     def drive(self, rows: Tensor, positions: Tensor, quats: Tensor, dt_s: float) -> None:
         """Sets poses that are known (arm links) and derives their velocities from the step of `dt_s`."""
@@ -204,8 +211,8 @@ def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:
     return rotate(conjugate(quat), means - position)
 
 
-def limited(vectors: Tensor, longest: float) -> Tensor:
+def _limited(vectors: Float64, longest: float) -> Float64:
     """Vectors [..., 3], those longer than `longest` cut to it."""
-    own = vectors.numpy()  # on the CPU, few: by NumPy in a third of the time
-    length = np.sqrt(np.square(own).sum(-1, keepdims=True))
-    return torch.from_numpy(own * np.minimum(longest / np.maximum(length, 1e-9), 1.0))
+    length = np.sqrt(np.square(vectors).sum(-1, keepdims=True))
+    cut: Float64 = vectors * np.minimum(longest / np.maximum(length, 1e-9), 1.0)
+    return cut

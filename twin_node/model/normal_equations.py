@@ -113,12 +113,12 @@ class NormalEquations:
 
     def solve(self, size: int, sigmas: NDArray[np.float64]) -> Solved:
         """The most likely motion in the first `size` parameters, whose own 1 sigma are `sigmas` [size]."""
-        told = np.flatnonzero(self.sums.weights > 0)  # what is not seen stays as it was foretold
-        covariance = np.tile(np.diag(sigmas**2), (len(self.sums.weights), 1, 1))
-        solution = np.zeros((len(covariance), size))
-        covariance[told] = np.linalg.inv(self.sums.H[told, :size, :size] + np.diag(1 / sigmas**2))
-        g = self.sums.g[:, :size]
-        solution[told] = (covariance[told] @ g[told, :, None])[..., 0]
+        told = (self.sums.weights > 0).nonzero()[0]  # what is not seen stays as it was foretold
+        known = np.linalg.inv(self.sums.H[told, :size, :size] + np.diag(1 / sigmas**2))
+        covariance = np.empty((len(self.sums.weights), size, size))
+        covariance[:], covariance[told] = np.diag(sigmas**2), known
+        g, solution = self.sums.g[:, :size], np.zeros((len(covariance), size))
+        solution[told] = (known @ g[told, :, None])[..., 0]
         cost = self.sums.squares - (g * solution).sum(-1)
         return Solved(torch.from_numpy(solution), torch.from_numpy(covariance), torch.from_numpy(cost))
 

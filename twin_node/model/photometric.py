@@ -44,11 +44,10 @@ def targets_of(
         part = [views[i] for i in chosen]
         counted = [_counted(views[i], masks[i]) for i in chosen]
         depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in part]
+        colours = _colours(part) if images is None else np.stack([images[i] for i in chosen])
         out.append(
             Targets(
-                torch.from_numpy(_colours(part) if images is None else np.stack([images[i] for i in chosen])).to(
-                    device
-                ),
+                torch.from_numpy(colours).to(device),
                 None if all(one is None for one in counted) else torch.from_numpy(_weights(part, counted)).to(device),
                 None if all(view.depth is None for view in part) else torch.from_numpy(np.stack(depths)).to(device),
             )

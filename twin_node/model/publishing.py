@@ -75,10 +75,9 @@ def cloud_plainly(gaussians: Gaussians, motion: Motion, rows: Tensor) -> Gaussia
 
 def _published(nodes: Nodes) -> Tensor:
     """[M] which of the nodes that are published each is, -1 for none."""
-    position_of = torch.full((nodes.capacity,), -1, dtype=torch.int64)
-    published = nodes.learned_rows
-    position_of[published] = torch.arange(len(published))
-    return position_of
+    position_of, published = np.full(nodes.capacity, -1, np.int64), nodes.learned_rows.numpy()
+    position_of[published] = np.arange(len(published))
+    return torch.from_numpy(position_of)
 
 
 def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
+from twin_node.model.kernel_requests import BackdropRequest
+from twin_node.model.kernels import kernels
 from twin_node.scene import Bool, Camera
 
 
@@ -149,5 +151,20 @@ def _rasterise(
         render_mode="RGB+ED" if backdrop is None else "RGB+D",
         pixel_mask=mask,
     )
-    seen = renders[:, 0] if backdrop is None else renders[:, 0] + (1 - alphas[:, 0]) * backdrop
+    seen = renders[:, 0] if backdrop is None else put_before(renders[:, 0], alphas[:, 0], backdrop)
     return Sheet(times, seen, alphas[:, 0, ..., 0])
+
+
+def put_before(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
+    """[C, H, W, 4] `renders` with `alphas` [C, H, W, 1], drawn on nothing, before a `backdrop`; they are used up."""
+    library = kernels()
+    if library is None or renders.requires_grad or renders.device.type != "cpu":
+        return put_before_plainly(renders, alphas, backdrop)
+    held = (alphas.contiguous(), backdrop.contiguous(), renders)
+    library.put_before(BackdropRequest(alphas.numel(), *(t.data_ptr() for t in held)))
+    return renders
+
+
+def put_before_plainly(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
+    """The same in torch, on any device and with gradients: the reference of the compiled kernel."""
+    return renders + (1 - alphas) * backdrop

@@ -210,18 +210,20 @@ class Tracker:
     def _steer(self, twists: Twists, dt_s: float) -> None:
         """The nodes whose motion is learned take their twists."""
         steered = self._nodes.learned_rows
-        self._nodes.correct(steered, twists.linear[steered], twists.angular[steered], dt_s)
-        self._nodes.sigmas[steered] = twists.sigmas[steered]
+        linear, angular, sigmas = (of.index_select(0, steered) for of in (twists.linear, twists.angular, twists.sigmas))
+        self._nodes.correct(steered, linear, angular, dt_s)
+        self._nodes.sigmas.index_copy_(0, steered, sigmas)
 
     def _weigh(self, fits: Fits) -> None:
         """Nodes that evidence says bend become DEFORMABLE with all they carry, those that no longer do RIGID again."""
         nodes, g = self._nodes, self._gaussians
         nodes.evidence = accumulate(nodes.evidence, fits)
-        bending = (nodes.tiers == int(Tier.RIGID)) & (nodes.evidence > PROMOTE) & self._parameters.track.bends
-        stiff = (nodes.tiers == int(Tier.DEFORMABLE)) & (nodes.evidence < DEMOTE)
-        for chosen, tier in ((bending, Tier.DEFORMABLE), (stiff, Tier.RIGID)):
-            rows = rows_where(chosen & nodes.alive)
-            if len(rows):
+        alive, tiers, evidence = (of.numpy() for of in (nodes.alive, nodes.tiers, nodes.evidence))
+        bending = (tiers == int(Tier.RIGID)) & (evidence > PROMOTE) & self._parameters.track.bends
+        stiff = (tiers == int(Tier.DEFORMABLE)) & (evidence < DEMOTE)
+        for chosen, tier in ((bending & alive, Tier.DEFORMABLE), (stiff & alive, Tier.RIGID)):
+            if chosen.any():
+                rows = torch.from_numpy(chosen.nonzero()[0])
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
 

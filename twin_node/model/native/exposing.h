@@ -54,8 +54,12 @@ inline void find_ratios(const RatioRequest &r) {
 
 // Takes in an image that has been levelled: all that stands still, and a share of what has hardly changed.
 inline void remember(const RestRequest &r) {
-  for (int64_t i = 0; i < static_cast<int64_t>(r.image.width) * r.image.height; i++) {
-    if (r.image.still[i] != 0) std::copy_n(r.image.rgb + 3 * i, 3, r.newest + 3 * i);
+  const uint8_t *still = r.image.still, *end = still + static_cast<int64_t>(r.image.width) * r.image.height;
+  while (still != end) {  // a run of pixels that stand still after the other
+    const uint8_t *begin = std::find(still, end, 1);
+    still = std::find(begin, end, 0);
+    const int64_t first = begin - r.image.still;
+    std::copy_n(r.image.rgb + 3 * first, 3 * (still - begin), r.newest + 3 * first);
   }
   over_samples(r.image, [&](int64_t sample, int64_t pixel) {
     float change[3], *rest = r.rest + 3 * sample;

@@ -63,6 +63,13 @@ struct RestRequest {
   float *rest;      // [h, w, 3]
 };
 
+// Images of Gaussians, drawn on nothing, that are put before what stands behind them.
+struct BackdropRequest {
+  int64_t pixels;
+  const float *alphas, *backdrop;  // [pixels], [pixels, 4]
+  float *renders;                  // [pixels, 4]
+};
+
 // What counts as other than the background; see `observation.py`.
 struct ObserveRules {
   float threshold, growth, elapsed_s, stale_s;

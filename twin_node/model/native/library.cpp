@@ -3,6 +3,7 @@
 #include <new>
 
 #include "../../native/crew.h"
+#include "backdrop.h"
 #include "births.h"
 #include "cells.h"
 #include "damped.h"
@@ -90,6 +91,8 @@ int32_t model_observe(const model::ObserveRequest *request) {
 int32_t model_ratios(const model::RatioRequest *request) {
   return side_by_side(1, 1, [&](int) { model::find_ratios(*request); });
 }
+
+void model_put_before(const model::BackdropRequest *request) { model::put_before(*request); }
 
 void model_remember(const model::RestRequest *request) { model::remember(*request); }
 
