@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -78,6 +78,8 @@ class _Due:
     carried: Carried | None
     """The Gaussians that nodes carried; None where no flow was sought."""
     renderings: list[Rendering]
+    around: Splats
+    """What stood before what moves, and the arm, at each view's time."""
 
 
 class Tracker:
@@ -136,11 +138,12 @@ class Tracker:
         self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)
         on_stage("judge")
-        fitted = self._fit(observed, aligned)
+        around = self._around(observed, aligned)
+        fitted = self._fit(observed, around)
         on_stage("fit")
         self._nodes.remember()
         seen = Seen(observed, frames.joints, robots, self._nodes.stamp)
-        self._due = _Due(seen, aligned.carried, fitted.renderings or aligned.renderings)
+        self._due = _Due(seen, aligned.carried, fitted.renderings or aligned.renderings, around)
         decisions, self._decisions = self._decisions, []
         return Tracked(born, self._pace if fitted.diverged else None, decisions)
 
@@ -167,7 +170,7 @@ class Tracker:
                 self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
             on_stage("regroup")
             if not self._hurried:
-                self._prune(due.seen.observed)
+                self._prune(due)
                 self._upkeep.learn(granted(1))
             self._born = self._bear(due.seen.observed, due.renderings)
             self._nodes.remember()
@@ -273,7 +276,14 @@ class Tracker:
         carriers, founders = (of.index_select(0, rows).cpu().numpy() for of in (g.nodes, g.founders))
         return Members(here.means[0].cpu().double().numpy(), here.rgb.cpu().numpy(), carriers, founders)
 
-    def _fit(self, observed: Sequence[Observed], aligned: _Aligned) -> Fitted:
+    def _around(self, observed: Sequence[Observed], aligned: _Aligned) -> Splats:
+        """What stands before what moves and has not been judged otherwise since, and the arm."""
+        standing = self._standing(aligned.before)
+        if len(standing) == len(aligned.before):
+            return aligned.around
+        return self._place(torch.cat([standing, self._gaussians.robot_rows]), observed, self._poses(observed))
+
+    def _fit(self, observed: Sequence[Observed], around: Splats) -> Fitted:
         """Canonical attributes of what moves by a few gradient steps; after some that diverged the next are smaller."""
         g, track = self._gaussians, self._parameters.track
         poses = self._poses(observed)
@@ -281,9 +291,6 @@ class Tracker:
             self._backgrounds.mark()
             return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
         moving = self._place(g.moving_rows, observed, poses)
-        standing, around = self._standing(aligned.before), aligned.around
-        if len(standing) < len(aligned.before):
-            around = self._place(torch.cat([standing, g.robot_rows]), observed, poses)
         masks = held_pixels(observed, moving)
         rate = self._pace * track.learning_rate
         fitted = fit_moving(g, self._motion, observed, poses, masks, around, track.steps, rate)
@@ -307,16 +314,16 @@ class Tracker:
         empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
         self._nodes.retire(rows_where(empty))
 
-    def _prune(self, observed: Sequence[Observed]) -> None:
+    def _prune(self, due: _Due) -> None:
         """What moves and has shown in no camera for long goes."""
+        observed, around = due.seen.observed, due.around
         index = self._pruner.due([one.view.camera for one in observed])
         if index is None:
             return
-        one, rows = observed[index : index + 1], self._gaussians.moving_rows
-        poses = self._poses(one)
-        moving = self._place(rows, one, poses)
-        around = torch.cat([self._before(one, moving), self._gaussians.robot_rows])
-        self._pruner.look(one[0].view.camera, rows, moving, self._place(around, one, poses))
+        one, rows, own = observed[index : index + 1], self._gaussians.moving_rows, slice(index, index + 1)
+        moving = self._place(rows, one, self._poses(one))
+        around = replace(around, means=around.means[own], quats=around.quats[own])
+        self._pruner.look(one[0].view.camera, rows, moving, around)
 
     def _bear(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> int:
         """Gaussians and nodes for what `renderings` leave unexplained; returns how many Gaussians."""
