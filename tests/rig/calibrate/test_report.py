@@ -17,8 +17,10 @@ from twin_node.rig import CameraEvidence, RigError, RigFile
 from twin_node.rig.calibrate.boards import Chessboard, Corners
 from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.lenses import lens_of
+from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.report import Calibration, write_report
-from twin_node.rig.calibrate.rig_fit import fit, settled
+from twin_node.rig.calibrate.rig_fit import BoardViews, _Eyes, _motion, fit, settled
 from twin_node.scene import Rig, RigCamera
 
 BOARD = Chessboard(6, 5, 0.05)
@@ -82,6 +84,70 @@ def test_settled_boards_leave_no_more_than_the_noise(rig_file: RigFile) -> None:
     ]
     assert rms[1] < rms[0]
     assert rms[1] == pytest.approx(0.3, rel=0.1)
+
+
+def test_each_board_lies_where_the_camera_that_explains_all_best_sees_it(rig_file: RigFile) -> None:
+    """Some corners are hidden, and one camera's are wrong: what it says of the board explains the others worst."""
+    rng = np.random.default_rng(5)
+    seen = []
+    for sighting in sightings_of(rig_file.rig, 0.2):
+        ids = np.sort(rng.choice(len(BOARD.points), rng.integers(8, len(BOARD.points)), replace=False))
+        wrong = 20 * rng.normal(size=(len(ids), 2)) * (sighting.camera == sighting.board % 3)
+        seen.append(replace(sighting, corners=Corners(ids, sighting.corners.pixels[ids] + wrong)))
+    found = fit(BOARD, rig_file.rig, seen)
+    assert len(found.residuals) == len(seen)
+    for number in range(8):
+        rows = [row for row, sighting in enumerate(found.sightings) if sighting.board == number]
+        group = [found.sightings[row] for row in rows]
+        candidates = []
+        for told in group:
+            camera = rig_file.rig.cameras[told.camera]
+            T_cam_board = board_pose(lens_of(camera), BOARD.points[told.corners.ids], told.corners.pixels)
+            assert T_cam_board is not None
+            candidates.append([residual_of(rig_file.rig, one, camera.T_base_cam @ T_cam_board) for one in group])
+        best = min(candidates, key=lambda residuals: np.linalg.norm(np.concatenate(residuals), axis=1).mean())
+        for row, expected in zip(rows, best, strict=True):
+            np.testing.assert_allclose(found.residuals[row], expected, atol=1e-9)
+
+
+def residual_of(rig: Rig, sighting: Sighting, T_base_board: np.ndarray) -> np.ndarray:
+    camera = rig.cameras[sighting.camera]
+    points = transform(inverse_pose(camera.T_base_cam) @ T_base_board, BOARD.points[sighting.corners.ids])
+    return np.asarray(sighting.corners.pixels - raw_pixels(camera, points))
+
+
+def test_slopes_of_residuals_are_those_of_differences(rig_file: RigFile) -> None:
+    eyes, group = _Eyes.of(BOARD, rig_file.rig), sightings_of(rig_file.rig, 0.2)[:3]
+    start, step = (
+        inverse_pose(looking_at(np.zeros(3), np.array([0.3, 0.2, 3.0]))),
+        np.array([0.2, -0.1, 0.3, 0.02, 0, 0.01]),
+    )
+
+    def off(step: np.ndarray) -> np.ndarray:
+        return np.concatenate(eyes.residuals(group, [start @ _motion(step)] * len(group)))
+
+    differences = [(off(step + 1e-6 * axis) - off(step - 1e-6 * axis)) / 2e-6 for axis in np.eye(6)]
+    np.testing.assert_allclose(eyes.slopes(group, start, step), np.stack(differences, -1), rtol=1e-6, atol=1e-3)
+
+
+def test_a_view_is_worked_out_once_per_lens(rig_file: RigFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = []
+    monkeypatch.setattr("twin_node.rig.calibrate.rig_fit.board_pose", lambda *a: looks.append(a) or board_pose(*a))
+    seen, views = sightings_of(rig_file.rig, 0.2), BoardViews(BOARD)
+    first = fit(BOARD, rig_file.rig, seen, views)
+    assert len(looks) == len(seen)
+    moved = tuple(
+        replace(c, T_base_cam=c.T_base_cam @ looking_at(np.zeros(3), np.ones(3))) for c in rig_file.rig.cameras
+    )
+    fit(BOARD, Rig(moved), seen, views)
+    assert len(looks) == len(seen)
+    other = tuple(replace(c, K=c.K * np.array([[1.1], [1.1], [1]])) for c in rig_file.rig.cameras)
+    np.testing.assert_array_equal(
+        np.concatenate(fit(BOARD, Rig(other), seen, views).residuals),
+        np.concatenate(fit(BOARD, Rig(other), seen).residuals),
+    )
+    assert len(looks) == 3 * len(seen)
+    np.testing.assert_array_equal(first.residuals[0], fit(BOARD, rig_file.rig, seen, views).residuals[0])
 
 
 def test_a_rig_of_other_cameras_and_a_place_that_is_none_are_refused(rig_file: RigFile, tmp_path: Path) -> None:

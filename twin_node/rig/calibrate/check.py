@@ -17,7 +17,7 @@ from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.mistakes import Finding, Mistake, Undone, undone
 from twin_node.rig.calibrate.objections import Objections
-from twin_node.rig.calibrate.rig_fit import fit
+from twin_node.rig.calibrate.rig_fit import BoardViews, fit
 from twin_node.rig.calibrate.scales import ArmInSight, depth_agreement
 from twin_node.rig.rig_checks import IN_SIGHT, aims_off
 from twin_node.robot import ArmModel
@@ -76,11 +76,12 @@ def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -
     them best is named. Where none does, the camera that fits worst is.
     """
     limit = GOOD_SHARE * max(camera.width for camera in rig.cameras)
-    if _Misfit.of(board, rig, sightings).worst_px < limit:
+    views = BoardViews(board)
+    if _Misfit.of(board, rig, sightings, views).worst_px < limit:
         return Verdict(())
     few = _some_sets(sightings)
-    now, mistakes = _Misfit.of(board, rig, few), list(undone(rig))
-    errors = [_Misfit.of(board, mistake.rig, few).worst_px for mistake in mistakes]
+    now, mistakes = _Misfit.of(board, rig, few, views), list(undone(rig))
+    errors = [_Misfit.of(board, mistake.rig, few, views).worst_px for mistake in mistakes]
     best = int(np.argmin(errors))
     if errors[best] < now.worst_px / TELLING_FACTOR:
         found = mistakes[best].finding
@@ -203,9 +204,9 @@ class _Misfit:
     """Its median error, pixels."""
 
     @classmethod
-    def of(cls, board: Board, rig: Rig, sightings: Sequence[Sighting]) -> _Misfit:
+    def of(cls, board: Board, rig: Rig, sightings: Sequence[Sighting], views: BoardViews) -> _Misfit:
         """Of a rig on sightings."""
-        result = fit(board, rig, sightings)
+        result = fit(board, rig, sightings, views)
         residuals = {camera.name: result.of_camera(number) for number, camera in enumerate(rig.cameras)}
         errors = {name: float(np.median(np.linalg.norm(r, axis=1))) for name, r in residuals.items() if r is not None}
         worst = max(errors, key=lambda name: errors[name])

@@ -10,18 +10,18 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.boards import Board
+from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import Sighting
-from twin_node.rig.calibrate.lenses import lens_of, project
+from twin_node.rig.calibrate.lenses import Lens, lens_of, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.rig_start import set_stamps, simultaneous
+from twin_node.rig.calibrate.rotations import cross_matrix, turning
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, Rig
 
 BEHIND_PX = 1e4
 """What a corner counts that a camera would have to see behind itself: more than any image is wide."""
-
 
 SETTLING_STEPS = 6
 """Evaluations in which a board settles: it starts within a pixel or two."""
@@ -65,19 +65,39 @@ def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecordin
     return shared
 
 
-def fit(board: Board, rig: Rig, sightings: Sequence[Sighting]) -> RigFit:
-    """Residuals of sightings, each board placed by the camera that makes all others' residuals least."""
-    by_set: dict[int, list[Sighting]] = {}
-    for sighting in sightings:
-        by_set.setdefault(sighting.board, []).append(sighting)
+class BoardViews:
+    """Poses of a board in the optical frames of lenses that saw it, each worked out once."""
+
+    def __init__(self, board: Board) -> None:
+        """Empty; `board` is what all sightings are of."""
+        self._points = board.points
+        self._known: dict[tuple[object, ...], tuple[Corners, Float64 | None]] = {}
+
+    def pose(self, lens: Lens, corners: Corners) -> Float64 | None:
+        """[4, 4] board to optical frame; None where there is none."""
+        key = (id(corners), lens.model, lens.parameters.tobytes())
+        if key not in self._known:
+            self._known[key] = corners, board_pose(lens, self._points[corners.ids], corners.pixels)
+        return self._known[key][1]
+
+
+def fit(board: Board, rig: Rig, sightings: Sequence[Sighting], views: BoardViews | None = None) -> RigFit:
+    """Residuals of sightings, each board placed by the camera that makes all others' residuals least.
+
+    `views` of the same sightings saves looking for the board again with lenses that were asked about before.
+    """
+    eyes, places = _Eyes.of(board, rig), _places(rig, sightings, BoardViews(board) if views is None else views)
+    # Every sighting of a set is held against every place that the set's cameras tell.
+    groups = {tuple(rows): [row for row in rows if places[row] is not None] for rows in _sets(sightings)}
+    pairs = [(row, place) for rows, told in groups.items() for place in told for row in rows]
+    offsets = iter(eyes.residuals([sightings[row] for row, _ in pairs], [places[place] for _, place in pairs]))
     ordered: list[Sighting] = []
     residuals: list[Float64] = []
-    for group in by_set.values():
-        candidates = [_residuals(board, rig, group, T) for T in _places(board, rig, group)]
+    for rows, told in groups.items():
+        candidates = [[next(offsets) for _ in rows] for _ in told]
         if candidates:
-            lengths = [float(np.linalg.norm(np.concatenate(residual), axis=1).mean()) for residual in candidates]
-            ordered += group
-            residuals += candidates[int(np.argmin(lengths))]
+            ordered += [sightings[row] for row in rows]
+            residuals += candidates[int(np.argmin([_miss(candidate) for candidate in candidates]))]
     return RigFit(tuple(ordered), tuple(residuals))
 
 
@@ -86,27 +106,79 @@ def settled(board: Board, rig: Rig, rough: RigFit) -> RigFit:
 
     What the residuals then show is what the rig, and the board's own shape, leave over.
     """
-    by_set: dict[int, list[int]] = {}
-    for row, sighting in enumerate(rough.sightings):
-        by_set.setdefault(sighting.board, []).append(row)
+    eyes, places = _Eyes.of(board, rig), _places(rig, rough.sightings, BoardViews(board))
     residuals = list(rough.residuals)
-    for rows in by_set.values():
+    for rows in _sets(rough.sightings):
         group = [rough.sightings[row] for row in rows]
-        start = min(_places(board, rig, group), key=lambda T: _miss(board, rig, group, T), default=None)
-        if start is None:
+        starts = [T for row in rows if (T := places[row]) is not None]
+        if not starts:
             continue
-        for row, residual in zip(rows, _residuals(board, rig, group, _settle(board, rig, group, start)), strict=True):
+        start = min(starts, key=lambda T: _miss(eyes.residuals(group, [T] * len(group))))
+        best = [_settle(eyes, group, start)] * len(group)
+        for row, residual in zip(rows, eyes.residuals(group, best), strict=True):
             residuals[row] = residual
     return RigFit(rough.sightings, tuple(residuals))
 
 
-def _settle(board: Board, rig: Rig, group: Sequence[Sighting], start: Float64) -> Float64:
+@dataclass(frozen=True)
+class _Eyes:
+    """The cameras of a rig before a board."""
+
+    points: Float64
+    """[P, 3] corners of the board, m."""
+    lenses: tuple[Lens, ...]
+    T_cam_base: Float64
+    """[C, 4, 4]."""
+
+    @classmethod
+    def of(cls, board: Board, rig: Rig) -> _Eyes:
+        T_base_cam = np.stack([camera.T_base_cam for camera in rig.cameras])
+        return cls(board.points, tuple(map(lens_of, rig.cameras)), inverse_pose(T_base_cam))
+
+    def residuals(self, sightings: Sequence[Sighting], places: Sequence[Float64 | None]) -> list[Float64]:
+        """Per sighting [N, 2] found minus projected, pixels, the board lying at a place `T_base_board` of its own."""
+        out: list[Float64] = [np.zeros((0, 2))] * len(sightings)
+        for camera, lens in enumerate(self.lenses):
+            rows = [row for row, sighting in enumerate(sightings) if sighting.camera == camera]
+            if not rows:
+                continue
+            seen = [sightings[row].corners for row in rows]
+            counts = [len(corners.ids) for corners in seen]
+            T = np.repeat(self.T_cam_base[camera] @ np.array([places[row] for row in rows]), counts, axis=0)
+            corners = self.points[np.concatenate([corners.ids for corners in seen])]
+            local = (T[:, :3, :3] @ corners[:, :, None])[:, :, 0] + T[:, :3, 3]
+            offset = np.concatenate([corners.pixels for corners in seen]) - project(lens, local).pixels
+            offset = np.where(local[:, 2:] <= 0, BEHIND_PX, np.clip(offset, -BEHIND_PX, BEHIND_PX))
+            offset = np.nan_to_num(offset, nan=BEHIND_PX)
+            for row, own in zip(rows, np.split(offset, np.cumsum(counts)[:-1]), strict=True):
+                out[row] = own
+        return out
+
+    def slopes(self, sightings: Sequence[Sighting], start: Float64, step: Float64) -> Float64:
+        """[N, 2, 6] how all `residuals` change with the step [6] that a board at `start` has made (`_motion`)."""
+        rotation, back = _motion(step)[:3, :3], turning(step[:3])
+        slopes = []
+        for sighting in sightings:
+            T = self.T_cam_base[sighting.camera] @ start
+            turned = self.points[sighting.corners.ids] @ rotation.T
+            local = transform(T, turned + step[3:])
+            seen = project(self.lenses[sighting.camera], local)
+            by_step = np.concatenate([-cross_matrix(turned) @ back, np.broadcast_to(np.eye(3), (len(turned), 3, 3))], 2)
+            told = (np.abs(sighting.corners.pixels - seen.pixels) < BEHIND_PX) & (local[:, 2:] > 0)
+            slopes.append(np.where(told[:, :, None], -seen.by_point @ T[:3, :3] @ by_step, 0.0))
+        return np.concatenate(slopes)
+
+
+def _settle(eyes: _Eyes, group: Sequence[Sighting], start: Float64) -> Float64:
     """`T_base_board` that explains the corners of one set best, sought about `start`."""
 
     def off(step: Float64) -> Float64:
-        return np.concatenate(_residuals(board, rig, group, start @ _motion(step))).ravel()
+        return np.concatenate(eyes.residuals(group, [start @ _motion(step)] * len(group))).ravel()
 
-    found = least_squares(off, np.zeros(6), loss="soft_l1", x_scale="jac", max_nfev=SETTLING_STEPS)
+    def slopes(step: Float64) -> Float64:
+        return eyes.slopes(group, start, step).reshape(-1, 6)
+
+    found = least_squares(off, np.zeros(6), slopes, loss="soft_l1", x_scale="jac", max_nfev=SETTLING_STEPS)
     return np.asarray(start @ _motion(found.x))
 
 
@@ -115,29 +187,24 @@ def _motion(step: Float64) -> Float64:
     return pose(Rotation.from_rotvec(step[:3]).as_matrix(), step[3:])
 
 
-def _miss(board: Board, rig: Rig, group: Sequence[Sighting], T_base_board: Float64) -> float:
-    return float(np.linalg.norm(np.concatenate(_residuals(board, rig, group, T_base_board)), axis=1).mean())
+def _miss(residuals: Sequence[Float64]) -> float:
+    """Mean length of residuals, pixels."""
+    return float(np.linalg.norm(np.concatenate(residuals), axis=1).mean())
 
 
-def _places(board: Board, rig: Rig, group: Sequence[Sighting]) -> list[Float64]:
-    """`T_base_board` as each camera of a set sees it."""
-    places = []
-    for sighting in group:
+def _sets(sightings: Sequence[Sighting]) -> list[list[int]]:
+    """Rows of `sightings` by the board that they are of, in order of its first."""
+    by_set: dict[int, list[int]] = {}
+    for row, sighting in enumerate(sightings):
+        by_set.setdefault(sighting.board, []).append(row)
+    return list(by_set.values())
+
+
+def _places(rig: Rig, sightings: Sequence[Sighting], views: BoardViews) -> list[Float64 | None]:
+    """`T_base_board` as the camera of each sighting sees it, None where it does not."""
+    places: list[Float64 | None] = []
+    for sighting in sightings:
         camera = rig.cameras[sighting.camera]
-        T = board_pose(lens_of(camera), board.points[sighting.corners.ids], sighting.corners.pixels)
-        if T is not None:
-            places.append(camera.T_base_cam @ T)
+        T = views.pose(lens_of(camera), sighting.corners)
+        places.append(None if T is None else camera.T_base_cam @ T)
     return places
-
-
-def _residuals(board: Board, rig: Rig, group: Sequence[Sighting], T_base_board: Float64) -> list[Float64]:
-    residuals = []
-    for sighting in group:
-        camera = rig.cameras[sighting.camera]
-        T = inverse_pose(camera.T_base_cam) @ T_base_board
-        points = transform(T, board.points[sighting.corners.ids])
-        projected = project(lens_of(camera), points).pixels
-        behind = points[:, 2] <= 0
-        offset = np.where(behind[:, None], BEHIND_PX, sighting.corners.pixels - projected)
-        residuals.append(np.nan_to_num(np.clip(offset, -BEHIND_PX, BEHIND_PX), nan=BEHIND_PX))
-    return residuals
