@@ -12,7 +12,9 @@ from model_scenes import block, camera, frames, joined, rig, table
 from test_steps import observe
 
 from twin_node.geometry import project
+from twin_node.model.backgrounds import look_at_spheres, pixels_reached
 from twin_node.model.normal_equations import NormalEquations, linearise
+from twin_node.model.rays import look
 from twin_node.model.rendering import render
 from twin_node.splat.points import Carried, find_pixels, has_points
 
@@ -34,6 +36,19 @@ def test_pixels_are_those_of_the_projection(seed: int, spread: float) -> None:
     shown = inside & clear
     assert np.array_equal(np.stack([pixels.columns, pixels.rows], 1)[shown], whole[shown].astype(int))
     assert (pixels.columns >= 0).all() and (pixels.columns < one.width).all() and (pixels.rows < one.height).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100))
+def test_spheres_reach_into_the_image_as_far_as_numpy_says(seed: int, spread: float) -> None:
+    one, generator = camera("one", (1.0, -0.5, 0.8)), np.random.default_rng(seed)
+    points = generator.normal(size=(50, 3)) * spread
+    radii = generator.uniform(0, spread, 50).astype(np.float32)
+    spheres = look_at_spheres(one, points, radii)
+    plain = pixels_reached(one, look(one, points), points, radii)
+    clear = np.abs(plain) > 1e-2  # what just does not reach in by one rounding does by another
+    assert np.array_equal(spheres.reach_px[clear] < 0, plain[clear] < 0)
+    assert np.allclose(spheres.reach_px[clear], plain[clear], rtol=1e-4)
+    assert np.array_equal(spheres.middles.inside, look(one, points).inside)
 
 
 @pytest.mark.parametrize("depth", [False, True])

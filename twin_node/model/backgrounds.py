@@ -20,6 +20,7 @@ from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look, pixel_rays
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64
+from twin_node.splat.points import find_pixels, has_points
 
 OCCLUSION = 0.03
 """Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
@@ -173,11 +174,12 @@ class Backgrounds:
         reach = 3 * values[:, LOG_SCALE].amax(-1).exp().cpu().numpy()
         surveyed: dict[str, Background] = {}
         for camera in cameras:
-            static = look(camera, means)
-            seen = {name: getattr(shown[camera.name], name) for name in _Shown.__dataclass_fields__}
-            reach_px = pixels_reached(camera, static, means, reach)
-            cells = cells_at(camera, static)
-            surveyed[camera.name] = Background(**seen, camera=camera, static=static, cells=cells, reach_px=reach_px)
+            spheres, seen = look_at_spheres(camera, means, reach), vars(shown[camera.name])
+            known = {name: seen[name] for name in _Shown.__dataclass_fields__}
+            cells = cells_at(camera, spheres.middles)
+            surveyed[camera.name] = Background(
+                **known, camera=camera, static=spheres.middles, cells=cells, reach_px=spheres.reach_px
+            )
         self._known = surveyed
         self._waiting = [name for name in self._waiting if name in surveyed]
         self._changed = self._outdated = False
@@ -232,8 +234,28 @@ def cells_at(camera: Camera, seen: Seen) -> NDArray[np.int64]:
     return cells
 
 
+@dataclass(frozen=True)
+class Spheres:
+    """Where n spheres fall in one camera's image."""
+
+    middles: Seen
+    """Of them."""
+    reach_px: Float32
+    """[n] pixels that each reaches into the image from the pixel next to its middle; negative: not at all."""
+
+
+def look_at_spheres(camera: Camera, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Spheres:
+    """Spheres of `radii` [n] (m) at `points` [n, 3] in base frame."""
+    if not has_points():
+        seen = look(camera, points)
+        return Spheres(seen, pixels_reached(camera, seen, points, radii))
+    at = find_pixels(points, camera.viewmat, camera.K, camera.width, camera.height, radii)
+    assert at.reached is not None
+    return Spheres(Seen(at.columns, at.rows, at.depths, at.inside), at.reached)
+
+
 def pixels_reached(camera: Camera, seen: Seen, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Float32:
-    """[n] pixels that spheres of `radii` (m) at `points` [n, 3] reach into the image from its pixel next to them."""
+    """[n] `Spheres.reach_px` of spheres whose middles are `seen`, in NumPy: the reference of the compiled kernel."""
     uv = project(camera.K, camera.viewmat, points)[:, :2]
     outside = np.square(uv - 0.5 - np.stack([seen.columns, seen.rows], -1)).sum(-1) * ~seen.inside
     square = (radii * camera.K[0, 0] / np.maximum(seen.depth, 0.02)) ** 2 - outside

@@ -56,7 +56,7 @@ class Seen:
 def look(camera: Camera, points: NDArray[np.floating]) -> Seen:
     """Pixels that hold base-frame points [n, 3]."""
     if has_points():
-        pixels = find_pixels(np.asarray(points, np.float64), camera.viewmat, camera.K, camera.width, camera.height)
+        pixels = find_pixels(points, camera.viewmat, camera.K, camera.width, camera.height)
         return Seen(pixels.columns, pixels.rows, pixels.depths, pixels.inside)
     uvz = project(camera.K, camera.viewmat, points)
     column, row = np.floor(np.clip(uvz[:, :2], -1e6, 1e6)).astype(np.int64).T

@@ -13,7 +13,7 @@ from twin_node import native_build
 from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, thread_count
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 11
+INTERFACE_VERSION = 12
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -103,6 +103,7 @@ class LookRequest(ctypes.Structure):
         ("count", c_int64),
         *((name, c_int32) for name in ("width", "height")),
         *((name, c_void_p) for name in ("points", "viewmat", "K", "columns", "rows", "depths", "inside")),
+        *((name, c_void_p) for name in ("radii", "reached")),
     )
 
 

@@ -31,6 +31,8 @@ class Pixels:
     """[n] along the optical axis."""
     inside: Bool
     """[n] whether the point is more than 2 cm in front of the camera and inside its image."""
+    reached: Float32 | None
+    """[n] pixels that a sphere about the point reaches into the image from this pixel; negative: it does not."""
 
 
 def has_points() -> bool:
@@ -38,15 +40,32 @@ def has_points() -> bool:
     return native.native_library() is not None
 
 
-def find_pixels(points: Float64, viewmat: Float64, K: Float64, width: int, height: int) -> Pixels:
-    """Pixels of points [n, 3] for a pinhole camera with `viewmat` [4, 4] (world to camera) and K [3, 3]."""
+def find_pixels(
+    points: NDArray[np.floating],
+    viewmat: Float64,
+    K: Float64,
+    width: int,
+    height: int,
+    radii: NDArray[np.floating] | None = None,
+) -> Pixels:
+    """Pixels of points [n, 3] for a pinhole camera with `viewmat` [4, 4] (world to camera) and K [3, 3].
+
+    `radii` [n] of spheres about them, in the units of the points: how far these reach into the image is found too.
+    """
     library = native.native_library()
     assert library is not None
     count = len(points)
-    pixels = Pixels(np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count), np.empty(count, np.bool_))
+    pixels = Pixels(
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        np.empty(count),
+        np.empty(count, np.bool_),
+        None if radii is None else np.empty(count, np.float32),
+    )
     given = [np.ascontiguousarray(a, dtype=np.float64) for a in (points, viewmat, K)]
-    arrays = (*given, *vars(pixels).values())
-    library.look(native.LookRequest(count, width, height, *addresses_of(*arrays)))
+    spheres = None if radii is None else np.ascontiguousarray(radii, dtype=np.float32)
+    found = (pixels.columns, pixels.rows, pixels.depths, pixels.inside)
+    library.look(native.LookRequest(count, width, height, *addresses_of(*given, *found, spheres, pixels.reached)))
     return pixels
 
 

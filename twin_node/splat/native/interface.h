@@ -5,7 +5,7 @@
 
 namespace splat {
 
-constexpr int32_t kInterfaceVersion = 11;
+constexpr int32_t kInterfaceVersion = 12;
 
 enum Status : int32_t {
   kOk = 0,
@@ -131,6 +131,8 @@ struct LookRequest {
   int64_t *columns, *rows;    // [count]
   double *depths;             // [count]
   uint8_t *inside;            // [count]
+  const float *radii;         // [count] of spheres about the points, or null
+  float *reached;             // [count] pixels that these reach into the image from the pixel, or negative; with `radii`
 };
 
 // One view's part of the normal equations of moving nodes.

@@ -32,6 +32,7 @@ struct Found {
   int64_t column, row;
   double depth;
   bool inside;
+  double u, v;  // where it falls
 };
 
 inline Found find_pixel(const Pinhole &camera, int width, int height, const double *point) {
@@ -41,10 +42,19 @@ inline Found find_pixel(const Pinhole &camera, int width, int height, const doub
   const auto whole = [](double v) {
     return static_cast<int64_t>(std::floor(std::min(std::max(v, -kFarthestPixel), kFarthestPixel)));
   };
-  const int64_t u = whole(camera.fx * x[0] / z + camera.cx), v = whole(camera.fy * x[1] / z + camera.cy);
+  const double at_u = camera.fx * x[0] / z + camera.cx, at_v = camera.fy * x[1] / z + camera.cy;
+  const int64_t u = whole(at_u), v = whole(at_v);
   const bool inside = u >= 0 && u < width && v >= 0 && v < height && x[2] > kNearestSeen;
   return {std::min<int64_t>(std::max<int64_t>(u, 0), width - 1),
-          std::min<int64_t>(std::max<int64_t>(v, 0), height - 1), x[2], inside};
+          std::min<int64_t>(std::max<int64_t>(v, 0), height - 1), x[2], inside, at_u, at_v};
+}
+
+// Pixels that a sphere about what was found reaches into the image from its pixel; -1: it does not.
+inline float reach_of(const Found &found, double radius, double focal) {
+  if (!(found.depth > kNearestSeen)) return -1.f;
+  const double du = found.u - 0.5 - found.column, dv = found.v - 0.5 - found.row, px = radius * focal / found.depth;
+  const double square = px * px - (found.inside ? 0. : du * du + dv * dv);
+  return square > 0 ? static_cast<float>(std::sqrt(square)) : -1.f;
 }
 
 inline void look(const LookRequest &r) {
@@ -55,6 +65,7 @@ inline void look(const LookRequest &r) {
     r.rows[i] = found.row;
     r.depths[i] = found.depth;
     r.inside[i] = found.inside;
+    if (r.radii != nullptr) r.reached[i] = reach_of(found, r.radii[i], camera.fx);
   }
 }
 
