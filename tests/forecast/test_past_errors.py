@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin_node.forecast.past_errors import PastErrors
+from twin_node.forecast.past_errors import Past, PastErrors, bin_of, bin_of_plainly
 
 MEMORY_S = 2.0
 SLOPES = np.array([0.1, 0.5])
@@ -47,3 +47,13 @@ def test_weights_stay_finite_however_long_few_errors_come() -> None:
     for step in range(200):
         past.enter(0.03 * step, np.zeros((1, 1)), np.array([-1.0]), 0.03)
     assert past.log_quantile(0.03 * 199, np.zeros(1), 0.99) == pytest.approx(-1.0, abs=0.011)
+
+
+@pytest.mark.parametrize("count", [1, 700])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99, 1.0])
+def test_compiled_as_plainly(share: float, count: int) -> None:
+    rng = np.random.default_rng(count)
+    logs = rng.normal(-2, 3, count)
+    logs[: count // 50] = np.repeat([-40.0, 40.0], count // 100)  # beyond all bins
+    past = Past(rng.normal(size=(count, 2)), logs, rng.uniform(0, 1, count), 0.3)
+    assert bin_of(past, SLOPES, share) == bin_of_plainly(past, SLOPES, share)

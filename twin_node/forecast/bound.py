@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin_node.forecast.error_scale import Came, Scale, regress
 from twin_node.forecast.past_errors import PastErrors
 from twin_node.scene import Bool, Float64
 
@@ -95,11 +96,7 @@ class Bound:
 
     def __init__(self, parameters: BoundParameters | None = None) -> None:
         self.parameters = parameters or BoundParameters()
-        self._gram = np.eye(CUES) * _PRIOR
-        self._ridge = np.eye(CUES) * _RIDGE
-        self._prior = np.append(0.0, _SLOPES)
-        self._moment = self._gram @ self._prior
-        self._weights = self._prior
+        self._scale = Scale.before_errors()
         self._past = PastErrors(CUES, self.parameters.memory_s)
         self._miss_level = 1 - self.parameters.coverage
         self._seen_s = 0.0
@@ -129,17 +126,18 @@ class Bound:
 
     def _learn(self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> None:
         """Enters errors [n] of nodes with cues `then` [n, CUES] in the regression, and an even sample in the pool."""
-        self._fit(then, np.log(errors + LEAST), elapsed_s)
+        kept = float(np.exp(-elapsed_s / self.parameters.memory_s))
+        regress(self._scale, Came(then, np.log(errors + LEAST), kept, 2 * elapsed_s / _STEP_S / len(errors)))
         some = slice(None, None, -(-len(errors) // _SAMPLE))
         logs = np.log(np.clip(errors[some], 1e-6, _SURPRISE * radii[some]))
         self._past.enter(time, then[some], logs, elapsed_s)
-        quantile = self._past.log_quantile(time, self._weights, 1 - self._miss_level)
+        quantile = self._past.log_quantile(time, self._scale.slopes, 1 - self._miss_level)
         share = np.exp(-self._seen_s / _TRUSTED_S)
         self.quantile = np.exp(share * np.log(_FIRST_QUANTILE) + (1 - share) * quantile)
 
     def scales(self, now: Float64) -> Float64:
         """Expected errors [M] in metres at the last horizon, of nodes with cues [M, CUES]: upper ones, not means."""
-        scales: Float64 = np.exp(now @ self._weights)
+        scales: Float64 = np.exp(now @ self._scale.slopes)
         return scales
 
     def radii(self, now: Float64, ages: Float64, horizon_s: float, factor: float = 1.0) -> Float64:
@@ -164,14 +162,6 @@ class Bound:
     def reachable(self, horizon_s: float) -> float:
         """How far the largest acceleration takes a node from where its velocity leads, m."""
         return self.parameters.acceleration * horizon_s**2 / 2
-
-    def _fit(self, then: Float64, logs: Float64, elapsed_s: float) -> None:
-        kept = np.exp(-elapsed_s / self.parameters.memory_s)
-        above = logs > then @ self._weights
-        weights = np.where(above, _UPPER, 1 - _UPPER) * (2 * elapsed_s / _STEP_S / len(logs))
-        self._gram = kept * self._gram + (then.T * weights) @ then
-        self._moment = kept * self._moment + then.T @ (weights * logs)
-        self._weights = np.linalg.solve(self._gram + self._ridge, self._moment + self._ridge @ self._prior)
 
 
 class CoverageControl:
@@ -212,14 +202,6 @@ class CoverageControl:
         return float(np.clip(factor, self.parameters.least_factor, self.parameters.most_factor))
 
 
-_SLOPES = (0.2, 0.3, 0.1, 0.15, 0.1, 0.15)
-"""Share of each cue in the scale before errors tell, in the order of `CueLengths`: what goes far errs most."""
-_PRIOR = 0.5
-"""Weight of the prior slopes in samples: the scale is proportional to the cues until errors say otherwise."""
-_RIDGE = 0.1
-"""The part of that prior that is never forgotten."""
-_UPPER = 0.9
-"""Weight of errors above expectation against those below: large errors make the bound."""
 _STEP_S = 1 / 30
 """Errors of this much time count as one sample in the regression, s."""
 _SAMPLE = 64

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 31
+INTERFACE_VERSION = 32
 
 
 class GrowRequest(ctypes.Structure):
@@ -326,6 +326,26 @@ class ReckonRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("began", "turned", "judged", "gram", "moment")),
         *((name, c_void_p) for name in ("found", "moved", "wrong", "grown", "left")),
         ("due", ctypes.POINTER(DueForecast)),
+    )
+
+
+class RegressRequest(ctypes.Structure):
+    """`forecast::RegressRequest`."""
+
+    _fields_ = (
+        *(("errors", c_int64), ("cues", c_int32)),
+        *((name, c_double) for name in ("kept", "weight", "upper", "ridge")),
+        *((name, c_void_p) for name in ("then", "logs", "prior", "gram", "moment", "slopes")),
+    )
+
+
+class QuantileRequest(ctypes.Structure):
+    """`forecast::QuantileRequest`."""
+
+    _fields_ = (
+        *(("errors", c_int64), ("bins", c_int64), ("cues", c_int32)),
+        *((name, c_double) for name in ("lowest", "width", "fresh", "share", "slack")),
+        *((name, c_void_p) for name in ("then", "logs", "weights", "slopes")),
     )
 
 

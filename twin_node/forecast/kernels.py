@@ -27,8 +27,10 @@ from twin_node.forecast.kernel_requests import (
     NearestRequest,
     OutlookRequest,
     PackRequest,
+    QuantileRequest,
     ReachRequest,
     ReckonRequest,
+    RegressRequest,
     RestRequest,
     ReviseRequest,
     RunsRequest,
@@ -84,6 +86,9 @@ class Kernels(NativeLibrary):
         self._dll.forecast_reckon.restype = None
         self._dll.forecast_reach.argtypes = [ctypes.POINTER(ReachRequest)]
         self._dll.forecast_reach.restype = None
+        self._dll.forecast_regress.argtypes = [ctypes.POINTER(RegressRequest)]
+        self._dll.forecast_find_quantile.argtypes = [ctypes.POINTER(QuantileRequest)]
+        self._dll.forecast_find_quantile.restype = ctypes.c_int64
         self._dll.forecast_rest.argtypes = [ctypes.POINTER(RestRequest)]
         self._dll.forecast_rest.restype = None
         self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
@@ -195,6 +200,16 @@ class Kernels(NativeLibrary):
     def reach(self, request: ReachRequest) -> None:
         """Says how far nodes may be from where they are led; takes one thread."""
         self._dll.forecast_reach(request)
+
+    def regress(self, request: RegressRequest) -> None:
+        """Learns the scale of errors by their cues; takes one thread. Raises `MemoryError`."""
+        _check(self._dll.forecast_regress(request))
+
+    def find_quantile(self, request: QuantileRequest) -> int:
+        """Says in which bin a quantile of errors lies; takes one thread. Raises `MemoryError`."""
+        found = int(self._dll.forecast_find_quantile(request))
+        _check(found < 0)
+        return found
 
     def rest(self, request: RestRequest) -> None:
         """Says which standing voxels moved of late; takes one thread."""

@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin_node.forecast.kernel_requests import QuantileRequest
+from twin_node.forecast.kernels import kernels
+from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 
 
@@ -49,12 +52,10 @@ class PastErrors:
 
         `slopes` [C]: of the logarithm of the expected error, by its cues.
         """
-        kept = slice(self._entries[0].first, self._end)
-        logs = self._logs[kept] - self._cues[kept] @ slopes
-        bins = np.clip(((logs - _LOG_RANGE[0]) / _BIN).astype(np.int64), 0, _BINS - 1)
-        held = np.cumsum(np.bincount(bins, self._weights[kept], _BINS)) * np.exp((self._origin - now) / self._memory_s)
-        row = int(np.searchsorted(held, share * held[-1] - 1e-12))
-        return _LOG_RANGE[0] + _BIN * (min(row, _BINS - 1) + 1)
+        first, fresh = self._entries[0].first, float(np.exp((self._origin - now) / self._memory_s))
+        kept = slice(first, self._end)
+        past = Past(self._cues[kept], self._logs[kept], self._weights[kept], fresh)
+        return _LOG_RANGE[0] + _BIN * (bin_of(past, slopes, share) + 1)
 
     def _move_up(self, time: float, more: int) -> None:
         """Makes room at the end for so many more, and weights as of `time` (s)."""
@@ -68,6 +69,40 @@ class PastErrors:
         self._weights *= np.exp((self._origin - time) / self._memory_s)
         self._entries = deque(_Entry(entry.time, entry.first - first) for entry in self._entries)
         self._origin, self._end = time, count
+
+
+class Past(NamedTuple):
+    """n past errors."""
+
+    cues: Float64
+    """[n, C] of each one's scale."""
+    logs: Float64
+    """[n] their logarithms."""
+    weights: Float64
+    """[n]."""
+    fresh: float
+    """What all weights are multiplied by, for the time since."""
+
+
+def bin_of(past: Past, slopes: Float64, share: float) -> int:
+    """Number of the bin at whose end a `share` of the errors is held; `slopes` [C] tell what is expected of them.
+
+    Compiled; `bin_of_plainly` where that cannot be.
+    """
+    compiled = kernels()
+    if compiled is None:
+        return bin_of_plainly(past, slopes, share)
+    sizes, limits = (len(past.logs), _BINS, len(slopes)), (_LOG_RANGE[0], _BIN, past.fresh, share, _SLACK)
+    addresses = addresses_of(past.cues, past.logs, past.weights, np.ascontiguousarray(slopes))
+    return compiled.find_quantile(QuantileRequest(*sizes, *limits, *addresses))
+
+
+def bin_of_plainly(past: Past, slopes: Float64, share: float) -> int:
+    """What `bin_of` does."""
+    logs = past.logs - past.cues @ slopes
+    bins = np.clip(((logs - _LOG_RANGE[0]) / _BIN).astype(np.int64), 0, _BINS - 1)
+    held = np.cumsum(np.bincount(bins, past.weights, _BINS)) * past.fresh
+    return min(int(np.searchsorted(held, share * held[-1] - _SLACK)), _BINS - 1)
 
 
 class _Entry(NamedTuple):
@@ -88,3 +123,5 @@ _LONGEST = 50.0
 _LOG_RANGE = (-12.0, 4.0)
 _BIN = 0.01
 _BINS = round((_LOG_RANGE[1] - _LOG_RANGE[0]) / _BIN)
+_SLACK = 1e-12
+"""A quantile may hold so much less than its share: what rounding takes."""

@@ -8,7 +8,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 31;
+constexpr int32_t kInterfaceVersion = 32;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1, kOutside = 2 };
 

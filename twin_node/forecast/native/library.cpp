@@ -18,6 +18,7 @@
 #include "parts.h"
 #include "reach.h"
 #include "reckon.h"
+#include "regress.h"
 #include "rest.h"
 #include "seen.h"
 #include "shown.h"
@@ -121,6 +122,16 @@ int32_t forecast_outlook(const forecast::OutlookRequest *request) {
 void forecast_reckon(const forecast::ReckonRequest *request) { forecast::reckon(*request); }
 
 void forecast_reach(const forecast::ReachRequest *request) { forecast::reach(*request); }
+
+int32_t forecast_regress(const forecast::RegressRequest *request) {
+  return guarded([&] { forecast::regress(*request); });
+}
+
+int64_t forecast_find_quantile(const forecast::QuantileRequest *request) {
+  int64_t bin = -1;
+  guarded([&] { bin = forecast::find_quantile(*request); });
+  return bin;
+}
 
 void forecast_rest(const forecast::RestRequest *request) { forecast::rest(*request); }
 

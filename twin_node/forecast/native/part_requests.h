@@ -203,6 +203,29 @@ struct ReckonRequest {
   const DueForecast *due;                 // [dues]
 };
 
+// The scale of errors by their cues: weighted normal equations, those of `ridge` and `prior` beside them.
+struct RegressRequest {
+  int64_t errors;
+  int32_t cues;
+  double kept, weight;         // share kept of what was; weight of each error, shared between those
+  double upper, ridge;         // above what is expected, and those below
+  const double *then, *logs;   // [errors, cues], [errors] logarithms
+  const double *prior;         // [cues]
+  double *gram, *moment;       // [cues, cues], [cues]
+  double *slopes;              // [cues] what is expected now, and then
+};
+
+// Where the quantile of past errors over what is expected of them lies.
+struct QuantileRequest {
+  int64_t errors, bins;
+  int32_t cues;
+  double lowest, width;                  // of the bins' logarithms
+  double fresh;                          // what weights are multiplied by
+  double share, slack;                   // that it holds, up to so much weight
+  const double *then, *logs, *weights;   // [errors, cues], [errors], [errors]
+  const double *slopes;                  // [cues]
+};
+
 // How far nodes may be from where they are led. What is of measured velocities is null where they are not.
 struct ReachRequest {
   int64_t nodes;
