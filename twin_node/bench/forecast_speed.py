@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -86,8 +86,9 @@ def _timed_ms(work: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - begin)
 
 
+@cache
 def _cameras() -> tuple[Camera, ...]:
-    """Three cameras 2 m around the middle of the grid."""
+    """Three cameras 2 m around the middle of the grid; all sets share them, as those of a rig do."""
     middle = GRID.origin + np.array(GRID.dims) * GRID.voxel_size / 2
     K = np.array([[140.0, 0, WIDTH / 2], [0, 140.0, HEIGHT / 2], [0, 0, 1]])
     cameras = []
