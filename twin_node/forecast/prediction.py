@@ -145,8 +145,10 @@ class Predictor:
         """Says whose forecasts wait for the truth: each node of now goes on with one of before, as `paths` [M] tell."""
         if not self._issued:
             return
-        rows = np.stack([np.append(issued.rows, -1) for issued in self._issued]).take(paths, axis=1)
-        for issued, own in zip(self._issued, rows, strict=True):
+        rows = np.full((len(self._issued), len(self._issued[0].rows) + 1), -1, np.int64)
+        for before, issued in zip(rows, self._issued, strict=True):
+            before[:-1] = issued.rows
+        for own, issued in zip(rows.take(paths, axis=1), self._issued, strict=True):
             issued.rows = own
 
     def judge_experts(self, missed: Float64, elapsed_s: float) -> None:
