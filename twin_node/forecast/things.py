@@ -84,8 +84,8 @@ class Things:
         for mine, other in _pairs(before, now, (stamp - before.stamp) * 1e-9):
             changed = abs(now.volumes[mine] / before.volumes[other] - 1)
             sigma = self._grid.voxel_size / 2 + changed * now.sides[mine] / 4
-            course = before.courses[other].followed(stamp * 1e-9, now.middles[mine], sigma)
-            now.courses[mine], chosen = course, labels == mine
+            course = before.course_of(other, self._grid).followed(stamp * 1e-9, now.middles[mine], sigma)
+            now.courses[mine], now.velocities[mine], chosen = course, course.velocity, labels == mine
             whole.velocities[chosen], whole.sigmas[chosen] = course.velocity, course.velocity_sigma
             whole.flying[chosen], whole.falling[chosen] = course.flies, course.is_flight
             whole.above[chosen] = parts.centers[chosen, 2] - now.lowest[mine]
@@ -108,8 +108,10 @@ class _Seen:
     """[T] small enough, and not cut off by the grid's border."""
     lowest: Float64
     """[T] m, the height of the lowest of each."""
-    courses: list[Course]
-    """[T] that led there."""
+    velocities: Float64
+    """[T, 3] m/s, of their courses; 0 for those that begin."""
+    courses: dict[int, Course]
+    """That led there, of those that were followed, by their places in the arrays."""
 
     @classmethod
     def of(cls, stamp: int, cameras: tuple[str, ...], grid: Grid, things: Gathered) -> _Seen:
@@ -121,9 +123,14 @@ class _Seen:
         # what lies on the grid's bottom, a table or the floor, is not cut off there
         whole = (things.lowest[:, :2] > 0).all(axis=1) & (things.highest < np.array(grid.dims) - 1).all(axis=1)
         chosen = (sides <= LARGEST) & (volumes >= _FEWEST) & whole
-        courses = [Course.begun(stamp * 1e-9, middle, grid.voxel_size / 2) for middle in middles]
         bottoms = grid.origin[2] + things.lowest[:, 2] * grid.voxel_size
-        return cls(stamp, cameras, middles, volumes, sides, chosen, bottoms, courses)
+        return cls(stamp, cameras, middles, volumes, sides, chosen, bottoms, np.zeros_like(middles), {})
+
+    def course_of(self, thing: int, grid: Grid) -> Course:
+        """That led a thing there, or begins there."""
+        if thing in self.courses:
+            return self.courses[thing]
+        return Course.begun(self.stamp * 1e-9, self.middles[thing], grid.voxel_size / 2)
 
 
 @dataclass(frozen=True)
@@ -210,7 +217,7 @@ def _pairs(before: _Seen, now: _Seen, elapsed_s: float) -> list[tuple[int, int]]
     mine, others = np.flatnonzero(now.chosen), np.flatnonzero(before.chosen)
     if len(mine) == 0 or len(others) == 0:
         return []
-    led = before.middles[others] + np.stack([before.courses[other].velocity for other in others]) * elapsed_s
+    led = before.middles[others] + before.velocities[others] * elapsed_s
     ways = np.linalg.norm(now.middles[mine][:, None] - led, axis=2)
     steps = np.linalg.norm(now.middles[mine][:, None] - before.middles[others], axis=2)
     ratios = now.volumes[mine][:, None] / before.volumes[others]
