@@ -173,3 +173,14 @@ def test_whether_anything_bends_is_asked_anew_when_tiers_or_lives_change() -> No
     assert motion.bends
     nodes.retire(torch.tensor([row]))
     assert not motion.bends
+
+
+def test_whose_motion_is_learned_is_asked_anew_when_tiers_or_lives_change() -> None:
+    nodes = Nodes(4, 2)
+    nowhere = torch.zeros(3, dtype=torch.float64)
+    rows = [nodes.give_birth(nowhere, nowhere) for _ in range(3)]
+    assert nodes.learned_rows.tolist() == rows
+    nodes.tiers[rows[0]] = int(Tier.ROBOT)
+    assert nodes.learned_rows.tolist() == rows[1:]
+    nodes.retire(torch.tensor(rows[1:2]))
+    assert nodes.learned_rows.tolist() == rows[2:]

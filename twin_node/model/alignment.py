@@ -69,16 +69,17 @@ def solve_twists(
     carriers = cells.nodes[within]
     means = moving.means.detach().cpu().numpy().take(chosen, 1).astype(np.float64)
     opacities = moving.opacities.detach().cpu().numpy().take(chosen).astype(np.float64)
+    arms = means - origins.double().numpy().take(carriers, 1)
     for index, one in enumerate(observed):
-        arms = means[index] - origins[index].double().numpy().take(carriers, 0)
-        carried_here = Carried(means[index], arms, opacities, within)
+        carried_here = Carried(means[index], arms[index], opacities, within)
         said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * sigma_px**2))
     normal = said.summed(cells.nodes, origins.shape[1])
     step = max(dt_s, 1e-3) ** 2 / 2
     motion = np.array([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
     rigid = normal.solve(6, motion)
     strained = normal.solve(12, np.concatenate([motion, np.full(6, STRAIN)]))
-    xx, yy, zz = (rigid.covariance[:, axis, axis] for axis in range(3))
-    sigmas = ((xx + yy + zz) / 3).clamp_min(MATRIX_FLOOR).sqrt()
-    fits = Fits(rigid.cost, strained.cost, torch.from_numpy(normal.count))
-    return Twists(rigid.solution[:, :3], rigid.solution[:, 3:], sigmas, fits, said)
+    x, y, z = rigid.variances[:, :3].T
+    sigmas = torch.from_numpy(np.maximum((x + y + z) / 3, MATRIX_FLOOR)).sqrt()
+    solution = torch.from_numpy(rigid.solution)
+    fits = Fits(*(torch.from_numpy(of) for of in (rigid.cost, strained.cost, normal.count)))
+    return Twists(solution[:, :3], solution[:, 3:], sigmas, fits, said)

@@ -280,4 +280,4 @@ def on_surface(backgrounds: Sequence[Background]) -> Bool:
 def grow(mask: Bool, radius: int) -> Bool:
     """The mask [H, W] dilated by a square of `radius` pixels."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    return cv2.dilate(mask.astype(np.uint8), kernel).astype(bool)
+    return cv2.dilate(mask.view(np.uint8), kernel).view(bool)

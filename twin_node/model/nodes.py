@@ -57,6 +57,7 @@ class Nodes:
         self._history_quats = torch.zeros(window, capacity, 4, dtype=torch.float64)
         self._slot = -1
         self._next_id = 0
+        self._learned, self._learned_version = torch.zeros(0, dtype=torch.int64), (-1, -1)
 
     @property
     def rows(self) -> Tensor:
@@ -65,8 +66,15 @@ class Nodes:
 
     @property
     def learned_rows(self) -> Tensor:
-        """[m] rows of living nodes whose motion is learned: the arm's links follow its joints instead."""
-        return torch.from_numpy(np.flatnonzero(self.alive.numpy() & (self.tiers.numpy() != int(Tier.ROBOT))))
+        """[m] rows of living nodes whose motion is learned: the arm's links follow its joints instead.
+
+        Sought anew only when lives or tiers have changed. Callers must not write to them.
+        """
+        version = (self.alive._version, self.tiers._version)
+        if version != self._learned_version:
+            learned = self.alive.numpy() & (self.tiers.numpy() != int(Tier.ROBOT))
+            self._learned, self._learned_version = torch.from_numpy(learned.nonzero()[0]), version
+        return self._learned
 
     @property
     def free(self) -> bool:

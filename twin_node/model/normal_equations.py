@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from twin_node.model.observation import Observed
 from twin_node.model.rays import look
@@ -49,11 +47,11 @@ class Linear:
 class Solved:
     """The most likely motion of M nodes in k parameters."""
 
-    solution: Tensor
+    solution: Float64
     """[M, k]."""
-    covariance: Tensor
-    """[M, k, k]."""
-    cost: Tensor
+    variances: Float64
+    """[M, k] of each parameter."""
+    cost: Float64
     """[M] squared errors left, in units of their variance, those of the prior included."""
 
 
@@ -115,12 +113,12 @@ class NormalEquations:
         """The most likely motion in the first `size` parameters, whose own 1 sigma are `sigmas` [size]."""
         told = (self.sums.weights > 0).nonzero()[0]  # what is not seen stays as it was foretold
         known = np.linalg.inv(self.sums.H[told, :size, :size] + np.diag(1 / sigmas**2))
-        covariance = np.empty((len(self.sums.weights), size, size))
-        covariance[:], covariance[told] = np.diag(sigmas**2), known
-        g, solution = self.sums.g[:, :size], np.zeros((len(covariance), size))
+        g = self.sums.g[:, :size]
+        solution, variances = np.zeros(g.shape), np.empty(g.shape)
         solution[told] = (known @ g[told, :, None])[..., 0]
+        variances[:], variances[told] = sigmas**2, known.diagonal(axis1=1, axis2=2)
         cost = self.sums.squares - (g * solution).sum(-1)
-        return Solved(torch.from_numpy(solution), torch.from_numpy(covariance), torch.from_numpy(cost))
+        return Solved(solution, variances, cost)
 
 
 def linearise(one: Observed, rendering: Rendering, flow: Float32, group: Carried) -> Linear:

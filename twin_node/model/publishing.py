@@ -82,19 +82,12 @@ def _published(nodes: Nodes) -> Tensor:
 
 def node_states_of(gaussians: Gaussians, nodes: Nodes) -> NodeStates:
     """Nodes whose motion is learned, each at the opacity-weighted centroid of the Gaussians it carries."""
-    alive, extents = nodes.learned_rows, extents_of(gaussians, nodes)
+    alive, extents = nodes.learned_rows.numpy(), extents_of(gaussians, nodes)
     arm = rotate(nodes.quats, extents.centroids)
     positions = nodes.positions + arm
     velocities = nodes.velocities + torch.linalg.cross(nodes.angular_velocities, arm)
-    return NodeStates(
-        nodes.ids[alive].numpy().astype(np.uint32),
-        positions[alive].numpy(),
-        nodes.quats[alive].numpy(),
-        velocities[alive].numpy(),
-        nodes.angular_velocities[alive].numpy(),
-        nodes.sigmas[alive].numpy(),
-        extents.radii[alive].numpy(),
-    )
+    shown = (positions, nodes.quats, velocities, nodes.angular_velocities, nodes.sigmas, extents.radii)
+    return NodeStates(nodes.ids.numpy()[alive].astype(np.uint32), *(of.numpy()[alive] for of in shown))
 
 
 @dataclass(frozen=True)

@@ -189,6 +189,7 @@ class Tracker:
         around = self._place(torch.cat([before, self._gaussians.robot_rows]), observed, poses)
         renderings = self._look(observed, splats, around)
         carried = rows_where(self._gaussians.nodes.index_select(0, rows) >= 0)
+        own, at = rows.index_select(0, carried), carried.cpu()
         for step in range(self._parameters.track.alignments if len(carried) else 0):
             if step:
                 poses = self._poses(observed)
@@ -197,17 +198,16 @@ class Tracker:
             flows = flows_between(renderings, observed)
             sigma_px = self._parameters.track.flow_sigma_px
             if step == 0:
-                cells = cells_of(self._gaussians, rows[carried], splats.means[0, carried])
-                moved = self._bodies.moved(rows[carried], cells)
-            own = carried.cpu()
-            twists = solve_twists(observed, renderings, flows, splats, own, cells, poses.positions, dt_s, sigma_px)
+                cells = cells_of(self._gaussians, own, splats.means[0].index_select(0, carried))
+                moved = self._bodies.moved(own, cells)
+            twists = solve_twists(observed, renderings, flows, splats, at, cells, poses.positions, dt_s, sigma_px)
             if step == 0:
                 self._bodies.accumulate(cells, moved, twists.said, dt_s)
                 self._weigh(twists.fits)
             self._steer(twists, dt_s)
             if step == 0:
                 self._bodies.go_on(cells)
-                told_of = Carried(rows[carried], cells, self._nodes.ids.clone())
+                told_of = Carried(own, cells, self._nodes.ids.clone())
         return _Aligned(renderings, before, around, told_of)
 
     def _steer(self, twists: Twists, dt_s: float) -> None:

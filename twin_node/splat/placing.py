@@ -49,7 +49,7 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
         torch.empty(count),
         torch.empty(count, 3),
     )
-    given = [t.detach().contiguous() for t in (values.float(), carriers, positions.double(), quats.double())]
+    given = [t.contiguous() for t in (values.float(), carriers, positions.double(), quats.double())]
     tensors = (*given, *vars(placed).values())
     pointers = (tensor.data_ptr() for tensor in tensors)
     chosen = None if rows is None else rows.contiguous()

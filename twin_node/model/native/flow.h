@@ -285,14 +285,17 @@ inline void find_flow(const FlowRules &rules, const FlowView &view) {
   levels.reserve(rules.levels);
   levels.emplace_back(rules, view.width, view.height);
   FlowLevel &whole = levels.front();
+  const float *__restrict seen = view.shown;
+  const uint8_t *__restrict came = view.image;
+  float *__restrict shown = whole.shown.data(), *__restrict image = whole.image.data();
+  const auto level = [](float part) { return part > 0 ? 255 * (part < 1 ? part : 1.f) : 0.f; };  // no number: 0
   for (int64_t i = 0; i < pixels; i++) {
-    const float *seen = view.shown + 4 * i;
-    const uint8_t *came = view.image + 3 * i;
-    const auto level = [](float part) { return part > 0 ? 255 * std::min(part, 1.f) : 0.f; };  // no number: 0
-    whole.shown[i] = 0.299f * level(seen[0]) + 0.587f * level(seen[1]) + 0.114f * level(seen[2]);
-    whole.image[i] = 0.299f * came[0] + 0.587f * came[1] + 0.114f * came[2];
-    whole.wanted[i] = view.wanted[i];
+    shown[i] = 0.299f * level(seen[4 * i]) + 0.587f * level(seen[4 * i + 1]) + 0.114f * level(seen[4 * i + 2]);
   }
+  for (int64_t i = 0; i < pixels; i++) {
+    image[i] = 0.299f * came[3 * i] + 0.587f * came[3 * i + 1] + 0.114f * came[3 * i + 2];
+  }
+  std::copy_n(view.wanted, pixels, whole.wanted.begin());
   for (int i = 1; i < rules.levels && std::min(levels.back().width, levels.back().height) >= 2 * kSide; i++) {
     levels.push_back(levels.back().halved());
   }

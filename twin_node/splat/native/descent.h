@@ -69,14 +69,21 @@ inline void gradient_of_row(const DescentRequest &d, int i, float *out) {
   out[kLogit] = d.gradients.v_opacities[row] * opacity * (1.f - opacity);
 }
 
-// What makes up for moments that began at zero `taken` steps ago: 1 / (1 - decay^taken).
-inline float correction(float decay, double taken) {
-  return static_cast<float>(1. / (1. - std::exp2(taken * std::log2(static_cast<double>(decay)))));
+// What makes up for moments that began at zero `taken` steps ago: 1 / (1 - decay^taken), of its logarithm to base 2.
+inline float correction(double log2_decay, double taken) {
+  return static_cast<float>(1. / (1. - std::exp2(taken * log2_decay)));
 }
+
+// Logarithms to base 2 of what moments keep of themselves.
+struct LogDecays {
+  double first, second;
+  explicit LogDecays(const DescentRequest &d)
+      : first(std::log2(static_cast<double>(d.first_decay))), second(std::log2(static_cast<double>(d.second_decay))) {}
+};
 
 // One step of Adam (Kingma and Ba, 2015) on learned row `i`, none where nothing pulls at it; false where it would not
 // stay finite: it then keeps its values and forgets its moments.
-inline bool step_row(const DescentRequest &d, int i) {
+inline bool step_row(const DescentRequest &d, const LogDecays &decays, int i) {
   float gradient[kColumns], next[kColumns];
   gradient_of_row(d, i, gradient);
   if (std::all_of(gradient, gradient + kColumns, [](float v) { return v == 0.f; })) return true;
@@ -85,7 +92,7 @@ inline bool step_row(const DescentRequest &d, int i) {
   const float ceiling = d.ceilings[d.rows[i]];
   float *value = d.values + at, *first = d.moment1 + at, *second = d.moment2 + at;
   const double taken = static_cast<double>(++d.steps_taken[d.rows[i]]);
-  const float correct1 = correction(d.first_decay, taken), correct2 = correction(d.second_decay, taken);
+  const float correct1 = correction(decays.first, taken), correct2 = correction(decays.second, taken);
   float sum = 0.f;
   for (int k = 0; k < kColumns; k++) {
     first[k] += (1.f - d.first_decay) * (gradient[k] - first[k]);
@@ -139,6 +146,7 @@ inline void clear_gradients(const DescentRequest &d) {
 // a pixel: those after the first draw with its order and tiles.
 inline Status descend(Workspace &w, const DescentRequest &d) {
   *d.refused = 0;
+  const LogDecays decays(d);
   const LossWorkspaceInUse loss;
   hold_to_target(d.loss, *loss);
   const int64_t floats = 4 * static_cast<int64_t>(d.scene.width) * d.scene.height;
@@ -160,7 +168,7 @@ inline Status descend(Workspace &w, const DescentRequest &d) {
     d.losses[step] = loss_terms(d.loss, *loss);
     status = backward(w, d.scene, d.gradients);
     if (status != kOk) return status;
-    *d.refused += over_rows(d, [&](int i) { return step_row(d, i) ? 0 : 1; });
+    *d.refused += over_rows(d, [&](int i) { return step_row(d, decays, i) ? 0 : 1; });
   }
   return kOk;
 }
