@@ -135,8 +135,10 @@ def grouped_plainly(places: Float64) -> NDArray[np.int64]:
 
 
 def looks_of(points: Float64, rgb: Float32, reach_m: float) -> Float64:
-    """[n, 6] place and colour, in units of how far both may lie from what is of the same kind."""
-    return np.concatenate([points / reach_m, rgb / KIN_COLOUR], axis=1)
+    """[n, 6] place and colour, in units of how far both may lie from what is of the same kind; columns lie together."""
+    looks = np.empty((6, len(points)))
+    looks[:3], looks[3:] = points.T / reach_m, rgb.T / KIN_COLOUR
+    return looks.T
 
 
 def _found(centre: Tensor, members: Members, nodes: Nodes, radius_m: float) -> int:

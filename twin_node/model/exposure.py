@@ -119,7 +119,7 @@ class _Memory:
         [H, W] stays as it was, what moves has the least that it can have.
         """
         even = levelled(view, exposure)
-        if np.all((SATURATED * QUANTUM - exposure.offsets) / exposure.gains > 1 - HIDES):
+        if even is view or np.all((SATURATED * QUANTUM - exposure.offsets) / exposure.gains > 1 - HIDES):
             return even
         burnt: Bool = np.max(view.rgb, axis=-1) >= SATURATED
         cv2.copyTo(self._rest.newest, (burnt & still).astype(np.uint8), even.rgb)

@@ -23,7 +23,7 @@ from twin_node.model.decisions import Decision
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.flow import flows_between
-from twin_node.model.gaussians import RGB, Gaussians
+from twin_node.model.gaussians import MEAN, RGB, Gaussians
 from twin_node.model.held import held_pixels
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
@@ -260,11 +260,14 @@ class Tracker:
         if not len(rows):
             return
         g = self._gaussians
-        points, rgb = g.means[rows].cpu().double().numpy(), g.values[rows, RGB].cpu().numpy()
+        own = g.values.index_select(0, rows).cpu().numpy()
+        points, rgb = own[:, MEAN].astype(np.float64), own[:, RGB]
         adopted = adopt_points(points, rgb, self._members(), self._nodes, self._parameters.birth)
-        housed = torch.from_numpy(adopted.nodes >= 0)
-        carriers, founders = torch.from_numpy(adopted.nodes)[housed], torch.from_numpy(adopted.founders)[housed]
-        g.board(rows[housed.to(rows.device)], carriers, self._nodes, founders)
+        housed = (adopted.nodes >= 0).nonzero()[0]
+        if not len(housed):
+            return
+        carriers, founders = (torch.from_numpy(of[housed]) for of in (adopted.nodes, adopted.founders))
+        g.board(rows.index_select(0, torch.from_numpy(housed).to(rows.device)), carriers, self._nodes, founders)
 
     def _members(self) -> Members:
         """The Gaussians that learned nodes carry, where these are now."""
@@ -304,15 +307,17 @@ class Tracker:
         splats = self._place(rows, observed, self._poses(observed))
         quats, scales = splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy()  # none turns much between two views
         shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
-        gone = refuted_moving(observed, shapes, (g.nodes.index_select(0, rows) >= 0).cpu().numpy())
+        carriers = g.nodes.index_select(0, rows).cpu().numpy()
+        gone = refuted_moving(observed, shapes, carriers >= 0)
         gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
-        g.retire(rows[g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)])
+        refuted = g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)
         born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
-        g.retire(rows_where(g.alive & (g.tiers == int(Tier.TRANSIENT)) & (g.births < born_before)))
-        carriers = g.nodes.index_select(0, g.moving_rows).cpu()
-        members = torch.bincount(carriers + 1, minlength=self._nodes.capacity + 1)[1:]
-        empty = self._nodes.alive & (members == 0) & (self._nodes.tiers != int(Tier.ROBOT))
-        self._nodes.retire(rows_where(empty))
+        passing = g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)
+        ends = refuted | (passing & (g.births.index_select(0, rows) < born_before))
+        g.retire(rows.index_select(0, rows_where(ends)))
+        staying, learned = carriers[~ends.cpu().numpy()], self._nodes.learned_rows.numpy()
+        members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)
+        self._nodes.retire(torch.from_numpy(learned[members[learned] == 0]))
 
     def _prune(self, due: _Due) -> None:
         """What moves and has shown in no camera for long goes."""
