@@ -37,3 +37,14 @@ def test_one_of_several_as_near_is_the_one_that_a_tree_finds(others: int) -> Non
     found, expected = nearest_one(asked, among, 1.2), nearest_plainly(asked, among, 1, 1.2)
     assert np.array_equal(found.rows, expected.rows[:, 0])
     assert np.array_equal(found.distances, expected.distances[:, 0])
+
+
+@pytest.mark.parametrize("has_ties", [False, True])
+@pytest.mark.parametrize("side", [7, 8, 9])
+def test_among_many_who_is_taken_is_who_a_tree_finds(side: int, has_ties: bool) -> None:
+    """Of more than are looked at by themselves, and than are looked at when one is wanted."""
+    lattice = np.stack(np.meshgrid(*[np.arange(float(side))] * 3), axis=-1).reshape(-1, 3)
+    asked = lattice + (np.array([0.5, 0.0, 0.0]) if has_ties else np.random.default_rng(1).uniform(0, 1, lattice.shape))
+    found, expected = nearest(asked, lattice, 1, 0.9), nearest_plainly(asked, lattice, 1, 0.9)
+    assert np.array_equal(found.rows, expected.rows)
+    assert np.array_equal(found.distances, expected.distances)

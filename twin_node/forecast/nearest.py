@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.kernel_requests import NearestRequest
-from twin_node.forecast.kernels import kernels
+from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 
@@ -29,9 +29,16 @@ def nearest(points: Float64, among: Float64, count: int = 1, within: float = np.
     All in metres. Compiled: to look at all of some hundred takes less time than to build a tree; `nearest_plainly` for
     more, and where that cannot be.
     """
-    compiled = kernels()
-    if compiled is None or len(points) * among.shape[-2] > _MOST_PAIRS:
+    compiled, pairs = kernels(), len(points) * among.shape[-2]
+    if compiled is not None and pairs <= _MOST_PAIRS:
+        return _nearest_by(compiled, points, among, count, within)
+    if count > 1 or among.ndim > 2:
         return nearest_plainly(points, among, count, within)
+    distances, rows = nearest_one(points, among, within)
+    return Nearest(distances[:, None], rows[:, None])
+
+
+def _nearest_by(compiled: Kernels, points: Float64, among: Float64, count: int, within: float) -> Nearest:
     groups, shape = among.shape[:-2], (*among.shape[:-2], len(points), count)
     found = Nearest(np.empty(shape), np.empty(shape, np.int64))
     given = (np.ascontiguousarray(points, np.float64), np.ascontiguousarray(among, np.float64))
@@ -64,8 +71,9 @@ def nearest_one(points: Float64, among: Float64, within: float = np.inf) -> Near
 
     Where some point has two that are as near, a tree says which is taken: so it is the same one whoever looks for it.
     """
-    if kernels() is not None and len(points) * len(among) <= _MOST_PAIRS:
-        distances, rows = nearest(points, among, 2, within)
+    compiled = kernels()
+    if compiled is not None and len(points) * len(among) <= _MOST_PAIRS_OF_ONE:
+        distances, rows = _nearest_by(compiled, points, among, 2, within)
         if not ((distances[:, 0] == distances[:, 1]) & (rows[:, 1] < len(among))).any():
             return NearestOne(distances[:, 0], rows[:, 0])
     distances, rows = nearest_plainly(points, among, 1, within)
@@ -74,3 +82,5 @@ def nearest_one(points: Float64, among: Float64, within: float = np.inf) -> Near
 
 _MOST_PAIRS = 100_000
 """Pairs of points that are looked at; with more of them a tree takes as long or less (measured: 400 points)."""
+_MOST_PAIRS_OF_ONE = 400_000
+"""The same where one or two are wanted (600 points)."""
