@@ -27,6 +27,7 @@ for things in (0, 400):
 for depth in (False, True):
     test_steps.test_compiled_births_are_those_found_in_numpy(depth, None, 0.05)
     test_steps.test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth)
+test_steps.test_the_compiled_kernel_stores_newborns_as_torch_does(40, 4)
 from twin_node.model.kernels import kernels
 assert kernels() is not None
 print("clean")

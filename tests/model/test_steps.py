@@ -9,7 +9,7 @@ import pytest
 import torch
 from model_scenes import block, frames, joined, rig, table
 
-from twin_node.model.adoption import Adopted, as_newborns
+from twin_node.model.adoption import Adopted, as_newborns, store
 from twin_node.model.alignment import solve_twists
 from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import Births, find_births_plainly
@@ -22,7 +22,7 @@ from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.held import SKIRT_PX, held_pixels, held_plainly
 from twin_node.model.kernels import kernels
-from twin_node.model.nodes import Poses
+from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_plainly
 from twin_node.model.occluders import occluders, occluders_plainly
 from twin_node.model.parameters import BirthParameters
@@ -245,13 +245,53 @@ def test_newborns_come_in_one_batch_each_with_the_tier_of_who_carries_it() -> No
     )
     adopted = Adopted(np.array([-1, -1, -1, 0, -1]), np.array([-1, -1, -1, 7, -1]))
     poses = Poses(torch.tensor([[[1.0, 0, 0]]]).double(), torch.tensor([[[1.0, 0, 0, 0]]]).double())
-    born = as_newborns(births, adopted, poses, torch.device("cpu"))
+    tiers = torch.tensor([Tier.DEFORMABLE], dtype=torch.uint8)
+    born = as_newborns(births, adopted, poses, tiers, torch.device("cpu"))
     assert isinstance(born.tiers, torch.Tensor) and born.homeless is not None and born.founders is not None
-    assert born.tiers.tolist() == [Tier.RIGID, Tier.TRANSIENT, Tier.TRANSIENT, Tier.TRANSIENT, Tier.STATIC]
+    assert born.tiers.tolist() == [Tier.DEFORMABLE, Tier.TRANSIENT, Tier.TRANSIENT, Tier.TRANSIENT, Tier.STATIC]
     assert born.homeless.tolist() == [False, True, True, False, False]
     assert born.nodes.tolist() == [0, -1, -1, -1, -1] and born.founders.tolist() == [7, -1, -1, -1, -1]
     assert born.means[:, 0].tolist() == [2, 1, 4, 2, 0], "the first in the frame of its node, a metre on"
     assert born.scales[:, 2].numpy() == pytest.approx(0.01 + np.array([3, 1, 4, 2, 0]))
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize(("capacity", "last"), [(90, Tier.STATIC), (40, Tier.TRANSIENT)])
+def test_the_compiled_kernel_stores_newborns_as_torch_does(capacity: int, last: Tier) -> None:
+    generator, count = np.random.default_rng(5), 60
+    on_background = generator.random(count) < 0.5
+    births = Births(
+        generator.normal(size=(count, 3)),
+        generator.uniform(0.001, 0.1, count),
+        generator.random((count, 3)).astype(np.float32),
+        on_background,
+        on_background & (generator.random(count) < 0.5),
+        generator.integers(0, 3, count),
+    )
+    nodes = Nodes(4, 3)
+    nodes.stamp, nodes.tiers[2] = 11, int(Tier.DEFORMABLE)
+    carriers = np.where(on_background, -1, generator.integers(-1, 4, count))
+    adopted = Adopted(carriers, np.where(carriers >= 0, carriers + 20, -1))
+    quats = torch.from_numpy(generator.normal(size=(3, 4, 4)))
+    poses = Poses(torch.from_numpy(generator.normal(size=(3, 4, 3))), quats / quats.norm(dim=-1, keepdim=True))
+    stores = []
+    for _ in range(2):
+        gaussians = Gaussians(capacity, torch.device("cpu"))
+        for field in vars(gaussians).values():
+            if isinstance(field, torch.Tensor) and field.dtype != torch.bool:
+                field.fill_(3)  # what rows held before
+        gaussians.alive[::7] = True
+        stores.append(gaussians)
+    compiled, plain = stores
+    rows = store(births, adopted, poses, nodes, compiled)
+    expected = plain.spawn(as_newborns(births, adopted, poses, nodes.tiers, torch.device("cpu")), nodes.stamp)
+    assert torch.equal(rows, expected) and len(rows) == min(count, capacity - len(range(0, capacity, 7)))
+    for name, field in vars(plain).items():
+        if isinstance(field, torch.Tensor):
+            assert torch.equal(getattr(compiled, name), field), name
+    assert compiled.claim(1).first_id == plain.claim(1).first_id
+    assert {Tier.RIGID, Tier.DEFORMABLE, Tier.TRANSIENT} <= set(plain.tiers[expected].tolist())
+    assert plain.tiers[expected[-1]] == last
 
 
 def test_evidence_needs_more_than_the_extra_parameters_are_worth() -> None:

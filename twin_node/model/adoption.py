@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from twin_node.model.births import Births
-from twin_node.model.gaussians import Newborns
-from twin_node.model.kernel_requests import GroupRequest, NearestRequest
+from twin_node.model.gaussians import LARGEST, Gaussians, Newborns
+from twin_node.model.kernel_requests import GroupRequest, NearestRequest, NewbornRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
@@ -149,8 +149,29 @@ def _found(centre: Tensor, members: Members, nodes: Nodes, radius_m: float) -> i
     return nodes.give_birth(centre, velocity)
 
 
-def as_newborns(births: Births, adopted: Adopted, poses: Poses, device: torch.device) -> Newborns:
-    """Births in the frames of their nodes, whose `poses` are those at each view's time.
+def store(births: Births, adopted: Adopted, poses: Poses, nodes: Nodes, gaussians: Gaussians) -> Tensor:
+    """Stores births as `as_newborns` says, as far as there is room; returns their rows."""
+    library = kernels()
+    if library is None or gaussians.values.device.type != "cpu":
+        newborns = as_newborns(births, adopted, poses, nodes.tiers, gaussians.values.device)
+        return gaussians.spawn(newborns, nodes.stamp)
+    g, claimed = gaussians, gaussians.claim(len(births))
+    held = [
+        *(np.ascontiguousarray(births.means, np.float64), torch.from_numpy(births.radii).float().log().numpy()),
+        *(np.ascontiguousarray(births.rgb, np.float32), births.on_background, births.lasting, births.views),
+        *(adopted.nodes, adopted.founders),
+    ]
+    given = [t.contiguous() for t in (poses.positions, poses.quats, nodes.tiers, claimed.rows)]
+    written = (g.values, g.moment1, g.moment2, g.steps, g.tiers, g.ids, g.nodes, g.founders, g.rested, g.births)
+    pointers = (t.data_ptr() for t in (*given, *written, g.largest, g.doubts, g.homeless))
+    counts = (len(births), nodes.capacity, len(claimed.rows), claimed.first_id, nodes.stamp)
+    looks = (float(torch.tensor(NEWBORN_OPACITY).logit()), LARGEST, int(Tier.STATIC), int(Tier.TRANSIENT))
+    library.store_newborns(NewbornRequest(*counts, *looks, *addresses_of(*held), *pointers))
+    return claimed.rows
+
+
+def as_newborns(births: Births, adopted: Adopted, poses: Poses, node_tiers: Tensor, device: torch.device) -> Newborns:
+    """Births in the frames of their nodes, whose `poses` are those at each view's time, and of their tiers [M].
 
     What nodes carry comes first, then what stands in free space without one, passes over the background, or lasts.
     """
@@ -164,6 +185,7 @@ def as_newborns(births: Births, adopted: Adopted, poses: Poses, device: torch.de
     chosen = [np.flatnonzero(kind) for _, kind in kinds]
     order, sizes = np.concatenate(chosen), [len(part) for part in chosen]
     tiers = np.repeat(np.array([int(tier) for tier, _ in kinds], np.uint8), sizes)
+    tiers[: sizes[0]] = node_tiers.numpy()[node[chosen[0]]]
     homeless = np.repeat([False, True, False, False], sizes)
     carriers, view = torch.from_numpy(node[order]), torch.from_numpy(births.views[order])
     row, carried = carriers.clamp_min(0), carriers[:, None] >= 0

@@ -57,6 +57,16 @@ class Newborns:
 
 
 @dataclass(frozen=True)
+class Claimed:
+    """Room for newborns."""
+
+    rows: Tensor
+    """[n] of the store."""
+    first_id: int
+    """That of the first row; the others' follow."""
+
+
+@dataclass(frozen=True)
 class Population:
     """Some Gaussians in the frames of what carries them."""
 
@@ -166,22 +176,27 @@ class Gaussians:
 
     def spawn(self, born: Newborns, stamp: int) -> Tensor:
         """Stores as many of `born` as there is room for, in order; returns their rows."""
-        free = rows_where(~self.alive)[: len(born.means)]
-        n = len(free)
+        claimed = self.claim(len(born.means))
+        free, n = claimed.rows, len(claimed.rows)
         self.values[free] = born.packed()[:n]
-        self.alive[free] = True
         self.tiers[free] = born.tiers[:n] if isinstance(born.tiers, Tensor) else int(born.tiers)
         self.nodes[free] = born.nodes[:n]
         self.rested[free] = -1
         self.founders[free] = -1 if born.founders is None else born.founders[:n]
-        self.ids[free] = torch.arange(self._next_id, self._next_id + n, device=free.device)
+        self.ids[free] = torch.arange(claimed.first_id, claimed.first_id + n, device=free.device)
         self.births[free] = stamp
         self.largest[free] = born.scales[:n].amax(-1).log() + LARGEST
         self.doubts[free] = 0
         self.homeless[free] = False if born.homeless is None else born.homeless[:n]
-        self._next_id += n
         self.forget_moments(free)
         return free
+
+    def claim(self, count: int) -> Claimed:
+        """Room for `count` newborns, or for as many as there is; they live from now on, all else is to be set."""
+        rows, first_id = rows_where(~self.alive)[:count], self._next_id
+        self.alive[rows] = True
+        self._next_id += len(rows)
+        return Claimed(rows, first_id)
 
     def doubt(self, rows: Tensor, refuted: Tensor, sets: int) -> Tensor:
         """[n] which of `rows` [n] are `refuted` [n] now, and so have been for `sets` sets in a row; those that live."""

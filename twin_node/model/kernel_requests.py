@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_void_p
 
-INTERFACE_VERSION = 17
+INTERFACE_VERSION = 18
 
 
 class MaskRules(ctypes.Structure):
@@ -311,6 +311,20 @@ class MoveRequest(ctypes.Structure):
     """`model::MoveRequest`."""
 
     _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("H", "g", "points", "moved_H", "moved_g")))
+
+
+class NewbornRequest(ctypes.Structure):
+    """`model::NewbornRequest`."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "nodes", "room", "first_id", "stamp")),
+        *((name, c_float) for name in ("logit", "growth")),
+        *((name, c_uint8) for name in ("standing", "transient")),
+        *((name, c_void_p) for name in ("means", "log_radii", "rgb", "on_background", "lasting")),
+        *((name, c_void_p) for name in ("views", "carriers", "founders", "positions", "quats", "node_tiers", "rows")),
+        *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps", "tiers", "ids", "carried_by")),
+        *((name, c_void_p) for name in ("founded_by", "rested", "births", "largest", "doubts", "homeless")),
+    )
 
 
 class NearestRequest(ctypes.Structure):

@@ -33,6 +33,7 @@ from twin_node.model.kernel_requests import (
     MovedRequest,
     MoveRequest,
     NearestRequest,
+    NewbornRequest,
     ObservedView,
     ObserveRequest,
     ObserveRules,
@@ -70,6 +71,8 @@ class Kernels(NativeLibrary):
         self._dll.model_moved.restype = None
         self._dll.model_carry.argtypes = [ctypes.POINTER(CarryRequest)]
         self._dll.model_carry.restype = None
+        self._dll.model_store_newborns.argtypes = [ctypes.POINTER(NewbornRequest)]
+        self._dll.model_store_newborns.restype = None
         self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
         self._dll.model_nearest.restype = None
         self._dll.model_publish.argtypes = [ctypes.POINTER(PublishRequest)]
@@ -175,6 +178,10 @@ class Kernels(NativeLibrary):
     def carry(self, request: CarryRequest) -> None:
         """Writes what nodes do to what they carry; takes one thread."""
         self._dll.model_carry(request)
+
+    def store_newborns(self, request: NewbornRequest) -> None:
+        """Stores what is born; takes one thread."""
+        self._dll.model_store_newborns(request)
 
     def nearest(self, request: NearestRequest) -> None:
         """Finds what is nearest; takes one thread."""

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from twin_node.model.adoption import Members, adopt, adopt_points, as_newborns
+from twin_node.model.adoption import Members, adopt, adopt_points, store
 from twin_node.model.alignment import Twists, solve_twists
 from twin_node.model.arm_skin import ArmSkin
 from twin_node.model.backgrounds import Backgrounds
@@ -340,12 +340,7 @@ class Tracker:
         adopted = adopt(births, self._members(), self._nodes, self._parameters.birth)
         if births.lasting.any():
             self._backgrounds.mark()
-        newborns = as_newborns(births, adopted, self._poses(observed), self._gaussians.values.device)
-        rows = self._gaussians.spawn(newborns, self._nodes.stamp)
-        carried = rows[self._gaussians.nodes[rows] >= 0]
-        tiers = self._nodes.tiers[self._gaussians.nodes[carried].cpu()]
-        self._gaussians.tiers[carried] = tiers.to(carried.device)
-        return len(rows)
+        return len(store(births, adopted, self._poses(observed), self._nodes, self._gaussians))
 
     def _make_room(self, wanted: int) -> None:
         """Retires the moving Gaussians that matter least to the images where `wanted` more would pass the cap."""

@@ -5,7 +5,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 17;
+constexpr int32_t kInterfaceVersion = 18;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -295,6 +295,28 @@ struct MoveRequest {
   int64_t count;
   const double *H, *g, *points;
   double *moved_H, *moved_g;  // [count, 6, 6], [count, 6] written
+};
+
+// Births [count] to be stored in `room` rows, those that nodes carry first, then those in free space, before what stands
+// for a while, and for good; each in the order given.
+struct NewbornRequest {
+  int64_t count, nodes, room, first_id, stamp;
+  float logit, growth;          // of the opacity; log of how many times its size a Gaussian may reach
+  uint8_t standing, transient;  // tiers
+  const double *means;          // [count, 3] m at the time of the view
+  const float *log_radii, *rgb;               // [count], [count, 3]
+  const uint8_t *on_background, *lasting;     // [count]
+  const int64_t *views, *carriers, *founders;  // [count] nodes, -1 for none, and ids
+  const double *positions, *quats;            // [views, nodes, 3], [views, nodes, 4]
+  const uint8_t *node_tiers;                  // [nodes]
+  const int64_t *rows;                        // [room] of the store, whose columns follow
+  float *values, *moment1, *moment2;          // [capacity, 14]
+  int64_t *steps;
+  uint8_t *tiers;
+  int64_t *ids, *carried_by, *founded_by, *rested, *births;
+  float *largest;
+  int64_t *doubts;
+  uint8_t *homeless;
 };
 
 // Places, and things of which the nearest is wanted.

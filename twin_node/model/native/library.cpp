@@ -14,6 +14,7 @@
 #include "mask.h"
 #include "matching.h"
 #include "nearest.h"
+#include "newborns.h"
 #include "observing.h"
 #include "occluders.h"
 #include "poses.h"
@@ -53,6 +54,8 @@ void model_advance(const model::AdvanceRequest *request) { model::advance(*reque
 void model_moved(const model::MovedRequest *request) { model::find_moved(*request); }
 
 void model_carry(const model::CarryRequest *request) { model::carry(*request); }
+
+void model_store_newborns(const model::NewbornRequest *request) { model::store_newborns(*request); }
 
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
 
