@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast import kernel_requests, kernels
+from twin_node.forecast import kernels, part_requests
 from twin_node.forecast.measured import UNKNOWN_SPEED
 from twin_node.forecast.things import Whole
 from twin_node.native_library import addresses_of
@@ -96,10 +96,10 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> A
     compiled = kernels.kernels()
     if compiled is None:
         return agreed_plainly(sightings, expected, whole)
-    given = (kernel_requests.SolveView * len(sightings))()
+    given = (part_requests.SolveView * len(sightings))()
     held = [_arrays(one) for one in sightings]  # alive until the call is over
     for row, (one, arrays) in enumerate(zip(sightings, held, strict=True)):
-        given[row] = kernel_requests.SolveView(*addresses_of(*arrays), one.elapsed_s, tuple(one.axis.tolist()))
+        given[row] = part_requests.SolveView(*addresses_of(*arrays), one.elapsed_s, tuple(one.axis.tolist()))
     told = (expected.velocities, expected.sigmas, whole.velocities, whole.sigmas)
     known = (*(np.ascontiguousarray(array, np.float64) for array in told), np.ascontiguousarray(whole.falling))
     found = Estimate(np.empty((len(expected.sigmas), 3)), np.empty(len(expected.sigmas)))
@@ -107,12 +107,12 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> A
     sizes = (len(expected.sigmas), len(sightings), _TURNS)
     limits = (UNKNOWN_SPEED, _DEPTH_SIGMA, _DEPTH_SHARE, FOUND_PIXELS, _ASTRAY)
     addresses = addresses_of(*known, found.velocities, found.sigmas, lost)
-    compiled.solve(kernel_requests.SolveRequest(*sizes, *limits, ctypes.addressof(given), *addresses))
+    compiled.solve(part_requests.SolveRequest(*sizes, *limits, ctypes.addressof(given), *addresses))
     return Agreement(found, lost)
 
 
 def _arrays(one: Sighting) -> tuple[NDArray[Any], ...]:
-    """In the order of `kernel_requests.SolveView`."""
+    """In the order of `part_requests.SolveView`."""
     given = (one.jacobian, one.shifts, one.variances, one.receded, one.depths)
     return (*(np.ascontiguousarray(array, np.float64) for array in given), np.ascontiguousarray(one.shown))
 

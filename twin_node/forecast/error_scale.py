@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.forecast.kernel_requests import RegressRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.part_requests import RegressRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from twin_node.forecast.blobs import COMPACT, SMALLEST_BLOB, Blobs, blobs_plainly, flights_plainly
-from twin_node.forecast.kernel_requests import SeeRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.part_requests import SeeRequest
 from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8, View
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.forecast.experts import BOUNCE, EXPERT_NAMES, EXPERTS, GRAVITY, History, damped_times, free_fall
-from twin_node.forecast.kernel_requests import LeadRequest
 from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.forecast.part_requests import LeadRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 

@@ -30,7 +30,7 @@ RATES = (
     *(_SIGMAS, _MOST_SIGMAS, _BLIND * UNKNOWN_SPEED),
     *(_ASTRAY_AT_REST, _ASTRAY_RISE, _ASTRAY, _FAST, _ASTRAY_FAST),
 )
-"""These, in the order of `kernel_requests.ReachRequest`."""
+"""These, in the order of `part_requests.ReachRequest`."""
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.kernel_requests import SurfaceRequest, SurfaceView
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.margin import Margin
+from twin_node.forecast.part_requests import SurfaceRequest, SurfaceView
 from twin_node.forecast.parts import Parts
 from twin_node.forecast.static import unproject
 from twin_node.native_library import addresses_of

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin_node.forecast.kernel_requests import NearestRequest
 from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.forecast.part_requests import NearestRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 

@@ -24,10 +24,10 @@ from twin_node.forecast.experts import (
     damped_times,
     mix,
 )
-from twin_node.forecast.kernel_requests import OutlookRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.leading import Guides, Led, led_plainly
 from twin_node.forecast.neighbours import BODY_SCALE, CELL, NEAR_SCALE, Closest, Neighbours, closest
+from twin_node.forecast.part_requests import OutlookRequest
 from twin_node.forecast.records import Rows
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.growth import Points
-from twin_node.forecast.kernel_requests import SplitRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.part_requests import SplitRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid
 

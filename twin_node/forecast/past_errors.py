@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin_node.forecast.kernel_requests import QuantileRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.part_requests import QuantileRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 

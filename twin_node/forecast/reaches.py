@@ -8,9 +8,9 @@ import numpy as np
 
 from twin_node.forecast import measured
 from twin_node.forecast.bound import PERSON_SPEED, Bound, Expected
-from twin_node.forecast.kernel_requests import ReachRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.measured import Measured
+from twin_node.forecast.part_requests import ReachRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from twin_node.forecast.experts import KNOTS, LAG_S, LEAST_GRAM, Autoregression, History
-from twin_node.forecast.kernel_requests import DueForecast, ReckonRequest
 from twin_node.forecast.kernels import Kernels, kernels
+from twin_node.forecast.part_requests import DueForecast, ReckonRequest
 from twin_node.forecast.records import FALL_S, RECORD_S, RISE_S, Records, Rows
 from twin_node.forecast.turning import NARROWER, off_the_way
 from twin_node.native_library import address_of, addresses_of

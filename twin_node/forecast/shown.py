@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from twin_node.forecast.agreement import Sighting
 from twin_node.forecast.blobs import FLIGHT, FOUND, SAME_AREA
 from twin_node.forecast.image_motion import ALIKE_GREY, Image, Pair, Shifts, shifts_plainly
-from twin_node.forecast.kernel_requests import SeenImage, ShowRequest, TellRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.part_requests import SeenImage, ShowRequest, TellRequest
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.tables import CameraTable
 from twin_node.geometry import transform

@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.flights import Course
-from twin_node.forecast.kernel_requests import GatherRequest, LinkRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.part_requests import GatherRequest, LinkRequest
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid

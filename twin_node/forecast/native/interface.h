@@ -1,4 +1,4 @@
-// What crosses the plain C boundary: these structs are mirrored field by field in kernel_requests.py.
+// What crosses the plain C boundary: these structs are mirrored field by field in kernel_requests.py and part_requests.py.
 #pragma once
 
 #include <cstdint>
