@@ -153,3 +153,17 @@ for name in KINDS.keys() - {"twin"}:
 sys.exit("torch" in sys.modules)
 """
     assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0
+
+
+@pytest.mark.parametrize("name", ["synchronizer", "arm", "ur_driver", "viewer_topics"])
+def test_processes_between_cameras_and_arm_start_without_scipy(name: str) -> None:
+    """Half of their start would be its imports; what a description of an arm needs of it is loaded when asked for."""
+    program = f"""
+import sys
+from twin_node.nodes.launch.kinds import find_factory
+from twin_node.robot import ur_model
+find_factory("{name}")
+ur_model("ur5e")
+sys.exit("scipy" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0

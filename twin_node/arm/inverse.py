@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from twin_node.arm.errors import ArmError
 from twin_node.robot import ArmModel, forward_kinematics
@@ -42,6 +41,8 @@ def reach_down(model: ArmModel, point: NDArray[np.floating], start: NDArray[np.f
 
 
 def _descend(model: ArmModel, point: Float64, seed: Float64) -> Float64:
+    from scipy.optimize import least_squares  # loads slowly, and most processes that have an arm never ask
+
     def residual(q: Float64) -> Float64:
         return np.concatenate([_tool_error(model, q, point), _POSTURE_WEIGHT * (q - seed)])
 

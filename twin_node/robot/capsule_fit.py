@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
 
 from twin_node.scene import Float64
 
@@ -42,6 +40,8 @@ def fit_capsule(points: NDArray[np.floating], near: Capsule | None = None) -> Ca
     `near` starts from that capsule instead. The radius is the largest distance from a point to the segment, so
     enclosure is exact whatever the minimiser does.
     """
+    from scipy.optimize import minimize  # loads slowly, and most processes that have an arm never ask
+
     cloud = _extreme_points(np.asarray(points, dtype=np.float64))
     starts = _main_axes(cloud) if near is None else [near.ends]
     options = {"maxiter": 1500, "xatol": 1e-4, "fatol": 1e-7}
@@ -147,6 +147,8 @@ def _outside(pieces: Float64, capsule: Capsule) -> Float64:
 
 def _extreme_points(points: Float64) -> Float64:
     """The convex hull's corners: all that an enclosing convex shape has to hold."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         corners: Float64 = points[ConvexHull(points).vertices]
     except QhullError:  # flat or too few points: they are all extreme as far as the fit is concerned

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from twin_node.robot.model import ArmModel, RobotError
 from twin_node.scene import Float64
@@ -52,6 +51,8 @@ def _origin(sections: object, section: str, path: str | Path) -> Float64:
             f"{path}: expected kinematics/{section} with numbers {', '.join(_FIELDS)}, found {values}; "
             "extract the file again with ur_calibration"
         )
+    from scipy.spatial.transform import Rotation  # loads slowly, and most processes that have an arm never ask
+
     origin = np.eye(4)
     origin[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
     origin[:3, 3] = numbers[:3]

@@ -12,7 +12,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, quat_from_rotation, transform
 from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
@@ -148,6 +147,8 @@ def _ancestors(engine: Any, body: int) -> list[int]:
 
 def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
     """Pose [4, 4] of a joint at its zero: the body's axes, turned the short way until z lies along the hinge."""
+    from scipy.spatial.transform import Rotation  # loads slowly, and most processes that have an arm never ask
+
     body = int(engine.jnt_bodyid[joint])
     frame = np.eye(4)
     axis = engine.jnt_axis[joint]

@@ -24,7 +24,7 @@ KINDS = {
     "synchronizer": "twin_node.nodes.live.beside_twin:make_synchronizer",
     "twin": "twin_node.nodes.live.twin:make_twin",
     "ur_driver": "twin_node.nodes.live.arm_driver:make_ur_driver",
-    "ur_sim": "twin_node.nodes.live.arm_driver:make_ur_sim",
+    "ur_sim": "twin_node.nodes.live.arm_stand_in:make_ur_sim",
     "viewer": "twin_node.nodes.live.viewer:make_viewer",
     "viewer_topics": "twin_node.nodes.live.viewer_topics:make_viewer_topics",
 }

@@ -1,18 +1,10 @@
-"""The UR driver and its stand-in controller as nodes of a live graph."""
+"""The UR driver as a node of a live graph."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import threading
-from dataclasses import dataclass
-
 from twin_node.arm.ur import UrParameters
-from twin_node.cell.ur_sim import ControllerParameters, StandIn, StandInParameters
-from twin_node.errors import TwinError
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.ur_driver import TICK_S, UrDriverNode
-from twin_node.robot import ur_model
 from twin_node.runtime.node import Node
 
 
@@ -21,65 +13,3 @@ def make_ur_driver(setup: Setup) -> Node:
     node = UrDriverNode(setup.bus, setup.clock, setup.parameters(UrParameters))
     setup.timers.every(TICK_S, node.tick)
     return node
-
-
-@dataclass(frozen=True)
-class UrSimParameters:
-    """The controller that is stood in for."""
-
-    host: str = "127.0.0.1"
-    """A loopback address."""
-    model: str = "ur5e"
-    """One of `twin_node.robot.UR_NAMES`."""
-
-
-def make_ur_sim(setup: Setup) -> Node:
-    """A stand-in for a UR controller whose own program runs."""
-    return UrSimNode(setup, setup.parameters(UrSimParameters))
-
-
-class UrSimNode(Node):
-    """Runs the stand-in controller in a thread while it is active."""
-
-    def __init__(self, setup: Setup, parameters: UrSimParameters) -> None:
-        """Raises `RobotError` for an unknown arm, `CellError` for an address that others can reach."""
-        super().__init__(setup.name, setup.bus, setup.clock)
-        self._parameters = StandInParameters(
-            host=parameters.host,
-            admin_port=None,
-            is_playing=True,
-            controller=ControllerParameters(model=ur_model(parameters.model)),
-        )
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._task: asyncio.Task[None] | None = None
-        self._thread: threading.Thread | None = None
-        self._error: TwinError | None = None
-
-    def on_activate(self) -> None:
-        listening = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(listening,), name="controller", daemon=True)
-        self._thread.start()
-        listening.wait()
-        if self._error is not None:
-            raise self._error
-
-    def on_deactivate(self) -> None:
-        if self._loop is not None and self._task is not None:
-            with contextlib.suppress(RuntimeError):  # it has ended by itself
-                self._loop.call_soon_threadsafe(self._task.cancel)
-        if self._thread is not None:
-            self._thread.join()
-
-    def _run(self, listening: threading.Event) -> None:
-        async def stand_in() -> None:
-            self._loop = asyncio.get_running_loop()
-            self._task = asyncio.ensure_future(StandIn(self._parameters).run(listening.set))
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-
-        try:
-            asyncio.run(stand_in())
-        except TwinError as error:  # raised again in the node's thread
-            self._error = error
-        finally:
-            listening.set()
