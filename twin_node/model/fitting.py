@@ -125,8 +125,8 @@ def _looseness(gaussians: Gaussians, rows: Tensor, stamp: int) -> Tensor:
 
     The place of a newborn is a guess. Once it is learnt, motion is the node's: what is rigid must not creep.
     """
-    age_s = (stamp - gaussians.births.index_select(0, rows)).float() * 1e-9
-    loose = SETTLED + (1 - SETTLED) * torch.exp(-age_s / SETTLING_S)
+    age_s = gaussians.births.index_select(0, rows).neg_().add_(stamp).float().mul_(1e-9)
+    loose = age_s.div_(-SETTLING_S).exp_().mul_(1 - SETTLED).add_(SETTLED)
     return torch.where(gaussians.nodes.index_select(0, rows) >= 0, loose, 1.0)
 
 

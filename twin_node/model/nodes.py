@@ -140,12 +140,16 @@ class Nodes:
 
     def remember(self) -> None:
         """Writes the present poses over the oldest of the window, or over those of the same stamp."""
-        if self.history_stamps[self._slot] != self.stamp:
-            self._slot = (self._slot + 1) % len(self.history_stamps)
-        self.history_stamps[self._slot] = self.stamp
-        self._history_ids[self._slot] = self.ids
-        self._history_positions[self._slot] = self.positions
-        self._history_quats[self._slot] = self.quats
+        stamps = self.history_stamps.numpy()
+        if stamps[self._slot] != self.stamp:
+            self._slot = (self._slot + 1) % len(stamps)
+        stamps[self._slot] = self.stamp
+        for past, now in (
+            (self._history_ids, self.ids),
+            (self._history_positions, self.positions),
+            (self._history_quats, self.quats),
+        ):
+            past.numpy()[self._slot] = now.numpy()
 
     @property
     def moved(self) -> Tensor:
