@@ -158,6 +158,16 @@ def test_clocks_are_told_by_the_motion() -> None:
     assert abs(result.state.clocks[1, 0] - 0.02) < 4 * sigma
 
 
+def test_how_sure_an_estimate_is_is_worked_out_once_and_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, covariance = [], BundleProblem.covariance
+    monkeypatch.setattr(BundleProblem, "covariance", lambda *args: asked.append(args) or covariance(*args))
+    state = a_moving_state("plumb_bob")
+    result = adjust(state, sightings_of(state, np.random.default_rng(0), noise=0.05), BundleOptions(lenses=False))
+    assert not asked
+    assert result.covariance is result.covariance
+    assert len(asked) == 1
+
+
 def test_a_bent_board_is_found_bent_and_a_flat_one_flat() -> None:
     rng = np.random.default_rng(4)
     state = a_still_state("plumb_bob", sets=14)

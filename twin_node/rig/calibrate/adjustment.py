@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ def adjust(start: BundleState, sightings: Sequence[Sighting], options: BundleOpt
         tuple(_thinned(sighting, own) for sighting, own, _ in views if own.any()),
         tuple(residual[own] for _, own, residual in views if own.any()),
         noise,
-        problem.covariance(state, kept, noise),
+        partial(problem.covariance, state, kept, noise),
         problem.layout,
         tuple(sighting for sighting, own, _ in views if not own.any()),
     )

@@ -7,7 +7,9 @@ is interpolated that was measured. The first camera is the origin and its clock 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,8 +114,13 @@ class BundleResult:
     """Per sighting: [N, 2] found minus projected, pixels."""
     noise_px: Float64
     """[C] 1 sigma of each camera's corners, pixels."""
-    covariance: Float64
-    """[n, n] of the unknowns in `layout`."""
+    doubt: Callable[[], Float64]
+    """Works out the `covariance`."""
     layout: Layout
     left_out: tuple[Sighting, ...]
     """Sightings with too few corners that fit; the corners are those that were found."""
+
+    @cached_property
+    def covariance(self) -> Float64:
+        """[n, n] of the unknowns in `layout`; worked out when first asked for, as of two boards tried one is left."""
+        return self.doubt()
