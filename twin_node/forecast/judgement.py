@@ -88,6 +88,8 @@ class Judgement:
         `parts`: what moves now; flat indices in the outer grid, in rising order.
         """
         self._parts, self._blocks = parts, tables.blocks
+        self._told: dict[bytes, Held] = {}
+        """By who was chosen."""
         seen = list(zip(state.frames.views, state.moving_masks, strict=True))
         measured = [Moving(view, mask) for view, mask in seen if view.depth is not None]
         self._surface = moving_surface(measured, margin, parts, forecast)
@@ -98,7 +100,16 @@ class Judgement:
             self._images = [_Image(table, mask, table.image_of(expected)) for table, mask in flat]
 
     def of(self, chosen: Bool) -> Held:
-        """How much of the parts `chosen` [M], all of which could be foreseen, was."""
+        """How much of the parts `chosen` [M], all of which could be foreseen, was.
+
+        Asked of several choices, which are the same where nothing is new.
+        """
+        key = chosen.tobytes()
+        if key not in self._told:
+            self._told[key] = self._of(chosen)
+        return self._told[key]
+
+    def _of(self, chosen: Bool) -> Held:
         surface = self._surface
         explained = np.append(chosen, False)[surface.parts]
         agreed, pixels = int(np.count_nonzero(explained)), 0
