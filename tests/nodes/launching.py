@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from twin_node.nodes.launch.launch_file import LaunchPlan
 from twin_node.nodes.launch.launcher import Launcher, LaunchResult
@@ -101,5 +101,9 @@ class Ear:
                 return heard[0]
         raise AssertionError(f"nothing that was wanted came on {topic}")
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """A connection that stays open when a test fails would keep the test run from ending."""
         self._wire.close()

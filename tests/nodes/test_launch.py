@@ -39,9 +39,8 @@ def is_of_evidence(message: object) -> bool:
 def decides(plan: LaunchPlan, logs: Path, endpoint: str) -> None:
     """Asserts that a launch comes to speed decisions by evidence, and that its end leaves no process."""
     with launched(without_spares(on_loopback(plan, endpoint)), logs) as running:
-        ear = Ear(endpoint)
-        ear.hear(SEPARATION, is_of_evidence)
-        ear.close()
+        with Ear(endpoint) as ear:
+            ear.hear(SEPARATION, is_of_evidence)
         children = running.launcher.children()
         assert set(children) == {process.name for process in plan.processes}
         assert running.stop().status == 0
@@ -133,13 +132,12 @@ def arm_alone(folder: Path, restart: str, spare: str = "false") -> LaunchPlan:
 def test_a_killed_process_is_started_again_and_the_arm_stands_meanwhile(tmp_path: Path, spare: str) -> None:
     endpoint = free_endpoint()
     with launched(on_loopback(arm_alone(tmp_path, "true", spare), endpoint), tmp_path) as running:
-        ear = Ear(endpoint)
-        ear.hear(SEPARATION, lambda message: running.launcher.is_whole)
-        killed, standing_by = running.launcher.children()["arm"], running.launcher.spares().get("arm")
-        os.kill(killed, signal.SIGKILL)
-        ear.hear(DIAGNOSTICS, lambda message: running.launcher.children().get("arm", killed) != killed)
-        told = convert.separation_from_message(ear.hear(SEPARATION, lambda message: True))
-        ear.close()
+        with Ear(endpoint) as ear:
+            ear.hear(SEPARATION, lambda message: running.launcher.is_whole)
+            killed, standing_by = running.launcher.children()["arm"], running.launcher.spares().get("arm")
+            os.kill(killed, signal.SIGKILL)
+            ear.hear(DIAGNOSTICS, lambda message: running.launcher.children().get("arm", killed) != killed)
+            told = convert.separation_from_message(ear.hear(SEPARATION, lambda message: True))
         assert told.speed_fraction == 0.0
         assert (running.launcher.children()["arm"] == standing_by) == (spare == "true")
         assert running.stop().restarts == 1
@@ -154,9 +152,8 @@ def test_a_second_launch_of_the_same_nodes_is_refused(tmp_path: Path) -> None:
     plan = on_loopback(arm_alone(tmp_path, "true"), endpoint)
     shared = replace(plan, zenoh=replace(plan.zenoh, router="auto"))
     with launched(plan, tmp_path / "first"):
-        ear = Ear(endpoint)
-        ear.hear(SEPARATION, lambda message: True)
-        ear.close()
+        with Ear(endpoint) as ear:
+            ear.hear(SEPARATION, lambda message: True)
         with pytest.raises(TwinError, match=r"node '(recorder|arm)' is alive already in ROS domain 0"):
             Launcher(shared, tmp_path / "second", print).run()
         other = replace(shared, zenoh=replace(shared.zenoh, domain=1))
@@ -180,9 +177,8 @@ def test_an_address_that_something_else_has_is_refused(tmp_path: Path) -> None:
 def test_the_exit_status_tells_which_process_failed(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with launched(on_loopback(arm_alone(tmp_path, "false"), endpoint), tmp_path) as running:
-        ear = Ear(endpoint)
-        ear.hear(SEPARATION, lambda message: True)
-        ear.close()
+        with Ear(endpoint) as ear:
+            ear.hear(SEPARATION, lambda message: True)
         os.kill(running.launcher.children()["arm"], signal.SIGKILL)
         result = running.wait()
     assert (result.failed, result.status) == ("arm", FIRST_STATUS + 1)
@@ -192,9 +188,8 @@ def test_processes_end_when_their_launcher_is_killed(tmp_path: Path) -> None:
     """As after `kill -9`: the ends of their pipes close, and they bring themselves down."""
     endpoint = free_endpoint()
     with launched(on_loopback(arm_alone(tmp_path, "true"), endpoint), tmp_path) as running:
-        ear = Ear(endpoint)
-        ear.hear(SEPARATION, lambda message: True)
-        ear.close()
+        with Ear(endpoint) as ear:
+            ear.hear(SEPARATION, lambda message: True)
         child = running.launcher._children["write"]
         child._process.stdin.close()
         assert child._process.wait(60) == 0
