@@ -12,8 +12,8 @@ from torch import Tensor
 
 from twin_node.model.births import Births
 from twin_node.model.gaussians import LARGEST, Gaussians, Newborns
-from twin_node.model.kernel_requests import GroupRequest, NearestRequest, NewbornRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import GroupRequest, NearestRequest, NewbornRequest
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate

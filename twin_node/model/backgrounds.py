@@ -214,9 +214,8 @@ def _drawn(values: Tensor, behind: _Behind) -> _Shown:
     """What a camera sees of STATIC Gaussians with the attributes `values` [n, 14]."""
     device, camera, seen = values.device, behind.camera, Gaussians.standing(values)
     viewmat, K = (torch.from_numpy(of).to(device, torch.float32) for of in (camera.viewmat, camera.K))
-    drawn, opaque = splat.draw_still(
-        seen.means[0], seen.quats[0], seen.scales, seen.opacities, seen.rgb, viewmat, K, camera.width, camera.height
-    )
+    gaussians = (seen.means[0], seen.quats[0], seen.scales, seen.opacities, seen.rgb)
+    drawn, opaque = splat.draw_still(splat.Shot(*gaussians, viewmat, K, camera.width, camera.height))
     rgbd, alpha = drawn.cpu().numpy(), opaque.cpu().numpy()
     rgb, depth = np.ascontiguousarray(rgbd[..., :3]), np.where(alpha > 0.5, rgbd[..., 3], behind.surface)
     backdrop = torch.from_numpy(np.concatenate([rgb, depth[..., None]], -1, dtype=np.float32)).to(device)

@@ -68,7 +68,7 @@ class Bodies:
         nodes, learned = self._nodes, self._nodes.learned_rows.numpy()
         known = learned[np.bincount(cells.nodes, minlength=nodes.capacity)[learned] > 0]
         velocities = self._merge_split.velocities(known, nodes.positions.numpy()[known])
-        nodes.speed_up(torch.from_numpy(known), velocities[:, :3], velocities[:, 3:])
+        nodes.set_velocities(torch.from_numpy(known), velocities[:, :3], velocities[:, 3:])
 
     def regroup(self, carried: Carried | None) -> Sequence[Decision]:
         """Merges and splits nodes by what was said up to now, where that is due.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from twin_node.model.kernel_requests import CarryRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import CarryRequest
 from twin_node.model.nodes import Poses
 from twin_node.model.rotations import left_product, rotation_matrix
 

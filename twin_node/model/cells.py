@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.gaussians import RGB, Gaussians
-from twin_node.model.kernel_requests import CellRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import CellRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 

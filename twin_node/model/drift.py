@@ -9,8 +9,8 @@ from torch import Tensor
 from twin_node.geometry import rotation_from_quat
 from twin_node.model.cells import Cells
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.kernel_requests import CreepRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import CreepRequest
 from twin_node.model.nodes import Nodes
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_void_p
+from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
 INTERFACE_VERSION = 18
 
@@ -96,76 +96,6 @@ class FlowRequest(ctypes.Structure):
         *((name, c_int32) for name in ("count", "threads")),
         ("rules", ctypes.POINTER(FlowRules)),
         ("views", ctypes.POINTER(FlowView)),
-    )
-
-
-class AdvanceRequest(ctypes.Structure):
-    """`model::AdvanceRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("times", "nodes")),
-        *((name, c_void_p) for name in ("seconds", "positions", "quats", "velocities", "turns", "advanced", "rotated")),
-    )
-
-
-class MovedRequest(ctypes.Structure):
-    """`model::MovedRequest`."""
-
-    _fields_ = (
-        ("nodes", c_int64),
-        *((name, c_void_p) for name in ("positions", "quats", "positions_then", "quats_then", "moved")),
-    )
-
-
-class CarryRequest(ctypes.Structure):
-    """`model::CarryRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("times", "nodes")),
-        *((name, c_void_p) for name in ("positions", "quats", "turns", "shifts", "products")),
-    )
-
-
-class PublishRequest(ctypes.Structure):
-    """`model::PublishRequest`; of `model::NodesNow` the fields."""
-
-    _fields_ = (
-        ("count", c_int64),
-        ("threads", c_int32),
-        *((name, c_void_p) for name in ("rows", "values", "carriers", "id_of", "tier_of", "position_of")),
-        *((name, c_void_p) for name in ("node_positions", "node_quats", "node_velocities", "node_turns")),
-        *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb", "velocities")),
-        *((name, c_void_p) for name in ("tiers", "ids", "published")),
-    )
-
-
-class ExtentRequest(ctypes.Structure):
-    """`model::ExtentRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "nodes")),
-        *((name, c_void_p) for name in ("rows", "carriers", "values", "centroids", "weights", "radii")),
-    )
-
-
-class CellRequest(ctypes.Structure):
-    """`model::CellRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "axis_bits")),
-        ("side", c_double),
-        *((name, c_void_p) for name in ("rows", "carriers", "founders", "values", "means")),
-        *((name, c_void_p) for name in ("keys", "nodes", "of", "centres", "rgb", "found")),
-    )
-
-
-class CreepRequest(ctypes.Structure):
-    """`model::CreepRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "cells", "capacity")),
-        *((name, c_void_p) for name in ("rows", "ids", "values", "of", "homes")),
-        *((name, c_void_p) for name in ("known_ids", "known_homes", "known_means", "crept")),
     )
 
 
@@ -280,66 +210,6 @@ class DampedRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("means", "quats", "sizes", "logits", "colours")),
         *((name, c_void_p) for name in ("alive", "tiers", "ids", "ceilings", "values", "refused")),
     )
-
-
-class SumRequest(ctypes.Structure):
-    """`model::SumRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "width")),
-        *((name, c_void_p) for name in ("owners", "values", "sums")),
-    )
-
-
-class JudgeRequest(ctypes.Structure):
-    """`model::JudgeRequest`."""
-
-    _fields_ = (
-        ("count", c_int64),
-        *((name, c_void_p) for name in ("scale", "H", "g", "squares", "points")),
-        *((name, c_void_p) for name in ("evidence", "at_rest", "fit", "costs", "told")),
-    )
-
-
-class VelocityRequest(ctypes.Structure):
-    """`model::VelocityRequest`."""
-
-    _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("scale", "H", "g", "points", "velocities")))
-
-
-class MoveRequest(ctypes.Structure):
-    """`model::MoveRequest`."""
-
-    _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("H", "g", "points", "moved_H", "moved_g")))
-
-
-class NewbornRequest(ctypes.Structure):
-    """`model::NewbornRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("count", "nodes", "room", "first_id", "stamp")),
-        *((name, c_float) for name in ("logit", "growth")),
-        *((name, c_uint8) for name in ("standing", "transient")),
-        *((name, c_void_p) for name in ("means", "log_radii", "rgb", "on_background", "lasting")),
-        *((name, c_void_p) for name in ("views", "carriers", "founders", "positions", "quats", "node_tiers", "rows")),
-        *((name, c_void_p) for name in ("values", "moment1", "moment2", "steps", "tiers", "ids", "carried_by")),
-        *((name, c_void_p) for name in ("founded_by", "rested", "births", "largest", "doubts", "homeless")),
-    )
-
-
-class NearestRequest(ctypes.Structure):
-    """`model::NearestRequest`."""
-
-    _fields_ = (
-        *((name, c_int64) for name in ("places", "owns", "width")),
-        *((name, c_void_p) for name in ("at", "own", "found")),
-    )
-
-
-class GroupRequest(ctypes.Structure):
-    """`model::GroupRequest`."""
-
-    _fields_ = (("places", c_int64), ("width", c_int64), ("at", c_void_p), ("groups", c_void_p))
 
 
 class CompareRequest(ctypes.Structure):

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from twin_node.model.chosen import rows_where
-from twin_node.model.kernel_requests import AdvanceRequest, MovedRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import AdvanceRequest, MovedRequest
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
 from twin_node.native_library import address_of
 from twin_node.scene import Float64, Tier
@@ -122,9 +122,9 @@ class Nodes:
         self.quats.index_copy_(0, rows, at.quats[0])
         velocities, angular = (of.index_select(0, rows).numpy() for of in (self.velocities, self.angular_velocities))
         gain = VELOCITY_GAIN / max(dt_s, 1e-3)
-        self.speed_up(rows, velocities + gain * shifts.numpy(), angular + gain * turns.numpy())
+        self.set_velocities(rows, velocities + gain * shifts.numpy(), angular + gain * turns.numpy())
 
-    def speed_up(self, rows: Tensor, velocities: Float64, turns: Float64) -> None:
+    def set_velocities(self, rows: Tensor, velocities: Float64, turns: Float64) -> None:
         """Nodes `rows` [m] have `velocities` [m, 3] m/s and `turns` [m, 3] rad/s from now on, as far as any may."""
         self.velocities.index_copy_(0, rows, torch.from_numpy(_limited(velocities, MAX_SPEED)))
         self.angular_velocities.index_copy_(0, rows, torch.from_numpy(_limited(turns, MAX_TURN)))

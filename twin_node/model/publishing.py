@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
-from twin_node.model.kernel_requests import ExtentRequest, PublishRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
+from twin_node.model.node_requests import ExtentRequest, PublishRequest
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import rotate
 from twin_node.native_library import addresses_of, thread_count

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.model.kernel_requests import JudgeRequest, MoveRequest, SumRequest, VelocityRequest
 from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import JudgeRequest, MoveRequest, SumRequest, VelocityRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 

@@ -7,7 +7,7 @@ from twin_node.splat.errors import SplatError
 from twin_node.splat.loss import image_loss, image_loss_plain
 from twin_node.splat.missed import Missed, MissedPlainly, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
-from twin_node.splat.still import draw_still, draw_still_plainly
+from twin_node.splat.still import Shot, draw_still, draw_still_plainly
 from twin_node.splat.weighing import weigh, weigh_plainly
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "MissedPlainly",
     "Placed",
     "RasterMeta",
+    "Shot",
     "Sight",
     "SplatError",
     "Tolerance",

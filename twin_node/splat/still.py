@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -13,31 +15,42 @@ from twin_node.splat.dispatch import rasterize
 from twin_node.splat.semantics import installed_semantics
 
 _OPTIONS = Options(render_mode="RGB+ED")
-_NAMES = ("means", "quats", "scales", "opacities", "rgb", "viewmat", "K")
 
 
-def draw_still(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    rgb: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-) -> tuple[Tensor, Tensor]:
-    """What one camera sees of n Gaussians; nothing is differentiated.
+@dataclass(frozen=True)
+class Shot:
+    """n Gaussians and the camera that sees them, as `rasterize` takes them, in its order."""
 
-    `means` [n, 3], `quats` [n, 4], `scales` [n, 3], `opacities` [n], `rgb` [n, 3], `viewmat` [4, 4] and `K` [3, 3] as
-    `rasterize` takes them. Gives colour (0 to 1, on black) and expected depth along the optical axis [H, W, 4], 0 where
-    nothing is, and alpha [H, W]. Raises `ValueError` naming what is not finite.
+    means: Tensor
+    """[n, 3] m."""
+    quats: Tensor
+    """[n, 4] w, x, y, z."""
+    scales: Tensor
+    """[n, 3] m, linear."""
+    opacities: Tensor
+    """[n] 0 to 1."""
+    rgb: Tensor
+    """[n, 3] 0 to 1."""
+    viewmat: Tensor
+    """[4, 4]."""
+    K: Tensor
+    """[3, 3] pixels."""
+    width: int
+    height: int
+
+
+def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
+    """Colour and depth [H, W, 4], and alpha [H, W]; nothing is differentiated.
+
+    Colour is 0 to 1, on black; depth is that expected along the optical axis, m, 0 where nothing is.
+    Raises `ValueError` naming what is not finite.
     """
     library = native.native_library()
-    if library is None or means.device.type != "cpu":
-        return draw_still_plainly(means, quats, scales, opacities, rgb, viewmat, K, width, height)
-    given = [t.detach().float().contiguous() for t in (means, quats, scales, opacities, rgb, viewmat, K)]
-    count, semantics = len(means), installed_semantics()
+    if library is None or shot.means.device.type != "cpu":
+        return draw_still_plainly(shot)
+    tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}
+    given = [of.detach().float().contiguous() for of in tensors.values()]
+    count, width, height, semantics = len(shot.means), shot.width, shot.height, installed_semantics()
     rgbd, alpha = torch.empty(height, width, 4), torch.empty(height, width)
     found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
     request = native.Request(
@@ -54,35 +67,15 @@ def draw_still(
     try:
         library.forward(native.Workspace(library), request)
     except native.NonFiniteError as error:
-        raise non_finite(_NAMES[error.index], given[error.index]) from None
+        raise non_finite(list(tensors)[error.index], given[error.index]) from None
     return rgbd, alpha
 
 
-def draw_still_plainly(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    rgb: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-) -> tuple[Tensor, Tensor]:
+def draw_still_plainly(shot: Shot) -> tuple[Tensor, Tensor]:
     """The same by `rasterize`, on any device: the reference of `draw_still`."""
-    if not len(means):
-        return means.new_zeros(height, width, 4), means.new_zeros(height, width)
+    if not len(shot.means):
+        return shot.means.new_zeros(shot.height, shot.width, 4), shot.means.new_zeros(shot.height, shot.width)
+    given = {**vars(shot), "viewmat": shot.viewmat[None], "K": shot.K[None]}
     with torch.no_grad():
-        (seen,), (alpha,), _ = rasterize(
-            means,
-            quats,
-            scales,
-            opacities,
-            rgb,
-            viewmat[None],
-            K[None],
-            width,
-            height,
-            render_mode=_OPTIONS.render_mode,
-        )
+        (seen,), (alpha,), _ = rasterize(*given.values(), render_mode=_OPTIONS.render_mode)
     return seen, alpha[..., 0]
