@@ -98,9 +98,7 @@ def curves(title: str, unit: str, series: Sequence[Curve], floor: float | None =
     axes.set(title=title, xlabel="s", ylabel=unit)
     if floor is not None:
         axes.set_ylim(bottom=floor)
-    if len(series) > 1:
-        axes.legend(ncols=len(series), loc="upper right")
-    return _png_of(figure)
+    return _png_of(figure, len(series) if len(series) > 1 else 0)
 
 
 def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -> bytes:
@@ -112,8 +110,7 @@ def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -
             axes.plot(seconds, counts[:, tier], label=tier.name, color=TIER_COLOURS[tier], linewidth=1.4)
     axes.set(title="Gaussians per tier", xlabel="s", yscale="symlog")
     axes.set_ylim(bottom=0)
-    axes.legend(ncols=len(Tier), loc="lower right")
-    return _png_of(figure)
+    return _png_of(figure, len(Tier))
 
 
 def separation_over_time(seconds: NDArray[np.float64], separations: Sequence[Separation]) -> bytes:
@@ -125,13 +122,15 @@ def separation_over_time(seconds: NDArray[np.float64], separations: Sequence[Sep
     upper.plot(seconds, [s.required for s in separations], color="#d93025", linewidth=1, label="required at full speed")
     upper.axhline(0, color="#202124", linewidth=0.8)
     upper.set(title="Smallest distance along the arm's next 200 ms", ylabel="m")
-    upper.legend(ncols=2, loc="upper right")
     lower.fill_between(seconds, [s.speed_fraction for s in separations], color="#34a853", alpha=0.5, step="post")
     lower.set(ylabel="speed fraction", xlabel="s", ylim=(0, 1.05))
-    return _png_of(figure)
+    return _png_of(figure, 2)
 
 
-def _png_of(figure: Figure) -> bytes:
+def _png_of(figure: Figure, names: int) -> bytes:
+    """The figure; below it, where no curve runs, up to so many names of its curves beside each other."""
+    if names:
+        figure.legend(ncols=names, loc="outside lower center")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
