@@ -27,7 +27,7 @@ from twin_node.model.sweep import shell_around
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, velocities_of
 from twin_node.scene import FrameSet, Tier, TwinState, View
 
-CAMERAS = rig(120, 90)
+CAMERAS = rig(160, 120)
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.4)
 DT_S = TICK_NS * 1e-9
 STEP_M, STEP_RAD = 0.008, 0.05
