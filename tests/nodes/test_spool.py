@@ -2,10 +2,11 @@
 
 import threading
 
+import numpy as np
 import pytest
 
 from twin_node.nodes.spool import MAX_SETS, WAITING, Spool, Tick
-from twin_node.scene import FrameSet
+from twin_node.scene import Camera, FrameSet, View
 
 SECOND = 1_000_000_000
 
@@ -16,6 +17,19 @@ def test_ticks_come_back_in_the_order_of_their_stamps() -> None:
             spool.add(Tick(FrameSet(stamp=stamp, views=(), sequence=stamp)))
         assert [tick.stamp for tick in spool] == [1, 2, 3]
         assert [tick.frames.sequence for tick in spool] == [1, 2, 3]
+
+
+def test_images_come_back_as_they_were() -> None:
+    whole = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
+    images = (whole, whole[:, ::2], np.asfortranarray(whole), whole[:0])
+    with Spool(0, SECOND, 30) as spool:
+        for stamp, image in enumerate(images):
+            view = View(Camera("one", *image.shape[1::-1], np.eye(3), np.eye(4)), stamp, image)
+            spool.add(Tick(FrameSet(stamp, (view,), stamp)))
+        read = [tick.frames.views[0].rgb for tick in spool]
+    for image, again in zip(images, read, strict=True):
+        np.testing.assert_array_equal(again, image)
+        assert again.dtype == image.dtype
 
 
 def test_a_short_run_is_kept_whole() -> None:

@@ -76,8 +76,8 @@ class WindowModel:
     @property
     def tier_counts(self) -> Mapping[Tier, int]:
         """Living Gaussians per tier."""
-        living = self._gaussians.tiers[self._gaussians.alive].cpu().numpy()
-        return dict(zip(Tier, np.bincount(living, minlength=len(Tier)).tolist(), strict=True))
+        tiers, alive = (of.cpu().numpy() for of in (self._gaussians.tiers, self._gaussians.alive))
+        return dict(zip(Tier, np.bincount(tiers[alive], minlength=len(Tier)).tolist(), strict=True))
 
     @property
     def capacity(self) -> int:

@@ -42,7 +42,8 @@ class Spool:
         blocks = max(1, int(MAX_SETS / max(rate_hz, 1.0)))
         self._period_ns = max(BLOCK_NS, (stop_ns - start_ns) // blocks)
         self._file = tempfile.TemporaryFile(prefix="twin_node_")  # noqa: SIM115 (lives as long as the spool)
-        self._offsets: list[tuple[int, int]] = []
+        self._places: list[tuple[int, int, tuple[int, ...]]] = []
+        """Of every tick its stamp, where it begins, and how many bytes it and each of its arrays take there."""
         self._waiting: Queue[Tick | None] = Queue(WAITING)
         self._error: BaseException | None = None
         self._writer = threading.Thread(target=self._write, name="spool", daemon=True)
@@ -58,7 +59,7 @@ class Spool:
 
     def __len__(self) -> int:
         self._settle()
-        return len(self._offsets)
+        return len(self._places)
 
     def keeps(self, stamp: int) -> bool:
         """Whether a set with this stamp is among those kept."""
@@ -73,9 +74,10 @@ class Spool:
     def __iter__(self) -> Iterator[Tick]:
         """Ticks in the order of their stamps, read one at a time."""
         self._settle()
-        for _, offset in sorted(self._offsets):
+        for _, offset, sizes in sorted(self._places):
             self._file.seek(offset)
-            yield pickle.load(self._file)
+            data, *arrays = [bytearray(self._file.read(size)) for size in sizes]
+            yield pickle.loads(data, buffers=arrays)
 
     def _settle(self) -> None:
         """Waits until all ticks are written; raises what has kept one from being."""
@@ -95,6 +97,10 @@ class Spool:
                 self._waiting.task_done()
 
     def _append(self, tick: Tick) -> None:
-        data = pickle.dumps(tick, protocol=pickle.HIGHEST_PROTOCOL)
-        self._offsets.append((tick.stamp, self._file.seek(0, 2)))
-        self._file.write(data)
+        """Arrays are written from where they lie: to copy them first would keep the threads of the run waiting."""
+        arrays: list[pickle.PickleBuffer] = []
+        data = pickle.dumps(tick, protocol=pickle.HIGHEST_PROTOCOL, buffer_callback=arrays.append)
+        parts = [memoryview(data), *(array.raw() for array in arrays)]
+        self._places.append((tick.stamp, self._file.seek(0, 2), tuple(part.nbytes for part in parts)))
+        for part in parts:
+            self._file.write(part)
