@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,6 +103,23 @@ def test_two_blocks_that_slide_as_one_and_then_part_end_on_two_nodes(together: i
         assert (cloud.nodes[side] == node).mean() > 0.7
     assert_reasoned(decisions)
     assert any(one.kind is Kind.SPLIT for one in decisions)
+
+
+def test_what_has_boarded_a_node_boards_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    board, boarded = Gaussians.board, 0
+
+    def watched(self: Gaussians, rows: torch.Tensor, *given: Any) -> None:
+        nonlocal boarded
+        assert (self.nodes[rows] < 0).all()  # else what is in its node's frame would be taken for a place in the cell
+        boarded += len(rows)
+        board(self, rows, *given)
+
+    monkeypatch.setattr(Gaussians, "board", watched)
+    model = WindowModel(QUICK)
+    for index in range(16):
+        x = -0.15 + STEP_M * max(index - 2, 0)
+        model.update(seen(index, block(x, -0.09), block(x, 0.09)))
+    assert boarded > 100
 
 
 def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> None:

@@ -225,25 +225,25 @@ class Gaussians:
 
     def settle(self, rows: Tensor, node: int, nodes: Nodes) -> None:
         """Gaussians `rows` [n], which the node with the id `node` carries, are STATIC where they are from now on."""
-        self._stand(rows, nodes)
+        self._alight(rows, nodes)
         self.tiers[rows] = int(Tier.STATIC)
-        self.nodes[rows] = -1
         self.rested[rows] = node
         self.doubts[rows] = 0
         self.forget_moments(rows)
 
     def transfer(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:
         """Gaussians `rows` [n], which nodes carry, are from now on carried by `carriers` [n]; none moves for it."""
-        self._stand(rows, nodes)
+        self._alight(rows, nodes)
         self.board(rows, carriers, nodes, self.founders[rows])
 
-    def _stand(self, rows: Tensor, nodes: Nodes) -> None:
-        """The attributes of `rows` [n], which nodes carry, become those in `base_link`."""
+    def _alight(self, rows: Tensor, nodes: Nodes) -> None:
+        """Nobody carries `rows` [n], which nodes carried, any more: their attributes become those in `base_link`."""
         carriers, own = self.nodes[rows].cpu(), self.values.index_select(0, rows)
         turn, here = nodes.quats[carriers], own.cpu().double()
         own[:, MEAN] = (rotate(turn, here[:, MEAN]) + nodes.positions[carriers]).to(own)
         own[:, QUAT] = quat_product(turn, here[:, QUAT]).to(own)
         self.values.index_copy_(0, rows, own)
+        self.nodes[rows] = -1
 
     def retire(self, rows: Tensor) -> None:
         """Ends the life of `rows` [n]; their slots are free again."""

@@ -246,7 +246,7 @@ class Tracker:
         moving = evidence.moving & ~resting  # the masks keep what has moved; it wakes when it looks otherwise
         refuted = torch.from_numpy(evidence.left | moving)
         doubted = self._gaussians.doubt(self._backgrounds.rows, refuted, self._parameters.birth.carve_sets)
-        chosen = rows_where(doubted)
+        chosen = rows_where(doubted & self._stand(self._backgrounds.rows))
         if not len(chosen):
             return
         rows = self._backgrounds.rows.index_select(0, chosen)
@@ -359,10 +359,13 @@ class Tracker:
         return self._standing(rows.index_select(0, torch.from_numpy(before.nonzero()[0]).to(rows.device)))
 
     def _standing(self, rows: Tensor) -> Tensor:
-        """Those of the background's rows that still live and stand: others have boarded a node in this very set."""
+        """Those of the background's `rows` [n] that still stand."""
+        return rows.index_select(0, rows_where(self._stand(rows)))
+
+    def _stand(self, rows: Tensor) -> Tensor:
+        """[n] which of the background's `rows` [n] still live and stand: others have boarded a node since."""
         g = self._gaussians
-        stand = g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))
-        return rows.index_select(0, rows_where(stand))
+        return g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))
 
     def _poses(self, observed: Sequence[Observed]) -> Poses:
         """The nodes, as they are now, at each view's own time."""
