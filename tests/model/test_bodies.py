@@ -122,6 +122,23 @@ def test_what_has_boarded_a_node_boards_no_other(monkeypatch: pytest.MonkeyPatch
     assert boarded > 100
 
 
+def test_what_starts_to_move_is_carried_where_it_goes_by_the_gaussians_that_stood_for_it() -> None:
+    model, stood, step = WindowModel(QUICK), -0.15, 3 * STEP_M
+    for index in range(12):
+        way = step * max(index - 2, 0)
+        state = model.update(seen(index, block(stood + way)))
+        if index == 0:
+            first = state.gaussians
+    own = first.ids[(np.abs(first.means - [stood, 0.0, 0.0]) < [0.1, 0.1, 1.0]).all(1) & (first.means[:, 2] > 0.03)]
+    now, gone = state.gaussians, way * np.array([1.0, 0.0, 0.0])
+    kept = own[np.isin(own, now.ids[now.nodes >= 0])]
+    moved = now.means[[np.flatnonzero(now.ids == one)[0] for one in kept]]
+    before = first.means[[np.flatnonzero(first.ids == one)[0] for one in kept]]
+    assert len(own) > 50
+    assert len(kept) > 0.7 * len(own)
+    assert np.median(np.linalg.norm(moved - before - gone, axis=1)) < step
+
+
 def test_what_comes_to_rest_is_static_and_has_a_node_again_once_it_moves() -> None:
     model = WindowModel(QUICK)
     own, kinds, resting = block(0.0), [], {}

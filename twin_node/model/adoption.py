@@ -27,6 +27,9 @@ Another colour begins another node; whether both are one body is for their motio
 TOUCHING = 0.5
 """Share of the distance to its kind within which a point belongs to what is there, whatever its colour: texture."""
 
+FATE = 2.0
+"""Times the radius of a node within which what starts to move at once does so together."""
+
 
 @dataclass(frozen=True)
 class Members:
@@ -61,8 +64,19 @@ def adopt(births: Births, members: Members, nodes: Nodes, parameters: BirthParam
     return carriers
 
 
-def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, parameters: BirthParameters) -> Adopted:
-    """Who carries each of `points` [n, 3] of colours `rgb` [n, 3]; nodes are founded where enough are together."""
+def adopt_points(
+    points: Float64,
+    rgb: Float32,
+    members: Members,
+    nodes: Nodes,
+    parameters: BirthParameters,
+    started: bool = False,
+) -> Adopted:
+    """Who carries each of `points` [n, 3] of colours `rgb` [n, 3]; nodes are founded where enough are together.
+
+    Those that have `started` to move in one set are one body where they are near, whatever their colour, until their
+    motion says otherwise.
+    """
     carriers = Adopted(np.full(len(points), -1, np.int64), np.full(len(points), -1, np.int64))
     if len(members.nodes) and len(points):
         for place, own in (
@@ -73,7 +87,8 @@ def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, 
             closest = nearest(place[without], own)
             kin, closest = without[closest >= 0], closest[closest >= 0]
             carriers.nodes[kin], carriers.founders[kin] = members.nodes[closest], members.founders[closest]
-    for places in (looks_of(points, rgb, parameters.node_radius_m), points / parameters.node_radius_m):
+    by_place = points / (FATE * parameters.node_radius_m if started else parameters.node_radius_m)
+    for places in (by_place,) if started else (looks_of(points, rgb, parameters.node_radius_m), by_place):
         _found_together(points, places, carriers, members, nodes, parameters)
     return carriers
 

@@ -23,6 +23,10 @@ from twin_node.splat.points import Carried
 
 ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
 """m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""
+LEAST_OFF, LEAST_TURNED = 2e-3, 1e-2
+"""m and rad (1 sigma) that it is wrong by at least."""
+UNNOTICED_S = 0.13
+"""For how long what now moves may have done so while it was taken to stand, s."""
 MOST_OBSERVATIONS = 1000
 """Gaussians per view whose flow is taken; with more, every n-th stands for its neighbours."""
 STRAIN = 0.05
@@ -54,13 +58,14 @@ def solve_twists(
     carried: Tensor,
     cells: Cells,
     origins: Tensor,
-    dt_s: float,
+    unseen_s: float,
     sigma_px: float,
 ) -> Twists:
     """The twist of each node that explains the flow under its Gaussians best, held to the prediction.
 
     `moving` holds Gaussians at each view's time, `carried` [m] tells which of them nodes carry, `cells` where in these,
-    `origins` [C, M, 3] the nodes' positions, `dt_s` the time since the set before, `sigma_px` the flow's own error.
+    `origins` [C, M, 3] the nodes' positions, `unseen_s` for how long no image has corrected these, `sigma_px` the
+    flow's own error.
     """
     said = NormalEquations(len(cells))
     stride = max(len(carried) // MOST_OBSERVATIONS, 1)
@@ -74,8 +79,8 @@ def solve_twists(
         carried_here = Carried(means[index], arms[index], opacities, within)
         said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * sigma_px**2))
     normal = said.summed(cells.nodes, origins.shape[1])
-    step = max(dt_s, 1e-3) ** 2 / 2
-    motion = np.array([ACCELERATION * step + 2e-3] * 3 + [TURN_ACCELERATION * step + 1e-2] * 3)
+    step = max(unseen_s, 1e-3) ** 2 / 2
+    motion = np.array([ACCELERATION * step + LEAST_OFF] * 3 + [TURN_ACCELERATION * step + LEAST_TURNED] * 3)
     rigid = normal.solve(6, motion)
     strained = normal.solve(12, np.concatenate([motion, np.full(6, STRAIN)]))
     x, y, z = rigid.variances[:, :3].T

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from twin_node.model.adoption import Members, adopt, adopt_points, store
-from twin_node.model.alignment import Twists, solve_twists
+from twin_node.model.alignment import UNNOTICED_S, Twists, solve_twists
 from twin_node.model.arm_skin import ArmSkin
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.bodies import Bodies
-from twin_node.model.cells import cells_of
+from twin_node.model.cells import Cells, cells_of
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
@@ -42,6 +42,8 @@ from twin_node.scene import Bool, FrameSet, Tier
 
 HURRIED = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
+CATCH_UPS = 2
+"""Times that nodes founded or woken by a set are moved to where it shows them: the flow tells 8 pixels at a time."""
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
@@ -137,8 +139,9 @@ class Tracker:
         on_stage("align")
         self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)
-        on_stage("judge")
         around = self._around(observed, aligned)
+        self._catch_up(observed, around, dt_s)
+        on_stage("judge")
         fitted = self._fit(observed, around)
         on_stage("fit")
         self._nodes.remember()
@@ -195,24 +198,52 @@ class Tracker:
                 poses = self._poses(observed)
                 splats = self._place(rows, observed, poses)
                 renderings = self._look(observed, splats, around)  # whose motion is known
-            flows = flows_between(renderings, observed)
-            sigma_px = self._parameters.track.flow_sigma_px
             if step == 0:
                 cells = cells_of(self._gaussians, own, splats.means[0].index_select(0, carried))
                 moved = self._bodies.moved(own, cells)
-            twists = solve_twists(observed, renderings, flows, splats, at, cells, poses.positions, dt_s, sigma_px)
+            twists = self._twists(observed, renderings, splats, at, cells, poses, dt_s)
             if step == 0:
                 self._bodies.accumulate(cells, moved, twists.said, dt_s)
                 self._weigh(twists.fits)
-            self._steer(twists, dt_s)
+            self._steer(self._nodes.learned_rows, twists, dt_s)
             if step == 0:
                 self._bodies.go_on(cells)
                 told_of = Carried(own, cells, self._nodes.ids.clone())
         return _Aligned(renderings, before, around, told_of)
 
-    def _steer(self, twists: Twists, dt_s: float) -> None:
-        """The nodes whose motion is learned take their twists."""
-        steered = self._nodes.learned_rows
+    def _catch_up(self, observed: Sequence[Observed], around: Splats, dt_s: float) -> None:
+        """Nodes that this set has founded or woken are moved to where it shows what they carry.
+
+        Their Gaussians stand where these stood when they were last seen to stand. Were they fitted to the images there,
+        they would take on the looks of other parts of the thing, and stay behind it.
+        """
+        nodes, rows = self._nodes, self._gaussians.moving_rows
+        fresh = nodes.learned_rows[nodes.births.index_select(0, nodes.learned_rows) == nodes.stamp]
+        carried = rows_where(torch.isin(self._gaussians.nodes.index_select(0, rows), fresh.to(rows.device)))
+        for _ in range(CATCH_UPS if len(carried) else 0):
+            poses = self._poses(observed)
+            splats = self._place(rows, observed, poses)
+            renderings = self._look(observed, splats, around)
+            cells = cells_of(self._gaussians, rows.index_select(0, carried), splats.means[0].index_select(0, carried))
+            twists = self._twists(observed, renderings, splats, carried.cpu(), cells, poses, UNNOTICED_S)
+            self._steer(fresh, twists, dt_s)
+
+    def _twists(
+        self,
+        observed: Sequence[Observed],
+        renderings: Sequence[Rendering],
+        splats: Splats,
+        carried: Tensor,
+        cells: Cells,
+        poses: Poses,
+        unseen_s: float,
+    ) -> Twists:
+        """What the images say that nodes at `poses` are off by; for the rest see `solve_twists`."""
+        flows, sigma_px = flows_between(renderings, observed), self._parameters.track.flow_sigma_px
+        return solve_twists(observed, renderings, flows, splats, carried, cells, poses.positions, unseen_s, sigma_px)
+
+    def _steer(self, steered: Tensor, twists: Twists, dt_s: float) -> None:
+        """Nodes in rows `steered` [k] take their twists, of what has come since the set before, `dt_s` ago."""
         linear, angular, sigmas = (of.index_select(0, steered) for of in (twists.linear, twists.angular, twists.sigmas))
         self._nodes.correct(steered, linear, angular, dt_s)
         self._nodes.sigmas.index_copy_(0, steered, sigmas)
@@ -240,29 +271,34 @@ class Tracker:
         self._house(rows_where(g.alive & g.homeless))
 
     def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
-        """STATIC Gaussians that have left die, those that are part of something that moves join its node."""
-        evidence = judge_static(observed, renderings, self._parameters.track.residual)
-        resting = (self._gaussians.rested.index_select(0, self._backgrounds.rows) >= 0).cpu().numpy()
-        moving = evidence.moving & ~resting  # the masks keep what has moved; it wakes when it looks otherwise
-        refuted = torch.from_numpy(evidence.left | moving)
-        doubted = self._gaussians.doubt(self._backgrounds.rows, refuted, self._parameters.birth.carve_sets)
-        chosen = rows_where(doubted & self._stand(self._backgrounds.rows))
-        if not len(chosen):
-            return
-        rows = self._backgrounds.rows.index_select(0, chosen)
-        left = torch.from_numpy(evidence.left).to(rows.device).index_select(0, chosen)
-        self._gaussians.retire(rows[left])
-        self._house(rows[~left])
-        self._backgrounds.mark()
+        """STATIC Gaussians that have left die, those that are part of something that moves join its node.
 
-    def _house(self, rows: Tensor) -> None:
-        """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
+        These at once: who waits must catch up with more.
+        """
+        g, evidence = self._gaussians, judge_static(observed, renderings, self._parameters.track.residual)
+        standing = rows_where(self._stand(self._backgrounds.rows))
+        rows = self._backgrounds.rows.index_select(0, standing)
+        told = (torch.from_numpy(of).to(rows.device) for of in (evidence.left, evidence.moving))
+        left, moving = (of.index_select(0, standing) for of in told)
+        gone = g.doubt(rows, left, self._parameters.birth.carve_sets)
+        resting = g.rested.index_select(0, rows) >= 0  # the masks keep what has moved; it wakes when it looks otherwise
+        boarding = moving & ~left & ~resting
+        if bool((gone | boarding).any()):
+            g.retire(rows[gone])
+            self._house(rows[boarding], started=True)
+            self._backgrounds.mark()
+
+    def _house(self, rows: Tensor, started: bool = False) -> None:
+        """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded.
+
+        `started`: they have stood until now.
+        """
         if not len(rows):
             return
         g = self._gaussians
         own = g.values.index_select(0, rows).cpu().numpy()
         points, rgb = own[:, MEAN].astype(np.float64), own[:, RGB]
-        adopted = adopt_points(points, rgb, self._members(), self._nodes, self._parameters.birth)
+        adopted = adopt_points(points, rgb, self._members(), self._nodes, self._parameters.birth, started)
         housed = (adopted.nodes >= 0).nonzero()[0]
         if not len(housed):
             return
