@@ -10,19 +10,16 @@ import torch
 from torch import Tensor
 
 from twin_node.model.adoption import Members, adopt, adopt_points, store
-from twin_node.model.alignment import UNNOTICED_S, Twists, solve_twists
+from twin_node.model.aligning import Aligner
 from twin_node.model.arm_skin import ArmSkin
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.bodies import Bodies
-from twin_node.model.cells import Cells, cells_of
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
 from twin_node.model.deaths import Shapes
 from twin_node.model.decisions import Decision
-from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.fitting import Fitted, fit_moving
-from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import MEAN, RGB, Gaussians
 from twin_node.model.held import held_pixels
 from twin_node.model.motion import Motion
@@ -30,9 +27,10 @@ from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.occluders import occluders
 from twin_node.model.parameters import ModelParameters
+from twin_node.model.placing import Placer
 from twin_node.model.pruning import MovingPruner
 from twin_node.model.regrouping import Carried
-from twin_node.model.rendering import Rendering, Splats, join, render
+from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.stages import OnStage, Proceed, granted, unhurried, unwatched
@@ -42,8 +40,6 @@ from twin_node.scene import Bool, FrameSet, Tier
 
 HURRIED = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
-CATCH_UPS = 2
-"""Times that nodes founded or woken by a set are moved to where it shows them: the flow tells 8 pixels at a time."""
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
@@ -107,6 +103,8 @@ class Tracker:
         self._bodies = Bodies(gaussians, motion.nodes)
         self._resting = Resting(gaussians, motion.nodes, backgrounds)
         self._pruner = MovingPruner(gaussians)
+        self._placer = Placer(gaussians, motion)
+        self._aligner = Aligner(parameters.track, gaussians, motion.nodes, self._placer, self._bodies)
         self._decisions: list[Decision] = []
         self._turn = 0
         self._pace = 1.0
@@ -140,7 +138,7 @@ class Tracker:
         self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)
         around = self._around(observed, aligned)
-        self._catch_up(observed, around, dt_s)
+        self._aligner.catch_up(observed, around, dt_s)
         on_stage("judge")
         fitted = self._fit(observed, around)
         on_stage("fit")
@@ -185,81 +183,14 @@ class Tracker:
 
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
-        poses = self._poses(observed)
-        rows, told_of = self._gaussians.moving_rows, None
-        splats = self._place(rows, observed, poses)
+        poses = self._placer.poses(observed)
+        rows = self._gaussians.moving_rows
+        splats = self._placer.place(rows, observed, poses)
         before = self._before(observed, splats)
-        around = self._place(torch.cat([before, self._gaussians.robot_rows]), observed, poses)
-        renderings = self._look(observed, splats, around)
-        carried = rows_where(self._gaussians.nodes.index_select(0, rows) >= 0)
-        own, at = rows.index_select(0, carried), carried.cpu()
-        for step in range(self._parameters.track.alignments if len(carried) else 0):
-            if step:
-                poses = self._poses(observed)
-                splats = self._place(rows, observed, poses)
-                renderings = self._look(observed, splats, around)  # whose motion is known
-            if step == 0:
-                cells = cells_of(self._gaussians, own, splats.means[0].index_select(0, carried))
-                moved = self._bodies.moved(own, cells)
-            twists = self._twists(observed, renderings, splats, at, cells, poses, dt_s)
-            if step == 0:
-                self._bodies.accumulate(cells, moved, twists.said, dt_s)
-                self._weigh(twists.fits)
-            self._steer(self._nodes.learned_rows, twists, dt_s)
-            if step == 0:
-                self._bodies.go_on(cells)
-                told_of = Carried(own, cells, self._nodes.ids.clone())
+        around = self._placer.place(torch.cat([before, self._gaussians.robot_rows]), observed, poses)
+        renderings = self._placer.look(observed, splats, around)
+        renderings, told_of = self._aligner.follow(observed, rows, splats, around, renderings, dt_s)
         return _Aligned(renderings, before, around, told_of)
-
-    def _catch_up(self, observed: Sequence[Observed], around: Splats, dt_s: float) -> None:
-        """Nodes that this set has founded or woken are moved to where it shows what they carry.
-
-        Their Gaussians stand where these stood when they were last seen to stand. Were they fitted to the images there,
-        they would take on the looks of other parts of the thing, and stay behind it.
-        """
-        nodes, rows = self._nodes, self._gaussians.moving_rows
-        fresh = nodes.learned_rows[nodes.births.index_select(0, nodes.learned_rows) == nodes.stamp]
-        carried = rows_where(torch.isin(self._gaussians.nodes.index_select(0, rows), fresh.to(rows.device)))
-        for _ in range(CATCH_UPS if len(carried) else 0):
-            poses = self._poses(observed)
-            splats = self._place(rows, observed, poses)
-            renderings = self._look(observed, splats, around)
-            cells = cells_of(self._gaussians, rows.index_select(0, carried), splats.means[0].index_select(0, carried))
-            twists = self._twists(observed, renderings, splats, carried.cpu(), cells, poses, UNNOTICED_S)
-            self._steer(fresh, twists, dt_s)
-
-    def _twists(
-        self,
-        observed: Sequence[Observed],
-        renderings: Sequence[Rendering],
-        splats: Splats,
-        carried: Tensor,
-        cells: Cells,
-        poses: Poses,
-        unseen_s: float,
-    ) -> Twists:
-        """What the images say that nodes at `poses` are off by; for the rest see `solve_twists`."""
-        flows, sigma_px = flows_between(renderings, observed), self._parameters.track.flow_sigma_px
-        return solve_twists(observed, renderings, flows, splats, carried, cells, poses.positions, unseen_s, sigma_px)
-
-    def _steer(self, steered: Tensor, twists: Twists, dt_s: float) -> None:
-        """Nodes in rows `steered` [k] take their twists, of what has come since the set before, `dt_s` ago."""
-        linear, angular, sigmas = (of.index_select(0, steered) for of in (twists.linear, twists.angular, twists.sigmas))
-        self._nodes.correct(steered, linear, angular, dt_s)
-        self._nodes.sigmas.index_copy_(0, steered, sigmas)
-
-    def _weigh(self, fits: Fits) -> None:
-        """Nodes that evidence says bend become DEFORMABLE with all they carry, those that no longer do RIGID again."""
-        nodes, g = self._nodes, self._gaussians
-        nodes.evidence = accumulate(nodes.evidence, fits)
-        alive, tiers, evidence = (of.numpy() for of in (nodes.alive, nodes.tiers, nodes.evidence))
-        bending = (tiers == int(Tier.RIGID)) & (evidence > PROMOTE) & self._parameters.track.bends
-        stiff = (tiers == int(Tier.DEFORMABLE)) & (evidence < DEMOTE)
-        for chosen, tier in ((bending & alive, Tier.DEFORMABLE), (stiff & alive, Tier.RIGID)):
-            if chosen.any():
-                rows = torch.from_numpy(chosen.nonzero()[0])
-                nodes.tiers[rows] = int(tier)
-                g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
 
     def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """What the images refute goes: what stands still and what moves in turn, one of the two per set."""
@@ -320,16 +251,18 @@ class Tracker:
         standing = self._standing(aligned.before)
         if len(standing) == len(aligned.before):
             return aligned.around
-        return self._place(torch.cat([standing, self._gaussians.robot_rows]), observed, self._poses(observed))
+        return self._placer.place(
+            torch.cat([standing, self._gaussians.robot_rows]), observed, self._placer.poses(observed)
+        )
 
     def _fit(self, observed: Sequence[Observed], around: Splats) -> Fitted:
         """Canonical attributes of what moves by a few gradient steps; after some that diverged the next are smaller."""
         g, track = self._gaussians, self._parameters.track
-        poses = self._poses(observed)
+        poses = self._placer.poses(observed)
         if not track.selects:
             self._backgrounds.mark()
             return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
-        moving = self._place(g.moving_rows, observed, poses)
+        moving = self._placer.place(g.moving_rows, observed, poses)
         masks = held_pixels(observed, moving)
         rate = self._pace * track.learning_rate
         fitted = fit_moving(g, self._motion, observed, poses, masks, around, track.steps, rate)
@@ -340,7 +273,7 @@ class Tracker:
         """Moving Gaussians that a camera sees through die, TRANSIENTs of age too, and nodes that carry nothing."""
         g = self._gaussians
         rows = g.moving_rows
-        splats = self._place(rows, observed, self._poses(observed))
+        splats = self._placer.place(rows, observed, self._placer.poses(observed))
         quats, scales = splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy()  # none turns much between two views
         shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
         carriers = g.nodes.index_select(0, rows).cpu().numpy()
@@ -362,7 +295,7 @@ class Tracker:
         if index is None:
             return
         one, rows, own = observed[index : index + 1], self._gaussians.moving_rows, slice(index, index + 1)
-        moving = self._place(rows, one, self._poses(one))
+        moving = self._placer.place(rows, one, self._placer.poses(one))
         around = replace(around, means=around.means[own], quats=around.quats[own])
         self._pruner.look(one[0].view.camera, rows, moving, around)
 
@@ -376,7 +309,7 @@ class Tracker:
         adopted = adopt(births, self._members(), self._nodes, self._parameters.birth)
         if births.lasting.any():
             self._backgrounds.mark()
-        return len(store(births, adopted, self._poses(observed), self._nodes, self._gaussians))
+        return len(store(births, adopted, self._placer.poses(observed), self._nodes, self._gaussians))
 
     def _make_room(self, wanted: int) -> None:
         """Retires the moving Gaussians that matter least to the images where `wanted` more would pass the cap."""
@@ -402,19 +335,3 @@ class Tracker:
         """[n] which of the background's `rows` [n] still live and stand: others have boarded a node since."""
         g = self._gaussians
         return g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))
-
-    def _poses(self, observed: Sequence[Observed]) -> Poses:
-        """The nodes, as they are now, at each view's own time."""
-        return self._motion.poses([one.offset_s for one in observed])
-
-    def _place(self, rows: Tensor, observed: Sequence[Observed], poses: Poses) -> Splats:
-        """Gaussians `rows` [n] at each view's own time."""
-        with torch.no_grad():
-            stamps = self._motion.stamps([one.offset_s for one in observed])
-            return self._motion.place(self._gaussians, rows, poses, stamps)
-
-    def _look(self, observed: Sequence[Observed], moving: Splats, before: Splats) -> list[Rendering]:
-        """What the views would see of the model with `moving` in it; beyond their active pixels the background."""
-        masks, backdrops = [one.active for one in observed], [one.background.backdrop for one in observed]
-        with torch.no_grad():
-            return render(join(before, moving), [one.view.camera for one in observed], masks, backdrops)
