@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
-from model_scenes import frames, rig, seen, sliding, table
+from model_scenes import block, frames, joined, rig, seen, sliding, table
 
 from twin_node.model import (
     MapParameters,
@@ -71,6 +72,26 @@ def test_a_scene_at_rest_is_learnt_better_and_then_stays_as_it_is_to_the_bit() -
     shown.append(shown_db(model, states[-1]))
     assert shown[-1] > shown[0] + 0.5
     assert np.array_equal(still(states[70]), still(states[-1]))
+
+
+def test_edges_of_what_stands_look_no_worse_for_depth_that_is_wrong_beside_them() -> None:
+    """As a stereo camera measures: what is near is a pixel wider than it is, and the image is noisy."""
+    rng, cameras = np.random.default_rng(0), rig(120, 90)
+    scene, model = joined(joined(table(), block(0.1)), block(-0.4, 0.3)), WindowModel()
+    for index in range(46):
+        clean = seen(index, scene, cameras, depth=True)
+        views = []
+        for view in clean.views:
+            assert view.depth is not None
+            rgb = (view.rgb + rng.normal(0, 2, view.rgb.shape)).clip(0, 255).astype(np.uint8)
+            views.append(replace(view, rgb=rgb, depth=cv2.erode(view.depth, np.ones((3, 3), np.uint8))))
+        model.update(replace(clean, views=tuple(views)))
+    for view in clean.views:
+        ours, frozen = (
+            psnr(squared_error(image, view.rgb / 255).mean())
+            for image in (model.render(view.camera).rgb, model.render_frozen(view.camera).rgb)
+        )
+        assert ours > frozen
 
 
 def test_refining_at_once_or_with_the_next_set_is_the_same() -> None:

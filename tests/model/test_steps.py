@@ -172,6 +172,15 @@ def test_static_gaussians_of_a_thing_that_left_are_told_from_the_rest(depth: boo
     assert evidence.left[~of_block].mean() < 0.03
 
 
+def test_what_is_behind_a_thing_that_left_leaves_with_it_where_depth_shows_the_ground() -> None:
+    static = joined(table(), block(-0.2))
+    observed = observe(static, 0.25, depth=True)
+    shown = look_at(joined(table(), block(0.25)))
+    of_block = static.means[0, :, 2].numpy() > 0.06
+    for judge in (judge_static, judge_static_plainly):
+        assert judge(observed, shown, THRESHOLD).left[of_block].mean() > 0.95
+
+
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 @pytest.mark.parametrize("depth", [False, True])
 def test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth: bool) -> None:

@@ -126,7 +126,7 @@ def judge_static_plainly(
         if one.nearest is not None:
             visible &= one.nearest[seen.rows, seen.columns] > (1 - SEEN_THROUGH) * seen.depth
             changed = np.zeros(count, bool)
-        proven |= visible & _seen_through(one, seen)
+        proven |= _seen_through(one, seen)  # through all that is drawn before it too
         shown += visible
         gone += visible & changed
         moving += visible & one.moving[seen.rows, seen.columns]

@@ -41,6 +41,7 @@ class Witness {
     const double depth = v_.depths[i], surface = v_.surface[at];
     const bool inside = v_.inside[i];
     if (inside && std::fabs(depth - surface) < rules_.occlusion * surface) out.on_surface = true;
+    out.proven |= sees_through(at, depth, inside);  // through all that is drawn before it too
     const double front = v_.shown[4 * at + 3];
     const bool covered = v_.active[at] && front > 0 && depth > (1 + rules_.occlusion) * front;
     if (!inside || depth > v_.far[at] * (1 + rules_.occlusion) || covered || !v_.usable[at]) return;
@@ -49,7 +50,6 @@ class Witness {
       if (!(v_.nearest[at] > (1 - rules_.seen_through) * depth)) return;
       changed = false;
     }
-    out.proven |= sees_through(at, depth, inside);
     out.shown++;
     out.gone += changed;
     out.moving += v_.moving[at];
