@@ -16,7 +16,7 @@ from twin_node.model.births import Births, find_births_plainly
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, judge_static_plainly, refuted_moving_plainly
+from twin_node.model.deaths import Shapes, are_needed, judge_static_plainly, refuted_moving_plainly
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
@@ -160,6 +160,13 @@ def test_what_reaches_in_from_beyond_the_edge_is_refuted_too() -> None:
     seeing = replace(seeing, background=replace(seeing.background, depth=np.full_like(seeing.background.depth, 9.0)))
     reaching = [refuted_moving([seeing], [balls(beyond, radius)], np.ones(1, bool)) for radius in (0.01, 0.05)]
     assert [bool(one[0]) for one in reaching] == [False, True]
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_what_alone_explains_what_depth_is_measured_of_is_needed(depth: bool) -> None:
+    observed = observe(table(), 0.1, depth)
+    points = np.array([[0.1, 0.0, 0.1], [-0.3, 0.2, 0.0], [9.0, 9.0, 9.0]])
+    assert are_needed(observed, [balls(points, 0.01)] * 3, THRESHOLD).tolist() == [depth, False, False]
 
 
 @pytest.mark.parametrize("depth", [False, True])

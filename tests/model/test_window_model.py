@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from model_scenes import BLOCK_SPEED, frames, rig, sliding
+from model_scenes import BLOCK_SPEED, block, frames, joined, rig, seen, sliding, table
 
-from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model import BirthParameters, ModelError, ModelParameters, SeedParameters, WindowModel
 from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.scene import Tier, TwinState
 
@@ -112,6 +112,24 @@ def test_states_hold_together(followed: tuple[WindowModel, list[TwinState]]) -> 
         assert (cloud.tiers[~carried] != Tier.RIGID).all()
         for values in (*vars(cloud).values(), *vars(nodes).values()):
             assert np.isfinite(values.astype(np.float64)).all()
+
+
+def test_what_no_node_carries_and_no_background_learns_is_drawn_in_every_set_where_depth_is_measured() -> None:
+    """A thing that changes its looks all the time."""
+    model = WindowModel(replace(QUICK, birth=BirthParameters(node_members=1_000)))
+    shown = []
+    for index in range(36):
+        thing = block(0.1)
+        thing = replace(thing, rgb=0.3 * thing.rgb + 0.35 + 0.3 * np.sin(index / 3))
+        now = seen(index, table() if index < 2 else joined(table(), thing), CAMERAS, depth=True)
+        state = model.update(now)
+        missed = [
+            squared_error(model.render(view.camera).rgb, view.rgb / 255)[mask].mean()
+            for view, mask in zip(now.views, state.moving_masks, strict=True)
+            if mask.any()
+        ]
+        shown.append(psnr(np.mean(missed)) if missed else np.inf)
+    assert min(shown[8:]) > 24
 
 
 def test_a_camera_may_go_and_come_back() -> None:

@@ -71,6 +71,20 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
     return refuted
 
 
+def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes], threshold: float) -> Bool:
+    """[n] which Gaussians lie where a view that measures depth shows what its background does not explain.
+
+    `shapes` holds them for each view. Of their place nothing is guessed there: without them there were a hole until
+    others are born.
+    """
+    needed = np.zeros(len(shapes[0].means), bool)
+    for one, shape in zip(observed, shapes, strict=True):
+        if one.view.depth is not None:
+            seen = look(one.view.camera, shape.means)
+            needed |= seen.inside & seen.within(one.surprise > threshold)
+    return needed
+
+
 def _half_axes(camera: Camera, shape: Shapes) -> Float64:
     """[2, 2, n] pixels: the long and the short half axis of 1 sigma, (u, v), of the ellipses that a camera sees."""
     R = camera.viewmat[:3, :3]

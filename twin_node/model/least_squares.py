@@ -33,9 +33,9 @@ must not outweigh what all others see."""
 FEWEST_PIXELS = 0.3
 """Blend weight, summed over pixels, under which a Gaussian is seen too little to be judged."""
 DEPTH_GAIN = 0.5
-"""What a relative error of depth counts in errors of colour. At edges, where what is measured is one of two surfaces or a
-pixel off, more of it spoils what the image shows; four times as much costs a simulated cell 0.6 dB of what stands, and
-depth is no better for it."""
+"""What a relative error of depth counts in errors of colour. At edges, where what is measured is one of two surfaces or
+a pixel off, more of it spoils what the image shows: four times as much costs a simulated cell 0.6 dB of what stands,
+and depth is no better for it."""
 NEAREST_M = 1e-3
 """Smallest depth that is divided by, m."""
 TOLERANCE = splat.Tolerance(OUTLIER, DEPTH_GAIN, NEAREST_M)

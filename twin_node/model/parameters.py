@@ -67,7 +67,8 @@ class BirthParameters:
     node_members: int = 8
     """Gaussians that a new node needs."""
     transient_s: float = 0.5
-    """Life of a TRANSIENT: by then a node carries what it stood for, or the background has learnt it."""
+    """Life of a TRANSIENT: by then a node carries what it stood for, or the background has learnt it. Where depth is
+    measured and that is not so, it has six lives."""
     stale_s: float = 0.15
     """The background is learnt anew where it has been wrong for this long and nothing moves."""
     carve_sets: int = 2

@@ -17,7 +17,7 @@ from twin_node.model.bodies import Bodies
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes
+from twin_node.model.deaths import Shapes, are_needed
 from twin_node.model.decisions import Decision
 from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.gaussians import MEAN, RGB, Gaussians
@@ -40,6 +40,8 @@ from twin_node.scene import Bool, FrameSet, Tier
 
 HURRIED = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
+NEEDED_LIVES = 6.0
+"""How many lives a TRANSIENT has while nothing else explains what depth is measured of it."""
 BRAKE, PICK_UP = 0.1, 1.5
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
@@ -277,12 +279,15 @@ class Tracker:
         quats, scales = splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy()  # none turns much between two views
         shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
         carriers = g.nodes.index_select(0, rows).cpu().numpy()
+        threshold = self._parameters.track.residual
         gone = refuted_moving(observed, shapes, carriers >= 0)
         gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
         refuted = g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)
-        born_before = self._nodes.stamp - round(self._parameters.birth.transient_s * 1e9)
+        age_s = (self._nodes.stamp - g.births.index_select(0, rows)).double().mul_(1e-9)
+        needed = torch.from_numpy(are_needed(observed, shapes, threshold)).to(rows.device)
+        life_s = self._parameters.birth.transient_s * torch.where(needed, NEEDED_LIVES, 1.0)
         passing = g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)
-        ends = refuted | (passing & (g.births.index_select(0, rows) < born_before))
+        ends = refuted | (passing & (age_s > life_s))
         g.retire(rows.index_select(0, rows_where(ends)))
         staying, learned = carriers[~ends.cpu().numpy()], self._nodes.learned_rows.numpy()
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)
