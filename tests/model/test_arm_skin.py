@@ -11,7 +11,7 @@ from twin_node.model import MapParameters, ModelParameters, SeedParameters, Wind
 from twin_node.model.rays import back_project, look
 from twin_node.model.robot_links import arm_depth
 from twin_node.model.stages import granted
-from twin_node.robot import robot_mask, ur_model
+from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
 from twin_node.scene import Bool, Float64, FrameSet, Tier
 
 ARM = ur_model("ur5e")
@@ -81,3 +81,34 @@ def test_a_set_that_is_left_after_the_arm_teaches_nothing_once_what_stands_is_an
     for index in range(24):
         model.update(chequered(index, Q + HALF_ROUND * index / 24)[0])
         model.refine(granted((2, 100)[index % 2]))
+
+
+def test_an_arm_that_no_camera_saw_at_first_is_learnt_when_it_comes_into_view() -> None:
+    above = camera("cam", (0.75, 0.3, 0.6), (0.7, 0.1, 0.0))
+    away, back = np.array([np.pi + 0.3, -1.2, 0.6, -1.6, -1.5, 0.0]), np.array([0.3, -0.9, 0.9, -1.6, -1.5, 0.0])
+    assert not robot_mask(ARM, away, above).any()
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=2)), arm=ARM)
+    for index in range(4):
+        one = with_joints(frames(index, None, (above,)), ARM.joint_names, back if index else away)
+        mask = robot_mask(ARM, back, above)
+        grey = np.where(mask[..., None], np.uint8(190), one.views[0].rgb)
+        cloud = model.update(replace(one, views=(replace(one.views[0], rgb=grey),)) if index else one).gaussians
+    assert (cloud.tiers == Tier.ROBOT).any()
+
+
+def test_what_is_learnt_of_the_arm_a_set_later_lies_where_the_arm_was_when_it_was_seen() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=2)), arm=ARM)
+    for index in range(3):
+        model.update(chequered(index, Q)[0])
+    known = model.update(chequered(3, Q + HALF_ROUND)[0]).gaussians.ids
+    model.refine(granted(1))  # of its share the part that is the arm's is left over, and the arm goes on
+    model.update(chequered(4, Q + 1.5 * HALF_ROUND)[0])
+    model.refine()
+    cloud = model.update(chequered(5, Q + 1.5 * HALF_ROUND)[0]).gaussians
+    learnt = cloud.only((cloud.tiers == Tier.ROBOT) & ~np.isin(cloud.ids, known))
+    assert len(learnt.ids) > 15
+    placed = place_capsules(ARM, forward_kinematics(ARM, Q + 1.5 * HALF_ROUND))
+    a, b = placed.ends[:, 0], placed.ends[:, 1]
+    share = np.clip(((learnt.means[:, None] - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(1), 0, 1)
+    apart = np.linalg.norm(learnt.means[:, None] - a - share[..., None] * (b - a), axis=-1) - placed.radii
+    assert apart.min(1).max() < 0.02

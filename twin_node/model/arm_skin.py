@@ -63,18 +63,23 @@ class ArmSkin:
     def refine(
         self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None]
     ) -> Generator[None]:
-        """Looks at the arm through one camera after another, one per set; `robots` are the arm's masks [H, W]."""
+        """Looks at the arm through one camera after another, one per set; `robots` are the arm's masks [H, W].
+
+        Called while the links are where the set shows them; what it returns may be gone on with once they are not.
+        """
         self._turn += 1
         index = self._turn % len(observed)
         one, mask = observed[index], robots[index]
+        return self._slices(one, mask, joints, self._motion.poses([one.offset_s]))
+
+    def _slices(self, one: Observed, mask: Bool | None, joints: JointSample, poses: Poses) -> Generator[None]:
+        """The work of a look through the camera of `one`, which saw the links at `poses`."""
         if mask is None:
             return
-        poses = self._motion.poses([one.offset_s])
         skin = self._skin(one, mask, joints)
         rows = self._gaussians.robot_rows
         with torch.no_grad():
-            stamps = self._motion.stamps([one.offset_s])
-            placed = self._motion.place(self._gaussians, rows, poses, stamps)
+            placed = self._motion.place(self._gaussians, rows, poses, [one.view.stamp])
             shown = render(placed, [one.view.camera], [mask])[0]
         yield
         self._recolour(one, rows, placed, shown, skin)
@@ -132,7 +137,8 @@ class ArmSkin:
         rays = skin.points[worst] - one.view.camera.T_base_cam[:3, 3]
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         points = skin.points[worst] + rays * radii[:, None]
-        lonely = torch.cdist(torch.from_numpy(points), placed.means[0].cpu().double()).amin(1).numpy() > radii
+        apart = torch.cdist(torch.from_numpy(points), placed.means[0].cpu().double()).numpy()
+        lonely = apart.min(1, initial=np.inf) > radii  # nothing is near where the arm has no Gaussians yet
         if lonely.any():
             born = self._newborns(one, skin, worst[lonely], points[lonely], radii[lonely], poses)
             self._gaussians.spawn(born, one.view.stamp)

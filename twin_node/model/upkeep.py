@@ -78,11 +78,14 @@ class Upkeep:
         if not steps:
             return
         learning = self._mapper.refine(seen.observed, seen.stamp, steps)
+        skinning: Generator[None] | None = None
+        if self._skin is not None and seen.joints is not None:
+            skinning = self._skin.refine(seen.observed, seen.joints, seen.robots)
         for _ in range(2):
             next(learning, None)
             yield
-        if self._skin is not None and seen.joints is not None:
-            yield from self._skin.refine(seen.observed, seen.joints, seen.robots)
+        if skinning is not None:
+            yield from skinning
             yield
         yield from learning
 
