@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from model_scenes import camera, frames, with_joints
 
-from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
 from twin_node.model.robot_links import arm_depth
 from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
 from twin_node.scene import Float64, FrameSet, Tier
@@ -46,6 +46,23 @@ def test_robot_gaussians_move_with_the_joints_and_are_no_nodes_to_forecast() -> 
     assert (~base).sum() > 20
     assert np.allclose(after[~base], before[~base] @ R.T, atol=1e-3)
     assert np.linalg.norm(second.gaussians.velocities[second.gaussians.tiers == Tier.ROBOT], axis=1).max() > 0.5
+
+
+def test_the_arm_is_as_fast_as_its_joints_turn_and_stands_while_nobody_tells_of_them() -> None:
+    parameters = ModelParameters(seed=SeedParameters(steps=2), gaussians_per_pixel=0.2, map=MapParameters(steps=0))
+    model, told = WindowModel(parameters, arm=ARM), []
+    for index in range(8):
+        bare = frames(index, None, CAMERAS)
+        known = with_joints(bare, ARM.joint_names, Q + np.array([0.033 * index, 0, 0, 0, 0, 0]))
+        cloud = model.update(bare if index in (4, 5) else known).gaussians
+        told.append(cloud.only(cloud.tiers == Tier.ROBOT))
+    for index in (1, 2, 3, 6, 7):
+        about_z = np.cross([0.0, 0.0, 1.0], told[index].means)
+        turning = np.linalg.norm(about_z, axis=1) > 0.15  # not the base
+        assert np.linalg.norm(told[index].velocities - about_z, axis=1)[turning].max() < 0.04  # a mean over the step
+    for index in (4, 5):
+        assert (told[index].velocities == 0).all()
+        assert np.array_equal(told[index].means, told[3].means)
 
 
 def test_the_arm_is_left_out_of_the_masks() -> None:

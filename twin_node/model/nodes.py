@@ -103,9 +103,13 @@ class Nodes:
         self.alive[rows] = False
 
     def predict(self, stamp: int, damping: float) -> None:
-        """Moves all poses on to `stamp` (ns) at constant velocity; velocities keep `damping` of themselves."""
-        ahead = self.extrapolated([(stamp - self.stamp) * 1e-9])
-        self.positions, self.quats = ahead.positions[0], ahead.quats[0]
+        """Moves poses on to `stamp` (ns) at constant velocity; velocities keep `damping` of themselves.
+
+        The arm's links stay where they are: where its joints have taken them is for `drive` to say.
+        """
+        ahead, driven = self.extrapolated([(stamp - self.stamp) * 1e-9]), (self.tiers == int(Tier.ROBOT))[:, None]
+        self.positions = torch.where(driven, self.positions, ahead.positions[0])
+        self.quats = torch.where(driven, self.quats, ahead.quats[0])
         self.velocities = self.velocities * damping
         self.angular_velocities = self.angular_velocities * damping
         self.stamp = stamp
@@ -130,7 +134,7 @@ class Nodes:
         self.angular_velocities.index_copy_(0, rows, torch.from_numpy(_limited(turns, MAX_TURN)))
 
     def drive(self, rows: Tensor, positions: Tensor, quats: Tensor, dt_s: float) -> None:
-        """Sets poses that are known (arm links) and derives their velocities from the step of `dt_s`."""
+        """Sets poses that are known (arm links) and derives their velocities from the step of `dt_s` that led there."""
         if dt_s > 0:
             self.velocities[rows] = (positions - self.positions[rows]) / dt_s
             turn = vector_from_quat(quat_product(quats, conjugate(self.quats[rows])))

@@ -34,13 +34,24 @@ class RobotLinks:
         still = torch.zeros(3, dtype=torch.float64)
         born = [nodes.give_birth(torch.from_numpy(poses[j, :3, 3].copy()), still, Tier.ROBOT) for j in self._links]
         self._rows = torch.tensor(born)
+        self._unknown_s = 0.0
+        """Time since joints were told last, s."""
         self.drive(joints, 0.0)
 
-    def drive(self, joints: JointSample, dt_s: float) -> None:
-        """Puts the links where the joints say, `dt_s` after the last time (0: at once, without a speed)."""
+    def drive(self, joints: JointSample | None, dt_s: float) -> None:
+        """Puts the links where the joints say, `dt_s` after the last call (0: at once, without a speed).
+
+        Where nobody tells of the joints the links stand still, where they were last.
+        """
+        elapsed_s = self._unknown_s + dt_s
+        self._unknown_s = elapsed_s if joints is None else 0.0
+        if joints is None:
+            still = np.zeros((len(self._rows), 3))
+            self._nodes.set_velocities(self._rows, still, still)
+            return
         poses = forward_kinematics(self._arm, self._arm.ordered_positions(joints))[self._links]
         quats = torch.from_numpy(quat_from_rotation(poses[:, :3, :3]))
-        self._nodes.drive(self._rows, torch.from_numpy(poses[:, :3, 3].copy()), quats, dt_s)
+        self._nodes.drive(self._rows, torch.from_numpy(poses[:, :3, 3].copy()), quats, elapsed_s)
 
     def nearest(self, joints: JointSample, points: Float64) -> NDArray[np.int64]:
         """[n] rows of the nodes of the links on or in whose capsules points [n, 3] lie, -1 where they lie on none."""

@@ -133,7 +133,7 @@ class Tracker:
         on_stage("observe")
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
         self._motion.slide(frames.stamp)
-        if self._links is not None and frames.joints is not None:
+        if self._links is not None:
             self._links.drive(frames.joints, dt_s)
         aligned = self._align(observed, dt_s)
         on_stage("align")
