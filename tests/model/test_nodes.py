@@ -111,6 +111,19 @@ def test_the_past_of_a_row_stays_with_the_node_that_had_it_then() -> None:
     assert between.positions[0, 0].tolist() == pytest.approx([5.0, 5.0, 5.0])
 
 
+def test_what_begins_after_a_set_moves_from_there_and_leaves_what_the_set_has_shown() -> None:
+    nodes = moving_nodes(1.0)
+    nodes.retire(torch.tensor([0]))
+    origin = torch.zeros(3, dtype=torch.float64)
+    assert nodes.give_birth(origin + 5, origin + 2) == 0
+    nodes.begin()
+    newest = 1000 + 6 * TICK_NS
+    for stamp in (newest, newest + TICK_NS):
+        assert nodes.poses_at(stamp).positions[0, 0].tolist() == pytest.approx([0.198, 0, 0])
+    nodes.predict(newest + TICK_NS, 1.0)
+    assert nodes.moved[0].tolist() == pytest.approx([0.066] * 3 + [0.0] * 3)
+
+
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 def test_compiled_poses_are_those_in_torch() -> None:
     draw = torch.Generator().manual_seed(3)

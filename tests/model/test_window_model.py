@@ -182,6 +182,37 @@ def test_a_past_stamp_shows_what_has_died_since_as_well_as_it_was_shown_live() -
             assert np.abs(again - shown).max() < 1e-3
 
 
+def test_a_set_looks_as_it_did_whatever_is_made_of_it_afterwards() -> None:
+    cameras, decided = rig(64, 48), 0
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=2, levels=24), gaussians_per_pixel=0.3))
+    for index in range(20):
+        scene = table()
+        if index > 3:
+            scene = joined(joined(scene, block(0.02 * index - 0.4, -0.25)), block(0.3 - 0.015 * index, 0.3))
+        if index > 8:
+            scene = joined(scene, block(0.3, 0.02 * index - 0.56))
+        one = seen(index, scene, cameras)
+        model.update(one)
+        decided += len(model.decisions)
+        before = [model.render(camera).rgb for camera in cameras]
+        model.refine()  # nodes end, and others take their rows
+        after = [model.render(camera).rgb for camera in cameras]
+        assert max(np.abs(a - b).max() for a, b in zip(before, after, strict=True)) < 1e-3
+    assert decided > 5
+
+
+def test_of_two_sets_with_one_stamp_the_later_is_shown() -> None:
+    model = WindowModel(QUICK)
+    for one in sliding(8, CAMERAS, depth=True):
+        model.update(one)
+    again = frames(12, -0.15 + 10 * BLOCK_SPEED * 0.033, CAMERAS, depth=True)
+    views = tuple(replace(view, stamp=one.stamp) for view in again.views)
+    model.update(replace(one, views=views))
+    assert model._past is not None
+    kept, rows = model._past.at(one.stamp, model._nodes).population, torch.nonzero(model._gaussians.alive)[:, 0]
+    assert torch.equal(kept.values, model._gaussians.values[rows])
+
+
 def test_a_non_finite_gaussian_is_set_back_and_reported() -> None:
     model = WindowModel(QUICK)
     for one in sliding(8, CAMERAS, depth=True):

@@ -56,6 +56,7 @@ class Nodes:
         self._history_positions = torch.zeros(window, capacity, 3, dtype=torch.float64)
         self._history_quats = torch.zeros(window, capacity, 4, dtype=torch.float64)
         self._slot = -1
+        self._begun_positions, self._begun_quats = self.positions.clone(), self.quats.clone()
         self._next_id = 0
         self._learned, self._learned_version = torch.zeros(0, dtype=torch.int64), (-1, -1)
 
@@ -154,34 +155,48 @@ class Nodes:
             (self._history_quats, self.quats),
         ):
             past.numpy()[self._slot] = now.numpy()
+        self.begin()
+
+    def begin(self) -> None:
+        """From now on `moved` tells how far nodes come from their present poses, those too that were born after a set.
+
+        What a set has shown is not touched: its nodes may have ended since, and others have taken their rows.
+        """
+        self._begun_positions.copy_(self.positions)
+        self._begun_quats.copy_(self.quats)
 
     @property
     def moved(self) -> Tensor:
-        """[M, 6] m and rad (in `base_link`) from the poses remembered last to the present ones."""
+        """[M, 6] m and rad (in `base_link`) from the poses at which nodes began to the present ones."""
         library = kernels()
         if library is None:
             return self.moved_plainly()
         moved = torch.empty(self.capacity, 6, dtype=torch.float64)
-        then = (self._history_positions[self._slot], self._history_quats[self._slot])
-        held = [t.contiguous() for t in (self.positions, self.quats, *then)]
+        held = [t.contiguous() for t in (self.positions, self.quats, self._begun_positions, self._begun_quats)]
         library.moved(MovedRequest(self.capacity, *(t.data_ptr() for t in (*held, moved))))
         return moved
 
     def moved_plainly(self) -> Tensor:
         """The same in torch: the reference of the compiled kernel."""
-        turn = vector_from_quat(quat_product(self.quats, conjugate(self._history_quats[self._slot])))
-        return torch.cat([self.positions - self._history_positions[self._slot], turn], 1)
+        turn = vector_from_quat(quat_product(self.quats, conjugate(self._begun_quats)))
+        return torch.cat([self.positions - self._begun_positions, turn], 1)
 
     def poses_at(self, stamp: int) -> Poses:
         """Poses of one time, `stamp` (ns): interpolated inside the window, at constant velocity after its newest end.
 
-        Before the window they are its oldest. A row that has changed hands between two sets has the newer node's pose.
+        Before the window they are its oldest. A row that has changed hands between two sets has the newer node's pose,
+        one that has done so since the newest set that node's at this set.
         """
         known = torch.nonzero(self.history_stamps >= 0)[:, 0]
         order = known[self.history_stamps[known].argsort()]
         older, newer = order[self.history_stamps[order] <= stamp], order[self.history_stamps[order] >= stamp]
         if not len(newer):
-            return self.extrapolated([(stamp - self.stamp) * 1e-9])
+            ahead, last = self.extrapolated([(stamp - self.stamp) * 1e-9]), order[-1]
+            same = (self._history_ids[last] == self.ids)[:, None]
+            return Poses(
+                torch.where(same, ahead.positions, self._history_positions[last]),
+                torch.where(same, ahead.quats, self._history_quats[last]),
+            )
         b = newer[0]
         a = older[-1] if len(older) else b
         span = float(self.history_stamps[b] - self.history_stamps[a])

@@ -40,8 +40,10 @@ class Past:
         self._slot = -1
 
     def remember(self, gaussians: Gaussians, nodes: Nodes) -> None:
-        """Writes what lives at the nodes' stamp over the oldest set of the window."""
-        slot = self._slot = (self._slot + 1) % len(self._stamps)
+        """Writes what lives at the nodes' stamp over the oldest set of the window, or over that of the same stamp."""
+        if self._stamps[self._slot] != nodes.stamp:
+            self._slot = (self._slot + 1) % len(self._stamps)
+        slot = self._slot
         self._stamps[slot] = nodes.stamp
         self._values[slot] = gaussians.values
         self._alive[slot] = gaussians.alive

@@ -176,7 +176,7 @@ class Tracker:
                 self._prune(due)
                 self._upkeep.learn(granted(1))
             self._born = self._bear(due.seen.observed, due.renderings)
-            self._nodes.remember()
+            self._nodes.begin()
             on_stage("bear")
         if self._hurried < 2:
             return self._upkeep.go_on(proceed) and not self._hurried
