@@ -151,3 +151,19 @@ def test_a_body_that_is_hidden_whole_stays_until_some_of_it_shows() -> None:
     held.values[len(bodies) - 1, 2] += 0.6  # above the table
     look_around(watched, held, MOVING_ROUNDS)
     assert held.alive[-90:-50].tolist() == [False] * 39 + [True]
+
+
+def test_what_takes_the_row_of_one_that_has_not_shown_for_long_begins_anew() -> None:
+    held = moving(with_hidden(10), torch.zeros(len(table().scales) + 10, dtype=torch.int64))
+    watched = MovingPruner(held)
+    look_around(watched, held, MOVING_ROUNDS - 1)
+    hidden = held.moving_rows[-10:]
+    held.retire(hidden)  # between two rounds
+    born = held.claim(10)
+    assert torch.equal(born.rows, hidden)
+    held.ids[hidden] = born.first_id + torch.arange(10)
+    held.nodes[hidden] = 0
+    look_around(watched, held, MOVING_ROUNDS - 1)
+    assert bool(held.alive[hidden].all())
+    look_around(watched, held, 1)
+    assert not bool(held.alive[hidden].any())

@@ -43,7 +43,9 @@ class Unseen:
         """Which of `cameras` to look through next; None: the round waits for one that is away."""
         if not self._waiting:
             self._waiting = list(self._known)
-            self._since = torch.where(self._gaussians.alive, self._gaussians.ids, -1)
+            since = torch.where(self._gaussians.alive, self._gaussians.ids, -1)
+            self._rounds *= since == self._since  # of who has another's row nothing has been counted
+            self._since = since
             self._most.zero_()
         return next((i for i, camera in enumerate(cameras) if camera.name in self._waiting), None)
 
