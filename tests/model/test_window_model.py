@@ -213,6 +213,26 @@ def test_of_two_sets_with_one_stamp_the_later_is_shown() -> None:
     assert torch.equal(kept.values, model._gaussians.values[rows])
 
 
+def test_who_takes_the_row_of_one_that_stood_is_not_taken_for_it() -> None:
+    model = WindowModel(replace(QUICK, map=replace(QUICK.map, steps=0)))
+    for index in range(4):
+        model.update(frames(index, -0.15, CAMERAS, depth=True))
+    model.refine()
+    gaussians = model._gaussians
+    own = gaussians.means[gaussians.static_rows]
+    on_block = (own[:, 2] > 0.03) & ((own[:, :2] - torch.tensor([-0.15, 0.0])).abs() < 0.1).all(1)
+    rows = gaussians.static_rows[on_block]
+    gaussians.retire(rows)
+    born = gaussians.claim(len(rows)).rows
+    assert torch.equal(born, rows)
+    gaussians.ids[rows] += 100_000
+    gaussians.values[rows, 0] += 0.5
+    for index in range(4, 6):  # the backgrounds have not been found anew by then
+        model.update(frames(index, -0.15 + 0.02 * (index - 3), CAMERAS, depth=True))
+    assert len(rows) > 30
+    assert (gaussians.tiers[rows] == int(Tier.STATIC)).all()
+
+
 def test_a_non_finite_gaussian_is_set_back_and_reported() -> None:
     model = WindowModel(QUICK)
     for one in sliding(8, CAMERAS, depth=True):

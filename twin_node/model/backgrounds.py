@@ -19,7 +19,7 @@ from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.rays import Seen, look, pixel_rays
 from twin_node.model.sweep import Shell
-from twin_node.scene import Bool, Camera, Float32, Float64
+from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 from twin_node.splat.points import find_pixels, has_points
 
 OCCLUSION = 0.03
@@ -102,6 +102,8 @@ class Backgrounds:
         self._begun: tuple[str, Begun[_Shown]] | None = None
         """What another thread draws for the next set, and the name of its camera."""
         self.rows = torch.zeros(0, dtype=torch.int64)
+        self._ids = torch.zeros(0, dtype=torch.int64)
+        """[capacity] id of who stood in each row when they were found last, -1 for nobody."""
 
     @property
     def are_outdated(self) -> bool:
@@ -117,6 +119,15 @@ class Backgrounds:
         """Whether `background` tells where the present `rows` fall."""
         known = self._known.get(background.camera.name)
         return known is not None and known.static is background.static
+
+    def stand(self, gaussians: Gaussians, rows: Tensor) -> Tensor:
+        """[n] which of `rows` [n], of those found last, still live and stand.
+
+        Others have boarded a node since, or died: what has taken such a row stands elsewhere than the images say.
+        """
+        g = gaussians
+        alive, tiers, ids, then = (of.index_select(0, rows) for of in (g.alive, g.tiers, g.ids, self._ids))
+        return alive & (tiers == int(Tier.STATIC)) & (ids == then)
 
     def mark(self) -> None:
         """The STATIC Gaussians have changed: from the next refresh on they are looked for and rendered anew."""
@@ -169,6 +180,7 @@ class Backgrounds:
     def _survey(self, gaussians: Gaussians, cameras: Sequence[Camera], shown: Mapping[str, _Shown]) -> None:
         """Finds the STATIC Gaussians in the images, whose backgrounds look as `shown`; absent cameras are forgotten."""
         rows = self.rows = gaussians.static_rows
+        self._ids = torch.full_like(gaussians.ids, -1).index_copy_(0, rows, gaussians.ids.index_select(0, rows))
         values = gaussians.values.index_select(0, rows)
         means = values[:, MEAN].cpu().double().numpy()
         reach = 3 * values[:, LOG_SCALE].amax(-1).exp().cpu().numpy()

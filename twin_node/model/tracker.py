@@ -209,7 +209,7 @@ class Tracker:
         These at once: who waits must catch up with more.
         """
         g, evidence = self._gaussians, judge_static(observed, renderings, self._parameters.track.residual)
-        standing = rows_where(self._stand(self._backgrounds.rows))
+        standing = rows_where(self._backgrounds.stand(g, self._backgrounds.rows))
         rows = self._backgrounds.rows.index_select(0, standing)
         told = (torch.from_numpy(of).to(rows.device) for of in (evidence.left, evidence.moving))
         left, moving = (of.index_select(0, standing) for of in told)
@@ -334,9 +334,4 @@ class Tracker:
 
     def _standing(self, rows: Tensor) -> Tensor:
         """Those of the background's `rows` [n] that still stand."""
-        return rows.index_select(0, rows_where(self._stand(rows)))
-
-    def _stand(self, rows: Tensor) -> Tensor:
-        """[n] which of the background's `rows` [n] still live and stand: others have boarded a node since."""
-        g = self._gaussians
-        return g.alive.index_select(0, rows) & (g.tiers.index_select(0, rows) == int(Tier.STATIC))
+        return rows.index_select(0, rows_where(self._backgrounds.stand(self._gaussians, rows)))
