@@ -20,7 +20,7 @@ from twin_node.model.merge_split import LOOKS, MERGE, SPLIT, Merge, MergeSplit, 
 from twin_node.model.nodes import Nodes
 from twin_node.model.parts import halves_of
 from twin_node.model.passing import Passing
-from twin_node.model.regrouping import Carried
+from twin_node.model.regrouping import Carried, regroup
 from twin_node.model.rendering import Splats, render
 from twin_node.model.resting import Resting
 from twin_node.model.rotations import quat_from_vector, quat_product, rotate
@@ -225,6 +225,35 @@ def test_nothing_is_decided_about_nodes_and_gaussians_that_have_gone_since() -> 
     assert not carried.are_there(nodes, kept, ended)
     assert nodes.give_birth(place, place) == ended
     assert not carried.are_there(nodes, kept, ended), "another one has its row"
+
+
+@pytest.mark.parametrize("staying", [[], [7], [0]])
+def test_what_parts_takes_no_founder_along_that_stays_with_the_node(
+    staying: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Cells are told apart by founder and place: were a founder of two nodes, cells of both could be taken for one.
+    nodes, place = Nodes(4, 4), torch.zeros(3, dtype=torch.float64)
+    node = nodes.give_birth(place, place)
+    gaussians = Gaussians(4 + len(staying), torch.device("cpu"))
+    gaussians.alive[:] = True
+    gaussians.nodes[:] = node
+    gaussians.tiers[:] = int(Tier.RIGID)
+    gaussians.values[:, 0] = torch.tensor([0.0, 0.06, 0.12, 0.18, *[0.2] * len(staying)])
+    gaussians.founders[:4] = torch.tensor([int(nodes.ids[node]) + 9, int(nodes.ids[node]) + 9, 7, int(nodes.ids[node])])
+    gaussians.founders[4:] = torch.tensor(staying, dtype=torch.int64)  # housed since the set told of the others' motion
+    cells = replace(row_of(4, [node] * 4), founders=gaussians.founders[:4].numpy().copy())
+    carried = Carried(torch.arange(4), cells, nodes.ids.clone())
+    merge_split, leaving = MergeSplit(), np.array([False, False, True, True])
+    merge_split.accumulate(cells, told(np.zeros((4, 6)), cells.centres, 0), DT_S)
+    split = Split(node, leaving, LogEvidence(0.0, 20.0, 0.0, 1.0))
+    monkeypatch.setattr(merge_split, "decide", lambda *_: [split])
+    assert [one.kind for one in regroup(gaussians, carried, nodes, merge_split, 0.1)] == [Kind.SPLIT]
+    begun = int(gaussians.nodes[3])
+    assert gaussians.nodes.tolist() == [node, node, begun, begun] + [node] * len(staying)
+    of = [set(gaussians.founders[gaussians.nodes == row].tolist()) for row in (node, begun)]
+    assert not of[0] & of[1]
+    assert int(nodes.ids[node]) not in of[1], "whom it takes in from now on has it as founder"
+    assert (int(gaussians.founders[2]) == 7) != (7 in staying)
 
 
 def assert_reasoned(decisions: list[Decision]) -> None:

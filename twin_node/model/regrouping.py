@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -78,9 +77,9 @@ def _split(gaussians: Gaussians, carried: Carried, nodes: Nodes, merge_split: Me
     begun = nodes.give_birth(place, nodes.velocities[one.node])
     nodes.quats[begun] = nodes.quats[one.node]
     gaussians.transfer(leavers, torch.full((len(leavers),), begun), nodes)
-    divided = torch.from_numpy(np.intersect1d(cells.founders[one.leaving], cells.founders[staying]))
-    of_both = leavers[torch.isin(gaussians.founders[leavers], divided.to(leavers.device))]
-    gaussians.founders[of_both] = int(nodes.ids[begun])
+    stayed = gaussians.founders[rows_where(gaussians.alive & (gaussians.nodes == one.node))]
+    kept = torch.cat([stayed, nodes.ids[one.node : one.node + 1].to(stayed.device)])  # by the node: none has two
+    gaussians.founders[leavers[torch.isin(gaussians.founders[leavers], kept)]] = int(nodes.ids[begun])
     for node, part in ((one.node, staying), (begun, one.leaving)):
         velocity = torch.from_numpy(merge_split.velocity_of(part, nodes.positions[node].numpy()))
         nodes.velocities[node], nodes.angular_velocities[node] = velocity[:3], velocity[3:]
