@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ def test_sets_come_back_as_they_went_in() -> None:
     assert [[view.camera.name for view in one.views] for one in again] == [["cam0", "cam1", "cam2"]] * 5
 
 
-def test_cameras_of_other_times_stay_together_by_count() -> None:
+def test_cameras_of_other_times_stay_together() -> None:
     skewed = [
         replace(one, views=tuple(replace(v, stamp=v.stamp + 4_000_000 * i) for i, v in enumerate(one.views)))
         for one in sliding(4, rig(40, 30), still=0)
@@ -32,6 +33,15 @@ def test_cameras_of_other_times_stay_together_by_count() -> None:
     assert recording.steps == 4
     assert [len(one.views) for one in recording.sets()] == [3] * 4
     assert [one.stamp for one in recording.sets()] == [max(v.stamp for v in one.views) for one in skewed]
+
+
+@pytest.mark.parametrize("missing", [lambda index: index % 2, lambda index: index < 3, lambda index: index in (2, 5)])
+def test_sets_that_miss_a_camera_come_back_with_the_images_of_their_own_time(missing: Callable[[int], bool]) -> None:
+    whole = sliding(8, rig(40, 30), still=0)
+    sets = [replace(one, views=one.views[: 2 if missing(index) else 3]) for index, one in enumerate(whole)]
+    again = recording_of("block", sets).sets()
+    assert [one.stamp for one in again] == [one.stamp for one in sets]
+    assert [[view.stamp for view in one.views] for one in again] == [[v.stamp for v in one.views] for one in sets]
 
 
 def test_held_out_cameras_are_not_trained_on() -> None:

@@ -62,7 +62,7 @@ class Recording:
 
     @property
     def steps(self) -> int:
-        """Time steps: the images of the camera that has most; the distinct times where the camera moves."""
+        """Time steps: how many sets the images make; the distinct times where the camera moves."""
         return len(self._by_step())
 
     @property
@@ -76,7 +76,8 @@ class Recording:
         return EXTENT_MARGIN * (reach if reach > ONE_PLACE * distance else distance)
 
     def sets(self) -> list[FrameSet]:
-        """The training images as sets: each camera's n-th image belongs to the n-th set; to its time's, if it moves."""
+        """The training images as sets, in rising order of stamps: each has one image of a camera at most, and begins
+        where one camera has its next; a set per time, if the camera moves."""
         steps = enumerate(self._by_step())
         return [FrameSet(max(view.stamp for view in views), tuple(views), sequence=i) for i, views in steps]
 
@@ -90,12 +91,13 @@ class Recording:
         if self.camera_moves:
             return [list(views) for _, views in itertools.groupby(self.train, lambda view: view.stamp)]
         steps: list[list[View]] = []
-        counts: dict[str, int] = {}
+        shown: set[str] = set()
         for view in self.train:
-            index = counts[view.camera.name] = counts.get(view.camera.name, -1) + 1
-            if index == len(steps):
+            if not steps or view.camera.name in shown:
                 steps.append([])
-            steps[index].append(view)
+                shown.clear()
+            steps[-1].append(view)
+            shown.add(view.camera.name)
         return steps
 
 
