@@ -22,7 +22,7 @@ class StaticParameters:
     """What counts as standing, and how often it is looked at again."""
 
     opacity: float = 0.5
-    """A STATIC Gaussian at least this opaque occupies the voxels within one standard deviation of its centre."""
+    """A STATIC Gaussian at least this opaque occupies the voxel that its centre is in."""
     period_ns: int = 500_000_000
     """Each camera is looked at anew this often, one after the other: what stands does not change faster."""
 
@@ -66,7 +66,7 @@ class StaticSpace:
             mark(self.grid, self._surfaces, view, still)
 
     def _gaussian_voxels(self, state: TwinState) -> NDArray[np.int64]:
-        """Voxels within one standard deviation of the opaque STATIC Gaussians."""
+        """Voxels that the centres of the opaque STATIC Gaussians are in; none of what is much larger than a voxel."""
         cloud = state.gaussians
         chosen = (cloud.tiers == Tier.STATIC) & (cloud.opacities >= self.parameters.opacity)
         largest = functools.reduce(np.maximum, cloud.scales.T)  # column by column: rows of three take NumPy long
