@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from model_scenes import camera, frames, with_joints
 
-from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.robot_links import arm_depth
+from twin_node.model import MapParameters, ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.robot_links import arm_depth, links_of
 from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
 from twin_node.scene import Float64, FrameSet, Tier
 
@@ -63,6 +64,34 @@ def test_the_arm_is_as_fast_as_its_joints_turn_and_stands_while_nobody_tells_of_
     for index in (4, 5):
         assert (told[index].velocities == 0).all()
         assert np.array_equal(told[index].means, told[3].means)
+
+
+def test_an_arm_whose_joints_are_told_later_goes_with_them_from_then_on() -> None:
+    parameters = ModelParameters(seed=SeedParameters(steps=8), gaussians_per_pixel=0.5)
+    models = [WindowModel(parameters, arm=ARM) for _ in range(2)]
+    for index in range(8):
+        known = with_arm(index, Q + np.array([0.2 * max(index - 3, 0), 0, 0, 0, 0, 0]))
+        always = models[0].update(known).gaussians
+        late = models[1].update(replace(known, joints=None) if index < 2 else known).gaussians
+        count = int((late.tiers == Tier.ROBOT).sum())
+        assert (count > 0.8 * (always.tiers == Tier.ROBOT).sum()) == (index >= 2)
+        assert index > 2 or np.allclose(late.velocities[late.tiers == Tier.ROBOT], 0, atol=1e-9)
+    view = known.views[0]
+    on_arm = robot_mask(ARM, Q + np.array([0.8, 0, 0, 0, 0, 0]), view.camera, margin_m=0.0)
+    missed = [np.abs(m.render(view.camera).rgb - view.rgb / np.float32(255)).mean(-1)[on_arm].mean() for m in models]
+    assert missed[1] < 1.2 * missed[0]
+
+
+def test_an_arm_waits_for_nodes_and_is_never_given_too_few() -> None:
+    few = ModelParameters(seed=SeedParameters(steps=2), gaussians_per_pixel=0.2, nodes=len(links_of(ARM)))
+    with pytest.raises(ModelError, match="one for each link"):
+        WindowModel(replace(few, nodes=few.nodes - 1), arm=ARM)
+    model, place = WindowModel(few, arm=ARM), torch.zeros(3, dtype=torch.float64)
+    model.update(replace(with_arm(0, Q), joints=None))
+    taken = model._nodes.give_birth(place, place)
+    assert not (model.update(with_arm(1, Q)).gaussians.tiers == Tier.ROBOT).any()
+    model._nodes.retire(torch.tensor([taken]))
+    assert (model.update(with_arm(2, Q)).gaussians.tiers == Tier.ROBOT).any()
 
 
 def test_the_arm_is_left_out_of_the_masks() -> None:

@@ -78,9 +78,9 @@ class Nodes:
         return self._learned
 
     @property
-    def free(self) -> bool:
-        """Whether another node can be born."""
-        return not bool(self.alive.all())
+    def free(self) -> int:
+        """How many more nodes can be born."""
+        return self.capacity - int(self.alive.count_nonzero())
 
     def give_birth(self, position: Tensor, velocity: Tensor, tier: Tier = Tier.RIGID) -> int:
         """A node at `position` [3] with axes of `base_link` and `velocity` [3] m/s; returns its row."""

@@ -30,7 +30,7 @@ class RobotLinks:
         self._arm = arm
         self._nodes = nodes
         poses = forward_kinematics(arm, arm.ordered_positions(joints))
-        self._links = np.unique(arm.capsules.links)
+        self._links = links_of(arm)
         still = torch.zeros(3, dtype=torch.float64)
         born = [nodes.give_birth(torch.from_numpy(poses[j, :3, 3].copy()), still, Tier.ROBOT) for j in self._links]
         self._rows = torch.tensor(born)
@@ -81,6 +81,11 @@ class RobotLinks:
         link = placed.links[distance.argmin(1)]
         carrier = self._rows[torch.from_numpy(np.searchsorted(self._links, link[own]))]
         gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes)
+
+
+def links_of(arm: ArmModel) -> NDArray[np.int64]:
+    """[L] the links of an arm that have a shape, each of which takes a node."""
+    return np.unique(arm.capsules.links)
 
 
 def arm_depth(arm: ArmModel, q: Float64, camera: Camera, mask: Bool) -> Float32:

@@ -91,7 +91,6 @@ class Tracker:
         gaussians: Gaussians,
         motion: Motion,
         backgrounds: Backgrounds,
-        links: RobotLinks | None,
     ) -> None:
         self._parameters = parameters
         self._gaussians = gaussians
@@ -99,9 +98,8 @@ class Tracker:
         self._nodes = motion.nodes
         self._backgrounds = backgrounds
         self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
-        self._links = links
-        skin = None if links is None else ArmSkin(links, gaussians, motion)
-        self._upkeep = Upkeep(parameters, gaussians, backgrounds, skin)
+        self._links: RobotLinks | None = None
+        self._upkeep = Upkeep(parameters, gaussians, backgrounds)
         self._bodies = Bodies(gaussians, motion.nodes)
         self._resting = Resting(gaussians, motion.nodes, backgrounds)
         self._pruner = MovingPruner(gaussians)
@@ -115,6 +113,17 @@ class Tracker:
         """A set that has been tracked and that nothing else has been made of yet."""
         self._hurried = 0
         """Sets in a row after which there was no time."""
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether it follows an arm."""
+        return self._links is not None
+
+    def follow_arm(self, links: RobotLinks) -> None:
+        """From the next set on the arm is where the joints say; what is bound to `links` stands no longer."""
+        self._links = links
+        self._upkeep.skin = ArmSkin(links, self._gaussians, self._motion)
+        self._backgrounds.renew()
 
     def track(
         self,

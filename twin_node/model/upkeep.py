@@ -31,13 +31,12 @@ class Seen:
 class Upkeep:
     """Work that can be let be after any slice of it and gone on with after a later set."""
 
-    def __init__(
-        self, parameters: ModelParameters, gaussians: Gaussians, backgrounds: Backgrounds, skin: ArmSkin | None
-    ) -> None:
+    def __init__(self, parameters: ModelParameters, gaussians: Gaussians, backgrounds: Backgrounds) -> None:
         self._steps = parameters.map.steps
         self._gaussians = gaussians
         self._backgrounds = backgrounds
-        self._skin = skin
+        self.skin: ArmSkin | None = None
+        """That of the arm, once it is known where that is."""
         most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
         self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
         self._learning: Sliced | None = None
@@ -79,8 +78,8 @@ class Upkeep:
             return
         learning = self._mapper.refine(seen.observed, seen.stamp, steps)
         skinning: Generator[None] | None = None
-        if self._skin is not None and seen.joints is not None:
-            skinning = self._skin.refine(seen.observed, seen.joints, seen.robots)
+        if self.skin is not None and seen.joints is not None:
+            skinning = self.skin.refine(seen.observed, seen.joints, seen.robots)
         for _ in range(2):
             next(learning, None)
             yield

@@ -21,7 +21,7 @@ from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.past import Past
 from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
-from twin_node.model.robot_links import RobotLinks, arm_depth
+from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
 from twin_node.model.seeding import seed
 from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
 from twin_node.model.sweep import Shell, shell_around
@@ -54,7 +54,13 @@ class WindowModel:
     """
 
     def __init__(self, parameters: ModelParameters | None = None, arm: ArmModel | None = None, seed: int = 0) -> None:
+        """Raises `ModelError` where there are fewer nodes than links of the arm."""
         self.parameters = parameters or ModelParameters()
+        if arm is not None and self.parameters.nodes < len(links_of(arm)):
+            raise ModelError(
+                f"nodes: expected {len(links_of(arm))} or more, one for each link of the arm, found "
+                f"{self.parameters.nodes}; leave it out, or raise it"
+            )
         self._arm = arm
         self._seed = seed
         self._device = torch.device(self.parameters.device)
@@ -194,10 +200,10 @@ class WindowModel:
         shell = shell_around([view.camera for view in frames.views], self.parameters.seed.shell_factor)
         backgrounds = Backgrounds(seeds.plane, shell)
         self._nodes.stamp = frames.stamp
-        links = self._bind_arm(frames, robots)
         motion = self._motion = Motion(self._nodes, self._make_field(shell))
         motion.slide(frames.stamp)
-        self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, links)
+        self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds)
+        self._bind_arm(self._tracker, frames, robots)
         self._nodes.remember()
         self._past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)
         rows = torch.nonzero(self._gaussians.alive)[:, 0]
@@ -221,16 +227,18 @@ class WindowModel:
             for view, mask in zip(frames.views, robots, strict=True)
         ]
 
-    def _bind_arm(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> RobotLinks | None:
-        if self._arm is None or frames.joints is None:
-            return None
+    def _bind_arm(self, tracker: Tracker, frames: FrameSet, robots: tuple[Bool | None, ...]) -> None:
+        """What lies on the arm goes with it from the first set on that tells of its joints and finds nodes for it."""
+        if tracker.has_arm or self._arm is None or frames.joints is None or self._nodes.free < len(links_of(self._arm)):
+            return
         links = RobotLinks(self._arm, self._nodes, frames.joints)
         masks = [mask for mask in robots if mask is not None]
         links.bind(self._gaussians, frames.joints, masks, [view.camera for view in frames.views])
-        return links
+        tracker.follow_arm(links)
 
     def _follow(self, frames: FrameSet, moving: tuple[Bool, ...], robots: tuple[Bool | None, ...]) -> tuple[str, ...]:
         assert self._tracker is not None
+        self._bind_arm(self._tracker, frames, robots)
         refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
         tracked = self._tracker.track(frames, moving, robots, dt_s, self.on_stage)
