@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +17,11 @@ from twin_node.arm import (
     SeparationParameters,
     UnknownPolicy,
     decide,
+    extrapolate,
     stopping_table,
 )
-from twin_node.robot import forward_kinematics
+from twin_node.robot import forward_kinematics, ur_model
+from twin_node.robot.mjcf import write_mjcf
 from twin_node.robot.ur import JOINT_NAMES
 from twin_node.scene import JointPath, ObstacleKind, ObstacleShape, Separation
 
@@ -252,3 +255,20 @@ def test_a_single_pose_is_an_arm_that_stands(ur5e_checker: ArmCollisionChecker) 
     standing = decide(ur5e_checker, JointPath(path.names, path.stamps[:1], path.positions[:1]), NOW, REACTION_S)
     assert standing.speed_fraction == 1.0
     assert standing.distance < 0.15
+
+
+def test_an_arm_of_seven_joints_gets_a_speed(ur5e_checker: ArmCollisionChecker, tmp_path: Path) -> None:
+    """Any serial arm from a file: here a UR5e with one joint more, which its stopping data know nothing of."""
+    file = tmp_path / "seven.xml"
+    bare = write_mjcf(ur_model("ur5e"))
+    head, tail = bare.split('<geom name="wrist_3_link_0"')
+    geom, rest = tail.split("/>", 1)
+    hand = f'<body name="hand"><joint name="seventh" axis="0 0 1"/><geom name="hand"{geom}/></body>'
+    file.write_text(f'{head}<geom name="wrist_3_link_0"{geom}/>{hand}{rest}')
+    checker = ArmCollisionChecker(str(file))
+    path = extrapolate(checker.model, np.append(READY, 0.0), np.append(TURNING, 0.0), NOW)
+    slowed = {}
+    for left_m in (0.3, 0.45, 2.0):
+        checker.update(obstacles(beside_the_tool(ur5e_checker, left_m)))
+        slowed[left_m] = decide(checker, path, NOW, REACTION_S).speed_fraction
+    assert slowed[0.3] < slowed[0.45] < slowed[2.0] == 1.0

@@ -53,3 +53,17 @@ def test_wrong_tables_are_refused() -> None:
         StoppingTable(np.array([1.0]), np.ones((2, 6)), np.ones((2, 6)))
     with pytest.raises(ArmError, match="expected rising speeds"):
         StoppingTable(np.empty(0), np.ones((0, 6)), np.ones((0, 6)))
+
+
+@pytest.mark.parametrize("joints", [1, 4, 7])
+def test_an_arm_without_six_joints_stops_as_late_as_the_slowest_one(joints: int) -> None:
+    table, known = stopping_table("another", joints), stopping_table("another")
+    for joint in range(joints):
+        alone = np.zeros(joints)
+        alone[joint] = FULL
+        assert table.stop(alone) == known.stop(np.array([0.0, FULL, 0, 0, 0, 0]))
+
+
+def test_the_table_of_an_arm_of_other_joints_is_refused() -> None:
+    with pytest.raises(ArmError, match="expected speeds of 6 joints, found 7"):
+        stopping_table("ur5e").stop(np.ones(7))

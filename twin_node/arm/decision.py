@@ -30,7 +30,7 @@ def decide(
     `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it. `reaction_s` is the measured time
     from now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. The pair
     that falls most short at full speed is named; distances and closing speeds are from the arm's present pose to where
-    the obstacles will be. Raises `ArmError` or `RobotError` for a wrong path.
+    the obstacles will be. Raises `ArmError` or `RobotError` for a wrong path, and for the table of another arm.
     """
     law = parameters or SeparationParameters()
     if len(path.stamps) == 0:
@@ -38,7 +38,7 @@ def decide(
     positions = checker.model.order(path.names, path.positions)
     seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
     found = hazards(checker.obstacles, stamp, law)
-    stopping = table or stopping_table(checker.bare_model.name)
+    stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     motion = Motion(stamp, reaction_s, _fastest(positions, seconds), stopping)
     closest = checker.closest(positions, np.minimum(path.stamps, _forecast_end(checker, stamp)))
     picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))

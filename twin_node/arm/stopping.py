@@ -47,8 +47,16 @@ class StoppingTable:
             )
 
     def stop(self, speeds: NDArray[np.floating]) -> Stop:
-        """The longest stop among the joints at speeds [J] (rad/s); speeds beyond the table go on along its last row."""
+        """The longest stop among the joints at speeds [J] (rad/s); speeds beyond the table go on along its last row.
+
+        Raises `ArmError` for an arm of another number of joints than the table's.
+        """
         magnitudes = np.abs(np.asarray(speeds, dtype=np.float64))
+        if magnitudes.shape != self.times.shape[1:]:
+            raise ArmError(
+                f"stopping table: expected speeds of {self.times.shape[1]} joints, found {magnitudes.size}; give the "
+                "arm a table of its own"
+            )
         return Stop(self._read(self.times, magnitudes), self._read(self._travels, magnitudes))
 
     @cached_property
@@ -84,12 +92,16 @@ _TABLES = {
 }
 
 
-def stopping_table(arm: str) -> StoppingTable:
-    """Stopping data of an arm by its name; the UR5e's, doubled, for an arm without data.
+def stopping_table(arm: str, joints: int = 6) -> StoppingTable:
+    """Stopping data of an arm by its name and number of joints; the UR5e's, doubled, for an arm without data.
 
     Source: user manuals of the UR3 (3.10) and UR5 (3.4.5), appendix A.1: stop category 0, full reach, full payload,
     downwards. For the e-Series UR publishes plots only; its UR3e and UR5e are taken to stop as their predecessors. For
     larger arms twice the UR5's times and angles are assumed: measure them, or set the controller's stopping-time limit
-    and enter that.
+    and enter that. Where an arm has not six joints, nobody knows which is its shoulder: all stop as late as that one.
     """
-    return _TABLES.get(arm, _TABLES["ur10e"])
+    table = _TABLES.get(arm, _TABLES["ur10e"])
+    if joints == table.times.shape[1]:
+        return table
+    slowest = (values.max(axis=1, keepdims=True).repeat(joints, axis=1) for values in (table.times, table.angles))
+    return StoppingTable(table.speeds, *slowest)
