@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from twin_node.scene import Separation
+from twin_node.scene import NO_EVIDENCE, Separation
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,9 @@ class SpeedLimiter:
         self._arrival = min(self._arrival, now)  # a clock that was put back must not make a forecast last
         limit, reason = self._decision.speed_fraction, self._decision.reason
         age_s = self.silence_s(now)
-        if age_s >= 2 * self.parameters.deadline_s:
+        if self._decision.evidence_stamp == NO_EVIDENCE:
+            limit = 0.0
+        elif age_s >= 2 * self.parameters.deadline_s:
             limit, reason = 0.0, f"stopped: no forecast for {age_s * 1e3:.0f} ms"
         elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
             limit, reason = self.parameters.slow_fraction, f"slow: no forecast for {age_s * 1e3:.0f} ms"
@@ -72,7 +74,7 @@ class SpeedLimiter:
 def _standing(now: int) -> Separation:
     return Separation(
         stamp=now,
-        evidence_stamp=0,
+        evidence_stamp=NO_EVIDENCE,
         distance=float("inf"),
         required=0.0,
         term_human=0.0,

@@ -12,7 +12,7 @@ from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATE
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import LifecycleState, Node
-from twin_node.scene import JointPath, JointSample
+from twin_node.scene import NO_EVIDENCE, JointPath, JointSample
 
 TICK_S = 0.02
 """How often `tick` is to be called, s: the driver reports at 50 Hz."""
@@ -102,9 +102,9 @@ class UrDriverNode(Node):
             return
         separation = convert.separation_from_message(message)
         offset = time.monotonic_ns() - self.clock.now()
-        self._driver.decide(
-            replace(separation, stamp=separation.stamp + offset, evidence_stamp=separation.evidence_stamp + offset)
-        )
+        evidence = separation.evidence_stamp
+        moved = NO_EVIDENCE if evidence == NO_EVIDENCE else evidence + offset
+        self._driver.decide(replace(separation, stamp=separation.stamp + offset, evidence_stamp=moved))
 
     def _on_follow(self, message: Any) -> None:
         if self._driver is not None:

@@ -3,6 +3,7 @@
 from twin_node.scene.arrays import Bool, Float32, Float64, UInt8, UInt32
 from twin_node.scene.future import (
     HORIZONS_NS,
+    NO_EVIDENCE,
     Grid,
     MotionExpert,
     ObstacleKind,
@@ -17,6 +18,7 @@ from twin_node.scene.twin import PLAIN, Exposure, GaussianCloud, NodeStates, Tie
 
 __all__ = [
     "HORIZONS_NS",
+    "NO_EVIDENCE",
     "PLAIN",
     "Bool",
     "Camera",

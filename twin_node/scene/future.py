@@ -140,6 +140,10 @@ class Obstacles:
         return int(forecast.min()) if len(forecast) else self.stamp
 
 
+NO_EVIDENCE = 0
+"""Evidence stamp of a decision that stands on none: nobody has forecast anything yet."""
+
+
 @dataclass(frozen=True)
 class Separation:
     """The arm's distance from the obstacles, what the law requires, and the speed it leaves."""
@@ -147,7 +151,7 @@ class Separation:
     stamp: int
     """When it was decided, ns."""
     evidence_stamp: int
-    """Stamp of the obstacles' evidence, ns."""
+    """Stamp of the obstacles' evidence, ns; `NO_EVIDENCE` where there is none."""
     distance: float
     """Smallest distance along the arm's next 200 ms, m; infinite without obstacles."""
     required: float

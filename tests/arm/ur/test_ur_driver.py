@@ -386,3 +386,65 @@ def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> 
 def test_parameters_that_no_controller_accepts_are_refused(changes: dict[str, object], word: str) -> None:
     with pytest.raises(ArmError, match=word):
         UrParameters(**changes)
+
+
+def steps_of(bench: Bench) -> np.ndarray:
+    """Largest joint step between one servoJ command and the next, rad."""
+    return np.abs(np.diff(np.array(bench.link.servoed), axis=0)).max(axis=1)
+
+
+@pytest.mark.parametrize("mode", [DriverMode.SLIDER, DriverMode.SERVO])
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"speed_fraction": np.nan}, "expected a speed fraction of 0 to 1, found nan"),
+        ({"speed_fraction": 2.0}, "expected a speed fraction of 0 to 1, found 2"),
+        ({"speed_fraction": -0.5}, "expected a speed fraction of 0 to 1, found -0.5"),
+        ({"evidence_stamp": 5_000_000_000}, "evidence lies [23][.0-9]* s in the future"),
+    ],
+)
+def test_decisions_that_cannot_be_halt_at_once_and_leave_the_path_alone(
+    mode: DriverMode, changes: dict[str, object], word: str
+) -> None:
+    bench = servo_bench() if mode is DriverMode.SERVO else Bench()
+    bench.run(1000)
+    decision = replace(CLEAR, **{"evidence_stamp": bench.now, **changes})
+    with pytest.raises(ArmError, match=word):
+        bench.driver.order(Decide(decision), bench.now)
+    report = bench.run(STEP_MS)
+    assert (report.state, report.speed_fraction, report.is_over) == (DriverState.HALTED, 0.0, False)
+    bench.run(1500)
+    assert bench.report.state is DriverState.HALTED
+    if mode is DriverMode.SERVO:
+        assert steps_of(bench).max() < 0.01
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+
+
+def test_an_arm_node_that_has_no_forecast_yet_halts_nobody() -> None:
+    """It says so until its first obstacles; who was driven by forecasts before halts for want of them."""
+    bench = Bench()
+    bench.is_fed = False
+    nothing = replace(CLEAR, speed_fraction=0.0, reason="stopped: no forecast yet")
+    for _ in range(20):
+        bench.driver.order(Decide(nothing), bench.now)
+        report = bench.run(48)
+    assert (report.state, report.speed_fraction, report.reason) == (DriverState.READY, 0.0, "stopped: no forecast yet")
+    bench.is_fed = True
+    assert bench.run(200).speed_fraction == 1.0
+    bench.is_fed = False
+    bench.driver.order(Decide(nothing), bench.now)
+    assert bench.run(STEP_MS).speed_fraction == 0.0
+    for _ in range(4):
+        bench.driver.order(Decide(nothing), bench.now)
+        report = bench.run(48)
+    assert (report.state, report.reason) == (DriverState.HALTED, "stopped: no forecast yet")
+
+
+def test_an_arm_whose_driver_was_held_up_is_not_sent_all_the_missed_way_at_once() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    usual = steps_of(bench).max()
+    bench.now += 88 * MS  # within the script's watchdog
+    bench.run(400)
+    assert steps_of(bench).max() <= 3.2 * usual  # three periods' way, and the path still gains speed

@@ -15,7 +15,7 @@ from twin_node.arm.ur.link import UrLink
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
-from twin_node.scene import JointPath, Separation
+from twin_node.scene import NO_EVIDENCE, JointPath, Separation
 
 _RESEND_S = 0.1
 """The slider is set again this often, so that nobody else's setting stays."""
@@ -30,7 +30,8 @@ _FOLLOW_RAD = 0.5
 _SETTLE_S = 0.5
 """How long all must be well before a driver that may resume by itself does."""
 _LONGEST_LOOK = 3
-"""Periods that may pass between two looks at the controller's clock before the rest is the driver's own lateness."""
+"""Periods that may pass between two looks at the controller's clock before the rest is the driver's own lateness. A
+servoed arm does not make up for it either: it would be sent all of that way at once."""
 
 
 class UrDriver:
@@ -66,10 +67,12 @@ class UrDriver:
             link.prepare_servo()
 
     def order(self, order: Order, now: int) -> None:
-        """Take an order. Raises `ArmError` or `RobotError`, with the reason, for one that is refused."""
+        """Take an order. Raises `ArmError` or `RobotError`, with the reason, for one that is refused.
+
+        A decision that cannot be is refused too, and halts the arm.
+        """
         if isinstance(order, Decide):
-            self._heard, self._heard_stamp = order.separation, now
-            self._limiter.decide(order.separation, now)
+            self._decide(order.separation, now)
         elif isinstance(order, Follow):
             self._follow(order.path)
         elif isinstance(order, Acknowledge):
@@ -77,7 +80,7 @@ class UrDriver:
 
     def step(self, now: int) -> DriverReport:
         """One period. Nothing in it waits for the arm."""
-        dt = (now - self._stepped) * 1e-9
+        dt = min((now - self._stepped) * 1e-9, _LONGEST_LOOK * self._parameters.period_s)
         self._stepped = now
         try:
             problem = self._look(now)
@@ -172,6 +175,32 @@ class UrDriver:
     def _may_move(self) -> bool:
         """False where the controller says that it lets nothing move."""
         return self._sample is None or self._sample.may_move
+
+    def _decide(self, separation: Separation, now: int) -> None:
+        problem = self._impossible(separation, now)
+        if problem is not None:
+            if self._mode is not DriverMode.READ_ONLY:
+                self._judge(problem, now)
+            raise ArmError(problem)
+        if separation.evidence_stamp == NO_EVIDENCE:
+            if self._heard is None:
+                return  # the twin has not begun: the arm stands, and nothing is wrong
+        else:
+            self._heard, self._heard_stamp = separation, now
+        self._limiter.decide(separation, now)
+
+    def _impossible(self, separation: Separation, now: int) -> str | None:
+        """Why nobody can have decided so, in words; None: somebody can."""
+        if not 0 <= separation.speed_fraction <= 1:
+            found = f"{separation.speed_fraction:g}"
+            return f"decision: expected a speed fraction of 0 to 1, found {found}; check who decides"
+        ahead_s = (separation.evidence_stamp - now) * 1e-9
+        if ahead_s > self._parameters.limiter.evidence_latency_s:
+            return (
+                f"decision: its evidence lies {ahead_s:.3g} s in the future, so nobody knows how old it is; let chrony "
+                "or PTP keep the clocks of cameras and driver together"
+            )
+        return None
 
     def _acknowledge(self, now: int) -> None:
         if self._halt is None:
