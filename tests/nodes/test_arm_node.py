@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from twin_logs import START, obstacles_at
 
 from twin_node.arm import ArmCollisionChecker, default_path
+from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes import arm as arm_node
 from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, ArmParameters
-from twin_node.nodes.topics import OBSTACLES, SEPARATION
-from twin_node.robot import ur_model
+from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
+from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
+from twin_node.scene import Float64, JointPath, JointSample, ObstacleKind, Obstacles, ObstacleShape, Separation
 
 PARAMETERS = ArmParameters("ur5e")
 COMMAND_S = PARAMETERS.command_latency_ms * 1e-3
@@ -103,3 +106,154 @@ def test_silence_is_answered_at_its_deadlines_and_said_again_and_again() -> None
     fractions = [fraction for _, fraction in told]
     assert fractions[:2] == [PARAMETERS.limiter.slow_fraction] * 2
     assert fractions[2:] == [0.0] * 3
+
+
+MS = 1_000_000
+MODEL = ur_model("ur5e")
+READY = np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0])
+TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+"""rad/s: the arm sweeps to its left."""
+
+
+class Cell:
+    """An arm's node, its clock, and somebody 28 cm to the left of the tool: an arm that turns there slows."""
+
+    def __init__(self, timers: Timers | None = None) -> None:
+        self.bus, self.clock = LocalBus(), SteppedClock(START)
+        self.told: list[Separation] = []
+        self.bus.subscribe(SEPARATION, lambda message: self.told.append(convert.separation_from_message(message)))
+        checker = ArmCollisionChecker(MODEL, max_obstacles=8)
+        self.node = ArmNode(self.bus, self.clock, checker, default_path(MODEL), PARAMETERS, timers)
+        self.node.configure()
+
+    def wait(self, milliseconds: int) -> None:
+        self.clock.advance_to(self.clock.now() + milliseconds * MS)
+
+    def joints(self, q: Float64 = READY, qd: Float64 = TURNING, ago_ms: int = 0, has_velocities: bool = True) -> None:
+        sample = JointSample(self.clock.now() - ago_ms * MS, MODEL.joint_names, q, qd)
+        message = convert.joint_sample_to_message(sample)
+        if not has_velocities:
+            message.velocity = np.zeros(0)
+        self.bus.publish(JOINT_STATES, message)
+
+    def gripper(self) -> None:
+        sample = JointSample(self.clock.now(), ("finger_joint",), np.zeros(1), np.zeros(1))
+        self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(sample))
+
+    def path(self, begins_ms: int, lasts_ms: int, velocity: Float64 = TURNING) -> None:
+        seconds = np.linspace(0, lasts_ms * 1e-3, 11)
+        stamps = self.clock.now() + begins_ms * MS + np.rint(seconds * 1e9).astype(np.int64)
+        path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
+        self.bus.publish(TRAJECTORY, convert.joint_path_to_message(path))
+
+    def somebody(self, count: int = 1) -> Separation:
+        """Obstacles, now; gives back what the arm is told, before the limiter's ramp holds it down."""
+        now = self.clock.now()
+        at = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.33, 0.0])
+        obstacles = Obstacles(
+            stamp=now,
+            ids=np.arange(count, dtype=np.uint32),
+            kinds=np.full(count, ObstacleKind.MOVING, np.uint8),
+            shapes=np.full(count, ObstacleShape.SPHERE, np.uint8),
+            positions=np.tile(at, (count, 1)),
+            quats=np.tile([1.0, 0, 0, 0], (count, 1)),
+            sizes=np.full((count, 3), 0.1),
+            velocities=np.zeros((count, 3)),
+            bounds=np.zeros(count),
+            valid_from=np.full(count, now),
+            valid_to=np.full(count, now + 200 * MS),
+        )
+        self.bus.publish(OBSTACLES, convert.obstacles_to_message(obstacles))
+        return self.told[-1]
+
+
+def test_an_arm_whose_joints_come_without_velocities_is_known_to_move() -> None:
+    cell = Cell()
+    for i in range(20):
+        cell.joints(READY + TURNING * (i - 20) * 0.008, has_velocities=False)
+        cell.wait(8)
+    assert cell.somebody().reason == "slow for MOVING"
+
+
+def test_joints_that_have_stopped_coming_stop_the_arm_and_it_says_so() -> None:
+    cell = Cell()
+    cell.joints(qd=np.zeros(6))
+    assert cell.somebody().reason == "clear"
+    cell.wait(390)
+    assert cell.somebody().reason == "clear"
+    cell.wait(20)
+    told = cell.somebody()
+    assert (told.speed_fraction, told.reason) == (0.0, "stopped: the arm's joints are 410 ms old")
+    cell.joints(ago_ms=-500)
+    assert cell.somebody().reason == "stopped: the arm's joints are 500 ms in the future"
+    cell.joints(qd=np.zeros(6), ago_ms=0)
+    assert cell.somebody().reason == "clear"
+
+
+def test_a_gripper_that_publishes_its_own_joints_beside_the_arms_changes_nothing() -> None:
+    cell = Cell()
+    cell.gripper()
+    cell.joints()
+    cell.gripper()
+    assert cell.somebody().reason == "slow for MOVING"
+
+
+def test_joints_of_another_arm_alone_are_refused_by_name() -> None:
+    cell = Cell()
+    cell.gripper()
+    with pytest.raises(TwinError, match="found finger_joint"):
+        cell.somebody()
+
+
+def test_joints_that_come_late_do_not_replace_newer_ones() -> None:
+    cell = Cell()
+    cell.joints()
+    cell.joints(qd=np.zeros(6), ago_ms=30)
+    assert cell.somebody().reason == "slow for MOVING"
+
+
+def test_a_path_that_has_not_begun_or_is_nearly_over_does_not_say_where_the_arm_is() -> None:
+    cell = Cell()
+    cell.joints()
+    cell.path(begins_ms=300, lasts_ms=200)
+    assert cell.somebody().reason == "slow for MOVING"  # the path alone would have it stand
+    cell.path(begins_ms=-160, lasts_ms=200, velocity=np.zeros(6))
+    cell.joints()
+    assert cell.somebody().reason == "slow for MOVING"
+    cell.path(begins_ms=-100, lasts_ms=200, velocity=np.zeros(6))
+    assert cell.somebody().reason == "clear"
+
+
+def test_who_has_heard_of_an_arm_never_judges_a_made_up_one() -> None:
+    cell = Cell()
+    assert [d.level for d in cell.node.diagnoses()] == [convert.Level.WARN]
+    cell.path(begins_ms=0, lasts_ms=200)
+    assert [d.level for d in cell.node.diagnoses()] == [convert.Level.OK]
+    cell.wait(500)
+    assert cell.somebody().reason == "stopped: the arm's trajectory is over, and no joints come"
+    cell.path(begins_ms=500, lasts_ms=200)
+    assert cell.somebody().reason == "stopped: the arm's trajectory has not begun, and no joints come"
+
+
+def test_a_path_that_is_not_finite_is_refused_when_it_comes() -> None:
+    cell = Cell()
+    cell.joints()
+    with pytest.raises(TwinError, match="finite"):
+        cell.path(begins_ms=0, lasts_ms=200, velocity=TURNING * np.nan)
+    assert cell.somebody().reason == "slow for MOVING"
+
+
+def test_obstacles_that_are_refused_are_named_where_the_arm_is_told_to_stand() -> None:
+    timers = Timers()
+    cell = Cell(timers)
+    cell.joints()
+    cell.somebody()
+    cell.wait(33)
+    with pytest.raises(TwinError, match="raise max_obstacles"):
+        cell.somebody(count=9)
+    cell.wait(300)
+    timers.ring()
+    assert cell.told[-1].speed_fraction == 0.0
+    assert "no forecast for 338 ms; the last was refused: obstacles: expected at most 8" in cell.told[-1].reason
+    cell.joints()
+    assert cell.somebody().reason == "slow for MOVING"

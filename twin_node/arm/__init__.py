@@ -4,7 +4,7 @@ from twin_node.arm.attachment import AllowedRegion, Attachment, parallel_gripper
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError
-from twin_node.arm.limiter import LimiterParameters, SpeedLimiter
+from twin_node.arm.limiter import LimiterParameters, SpeedLimiter, standing
 from twin_node.arm.path import (
     CycleParameters,
     CyclicPath,
@@ -17,6 +17,7 @@ from twin_node.arm.path import (
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
+from twin_node.arm.whereabouts import Whereabouts
 
 __all__ = [
     "AllowedRegion",
@@ -33,6 +34,7 @@ __all__ = [
     "SpeedLimiter",
     "StoppingTable",
     "UnknownPolicy",
+    "Whereabouts",
     "decide",
     "default_path",
     "extrapolate",
@@ -40,5 +42,6 @@ __all__ = [
     "path_ahead",
     "path_from_sample",
     "sample_path",
+    "standing",
     "stopping_table",
 ]

@@ -46,7 +46,7 @@ class SpeedLimiter:
         """
         if self._decision is None:
             self._stamp = now
-            return _standing(now)
+            return standing(now, NO_EVIDENCE, "stopped: no forecast yet")
         self._arrival = min(self._arrival, now)  # a clock that was put back must not make a forecast last
         limit, reason = self._decision.speed_fraction, self._decision.reason
         age_s = self.silence_s(now)
@@ -71,10 +71,11 @@ class SpeedLimiter:
         return round(self.parameters.evidence_latency_s * 1e9)
 
 
-def _standing(now: int) -> Separation:
+def standing(stamp: int, evidence_stamp: int, reason: str) -> Separation:
+    """A decision that the arm stands, where no distance can be told; stamps are ns."""
     return Separation(
-        stamp=now,
-        evidence_stamp=NO_EVIDENCE,
+        stamp=stamp,
+        evidence_stamp=evidence_stamp,
         distance=float("inf"),
         required=0.0,
         term_human=0.0,
@@ -85,5 +86,5 @@ def _standing(now: int) -> Separation:
         link="",
         obstacle_id=-1,
         speed_fraction=0.0,
-        reason="stopped: no forecast yet",
+        reason=reason,
     )

@@ -9,15 +9,17 @@ from typing import Any
 
 from twin_node.arm import (
     ArmCollisionChecker,
+    ArmError,
     CyclicPath,
     LimiterParameters,
     SeparationParameters,
     SpeedLimiter,
+    Whereabouts,
     decide,
     default_path,
-    path_ahead,
-    path_from_sample,
+    standing,
 )
+from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.robot import ArmModel, arm_model
@@ -25,7 +27,7 @@ from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
-from twin_node.scene import Float64, JointPath, JointSample, Separation
+from twin_node.scene import Float64, Obstacles, Separation
 
 GAPS_KEPT = 10
 """Gaps between decisions that tell how long the next may be, a third of a second at 30 Hz."""
@@ -59,8 +61,9 @@ class ArmParameters:
 class ArmNode(Node):
     """Looks along the arm's next 200 ms at every new set of obstacles, and publishes `/twin/separation`.
 
-    The arm's future comes from `/arm/trajectory` while it lasts, else from `/joint_states` extrapolated, else from the
-    given cycle: a log without an arm is judged as if one worked in it.
+    The arm's future comes from `/arm/trajectory` while it lasts, else from `/joint_states` extrapolated, which must be
+    as fresh as forecasts. Where neither has ever come it is that of the given cycle: a log without an arm is judged as
+    if one worked in it.
     """
 
     def __init__(
@@ -78,11 +81,11 @@ class ArmNode(Node):
         self._arrived = 0
         self._gaps: deque[float] = deque(maxlen=GAPS_KEPT)
         self._checker = checker
-        self._cycle = cycle
         self._parameters = parameters
         self._limiter = SpeedLimiter(parameters.limiter)
-        self._path: JointPath | None = None
-        self._joints: JointSample | None = None
+        limits = parameters.limiter
+        self._arm = Whereabouts(checker.model, cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
+        self._refused: str | None = None
 
     def on_configure(self) -> None:
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
@@ -90,13 +93,22 @@ class ArmNode(Node):
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
         self._silence.set(SHORTEST_WAIT_S)
 
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """Whether it knows of an arm."""
+        level, message = convert.Level.OK, "known"
+        if self._arm.is_made_up:
+            level = convert.Level.WARN
+            message = f"nobody publishes {JOINT_STATES} or {TRAJECTORY}: a made-up cycle is judged in place of an arm"
+        return (convert.Diagnosis(f"{self.name}: joints", level, message),)
+
     def _on_silence(self) -> None:
         """Slows an arm one deadline after its last forecast, stops it after two, and says so while it lasts."""
         now = self.clock.now()
         heard = now + HEARD_NS
         told = self._limiter.tick(heard)
         if self._limiter.silence_s(heard) >= self._parameters.limiter.deadline_s:
-            self._tell(replace(told, stamp=now))
+            why = told.reason if self._refused is None else f"{told.reason}; the last was refused: {self._refused}"
+            self._tell(replace(told, stamp=now, reason=why))
         self._watch(now)
 
     def _watch(self, now: int) -> None:
@@ -111,21 +123,32 @@ class ArmNode(Node):
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
     def _on_trajectory(self, message: Any) -> None:
-        self._path = convert.joint_path_from_message(message, self.clock.now())
+        self._arm.take_path(convert.joint_path_from_message(message, self.clock.now()))
 
     def _on_joints(self, message: Any) -> None:
-        self._joints = convert.joint_sample_from_message(message)
+        self._arm.take_joints(convert.joint_sample_from_message(message), len(message.velocity) > 0)
 
     def _on_obstacles(self, message: Any) -> None:
         now = self.clock.now()
-        obstacles = convert.obstacles_from_message(message)
-        self._checker.update(obstacles)
-        stamp = max(now, obstacles.begins)
-        decision = decide(
-            self._checker, self._path_from(stamp), stamp, self._reaction_s(now), self._parameters.separation
-        )
-        self._tell(replace(self._limiter.decide(decision, now), stamp=stamp))
+        try:
+            obstacles = convert.obstacles_from_message(message)
+            self._checker.update(obstacles)
+            decision = self._decided(obstacles, max(now, obstacles.begins), now)
+        except TwinError as error:
+            self._refused = str(error)  # the arm slows and stops by itself; it is to say why
+            raise
+        self._refused = None
+        self._tell(replace(self._limiter.decide(decision, now), stamp=decision.stamp))
         self._watch(now)
+
+    def _decided(self, obstacles: Obstacles, stamp: int, now: int) -> Separation:
+        """What the law says at a time (ns) that the obstacles are valid from; an arm of which nobody knows stands."""
+        reaction_s = self._reaction_s(now)
+        try:
+            path = self._arm.ahead(stamp)
+        except ArmError as error:
+            return standing(stamp, obstacles.stamp, f"stopped: {error}")
+        return decide(self._checker, path, stamp, reaction_s, self._parameters.separation)
 
     def _reaction_s(self, now: int) -> float:
         """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.
@@ -136,14 +159,6 @@ class ArmNode(Node):
         self._gaps.append(min(max(now - self._arrived, 0), deadline_ns))
         self._arrived = now
         return max(self._gaps) * 1e-9 + self._parameters.command_latency_ms * 1e-3
-
-    def _path_from(self, stamp: int) -> JointPath:
-        model = self._checker.model
-        if self._path is not None and self._path.stamps[-1] > stamp:
-            return path_ahead(model, self._path, stamp)
-        if self._joints is not None:
-            return path_from_sample(model, self._joints, stamp)
-        return self._cycle.ahead(stamp)
 
 
 def make_arm_node(

@@ -1,0 +1,77 @@
+"""What is known of where the arm is and where it goes, and for how long that may be believed."""
+
+from __future__ import annotations
+
+from twin_node.arm.errors import ArmError
+from twin_node.arm.path import CyclicPath, path_ahead, path_from_sample
+from twin_node.robot import ArmModel
+from twin_node.scene import HORIZONS_NS, JointPath, JointSample
+
+_LEAST_LEFT_NS = HORIZONS_NS[1]
+"""So much of a path must be left, ns: the first pose that closing speeds are taken from; at its end an arm stands."""
+
+
+class Whereabouts:
+    """The arm's path while it lasts, else its joints extrapolated; a given cycle where nobody has told of an arm."""
+
+    def __init__(self, model: ArmModel, cycle: CyclicPath, lasting_s: float) -> None:
+        """`lasting_s`: what was heard of the joints longer ago tells nothing of where the arm is."""
+        self._model = model
+        self._cycle = cycle
+        self._lasting_ns = round(lasting_s * 1e9)
+        self._path: JointPath | None = None
+        self._joints: JointSample | None = None
+        self._other: JointSample | None = None
+
+    @property
+    def is_made_up(self) -> bool:
+        """Whether nobody has told of an arm yet: the cycle stands for it."""
+        return self._path is None and self._joints is None
+
+    def take_path(self, path: JointPath) -> None:
+        """A new path; raises `RobotError` where a joint is missing or an angle is not finite."""
+        positions = self._model.order(path.names, path.positions)
+        self._path = JointPath(self._model.joint_names, path.stamps, positions)
+
+    def take_joints(self, sample: JointSample, has_velocities: bool = True) -> None:
+        """A new sample, its joints in any order; without velocities, they are those since the sample before.
+
+        What others than the arm (a gripper, an axis) say on the same topic is left out, and so is what comes after
+        newer joints. Raises `RobotError` where a joint is missing.
+        """
+        if not set(sample.names) & set(self._model.joint_names):
+            self._other = sample
+            return
+        before = self._joints
+        positions = self._model.order(sample.names, sample.positions)
+        velocities = self._model.order(sample.names, sample.velocities)
+        passed_ns = 0 if before is None else sample.stamp - before.stamp
+        if -self._lasting_ns < passed_ns < 0:
+            return
+        if not has_velocities and before is not None:
+            velocities = before.velocities
+            if passed_ns > 0:
+                velocities = (positions - before.positions) / (passed_ns * 1e-9)
+        self._joints = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
+
+    def ahead(self, stamp: int) -> JointPath:
+        """The arm's next 200 ms from a time on (ns).
+
+        Raises `ArmError`, with the reason, where nobody knows any more, and `RobotError` where only another arm's
+        joints have come.
+        """
+        path, joints = self._path, self._joints
+        if path is not None and path.stamps[0] <= stamp <= path.stamps[-1] - _LEAST_LEFT_NS:
+            return path_ahead(self._model, path, stamp)
+        if joints is not None:
+            age_ms = (stamp - joints.stamp) / 1e6
+            if abs(age_ms) * 1e6 > self._lasting_ns:
+                when = f"{age_ms:.0f} ms old" if age_ms > 0 else f"{-age_ms:.0f} ms in the future"
+                raise ArmError(f"the arm's joints are {when}")
+            return path_from_sample(self._model, joints, stamp)
+        if path is None and self._other is not None:
+            self._model.order(self._other.names, self._other.positions)
+        if path is None:
+            return self._cycle.ahead(stamp)
+        state = "has not begun" if path.stamps[0] > stamp else "is over"
+        raise ArmError(f"the arm's trajectory {state}, and no joints come")
