@@ -272,3 +272,10 @@ def test_an_arm_of_seven_joints_gets_a_speed(ur5e_checker: ArmCollisionChecker, 
         checker.update(obstacles(beside_the_tool(ur5e_checker, left_m)))
         slowed[left_m] = decide(checker, path, NOW, REACTION_S).speed_fraction
     assert slowed[0.3] < slowed[0.45] < slowed[2.0] == 1.0
+
+
+@pytest.mark.parametrize("name", ["human_speed", "intrusion_m", "clearance_m", "position_error_m", "closing_speed"])
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
+def test_constants_that_no_law_has_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ArmError, match=f"{name}: expected a number of 0 or more, found {value:g}"):
+        SeparationParameters(**{name: value})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from obstacle_sets import MS, NOW
 
-from twin_node.arm import LimiterParameters, SpeedLimiter
+from twin_node.arm import ArmError, LimiterParameters, SpeedLimiter
 from twin_node.scene import Separation
 
 FREE = Separation(NOW, NOW, 1.0, 0.3, 0.0, 0.05, 0.05, 0.2, 0.0, "wrist_1_link", 3, 1.0, "clear of MOVING")
@@ -93,3 +94,21 @@ def test_never_above_the_decision_and_never_rising_too_fast(steps: list[tuple[fl
         assert 0 <= told <= fraction
         assert told <= before + 1e-3 * limiter.parameters.rise_per_s * wait_ms + 1e-9
         before = told
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"deadline_s": 0.0}, "deadline_s: expected more than 0 and at most 10 s, found 0"),
+        ({"deadline_s": math.nan}, "deadline_s: expected more than 0 and at most 10 s, found nan"),
+        ({"deadline_s": 100.0}, "deadline_s: expected more than 0 and at most 10 s, found 100"),
+        ({"evidence_latency_s": -0.1}, "evidence_latency_s: expected 0 to 10 s, found -0.1"),
+        ({"evidence_latency_s": math.nan}, "evidence_latency_s: expected 0 to 10 s, found nan"),
+        ({"slow_fraction": 20.0}, "slow_fraction: expected 0 to 1, found 20"),
+        ({"rise_per_s": 0.0}, "rise_per_s: expected more than 0 per second, found 0"),
+        ({"rise_per_s": math.inf}, "rise_per_s: expected more than 0 per second, found inf"),
+    ],
+)
+def test_parameters_that_let_nothing_stop_or_nothing_go_are_refused(changes: dict[str, float], word: str) -> None:
+    with pytest.raises(ArmError, match=word):
+        LimiterParameters(**changes)

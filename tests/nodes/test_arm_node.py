@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -257,3 +258,9 @@ def test_obstacles_that_are_refused_are_named_where_the_arm_is_told_to_stand() -
     assert "no forecast for 338 ms; the last was refused: obstacles: expected at most 8" in cell.told[-1].reason
     cell.joints()
     assert cell.somebody().reason == "slow for MOVING"
+
+
+@pytest.mark.parametrize("value", [-1.0, math.nan])
+def test_a_command_cannot_arrive_before_it_is_sent(value: float) -> None:
+    with pytest.raises(TwinError, match=f"command_latency_ms: expected a number of 0 or more, found {value:g}"):
+        ArmParameters(command_latency_ms=value)

@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from twin_node.arm.errors import ArmError
 from twin_node.scene import NO_EVIDENCE, Separation
+
+_LONGEST_S = 10.0
+"""No arm goes on for so long without a forecast, s: who gives more means milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,17 @@ class LimiterParameters:
     rad/s). A matter of the arm's load and of calm: the law itself allows each decision's speed at once."""
     evidence_latency_s: float = 0.2
     """Age that evidence may have when its forecast arrives; older evidence counts as a late forecast."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for values with which nothing would stop, or nothing go."""
+        if not 0 < self.deadline_s <= _LONGEST_S:
+            raise ArmError(f"deadline_s: expected more than 0 and at most {_LONGEST_S:g} s, found {self.deadline_s:g}")
+        if not 0 <= self.evidence_latency_s <= _LONGEST_S:
+            raise ArmError(f"evidence_latency_s: expected 0 to {_LONGEST_S:g} s, found {self.evidence_latency_s:g}")
+        if not 0 <= self.slow_fraction <= 1:
+            raise ArmError(f"slow_fraction: expected 0 to 1, found {self.slow_fraction:g}")
+        if not 0 < self.rise_per_s < math.inf:
+            raise ArmError(f"rise_per_s: expected more than 0 per second, found {self.rise_per_s:g}")
 
 
 class SpeedLimiter:

@@ -6,12 +6,14 @@ of where something may be, so S_h grows only from the end of their validity on. 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.arm.errors import ArmError
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.stopping import Stop, StoppingTable
 from twin_node.scene import Bool, Float64, ObstacleKind
@@ -51,6 +53,13 @@ class SeparationParameters:
     closing_speed: float = 0.01
     """A pair that comes closer slower than this, m/s, is not closing."""
     unknown: UnknownPolicy = UnknownPolicy.LAW
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for a constant that is negative or not finite."""
+        for name in ("human_speed", "intrusion_m", "clearance_m", "position_error_m", "closing_speed"):
+            value: float = getattr(self, name)
+            if not 0 <= value < math.inf:
+                raise ArmError(f"{name}: expected a number of 0 or more, found {value:g}")
 
 
 @dataclass(frozen=True)

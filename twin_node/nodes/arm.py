@@ -53,6 +53,11 @@ class ArmParameters:
     separation: SeparationParameters = field(default_factory=SeparationParameters)
     limiter: LimiterParameters = field(default_factory=LimiterParameters)
 
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for a latency that no command has."""
+        if not 0 <= self.command_latency_ms < math.inf:
+            raise ArmError(f"command_latency_ms: expected a number of 0 or more, found {self.command_latency_ms:g}")
+
     def arm(self) -> ArmModel:
         """The arm's model. Raises `RobotError` or `ResourceError` for a wrong name or file."""
         return arm_model(self.model, self.kinematics)

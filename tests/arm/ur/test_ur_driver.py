@@ -379,6 +379,7 @@ def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> 
         ({"heartbeat_register": 24}, "18 to 22"),
         ({"receive_hz": 1000.0}, "1 to 500 Hz"),
         ({"period_s": 0.2}, "half the watchdog's period"),
+        ({"watchdog_hz": 0.0}, "watchdog_hz: expected more than 0"),
         ({"stale_s": 0.01}, "more than two packages"),
         ({"realtime_priority": 100}, "0 to 99"),
     ],

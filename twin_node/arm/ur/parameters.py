@@ -72,6 +72,8 @@ class UrParameters:
             )
         if not 1 <= self.receive_hz <= 500:
             raise ArmError(f"receive_hz: expected 1 to 500 Hz, found {self.receive_hz:g}")
+        if not self.watchdog_hz > 0:
+            raise ArmError(f"watchdog_hz: expected more than 0, found {self.watchdog_hz:g}")
         if not 0 < self.period_s <= 0.5 / self.watchdog_hz:
             raise ArmError(
                 f"period_s: expected at most half the watchdog's period, {0.5 / self.watchdog_hz:g} s, "
