@@ -11,6 +11,13 @@ from twin_node.runtime.parameters import ParameterError, fill, read_parameters
 @dataclass(frozen=True)
 class Inner:
     gain: float = 1.0
+    bias: float = 0.0
+
+
+@dataclass(frozen=True)
+class Middle:
+    inner: Inner = field(default_factory=Inner)
+    width: int = 1
 
 
 @dataclass(frozen=True)
@@ -20,12 +27,22 @@ class Outer:
     name: str = "twin"
     horizons: tuple[float, ...] = (0.0,)
     inner: Inner = field(default_factory=Inner)
+    louder: Inner = field(default_factory=lambda: Inner(gain=3.0))
+    quieter: Inner = Inner(gain=0.5)
+    middle: Middle = field(default_factory=lambda: Middle(Inner(gain=5.0), 2))
 
 
 def test_values_replace_defaults_at_any_depth() -> None:
     filled = fill(Outer, {"width": 160, "rate_hz": 55, "horizons": [0, 0.2], "inner": {"gain": 2}}, "model")
     assert filled == Outer(width=160, rate_hz=55.0, horizons=(0.0, 0.2), inner=Inner(gain=2.0))
     assert fill(Outer, {"width": None}, "model") == Outer()
+
+
+def test_what_is_left_out_of_a_nested_mapping_keeps_the_default_of_that_place() -> None:
+    filled = fill(Outer, {"louder": {"bias": 1.0}, "quieter": {"bias": 2.0}}, "model")
+    assert (filled.louder, filled.quieter) == (Inner(3.0, 1.0), Inner(0.5, 2.0))
+    assert filled.inner == Inner()
+    assert fill(Outer, {"middle": {"inner": {"bias": 1.0}}}, "model").middle == Middle(Inner(5.0, 1.0), 2)
 
 
 @pytest.mark.parametrize(

@@ -45,11 +45,12 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
 
 
-def fill(kind: type[T], values: Mapping[str, Any], where: str) -> T:
-    """An instance of the dataclass `kind` with the given values in place of its defaults.
+def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None = None) -> T:
+    """An instance of the dataclass `kind` with the given values in place of its defaults, or of those of `default`.
 
-    Nested dataclasses take nested mappings; lists become tuples. Raises `ParameterError` that names `where` and the key
-    for an unknown key (with the nearest known one) or a value of the wrong type.
+    Nested dataclasses take nested mappings; what is left out of one is as the defaults have it at that place. Lists
+    become tuples. Raises `ParameterError` that names `where` and the key for an unknown key (with the nearest known
+    one) or a value of the wrong type.
     """
     fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
@@ -59,20 +60,32 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str) -> T:
             near = difflib.get_close_matches(key, fields, n=1)
             hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ParameterError(f"{where}: unknown parameter '{key}'; {hint}")
-        filled[key] = _convert(hints[key], value, f"{where}.{key}")
-    return kind(**filled)
+        nested = _default_of(fields[key], default) if isinstance(value, Mapping) else None
+        filled[key] = _convert(hints[key], value, f"{where}.{key}", nested)
+    return kind(**filled) if default is None else dataclasses.replace(default, **filled)  # type: ignore[type-var]
 
 
-def _convert(hint: Any, value: Any, where: str) -> Any:  # noqa: PLR0911 (a case per kind of type)
+def _default_of(field: dataclasses.Field[Any], whole: Any) -> Any:
+    """A field's default, by an instance of its dataclass where there is one; None where it has none."""
+    if whole is not None:
+        return getattr(whole, field.name)
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return None if field.default is dataclasses.MISSING else field.default
+
+
+def _convert(  # noqa: PLR0911 (a case per kind of type)
+    hint: Any, value: Any, where: str, default: Any = None
+) -> Any:
     origin = typing.get_origin(hint)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         if not isinstance(value, Mapping):
             raise ParameterError(f"{where}: expected keys and values, found {value!r}")
-        return fill(hint, value, where)
+        return fill(hint, value, where, default if isinstance(default, hint) else None)
     if origin in (types.UnionType, typing.Union):
         if value is None and type(None) in typing.get_args(hint):
             return None
-        return _convert(next(a for a in typing.get_args(hint) if a is not type(None)), value, where)
+        return _convert(next(a for a in typing.get_args(hint) if a is not type(None)), value, where, default)
     if origin is tuple:
         if not isinstance(value, list | tuple):
             raise ParameterError(f"{where}: expected a list, found {value!r}")

@@ -21,6 +21,7 @@ from twin_node.arm.ur import (
     UrDriver,
     UrParameters,
 )
+from twin_node.runtime.parameters import fill
 from twin_node.scene import Separation
 
 MS = 1_000_000
@@ -449,3 +450,7 @@ def test_an_arm_whose_driver_was_held_up_is_not_sent_all_the_missed_way_at_once(
     bench.now += 88 * MS  # within the script's watchdog
     bench.run(400)
     assert steps_of(bench).max() <= 3.2 * usual  # three periods' way, and the path still gains speed
+
+
+def test_a_parameter_file_that_changes_the_limiters_ramp_leaves_the_drivers_deadline_alone() -> None:
+    assert fill(UrParameters, {"limiter": {"rise_per_s": 0.5}}, "ur_driver").limiter.deadline_s == 0.07
