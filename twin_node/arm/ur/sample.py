@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -96,8 +97,8 @@ class UrSample:
 
     @property
     def speed_share(self) -> float:
-        """Share of the programmed speed at which the controller moves: slider times its own scaling."""
-        return self.speed_slider * self.speed_scaling
+        """Share of the programmed speed at which the controller moves: slider times its own scaling, 1 at most."""
+        return self.speed_slider * min(self.speed_scaling, 1.0)
 
     @property
     def is_paused(self) -> bool:
@@ -130,6 +131,8 @@ def implausible(model: ArmModel, sample: UrSample, previous: UrSample | None) ->
         return f"controller sent robot mode {sample.robot_mode}, safety mode {sample.safety_mode}: no such modes"
     if sample.runtime_state not in _RUNTIME_STATES or not 0 <= sample.speed_slider <= 1:
         return f"controller sent runtime state {sample.runtime_state}, speed slider {sample.speed_slider:g}: no such"
+    if not 0 <= sample.speed_scaling < math.inf:
+        return f"controller sent speed scaling {sample.speed_scaling:g}: no such"
     return _impossible_motion(model, sample, previous)
 
 
