@@ -454,3 +454,24 @@ def test_an_arm_whose_driver_was_held_up_is_not_sent_all_the_missed_way_at_once(
 
 def test_a_parameter_file_that_changes_the_limiters_ramp_leaves_the_drivers_deadline_alone() -> None:
     assert fill(UrParameters, {"limiter": {"rise_per_s": 0.5}}, "ur_driver").limiter.deadline_s == 0.07
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"runtime_state": 4}, "the robot's program is paused; press play"),
+        ({"runtime_state": 1}, "no program runs on the robot; press play"),
+        ({"speed_slider": 0.0}, "the speed slider stays at 0%"),
+    ],
+)
+def test_an_arm_that_may_go_and_stands_says_why(changes: dict[str, object], why: str) -> None:
+    bench = Bench()
+    assert bench.run(320).reason == "clear"
+    bench.link.is_obedient = False
+    bench.link.tell(**changes)
+    report = bench.run(1200)
+    assert (report.state, report.speed_fraction) == (DriverState.READY, 1.0)
+    assert report.reason == f"clear; but {why}"
+    bench.link.is_obedient = True
+    bench.link.tell(runtime_state=2)
+    assert bench.run(200).reason == "clear"

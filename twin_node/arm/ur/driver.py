@@ -23,6 +23,8 @@ _OBEY_S = 0.2
 """The controller's slider must show what it was set to within this time: a hundred of its periods."""
 _OBEY_TOLERANCE = 0.02
 """How far it may be above: the pendant rounds to per cent."""
+_HELD_S = 1.0
+"""A slider that is lower than it was set to for so long is held there: it was set ten times meanwhile."""
 _STEP = 0.005
 """Smallest change of the speed that is worth a package."""
 _FOLLOW_RAD = 0.5
@@ -60,6 +62,7 @@ class UrDriver:
         self._set_fraction: float | None = None
         self._set_stamp = 0
         self._disobedient_since: int | None = None
+        self._held_since: int | None = None
         self._follower: PathFollower | None = None
         self._beats = 0
         self._stepped = now
@@ -267,9 +270,25 @@ class UrDriver:
             if self._halt is None:
                 self._stop_for("the control script does not run: it refused a command")
 
+    def _idleness(self, now: int) -> str:
+        """Why an arm that may go does not all the same, in words after those of the decision; empty where it does."""
+        sample, told = self._sample, self._set_fraction
+        if self._mode is not DriverMode.SLIDER or sample is None or told is None or told <= _OBEY_TOLERANCE:
+            self._held_since = None
+            return ""
+        if not sample.is_playing:
+            state = "the robot's program is paused" if sample.is_paused else "no program runs on the robot"
+            return f"; but {state}; press play"
+        if sample.speed_slider >= told - _OBEY_TOLERANCE:
+            self._held_since = None
+            return ""
+        self._held_since = self._held_since or now
+        is_held = (now - self._held_since) * 1e-9 > _HELD_S
+        return f"; but the speed slider stays at {sample.speed_slider:.0%}" if is_held else ""
+
     def _report(self, now: int, is_over: bool) -> DriverReport:
         is_deaf = self._mode is DriverMode.READ_ONLY
-        reason = "read only" if is_deaf or self._told is None else self._told.reason
+        reason = "read only" if is_deaf or self._told is None else self._told.reason + self._idleness(now)
         report = DriverReport(
             stamp=now,
             state=DriverState.READY if self._halt is None else DriverState.HALTED,
