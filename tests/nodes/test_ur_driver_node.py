@@ -6,13 +6,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from twin_node.arm import LimiterParameters
-from twin_node.arm.ur import DriverMode, DriverState, UrParameters
+from twin_node.arm.ur import DriverMode, DriverReport, DriverState, UrParameters
 from twin_node.bag import LogWriter, open_log
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.cli import main
@@ -22,7 +23,7 @@ from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATE
 from twin_node.nodes.ur_driver import UrDriverNode
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
-from twin_node.runtime.clock import PacedClock
+from twin_node.runtime.clock import PacedClock, SteppedClock
 from twin_node.scene import JointPath, Separation
 
 pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
@@ -146,3 +147,20 @@ def test_a_log_without_decisions_is_refused(tmp_path: Path, capsys: pytest.Captu
         writer.write(TRAJECTORY, convert.joint_path_to_message(path), START_NS)
     assert main(["ur-driver", "--robot", free_loopback(), "--no-reconnect", "--decisions", str(log)]) == 2
     assert "expected a log with /twin/separation" in capsys.readouterr().err
+
+
+def test_diagnostics_go_on_when_the_computers_clock_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it is when a network time server is first reached: once a second is by the clock that nobody sets."""
+    bus, clock, heard, passed_s = LocalBus(), SteppedClock(START_NS), [], [100.0]
+    bus.subscribe(DIAGNOSTICS, heard.append)
+    monkeypatch.setattr(time, "monotonic_ns", lambda: round(passed_s[0] * 1e9))
+    node = UrDriverNode(bus, clock, UrParameters())
+    report = DriverReport(0, DriverState.HALTED, "safety mode PROTECTIVE_STOP")
+    monkeypatch.setattr(node, "_driver", SimpleNamespace(latest=report))
+    node.tick()
+    assert len(heard) == 1
+    node.clock = SteppedClock(START_NS - 3_600_000_000_000)
+    for _ in range(4):
+        passed_s[0] += 0.5
+        node.tick()
+    assert len(heard) == 3

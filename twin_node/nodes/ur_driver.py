@@ -68,14 +68,14 @@ class UrDriverNode(Node):
         report = self.report
         if report is None:
             return
-        now = self.clock.now()
+        now, passed = self.clock.now(), time.monotonic_ns()
         if report.stamp > self._seen:
             self._seen = report.stamp
-            self._publish_arm(report, now - time.monotonic_ns())
+            self._publish_arm(report, now - passed)
         told = self._told
         is_news = told is None or (told.state, told.refusal) != (report.state, report.refusal)
-        if is_news or now >= self._next:
-            self._told, self._next = report, now + _DIAGNOSTICS_NS
+        if is_news or passed >= self._next:
+            self._told, self._next = report, passed + _DIAGNOSTICS_NS
             self.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(now, [self._diagnosis(report)]))
 
     def _publish_arm(self, report: DriverReport, offset: int) -> None:
