@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert, message_type
 from twin_node.nodes.launch import node_thread
 from twin_node.nodes.launch.host import Order
-from twin_node.nodes.launch.node_thread import NodeThread
+from twin_node.nodes.launch.node_thread import Graph, NodeThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, kind_of
 from twin_node.runtime.clock import SystemClock
@@ -167,3 +168,19 @@ ur_model("ur5e")
 sys.exit("scipy" in sys.modules)
 """
     assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0
+
+
+def test_the_nodes_of_a_process_are_made_anew_when_the_computers_clock_is_put_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Images stamped by the new time would be older than all that came before, and refused until it has caught up."""
+    jumps: list[Callable[[], None]] = []
+    monkeypatch.setattr(node_thread, "SystemClock", lambda on_jump_back: jumps.append(on_jump_back) or SystemClock())
+    said: list[str] = []
+    graph = Graph(Order(("synchronizer", "ur_driver"), {}, False, False, {}, {}, "test"), said.append)
+    anew: list[str] = []
+    monkeypatch.setattr(NodeThread, "begin_anew", lambda self: anew.append(self.name))
+    for jump in jumps:
+        jump()
+    graph.close()
+    assert (anew, len(said)) == (["synchronizer"], 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from twin_node.runtime import clock as clock_module
-from twin_node.runtime.clock import FollowedClock
+from twin_node.runtime.clock import FollowedClock, SystemClock
 
 MS = 1_000_000
 
@@ -46,3 +46,54 @@ def test_a_log_that_begins_again_is_told(steady: Steady) -> None:
     clock.set(1_000 * MS)
     assert jumps == [1_000 * MS]
     assert clock.now() == 1_000 * MS
+
+
+class Wall:
+    """The computer's time of day, and how long a look at it takes."""
+
+    def __init__(self, steady: Steady) -> None:
+        self._steady = steady
+        self.ahead = 1_700_000_000_000 * MS
+        self.look = 0
+
+    def time_ns(self) -> int:
+        self._steady.now += self.look
+        return self._steady.now + self.ahead
+
+
+@pytest.fixture
+def wall(steady: Steady, monkeypatch: pytest.MonkeyPatch) -> Wall:
+    wall = Wall(steady)
+    monkeypatch.setattr(clock_module.time, "time_ns", wall.time_ns)
+    return wall
+
+
+def test_a_computers_clock_that_is_put_back_is_told_once(steady: Steady, wall: Wall) -> None:
+    jumps: list[int] = []
+    clock = SystemClock(lambda: jumps.append(steady.now))
+    for _ in range(3):
+        steady.now += 20 * MS
+        assert clock.now() == wall.time_ns()
+    wall.ahead -= 3_600_000 * MS
+    assert clock.now() == wall.time_ns()
+    assert jumps == [steady.now]
+    steady.now += 20 * MS
+    clock.now()
+    assert len(jumps) == 1
+
+
+def test_a_clock_that_is_put_on_or_slowed_and_a_look_that_is_held_up_are_no_jumps(steady: Steady, wall: Wall) -> None:
+    jumps: list[int] = []
+    clock = SystemClock(lambda: jumps.append(steady.now))
+    clock.now()
+    wall.ahead += 3_600_000 * MS
+    clock.now()
+    for _ in range(300):
+        steady.now += 20 * MS
+        wall.ahead -= MS  # chrony leads a clock back so slowly that nothing notices
+        clock.now()
+    wall.look = 5_000 * MS
+    clock.now()
+    wall.look = 0
+    clock.now()
+    assert jumps == []

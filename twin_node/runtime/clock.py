@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -55,9 +56,26 @@ class PacedClock:
 class SystemClock:
     """The time of day, as cameras of a live rig stamp their images."""
 
+    LEAST_JUMP_NS = 100_000_000
+    """A clock that is put back by more has jumped: what has less to catch up with does so by itself."""
+
+    def __init__(self, on_jump_back: Callable[[], None] = lambda: None) -> None:
+        """`on_jump_back()` is called, by whoever asks for the time first, when somebody has put the clock back."""
+        self._on_jump_back = on_jump_back
+        self._ahead: int | None = None
+        self._lock = threading.Lock()
+
     def now(self) -> int:
         """Time since 1970, ns."""
-        return time.time_ns()
+        with self._lock:
+            before = time.monotonic_ns()
+            now = time.time_ns()
+            after = time.monotonic_ns()
+            is_back = self._ahead is not None and now - before < self._ahead - self.LEAST_JUMP_NS
+            self._ahead = now - after  # at least: a look that was held up in between is no jump
+        if is_back:
+            self._on_jump_back()
+        return now
 
 
 class FollowedClock:

@@ -154,7 +154,10 @@ class Graph:
         """`say(line)` tells the user."""
         self._wire = LateWire(fill(ZenohParameters, dict(order.zenoh), order.where))
         self._clock_topic = order.remaps.get(CLOCK, CLOCK)
-        self._clock: Clock = FollowedClock(self._begin_anew) if order.follows_clock else SystemClock()
+        self._say = say
+        self._clock: Clock = (
+            FollowedClock(self._begin_anew) if order.follows_clock else SystemClock(self._on_clock_put_back)
+        )
         self._ended = threading.Event()
         self._threads = [NodeThread(name, order, self._wire, self._clock, self._ended.set, say) for name in order.nodes]
 
@@ -198,6 +201,10 @@ class Graph:
     def close(self) -> None:
         """Ends all traffic."""
         self._wire.close()
+
+    def _on_clock_put_back(self) -> None:
+        self._say("the computer's clock was put back: what was stamped before is later than now, so all begins anew")
+        self._begin_anew()
 
     def _begin_anew(self) -> None:
         for thread in self._threads:
