@@ -12,14 +12,15 @@ from twin_node.messages import convert
 from twin_node.messages.convert import Level
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
-from twin_node.nodes.topics import FRAMES
+from twin_node.nodes.topics import FRAMES, JOINT_STATES
 from twin_node.runtime.bus import LocalBus
-from twin_node.scene import FrameSet, Rig, RigCamera
+from twin_node.scene import FrameSet, JointSample, Rig, RigCamera
 
 MS = 1_000_000
 PERIOD = 33 * MS
 START = 1_700_000_000_000 * MS
 NAMES = ("back", "front", "left")
+ARM = ("shoulder", "elbow")
 SECOND = 30
 """Images of a second."""
 
@@ -78,7 +79,7 @@ class Cell:
         self.bus, self.clock = LocalBus(), Clock()
         self.timers = Timers(self.clock)
         cameras = tuple(self.topics.values())
-        self.node = SynchronizerNode(self.bus, self.clock, cameras, rig, SynchronizerParameters(), self.timers)
+        self.node = SynchronizerNode(self.bus, self.clock, cameras, rig, SynchronizerParameters(), self.timers, ARM)
         self.node.configure()
         self.sets: list[FrameSet] = []
         self.bus.subscribe(FRAMES, self.sets.append)
@@ -187,3 +188,17 @@ def test_duplicates_are_counted_and_named(cell: Cell) -> None:
     image = convert.raw_image("left", START + (SECOND + 2) * PERIOD + 2 * MS, np.zeros((12, 16, 3), np.uint8))
     cell.bus.publish(cell.topics["left"].image, image)
     assert "duplicate: 1 images" in cell.said()["left"][1]
+
+
+def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell: Cell) -> None:
+    """It publishes on the same topic, nearer to the images' stamps than the arm does."""
+    before = len(cell.sets)
+    for i in range(SECOND, SECOND + 10):
+        stamp = START + i * PERIOD
+        for names, at in ((ARM, stamp + 4 * MS), (("finger_joint",), stamp + 2 * MS), (("shoulder",), stamp + 2 * MS)):
+            sample = JointSample(at, names, np.zeros(len(names)), np.zeros(len(names)))
+            cell.bus.publish(JOINT_STATES, convert.joint_sample_to_message(sample))
+        cell.run(i, 1)
+    found = [frames.joints for frames in cell.sets[before:]]
+    assert len(found) >= 8
+    assert [joints.names for joints in found if joints is not None] == [ARM] * len(found)

@@ -177,7 +177,12 @@ class _Engine:
 
     def _synchronizer(self, bus: LocalBus, clock: Clock) -> SynchronizerNode:
         synchronizer = SynchronizerNode(
-            bus, clock, self._session.cameras, self._session.rig, self._parameters.synchronizer
+            bus,
+            clock,
+            self._session.cameras,
+            self._session.rig,
+            self._parameters.synchronizer,
+            joint_names=self._parameters.arm.arm().joint_names,
         )
         synchronizer.configure()
         synchronizer.activate()

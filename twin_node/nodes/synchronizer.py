@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -57,10 +57,15 @@ class SynchronizerNode(Node):
         rig: Rig,
         parameters: SynchronizerParameters,
         timers: Timers | None = None,
+        joint_names: Collection[str] = (),
     ) -> None:
-        """`timers` of a live graph end the wait for silent cameras, and wrong stamps are counted; None in lockstep."""
+        """`timers` of a live graph end the wait for silent cameras, and wrong stamps are counted; None in lockstep.
+
+        `joint_names`: the arm's; joints that are not all of these (a gripper's, an axis') are left out of the sets.
+        """
         super().__init__("synchronizer", bus, clock)
         self._is_live = timers is not None
+        self._joint_names = frozenset(joint_names)
         self._deadline = (timers or NoTimers()).alarm(self._on_deadline)
         self._watch = CameraWatch(tuple(camera.name for camera in rig.cameras))
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
@@ -97,7 +102,9 @@ class SynchronizerNode(Node):
         self._take(self._synchronizer.poll(now), now)
 
     def _on_joints(self, message: Any) -> None:
-        self._assembler.add_joints(convert.joint_sample_from_message(message))
+        sample = convert.joint_sample_from_message(message)
+        if self._joint_names.issubset(sample.names):
+            self._assembler.add_joints(sample)
 
     def _on_colour(self, name: str, message: Any) -> None:
         stamp = from_time(message.header.stamp)

@@ -12,8 +12,11 @@ from twin_node.runtime.node import Node
 def make_synchronizer(setup: Setup) -> Node:
     """The synchroniser, with a timer for its deadlines."""
     source = read_rig(setup.rig())
-    parameters = setup.chain_parameters().synchronizer
-    return SynchronizerNode(setup.bus, setup.clock, source.cameras, source.rig, parameters, setup.timers)
+    parameters = setup.chain_parameters()
+    names = parameters.arm.arm().joint_names
+    return SynchronizerNode(
+        setup.bus, setup.clock, source.cameras, source.rig, parameters.synchronizer, setup.timers, names
+    )
 
 
 def make_arm(setup: Setup) -> Node:
