@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import threading
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
-from shifts import Shift, with_dashboard
+from shifts import PATIENCE_S, Shift, wait_for, with_dashboard
 
 from twin_node.arm.ur import DriverState
 from twin_node.cell.ur_sim import ControllerParameters, StandInParameters, StandInProcess, Watchdog, free_loopback
+from twin_node.robot import ur_model
+from twin_node.scene import JointPath
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +127,25 @@ def test_a_hanging_driver_is_replaced(shift: Shift) -> None:
     shift.until_state(DriverState.HALTED, "driver process silent")
     assert shift.driver.pid != hanging
     assert shift.stand_in.status().runtime_state == "PAUSED"
+
+
+def test_a_hanging_driver_is_replaced_while_somebody_hands_it_more_than_it_has_room_for(shift: Shift) -> None:
+    hanging = shift.driver.pid
+    assert hanging is not None
+    names, count = ur_model("ur5e").joint_names, 100_000
+    path = JointPath(names, np.arange(count, dtype=np.int64) * 1_000_000, np.zeros((count, 6)))
+    taken: list[bool] = []
+    os.kill(hanging, signal.SIGSTOP)
+    sender = threading.Thread(target=lambda: taken.append(shift.driver.follow(path)), daemon=True)
+    sender.start()
+    try:
+        wait_for(lambda: shift.driver.pid not in (hanging, None), threading.Event())
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(hanging, signal.SIGKILL)
+    sender.join(PATIENCE_S)
+    assert taken == [False]
+    shift.until_state(DriverState.HALTED, "driver process silent")
 
 
 def test_missing_forecasts_slow_then_stop_the_arm_and_are_acknowledged(shift: Shift) -> None:

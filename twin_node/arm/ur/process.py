@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
+import os
+import socket
 from multiprocessing.connection import wait
 
 from twin_node.arm.ur.parameters import UrParameters
@@ -59,6 +62,11 @@ class DriverProcess:
         if ready:
             raise EOFError
         return None
+
+    def hang_up(self) -> None:
+        """Take no more orders: whoever waits to hand one over is let go, and the process is to end."""
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(self._pipe.fileno())) as line:
+            line.shutdown(socket.SHUT_RDWR)  # to close the pipe would wake nobody
 
     def end(self) -> str:
         """End it, in order if it can: it stops the arm before it goes. Gives back how it ended."""

@@ -119,6 +119,7 @@ class SupervisedDriver:
         with self._lock:
             self._process = process
         reason = self._listen(process)
+        process.hang_up()  # first: an order that a hanging process does not take is handed over under the lock
         with self._lock:
             self._process = None
         how = process.end()
