@@ -147,9 +147,9 @@ class Cell:
         path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
         self.bus.publish(TRAJECTORY, convert.joint_path_to_message(path))
 
-    def somebody(self, count: int = 1) -> Separation:
-        """Obstacles, now; gives back what the arm is told, before the limiter's ramp holds it down."""
-        now = self.clock.now()
+    def somebody(self, count: int = 1, begins_ms: int = 0, ahead_ms: int = 0) -> Separation:
+        """Obstacles, now (or stamped ahead), foreseen from so much later on; gives back what the arm is told."""
+        now = self.clock.now() + ahead_ms * MS
         at = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.33, 0.0])
         obstacles = Obstacles(
             stamp=now,
@@ -161,8 +161,8 @@ class Cell:
             sizes=np.full((count, 3), 0.1),
             velocities=np.zeros((count, 3)),
             bounds=np.zeros(count),
-            valid_from=np.full(count, now),
-            valid_to=np.full(count, now + 200 * MS),
+            valid_from=np.full(count, now + begins_ms * MS),
+            valid_to=np.full(count, now + (begins_ms + 200) * MS),
         )
         self.bus.publish(OBSTACLES, convert.obstacles_to_message(obstacles))
         return self.told[-1]
@@ -213,16 +213,30 @@ def test_joints_that_come_late_do_not_replace_newer_ones() -> None:
     assert cell.somebody().reason == "slow for MOVING"
 
 
-def test_a_path_that_has_not_begun_or_is_nearly_over_does_not_say_where_the_arm_is() -> None:
+def test_a_path_that_has_not_begun_or_is_over_does_not_say_where_the_arm_is() -> None:
     cell = Cell()
     cell.joints()
     cell.path(begins_ms=300, lasts_ms=200)
     assert cell.somebody().reason == "slow for MOVING"  # the path alone would have it stand
-    cell.path(begins_ms=-160, lasts_ms=200, velocity=np.zeros(6))
-    cell.joints()
+    cell.path(begins_ms=-201, lasts_ms=200, velocity=np.zeros(6))
     assert cell.somebody().reason == "slow for MOVING"
     cell.path(begins_ms=-100, lasts_ms=200, velocity=np.zeros(6))
     assert cell.somebody().reason == "clear"
+
+
+@pytest.mark.parametrize(("begun_ms", "begins_ms"), [(199, 0), (5, 194), (5, 350)])
+def test_an_arm_does_not_stand_where_its_path_is_told_no_further(begun_ms: int, begins_ms: int) -> None:
+    """A driver tells of 200 ms; the joints of an arm that is slowed say less than what its program means to do."""
+    cell = Cell()
+    cell.joints(qd=0.02 * TURNING)
+    cell.path(begins_ms=-begun_ms, lasts_ms=200)
+    assert "for MOVING" in cell.somebody(begins_ms=begins_ms).reason
+
+
+def test_a_log_whose_recording_times_lie_before_its_stamps_is_judged_by_its_stamps() -> None:
+    cell = Cell()
+    cell.joints(ago_ms=-900)
+    assert cell.somebody(ahead_ms=900).reason == "slow for MOVING"
 
 
 def test_who_has_heard_of_an_arm_never_judges_a_made_up_one() -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from twin_node.arm.errors import ArmError
 from twin_node.arm.path import CyclicPath, path_ahead, path_from_sample
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, JointPath, JointSample
+from twin_node.scene import JointPath, JointSample
 
-_LEAST_LEFT_NS = HORIZONS_NS[1]
-"""So much of a path must be left, ns: the first pose that closing speeds are taken from; at its end an arm stands."""
+_GONE_ON_NS = 1_000_000_000
+"""An arm is taken to go on for so long as at the end of what its path tells, ns: late forecasts look as far."""
 
 
 class Whereabouts:
@@ -54,17 +56,17 @@ class Whereabouts:
                 velocities = (positions - before.positions) / (passed_ns * 1e-9)
         self._joints = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
 
-    def ahead(self, stamp: int) -> JointPath:
-        """The arm's next 200 ms from a time on (ns).
+    def ahead(self, stamp: int, now: int) -> JointPath:
+        """The arm's next 200 ms from a time on (ns), as it is known by now (ns).
 
         Raises `ArmError`, with the reason, where nobody knows any more, and `RobotError` where only another arm's
         joints have come.
         """
         path, joints = self._path, self._joints
-        if path is not None and path.stamps[0] <= stamp <= path.stamps[-1] - _LEAST_LEFT_NS:
-            return path_ahead(self._model, path, stamp)
+        if path is not None and path.stamps[0] <= now <= path.stamps[-1]:
+            return path_ahead(self._model, _gone_on(self._model, path), stamp)
         if joints is not None:
-            age_ms = (stamp - joints.stamp) / 1e6
+            age_ms = (now - joints.stamp) / 1e6
             if abs(age_ms) * 1e6 > self._lasting_ns:
                 when = f"{age_ms:.0f} ms old" if age_ms > 0 else f"{-age_ms:.0f} ms in the future"
                 raise ArmError(f"the arm's joints are {when}")
@@ -73,5 +75,17 @@ class Whereabouts:
             self._model.order(self._other.names, self._other.positions)
         if path is None:
             return self._cycle.ahead(stamp)
-        state = "has not begun" if path.stamps[0] > stamp else "is over"
+        state = "has not begun" if path.stamps[0] > now else "is over"
         raise ArmError(f"the arm's trajectory {state}, and no joints come")
+
+
+def _gone_on(model: ArmModel, path: JointPath) -> JointPath:
+    """A path whose joints keep the velocities that they have at its end, within their ranges."""
+    if len(path.stamps) < 2:
+        return path
+    step_ns = int(path.stamps[-1] - path.stamps[-2])
+    way = (path.positions[-1] - path.positions[-2]) * (_GONE_ON_NS / step_ns)
+    last = path.positions[-1]
+    end = np.clip(last + way, np.minimum(model.lower, last), np.maximum(model.upper, last))
+    stamps = np.append(path.stamps, path.stamps[-1] + _GONE_ON_NS)
+    return JointPath(path.names, stamps, np.concatenate([path.positions, end[None]]))

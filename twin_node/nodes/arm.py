@@ -150,7 +150,7 @@ class ArmNode(Node):
         """What the law says at a time (ns) that the obstacles are valid from; an arm of which nobody knows stands."""
         reaction_s = self._reaction_s(now)
         try:
-            path = self._arm.ahead(stamp)
+            path = self._arm.ahead(stamp, max(now, obstacles.stamp))  # a log may be recorded before its stamps
         except ArmError as error:
             return standing(stamp, obstacles.stamp, f"stopped: {error}")
         return decide(self._checker, path, stamp, reaction_s, self._parameters.separation)
