@@ -147,7 +147,7 @@ class Cell:
         path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
         self.bus.publish(TRAJECTORY, convert.joint_path_to_message(path))
 
-    def somebody(self, count: int = 1, begins_ms: int = 0, ahead_ms: int = 0) -> Separation:
+    def somebody(self, count: int = 1, begins_ms: int = 0, ahead_ms: int = 0, frame: str = "base_link") -> Separation:
         """Obstacles, now (or stamped ahead), foreseen from so much later on; gives back what the arm is told."""
         now = self.clock.now() + ahead_ms * MS
         at = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.33, 0.0])
@@ -164,7 +164,9 @@ class Cell:
             valid_from=np.full(count, now + begins_ms * MS),
             valid_to=np.full(count, now + (begins_ms + 200) * MS),
         )
-        self.bus.publish(OBSTACLES, convert.obstacles_to_message(obstacles))
+        message = convert.obstacles_to_message(obstacles)
+        message.header.frame_id = frame
+        self.bus.publish(OBSTACLES, message)
         return self.told[-1]
 
 
@@ -278,3 +280,13 @@ def test_obstacles_that_are_refused_are_named_where_the_arm_is_told_to_stand() -
 def test_a_command_cannot_arrive_before_it_is_sent(value: float) -> None:
     with pytest.raises(TwinError, match=f"command_latency_ms: expected a number of 0 or more, found {value:g}"):
         ArmParameters(command_latency_ms=value)
+
+
+@pytest.mark.parametrize("frame", ["base", "world", ""])
+def test_obstacles_in_another_frame_are_refused(frame: str) -> None:
+    """In `base`, half a turn about z away, whoever stands before the arm would be held for behind it."""
+    cell = Cell()
+    cell.joints()
+    with pytest.raises(TwinError, match=f"expected them in base_link, found {frame!r}"):
+        cell.somebody(frame=frame)
+    assert cell.somebody(frame="/base_link").reason == "slow for MOVING"

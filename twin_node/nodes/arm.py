@@ -136,6 +136,7 @@ class ArmNode(Node):
     def _on_obstacles(self, message: Any) -> None:
         now = self.clock.now()
         try:
+            _check_frame(message.header.frame_id)
             obstacles = convert.obstacles_from_message(message)
             self._checker.update(obstacles)
             decision = self._decided(obstacles, max(now, obstacles.begins), now)
@@ -164,6 +165,11 @@ class ArmNode(Node):
         self._gaps.append(min(max(now - self._arrived, 0), deadline_ns))
         self._arrived = now
         return max(self._gaps) * 1e-9 + self._parameters.command_latency_ms * 1e-3
+
+
+def _check_frame(frame: str) -> None:
+    if frame.lstrip("/") != convert.BASE_FRAME:
+        raise ArmError(f"obstacles: expected them in {convert.BASE_FRAME}, found {frame!r}; transform them before")
 
 
 def make_arm_node(
