@@ -18,7 +18,7 @@ from twin_node.arm import (
     sample_path,
 )
 from twin_node.arm.inverse import reach_down
-from twin_node.robot import UR_NAMES, RobotError, forward_kinematics, ur_model
+from twin_node.robot import UR_NAMES, RobotError, arm_model, forward_kinematics, ur_model
 from twin_node.scene import JointPath, JointSample
 
 WORKSPACES = {
@@ -147,3 +147,11 @@ def test_what_cannot_be_reached_or_followed_is_refused() -> None:
         sample_path(JointPath(model.joint_names, stamps, positions[:, :5]), stamps)
     with pytest.raises(ArmError, match="at least one row"):
         sample_path(JointPath(model.joint_names, stamps[:0], positions[:0]), stamps)
+
+
+def test_an_arm_from_a_file_is_taken_as_fast_as_it_is_measured() -> None:
+    """MuJoCo reads no ratings: the wrist of a UR3e turns at 6.28 rad/s, which no made-up one may cut."""
+    rated, from_file = ur_model("ur3e"), arm_model("sim/ur3e.xml")
+    sample = JointSample(0, rated.joint_names, np.zeros(6), np.array([0, 0, 0, 0, 0, 6.2]))
+    expected, found = path_from_sample(rated, sample, 0), path_from_sample(from_file, sample, 0)
+    np.testing.assert_allclose(found.positions, expected.positions)

@@ -18,8 +18,8 @@ from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
 from twin_node.robot.model import ArmModel, Capsules, RobotError
 from twin_node.scene import Float64
 
-_MAX_VELOCITY = np.pi
-"""rad/s, for files that give none: what the UR5e's joints reach."""
+_MAX_VELOCITY = 15.0
+"""rad/s: MuJoCo reads no ratings. The fastest wrists of industrial arms reach it, so that no measured speed is cut."""
 _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
 _CAPSULES_PER_MESH = 2
