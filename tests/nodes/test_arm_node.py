@@ -147,16 +147,23 @@ class Cell:
         path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
         self.bus.publish(TRAJECTORY, convert.joint_path_to_message(path))
 
-    def somebody(self, count: int = 1, begins_ms: int = 0, ahead_ms: int = 0, frame: str = "base_link") -> Separation:
+    def somebody(
+        self,
+        count: int = 1,
+        begins_ms: int = 0,
+        ahead_ms: int = 0,
+        frame: str = "base_link",
+        at: Float64 | None = None,
+    ) -> Separation:
         """Obstacles, now (or stamped ahead), foreseen from so much later on; gives back what the arm is told."""
         now = self.clock.now() + ahead_ms * MS
-        at = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.33, 0.0])
+        beside = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.33, 0.0])
         obstacles = Obstacles(
             stamp=now,
             ids=np.arange(count, dtype=np.uint32),
             kinds=np.full(count, ObstacleKind.MOVING, np.uint8),
             shapes=np.full(count, ObstacleShape.SPHERE, np.uint8),
-            positions=np.tile(at, (count, 1)),
+            positions=np.tile(beside if at is None else at, (count, 1)),
             quats=np.tile([1.0, 0, 0, 0], (count, 1)),
             sizes=np.full((count, 3), 0.1),
             velocities=np.zeros((count, 3)),
@@ -290,3 +297,34 @@ def test_obstacles_in_another_frame_are_refused(frame: str) -> None:
     with pytest.raises(TwinError, match=f"expected them in base_link, found {frame!r}"):
         cell.somebody(frame=frame)
     assert cell.somebody(frame="/base_link").reason == "slow for MOVING"
+
+
+def obeying(cell: Cell, q: Float64, periods: int) -> Float64:
+    """Joints at 125 Hz from `q` on, forecasts every 32 ms of somebody in the arm's way; gives back its last joints."""
+    at = forward_kinematics(MODEL, READY + 1.5 * TURNING)[-1, :3, 3]
+    for i in range(periods):
+        cell.wait(8)
+        share = cell.told[-1].speed_fraction if cell.told else 0.0
+        q = q + TURNING * share * 0.008
+        cell.joints(q, TURNING * share)
+        if i % 4 == 0:
+            cell.somebody(at=at)
+    return q
+
+
+def test_an_arm_of_which_only_joints_are_known_does_not_creep_up_to_who_stands_in_its_way() -> None:
+    """Stopped, it seemed to close in on nobody, and was told to go on until it moved: 4 % of its speed every 66 ms."""
+    cell = Cell(Timers())
+    stopped = obeying(cell, READY, 300)
+    assert cell.told[-1].reason == "stopped for MOVING"
+    np.testing.assert_array_equal(obeying(cell, stopped, 300), stopped)
+
+
+def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> None:
+    cell = Cell(Timers())
+    stopped = obeying(cell, READY, 400)
+    at = forward_kinematics(MODEL, READY + 1.5 * TURNING)[-1, :3, 3]
+    for _ in range(30):
+        cell.wait(8)
+        cell.joints(stopped, -0.3 * TURNING)
+    assert cell.somebody(at=at).reason in ("clear", "not closing in")

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.path import CyclicPath, path_ahead, path_from_sample
+from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel
 from twin_node.scene import JointPath, JointSample
 
+_LEAST_SHARE = 0.05
+"""Below this share of its speed what is measured of an arm is not told from noise: that would count twenty times."""
 _GONE_ON_NS = 1_000_000_000
 """An arm is taken to go on for so long as at the end of what its path tells, ns: late forecasts look as far."""
 
@@ -23,6 +28,8 @@ class Whereabouts:
         self._lasting_ns = round(lasting_s * 1e9)
         self._path: JointPath | None = None
         self._joints: JointSample | None = None
+        self._measured: JointSample | None = None
+        self._programmed = ProgrammedVelocity(_LEAST_SHARE)
         self._other: JointSample | None = None
 
     @property
@@ -35,16 +42,17 @@ class Whereabouts:
         positions = self._model.order(path.names, path.positions)
         self._path = JointPath(self._model.joint_names, path.stamps, positions)
 
-    def take_joints(self, sample: JointSample, has_velocities: bool = True) -> None:
+    def take_joints(self, sample: JointSample, has_velocities: bool = True, share: float = 1.0) -> None:
         """A new sample, its joints in any order; without velocities, they are those since the sample before.
 
-        What others than the arm (a gripper, an axis) say on the same topic is left out, and so is what comes after
-        newer joints. Raises `RobotError` where a joint is missing.
+        `share`: of its speed, that the arm has been told to keep to. What others than the arm (a gripper, an axis) say
+        on the same topic is left out, and so is what comes after newer joints. Raises `RobotError` where a joint is
+        missing.
         """
         if not set(sample.names) & set(self._model.joint_names):
             self._other = sample
             return
-        before = self._joints
+        before = self._measured
         positions = self._model.order(sample.names, sample.positions)
         velocities = self._model.order(sample.names, sample.velocities)
         passed_ns = 0 if before is None else sample.stamp - before.stamp
@@ -54,7 +62,8 @@ class Whereabouts:
             velocities = before.velocities
             if passed_ns > 0:
                 velocities = (positions - before.positions) / (passed_ns * 1e-9)
-        self._joints = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
+        self._measured = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
+        self._joints = replace(self._measured, velocities=self._programmed.seen(velocities, share, sample.stamp))
 
     def ahead(self, stamp: int, now: int) -> JointPath:
         """The arm's next 200 ms from a time on (ns), as it is known by now (ns).

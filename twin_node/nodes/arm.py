@@ -67,8 +67,8 @@ class ArmNode(Node):
     """Looks along the arm's next 200 ms at every new set of obstacles, and publishes `/twin/separation`.
 
     The arm's future comes from `/arm/trajectory` while it lasts, else from `/joint_states` extrapolated, which must be
-    as fresh as forecasts. Where neither has ever come it is that of the given cycle: a log without an arm is judged as
-    if one worked in it.
+    as fresh as forecasts. In a live graph they are those of an arm that obeys: the share that it was told is taken out.
+    Where neither has ever come it is that of the given cycle: a log without an arm is judged as if one worked in it.
     """
 
     def __init__(
@@ -91,6 +91,8 @@ class ArmNode(Node):
         limits = parameters.limiter
         self._arm = Whereabouts(checker.model, cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
         self._refused: str | None = None
+        self._is_live = timers is not None
+        self._share = 0.0
 
     def on_configure(self) -> None:
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
@@ -125,13 +127,15 @@ class ArmNode(Node):
         self._silence.set(max(left, SHORTEST_WAIT_S))
 
     def _tell(self, separation: Separation) -> None:
+        self._share = separation.speed_fraction
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
     def _on_trajectory(self, message: Any) -> None:
         self._arm.take_path(convert.joint_path_from_message(message, self.clock.now()))
 
     def _on_joints(self, message: Any) -> None:
-        self._arm.take_joints(convert.joint_sample_from_message(message), len(message.velocity) > 0)
+        sample = convert.joint_sample_from_message(message)
+        self._arm.take_joints(sample, len(message.velocity) > 0, self._share if self._is_live else 1.0)
 
     def _on_obstacles(self, message: Any) -> None:
         now = self.clock.now()
