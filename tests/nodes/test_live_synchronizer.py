@@ -202,3 +202,14 @@ def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell: Cell) -> None:
     found = [frames.joints for frames in cell.sets[before:]]
     assert len(found) >= 8
     assert [joints.names for joints in found if joints is not None] == [ARM] * len(found)
+
+
+def test_images_stamped_after_their_arrival_are_named_before_they_are_refused(cell: Cell) -> None:
+    """A clock that is ahead by less than what is refused makes every forecast look less far than it says."""
+    before = len(cell.sets)
+    ahead = {name: Fault(stamp_shift=60 * MS) for name in NAMES}
+    cell.run(SECOND, SECOND, **ahead)
+    assert len(cell.sets) - before >= SECOND - 6
+    for level, message in cell.said().values():
+        assert level is Level.WARN
+        assert message.startswith("ahead: images are stamped 55 ms after their arrival; let chrony or PTP keep")

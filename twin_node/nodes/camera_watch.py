@@ -1,4 +1,4 @@
-"""Tells cameras that do not send as the others do: silent, slow, late, or with a clock that steps."""
+"""Tells cameras that do not send as the others do: silent, slow, late, or with a clock that steps or is ahead."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ SLOW_SHARE = 0.75
 """A camera at less than this share of the fastest one's rate is named: a missed image in four is no jitter."""
 LATE_NS = 20_000_000
 """A camera whose images arrive so much later after their stamps than another's is named: half a period at 30 Hz."""
+AHEAD_NS = 5_000_000
+"""Images that are stamped so long after their arrival come of a clock that is ahead: latency and forecasts seem shorter
+by that. Less may be what a calibrated offset is wrong by."""
 COUNTED = (
     ("late", "came after their set had gone"),
     ("duplicate", "had the stamp of the one before"),
@@ -54,6 +57,11 @@ class CameraWatch:
             name = totals.name
             lag = lags.get(name, 0.0)
             faults = self._faults(totals, counts[name], most, lag - least_lag)
+            if lag < -AHEAD_NS:
+                faults.append(
+                    f"ahead: images are stamped {-lag / 1e6:.0f} ms after their arrival; let chrony or PTP keep the "
+                    "clocks together"
+                )
             level = Level.ERROR if counts[name] == 0 else Level.WARN if faults else Level.OK
             text = "; ".join(faults) or "in step with the others"
             found.append(Diagnosis(f"{node}: {name}", level, text, _readings(totals, lag), name))
