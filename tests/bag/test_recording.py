@@ -162,13 +162,33 @@ def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monk
     assert stamps == [i * STEP for i in range(1, len(stamps) + 1)]
 
 
+def test_a_next_file_that_cannot_be_begun_ends_the_recording_and_leaves_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    writer = RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0))
+    fill(writer, 9)
+    monkeypatch.setattr(RecordingWriter, "_begin_file", refuse)
+    with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\)"):
+        writer.write("/a", STRING, text("one too many"), 20 * STEP, builtin_types())
+    monkeypatch.undo()
+    writer.close()
+    assert stamps_of(tmp_path / "run") == [i * STEP for i in range(1, 9)]
+    with open_log(tmp_path / "run") as log:
+        assert log.damage is None
+
+
 def test_wrong_places_are_refused(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "file").touch()
     for name, split, words in (
         ("there", None, "exists already"),
         ("run.bag", None, "expected a name ending in .mcap"),
         ("run.mcap", SplitParameters(max_size_mb=1), "one file cannot be split"),
-        ("no/such/run.mcap", None, "cannot be written"),
+        ("no/such/run.mcap", None, "no/such does not exist; create it first"),
+        ("there/file/run", None, "cannot be written"),
     ):
         with pytest.raises(BagError, match=words):
             RecordingWriter(tmp_path / name, split)

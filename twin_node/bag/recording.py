@@ -136,8 +136,10 @@ class RecordingWriter:
             return
         self._is_closed = True
         try:
-            self._end_file()
-            self._write_metadata()
+            try:
+                self._end_file()
+            finally:
+                self._write_metadata()
         except OSError as error:
             raise self._refused(error) from None
 
@@ -165,8 +167,14 @@ class RecordingWriter:
             new.replace(self.path / METADATA_FILE)
 
     def _end_file(self) -> None:
-        self._files[-1].writer.finish()
-        self._files[-1].stream.close()
+        """Finishes the last file, unless it was the next one that could not be begun."""
+        file = self._files[-1]
+        if file.stream.closed:
+            return
+        try:
+            file.writer.finish()
+        finally:
+            file.stream.close()
 
     def _is_full(self, stamp: int) -> bool:
         file = self._files[-1]
@@ -240,6 +248,8 @@ def _check(path: Path, split: SplitParameters) -> None:
         raise BagError(f"{path}: exists already; remove it or choose another name")
     if path.suffix not in ("", ".mcap"):
         raise BagError(f"{path}: expected a name ending in .mcap, or one without an ending for a folder")
+    if path.suffix == ".mcap" and not path.parent.is_dir():
+        raise BagError(f"{path}: folder {path.parent} does not exist; create it first")
     if path.suffix == ".mcap" and split != SplitParameters():
         raise BagError(f"{path}: one file cannot be split; give a name without an ending for a folder of files")
 
