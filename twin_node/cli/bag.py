@@ -60,6 +60,7 @@ def _record(options: argparse.Namespace) -> None:
     parameters: dict[str, Any] = {
         "output": str(output),
         "all": options.all,
+        "ends_when_refused": True,
         "split": {"max_size_mb": options.max_bag_size / 1e6, "max_duration_s": options.max_bag_duration},
     }
     if options.topics:

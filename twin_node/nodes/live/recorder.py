@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter, SplitParameters
+from twin_node.bag.qos import is_latched
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import RECORDED, GraphError, kind_of
@@ -21,6 +23,9 @@ DISCOVERY_S = 0.2
 FLUSH_TIMER_S = 0.25
 """How often a recorder without messages looks whether a chunk is due, s: half of its time."""
 
+EARLY_KEPT = 100
+"""Latched messages that are kept until time begins, the newest: some for each camera of any rig."""
+
 
 @dataclass(frozen=True)
 class RecordParameters:
@@ -32,6 +37,8 @@ class RecordParameters:
     all: bool = False
     """Every topic of the graph whose type is known here, also those that come later."""
     split: SplitParameters = field(default_factory=SplitParameters)
+    ends_when_refused: bool = False
+    """Where the disk refuses, the node ends with that error; else it stays, so that a graph goes on, and says so."""
 
 
 def make_recorder(setup: Setup) -> Node:
@@ -43,7 +50,11 @@ def make_recorder(setup: Setup) -> Node:
 
 
 class LiveRecorderNode(Node):
-    """Writes every message when it comes; a disk that refuses ends the recording, and the diagnostics say so."""
+    """Writes every message when it comes; a disk that refuses ends the recording, and the diagnostics say so.
+
+    A graph on a log's time has none before `/clock` begins: what is said by then is left out, and what is latched is
+    kept until time begins.
+    """
 
     def __init__(self, setup: Setup, parameters: RecordParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
@@ -53,15 +64,12 @@ class LiveRecorderNode(Node):
         self._is_all = parameters.all
         self._endpoints = setup.endpoints
         self._say = setup.say
+        self._finish = setup.finish
+        self._early: deque[tuple[str, Encoded]] = deque(maxlen=EARLY_KEPT)
         self._added: set[str] = set()
         self._parameters = parameters
         self._writer: RecordingWriter | None = None
         self._error: BagError | None = None
-
-    @property
-    def error(self) -> BagError | None:
-        """Why the recording has ended before its time; None while it goes on."""
-        return self._error
 
     def on_configure(self) -> None:
         """Raises `BagError` where the output cannot be begun."""
@@ -78,7 +86,10 @@ class LiveRecorderNode(Node):
         self._timers.every(FLUSH_TIMER_S, self._flush)
 
     def on_cleanup(self) -> None:
+        """Raises what has ended a recording that is to end with it."""
         self._end()
+        if self._error is not None and self._parameters.ends_when_refused:
+            raise self._error
 
     def add(self, topic: str, kind: TopicKind) -> None:
         """Record a topic from now on."""
@@ -106,13 +117,22 @@ class LiveRecorderNode(Node):
         return (convert.Diagnosis(f"{self.name}: log", convert.Level.OK, "recording", readings),)
 
     def _write(self, topic: str, message: Encoded) -> None:
+        now = self.clock.now()
+        if now <= 0:
+            if is_latched(topic):
+                self._early.append((topic, message))
+            return
+        while self._early:
+            self._put(*self._early.popleft(), now)
+        self._put(topic, message, now)
+
+    def _put(self, topic: str, message: Encoded, stamp: int) -> None:
         if self._writer is None:
             return
         try:
-            self._writer.write(topic, message.msgtype, message.data, self.clock.now(), message.types)
+            self._writer.write(topic, message.msgtype, message.data, stamp, message.types)
         except BagError as error:
-            self._error = error
-            self._end()
+            self._fail(error)
 
     def _flush(self) -> None:
         if self._writer is None:
@@ -120,8 +140,16 @@ class LiveRecorderNode(Node):
         try:
             self._writer.flush_if_due()
         except BagError as error:
-            self._error = error
-            self._end()
+            self._fail(error)
+
+    def _fail(self, error: BagError) -> None:
+        """Ends the recording; nobody may take it for one that goes on."""
+        self._error = error
+        self._end()
+        if self._parameters.ends_when_refused:
+            self._finish()
+        else:
+            self._say(str(error))
 
     def _end(self) -> None:
         writer, self._writer = self._writer, None

@@ -1,0 +1,100 @@
+"""The recorder of a live graph: a disk that refuses, and what is said before the graph has a time."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twin_node.bag import BagError, RecordingWriter, open_log
+from twin_node.messages import convert
+from twin_node.messages.convert import Level
+from twin_node.nodes.live.recorder import LiveRecorderNode, RecordParameters
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, kind_of
+from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.wire import LocalWire
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.scene import Rig, RigCamera
+
+LOG_START = 1_700_000_000_000_000_000
+
+
+class Studio:
+    """A recorder, and a wire to speak on."""
+
+    def __init__(self, output: Path, clock: Clock, **more: Any) -> None:
+        self.said: list[str] = []
+        self.is_finished = False
+        self._wire, self._executor = LocalWire(), Executor()
+        bus = WireBus(self._wire, self._executor, "recorder", kind_of)
+        say, ends = self.said.append, self._wire.endpoints
+        setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, ends, say)
+        self.node = LiveRecorderNode(setup, RecordParameters(str(output), (DIAGNOSTICS, TF_STATIC), **more))
+        self.node.configure()
+        self.node.activate()
+
+    def _finish(self) -> None:
+        self.is_finished = True
+
+    def hear(self, topic: str, message: Any) -> None:
+        self._wire.publisher("somebody", topic, kind_of(topic))(message)
+        while self._executor.step(0.0):
+            pass
+
+    def hear_diagnostics(self) -> None:
+        self.hear(DIAGNOSTICS, convert.diagnostics_to_message(0, []))
+
+    def end(self) -> None:
+        self.node.deactivate()
+        self.node.cleanup()
+
+
+def refuse(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_disk_that_refuses_is_told_to_the_user_of_a_graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    studio = Studio(tmp_path / "run.mcap", SystemClock())
+    studio.hear_diagnostics()
+    monkeypatch.setattr(RecordingWriter, "_put", refuse)
+    studio.hear_diagnostics()
+    studio.hear_diagnostics()
+    assert len(studio.said) == 1
+    assert "No space left on device" in studio.said[0]
+    assert not studio.is_finished
+    (diagnosis,) = studio.node.diagnoses()
+    assert diagnosis.level is Level.ERROR
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert len(list(log.messages())) == 1
+
+
+def test_a_recorder_by_itself_ends_with_the_disk_s_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), ends_when_refused=True)
+    monkeypatch.setattr(RecordingWriter, "_put", refuse)
+    studio.hear_diagnostics()
+    assert studio.is_finished
+    with pytest.raises(BagError, match="No space left on device"):
+        studio.end()
+
+
+def test_what_is_said_before_the_graph_has_a_time_is_not_of_1970(tmp_path: Path) -> None:
+    """A graph on a log's time has none until `/clock` begins; what is latched is kept until then."""
+    clock = FollowedClock()
+    studio = Studio(tmp_path / "run.mcap", clock)
+    K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+    rig = Rig((RigCamera("front", 16, 12, K, np.eye(4)),))
+    studio.hear_diagnostics()
+    studio.hear(TF_STATIC, convert.tf_static(rig, 0))
+    clock.set(LOG_START)
+    studio.hear_diagnostics()
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [message.topic for message in log.messages()] == [TF_STATIC, DIAGNOSTICS]
+        assert log.start_ns >= LOG_START
