@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,6 +68,8 @@ class Fault:
     stamp_shift: int = 0
     arrival_delay: int = 0
     keeps: Callable[[int], bool] = lambda i: True
+    spoils: Callable[[Any], None] = lambda message: None
+    """Changes the image message."""
 
 
 class Cell:
@@ -88,8 +91,9 @@ class Cell:
         """Images `first` to `first + count` of every camera, in the order of their arrival; timers in between."""
         for arrival, stamp, name in sorted(self._arrivals(first, count, faults)):
             self._pass_time(arrival)
-            image = np.full((12, 16, 3), 90, np.uint8)
-            self.bus.publish(self.topics[name].image, convert.raw_image(name, stamp, image))
+            message = convert.raw_image(name, stamp, np.full((12, 16, 3), 90, np.uint8))
+            faults.get(name, Fault()).spoils(message)
+            self.bus.publish(self.topics[name].image, message)
 
     def _pass_time(self, until: int) -> None:
         """Lets the clock run to a time, ns, and alarms ring on the way."""
@@ -149,6 +153,40 @@ def test_the_last_images_before_silence_leave_by_the_timer(cell: Cell) -> None:
     assert len(cell.sets) == before
     cell._pass_time(due)
     assert len(cell.sets) > before
+
+
+def cut(message: Any) -> None:
+    message.data = message.data[:10]
+
+
+def shrink(message: Any) -> None:
+    message.height, message.data = 6, message.data[: 6 * message.step]
+
+
+@pytest.mark.parametrize(("spoils", "words"), [(cut, "10 bytes"), (shrink, "expected 8-bit colour images of 16x12")])
+def test_a_camera_whose_images_are_no_good_is_left_out_and_named(
+    cell: Cell, spoils: Callable[[Any], None], words: str
+) -> None:
+    before = len(cell.sets)
+    cell.run(SECOND, SECOND, front=Fault(spoils=spoils))
+    level, message = others_are_well(cell, "front")
+    assert level is Level.WARN
+    assert message.startswith("unusable: ")
+    assert words in message
+    made = cell.sets[before:]
+    assert len(made) >= SECOND - 2
+    assert all([view.camera.name for view in frames.views] == ["back", "left"] for frames in made[1:])
+    assert (np.diff([frames.stamp for frames in made]) > 0).all()
+
+
+def test_a_spoilt_image_that_leaves_by_the_timer_ends_nothing(cell: Cell) -> None:
+    """The timer's callback is no subscription, whose errors are counted: what it raises ends the process."""
+    cell.run(SECOND, 1, front=Fault(keeps=lambda i: False), left=Fault(spoils=cut))
+    due, before = cell.timers.alarms[0].due, len(cell.sets)
+    assert due is not None
+    cell._pass_time(due)
+    assert [[view.camera.name for view in frames.views] for frames in cell.sets[before:]] == [["back"]]
+    assert "unusable: 1 images" in cell.said()["left"][1]
 
 
 def test_a_camera_at_half_rate_is_named(cell: Cell) -> None:

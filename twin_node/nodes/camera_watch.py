@@ -32,6 +32,8 @@ class _Seen:
 
     stamps: list[int] = field(default_factory=list)
     lags: list[int] = field(default_factory=list)
+    unusable: list[str] = field(default_factory=list)
+    """What was wrong with each image that could not be used."""
 
 
 class CameraWatch:
@@ -45,6 +47,10 @@ class CameraWatch:
         """Takes note of an image: both times in ns, on the graph's clock."""
         self._seen[camera].stamps.append(stamp)
         self._seen[camera].lags.append(arrival - stamp)
+
+    def add_unusable(self, camera: str, why: str) -> None:
+        """Takes note of an image that its set goes without."""
+        self._seen[camera].unusable.append(why)
 
     def diagnoses(self, node: str, report: SyncReport) -> tuple[Diagnosis, ...]:
         """One per camera, of what was seen since the last call; `report` holds the synchroniser's totals."""
@@ -78,6 +84,8 @@ class CameraWatch:
             faults.append(f"slow: {count} images where the fastest camera sent {most}")
         if extra_lag > LATE_NS:
             faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
+        if unusable := self._seen[totals.name].unusable:
+            faults.append(f"unusable: {len(unusable)} images, the last: {unusable[-1]}")
         for key, meaning in COUNTED:
             more = getattr(totals, key) - getattr(before, key)
             if more > 0:

@@ -8,15 +8,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
+from twin_node.rig.approximate_time import Stamped
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
-from twin_node.scene import Camera, Rig
+from twin_node.scene import Camera, Rig, View
 
 DEPTHS_KEPT = 8
 """Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
@@ -46,7 +48,9 @@ class EncodedView:
 class SynchronizerNode(Node):
     """Groups the cameras' images by stamp; decodes, undistorts and publishes the sets that are wanted.
 
-    Raises `GraphError` for images whose stamps run backwards, `MessageError` for images that cannot be decoded.
+    In lockstep it raises `GraphError` for images whose stamps run backwards, `MessageError` for those that cannot be
+    decoded, `RigError` for those of another size than the calibrated. Live, a camera whose image is no good is left out
+    of its set, and `/diagnostics` says why.
     """
 
     def __init__(
@@ -79,6 +83,7 @@ class SynchronizerNode(Node):
         self._depths: dict[str, deque[Any]] = {name: deque(maxlen=DEPTHS_KEPT) for name in self._rig_cameras}
         self._last_stamp: dict[str, int] = {}
         self._next_due: int | None = None
+        self._published = 0
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -172,10 +177,24 @@ class SynchronizerNode(Node):
         return True
 
     def _publish(self, grouped: SyncSet[EncodedView]) -> None:
-        images = {}
-        for name, member in zip(self._rig_cameras, grouped.members, strict=True):
-            if member is not None:
-                view = member.payload
-                depth = None if view.depth is None else convert.depth_from_message(view.depth)
-                images[name] = DecodedImage(member.stamp, convert.rgb_from_message(view.colour), depth)
-        self.bus.publish(FRAMES, self._assembler.assemble(images))
+        members = {name: m for name, m in zip(self._rig_cameras, grouped.members, strict=True) if m is not None}
+        views = [view for name, member in members.items() if (view := self._view(name, member)) is not None]
+        stamp = max((view.stamp for view in views), default=0)
+        if len(views) < len(members) and stamp <= self._published:
+            return  # without its newest image a set may reach less far than the one before it
+        self._published = stamp
+        self.bus.publish(FRAMES, self._assembler.assemble_views(views))
+
+    def _view(self, name: str, member: Stamped[EncodedView]) -> View | None:
+        """A camera's part of a set; None, and told, where a live camera's image is no good: the others go on."""
+        encoded = member.payload
+        try:
+            depth = None if encoded.depth is None else convert.depth_from_message(encoded.depth)
+            return self._assembler.view(
+                name, DecodedImage(member.stamp, convert.rgb_from_message(encoded.colour), depth)
+            )
+        except TwinError as error:
+            if not self._is_live:
+                raise
+            self._watch.add_unusable(name, str(error))
+            return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from twin_node.rig.errors import RigError
 from twin_node.rig.undistort import Undistorter
-from twin_node.scene import Camera, Float32, FrameSet, JointSample, RigCamera, UInt8
+from twin_node.scene import Camera, Float32, FrameSet, JointSample, RigCamera, UInt8, View
 
 JOINTS_KEPT_NS = 2_000_000_000
 """Joint samples older than this before the newest one are dropped: longer than any set waits."""
@@ -63,21 +63,28 @@ class FrameAssembler:
 
         Raises `RigError` for an unknown camera, no images at all or an image that is not of the calibrated size.
         """
-        for name in images:
-            if name not in self._undistorters:
-                known = ", ".join(self._undistorters)
-                raise RigError(
-                    f"frame assembler: expected images of {known}, found one of {name!r}; is this the right rig file?"
-                )
-        views = tuple(
-            undistorter.view(images[name].stamp, images[name].rgb, images[name].depth)
-            for name, undistorter in self._undistorters.items()
-            if name in images
-        )
+        return self.assemble_views([self.view(name, image) for name, image in images.items()])
+
+    def view(self, name: str, image: DecodedImage) -> View:
+        """The undistorted view of one camera's image.
+
+        Raises `RigError` for an unknown camera or an image that is not of the calibrated size.
+        """
+        if name not in self._undistorters:
+            known = ", ".join(self._undistorters)
+            raise RigError(
+                f"frame assembler: expected images of {known}, found one of {name!r}; is this the right rig file?"
+            )
+        return self._undistorters[name].view(image.stamp, image.rgb, image.depth)
+
+    def assemble_views(self, views: Sequence[View]) -> FrameSet:
+        """The frame set of views of one instant, in the rig's order. Raises `RigError` for none."""
         if not views:
             raise RigError("frame assembler: expected the image of at least one camera, found none")
+        seen = {view.camera.name: view for view in views}
         stamp = max(view.stamp for view in views)
-        frames = FrameSet(stamp, views, self._joints_at(stamp), self._sequence)
+        ordered = tuple(seen[name] for name in self._undistorters if name in seen)
+        frames = FrameSet(stamp, ordered, self._joints_at(stamp), self._sequence)
         self._sequence += 1
         return frames
 
