@@ -1,6 +1,10 @@
 """A log takes its name only when it is whole; wrong calls are one clear line."""
 
+import errno
+import io
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -104,4 +108,31 @@ def test_a_full_disk_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(BagError, match="No space left on device"), LogWriter(tmp_path / "log.mcap") as log:
         monkeypatch.setattr("mcap.writer.Writer.add_message", lambda *_: FullDisk(tmp_path).write(b""))
         log.write("/a", text("a"), 0)
+    assert list(tmp_path.iterdir()) == []
+
+
+class FullFile(io.FileIO):
+    """A file on a disk that takes nothing any more; what is written through a buffer is refused when that is full."""
+
+    def write(self, data: Any) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("last_words", ["topic", "metadata", "message", "nothing"])
+def test_a_full_disk_is_one_error_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_words: str
+) -> None:
+    """What waits in the file's buffer cannot be written when the file is given up, either."""
+    monkeypatch.setattr(Path, "open", lambda path, *_: io.BufferedWriter(FullFile(path, "wb"), 1 << 14))
+    long = "x" * (1 << 15)
+    with pytest.raises(BagError, match=r"log.mcap: cannot be written \(No space left on device\)"):
+        with LogWriter(tmp_path / "log.mcap") as log:
+            log.write("/a", text("short"), 1)
+            if last_words == "topic":
+                log.add_topic("/b", "my_msgs/msg/B", definition=f"# {long}\nstring data\n")
+            elif last_words == "metadata":
+                log.add_metadata("long", {"a": long})
+            elif last_words == "message":
+                log.write("/a", text(32 * long), 2)
+                log.write("/a", text(32 * long), 3)
     assert list(tmp_path.iterdir()) == []

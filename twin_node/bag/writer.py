@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 from collections.abc import Mapping
@@ -88,7 +89,10 @@ class LogWriter:
             types = types.extended({msgtype: definition})
         text = types.definition(msgtype) if definition is None else definition
         latched = is_latched(name) if latched is None else latched
-        self._sink.add_topic(name, _Definition(msgtype, text, types.type_hash(msgtype)), latched)
+        try:
+            self._sink.add_topic(name, _Definition(msgtype, text, types.type_hash(msgtype)), latched)
+        except OSError as error:
+            raise self._refused(error) from None
 
     def write(self, topic: str, message: Message, stamp_ns: int) -> None:
         """Writes a message at a log time in ns."""
@@ -109,7 +113,10 @@ class LogWriter:
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Adds a record of strings that is kept beside the messages (MCAP Metadata; custom data of a folder)."""
-        self._sink.add_metadata(name, record)
+        try:
+            self._sink.add_metadata(name, record)
+        except OSError as error:
+            raise self._refused(error) from None
 
     def flush(self) -> None:
         """Hands all that was written to the operating system, so that a crash loses nothing of it (MCAP file only)."""
@@ -199,7 +206,8 @@ class _FileSink:
         self._partial.replace(self._path)
 
     def abort(self) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # of what waited in its buffer; the file goes
+            self._file.close()
         self._partial.unlink(missing_ok=True)
 
 
