@@ -55,6 +55,23 @@ def test_timers_come_again_and_do_not_catch_up() -> None:
         assert len(ticks) == expected
 
 
+def test_a_timer_that_was_held_up_is_called_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second call at once would find nothing new since the first: cameras that were silent, messages that stopped."""
+    now = 100.0
+    monkeypatch.setattr("twin_node.runtime.executor.time.monotonic", lambda: now)
+    executor, calls = Executor(), []
+    executor.every(1.0, lambda: calls.append(now))
+    now = 103.5
+    run_all(executor)
+    assert calls == [103.5]
+    now = 104.4
+    run_all(executor)
+    assert calls == [103.5]
+    now = 104.5
+    run_all(executor)
+    assert calls == [103.5, 104.5]
+
+
 def test_an_alarm_rings_once_and_when_it_was_set_last() -> None:
     executor, seen = Executor(), []
     early, late = executor.alarm(lambda: seen.append("early")), executor.alarm(lambda: seen.append("late"))

@@ -221,7 +221,9 @@ class Executor:
         timer = self._timers[0]
         if timer.period_s is None:
             return heapq.heappop(self._timers).callback
-        due = max(timer.due + timer.period_s, now)
+        due = timer.due + timer.period_s
+        if due <= now:
+            due = now + timer.period_s
         heapq.heapreplace(self._timers, _Timer(due, next(self._order), timer.period_s, timer.callback))
         return timer.callback
 
