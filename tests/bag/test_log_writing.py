@@ -125,14 +125,14 @@ def test_a_full_disk_is_one_error_and_leaves_nothing(
     """What waits in the file's buffer cannot be written when the file is given up, either."""
     monkeypatch.setattr(Path, "open", lambda path, *_: io.BufferedWriter(FullFile(path, "wb"), 1 << 14))
     long = "x" * (1 << 15)
-    with pytest.raises(BagError, match=r"log.mcap: cannot be written \(No space left on device\)"):
-        with LogWriter(tmp_path / "log.mcap") as log:
-            log.write("/a", text("short"), 1)
-            if last_words == "topic":
-                log.add_topic("/b", "my_msgs/msg/B", definition=f"# {long}\nstring data\n")
-            elif last_words == "metadata":
-                log.add_metadata("long", {"a": long})
-            elif last_words == "message":
-                log.write("/a", text(32 * long), 2)
-                log.write("/a", text(32 * long), 3)
+    refused = pytest.raises(BagError, match=r"log.mcap: cannot be written \(No space left on device\)")
+    with refused, LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/a", text("short"), 1)
+        if last_words == "topic":
+            log.add_topic("/b", "my_msgs/msg/B", definition=f"# {long}\nstring data\n")
+        elif last_words == "metadata":
+            log.add_metadata("long", {"a": long})
+        elif last_words == "message":
+            log.write("/a", text(32 * long), 2)
+            log.write("/a", text(32 * long), 3)
     assert list(tmp_path.iterdir()) == []

@@ -65,6 +65,9 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log=a"], [], "expected NAME:=VALUE"),
         (["log:=a"], ["rate:=2"], "expected NODE.KEY:=VALUE"),
         (["log:=a"], ["plaier.rate:=2"], "unknown node 'plaier'; did you mean 'player'"),
+        (["log:=a", "rate:=["], [], r"rate:=\[: expected a float, found what is no YAML"),
+        (["log:=a"], ["player.rate:=["], r"-p player.rate:=\[: expected a value, found what is no YAML"),
+        (["log:=a"], ["player.rate.x:=1"], "-p player.rate.x:=1: expected keys and values under 'rate', found 1.0"),
     ],
 )
 def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], parameters: list[str], words: str) -> None:
@@ -83,12 +86,30 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("nodes: [player]", "nodes: []", "expected a list of nodes"),
         ("\nplayer:", "\nsynchroniser:", "unknown node 'synchroniser'"),
         ("{nodes: [player]", "{nodes: [player", "cannot be read as YAML"),
+        ("nodes: [player]", "nodes: player", "process 'play': nodes: expected a list, found 'player'"),
+        (
+            "play: {nodes: [player], ends_launch: true, restart: false}",
+            "play: [player]",
+            "process 'play': expected keys",
+        ),
+        ("    play:", "    a/b:", "process 'a/b': expected a name of letters, digits"),
+        ("nodes: [arm]", "nodes: [player]", "node 'player' is in two processes, play and arm"),
+        ("nodes: [player]", "nodes: [player, player]", "node 'player' is in process 'play' twice"),
+        ("rate: {default: 1.0}", "rate: 1.0", "argument 'rate': expected 'default' and 'help', found 1.0"),
+        ("  processes:", "  zenoh: 5\n  processes:", "launch: zenoh: expected keys and values, found 5"),
     ],
 )
 def test_what_is_wrong_with_the_file_is_named(small: Path, old: str, new: str, words: str) -> None:
     small.write_text(SMALL.replace(old, new, 1))
     with pytest.raises(TwinError, match=words):
         read_launch_file(small, ["log:=a"])
+
+
+@pytest.mark.parametrize("text", ["processes:", "processes: 5", "processes: [a]", "arguments: [a]"])
+def test_a_part_of_the_wrong_kind_is_named(small: Path, text: str) -> None:
+    small.write_text(f"launch: {{{text}}}")
+    with pytest.raises(TwinError, match=f"small.yaml: .*{text.partition(':')[0]}"):
+        read_launch_file(small)
 
 
 @pytest.mark.parametrize("name", ["replay", "sim_cell", "oak_rig", "two_machines"])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,6 +22,12 @@ class Middle:
 
 
 @dataclass(frozen=True)
+class Named:
+    name: str
+    gain: float = 1.0
+
+
+@dataclass(frozen=True)
 class Outer:
     width: int | None = None
     rate_hz: float = 30.0
@@ -30,6 +37,7 @@ class Outer:
     louder: Inner = field(default_factory=lambda: Inner(gain=3.0))
     quieter: Inner = Inner(gain=0.5)
     middle: Middle = field(default_factory=lambda: Middle(Inner(gain=5.0), 2))
+    cameras: tuple[Named, ...] = ()
 
 
 def test_values_replace_defaults_at_any_depth() -> None:
@@ -54,14 +62,30 @@ def test_what_is_left_out_of_a_nested_mapping_keeps_the_default_of_that_place() 
         ({"rate_hz": True}, "model.rate_hz: expected float, found True"),
         ({"horizons": 0.2}, "model.horizons: expected a list, found 0.2"),
         ({"inner": 3}, "model.inner: expected keys and values, found 3"),
+        ({5: 3}, "model: unknown parameter '5'"),
+        ({True: 3}, "model: unknown parameter 'True'"),
+        ({"rate_hz": float("nan")}, "model.rate_hz: expected a number, found nan"),
+        ({"horizons": [float("nan")]}, "model.horizons: expected a number, found nan"),
+        ({"cameras": [{"gain": 2.0}]}, "model.cameras: expected 'name', found none"),
+        (3, "model: expected keys and values, found 3"),
     ],
 )
-def test_a_wrong_key_or_value_is_named(values: dict[str, object], message: str) -> None:
+def test_a_wrong_key_or_value_is_named(values: Any, message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         fill(Outer, values, "model")
 
 
-@pytest.mark.parametrize("text", ["- 1", "model: {width: 3}", "model: {ros__parameters: {}, extra: 1}", "a: [", "\x00"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "- 1",
+        "model: {width: 3}",
+        "model: {ros__parameters: {}, extra: 1}",
+        "model: {ros__parameters: 5}",
+        "a: [",
+        "\x00",
+    ],
+)
 def test_a_file_that_is_no_parameter_file_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(text)

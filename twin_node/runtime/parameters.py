@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -42,6 +43,9 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     for node, section in content.items():
         if not isinstance(section, dict) or set(section) != {"ros__parameters"}:
             raise ParameterError(f"{path}: node '{node}' must hold exactly one key, 'ros__parameters'")
+        values = section["ros__parameters"]
+        if not isinstance(values, dict | None):
+            raise ParameterError(f"{path}: node '{node}': ros__parameters: expected keys and values, found {values!r}")
     return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
 
 
@@ -52,12 +56,18 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None
     become tuples. Raises `ParameterError` that names `where` and the key for an unknown key (with the nearest known
     one) or a value of the wrong type.
     """
+    if not isinstance(values, Mapping):
+        raise ParameterError(f"{where}: expected keys and values, found {values!r}")
     fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
+    for name, known in fields.items():
+        is_required = default is None and known.default is known.default_factory is dataclasses.MISSING
+        if is_required and name not in values:
+            raise ParameterError(f"{where}: expected '{name}', found none; add it")
     filled = {}
     for key, value in values.items():
         if key not in fields:
-            near = difflib.get_close_matches(key, fields, n=1)
+            near = difflib.get_close_matches(str(key), fields, n=1)
             hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ParameterError(f"{where}: unknown parameter '{key}'; {hint}")
         nested = _default_of(fields[key], default) if isinstance(value, Mapping) else None
@@ -103,4 +113,6 @@ def _convert(  # noqa: PLR0911 (a case per kind of type)
         return float(value)
     if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):
         raise ParameterError(f"{where}: expected {hint.__name__}, found {value!r}")
+    if isinstance(value, float) and math.isnan(value):
+        raise ParameterError(f"{where}: expected a number, found nan")
     return value

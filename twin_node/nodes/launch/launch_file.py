@@ -19,6 +19,7 @@ from twin_node.runtime.zenoh_session import ZenohParameters
 
 VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
 """A value that the user gives, as in the YAML launch files of ROS 2."""
+PROCESS_NAME = re.compile(r"[\w.-]+")
 
 
 @dataclass(frozen=True)
@@ -83,11 +84,11 @@ def read_launch_file(
     section = _launch_section(path)
     values = _values(_arguments(section, path), given, path)
     section = _substituted(section, values)
-    processes = tuple(
-        _process(name, entry or {}, path) for name, entry in section.get("processes", {}).items() if _is_wanted(entry)
-    )
+    entries = _table(section, "processes", path)
+    processes = tuple(_process(str(name), entry, path) for name, entry in entries.items() if _is_wanted(entry))
     if not processes:
         raise GraphError(f"{path}: expected at least one process under launch: processes, found none")
+    _check_nodes_once(processes, path)
     sections = _substituted(read_parameters(path), values)
     for file in parameter_files:
         given_here = read_parameters(file)
@@ -142,9 +143,17 @@ def _launch_section(path: Path) -> dict[str, Any]:
     return section
 
 
+def _table(section: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
+    """A part of the launch section that holds keys and values; empty where it is left out."""
+    value = section.get(key)
+    if not isinstance(value, dict | None):
+        raise GraphError(f"{path}: {LAUNCH}: {key}: expected keys and values, found {value!r}")
+    return value or {}
+
+
 def _arguments(section: Mapping[str, Any], path: Path) -> tuple[Argument, ...]:
     found = []
-    for name, given in (section.get("arguments") or {}).items():
+    for name, given in _table(section, "arguments", path).items():
         entry = given or {}
         if not isinstance(entry, dict) or set(entry) - {"default", "help"}:
             raise GraphError(f"{path}: argument '{name}': expected 'default' and 'help', found {entry!r}")
@@ -175,12 +184,20 @@ def _typed(argument: Argument, text: str, path: Path) -> Any:
     kind = type(argument.default)
     if kind in (str, type(None)):
         return text
-    value = yaml.safe_load(text)
+    value = _parsed(text, f"{path}: argument {argument.name}:={text}: expected a {kind.__name__}")
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not kind:
         raise GraphError(f"{path}: argument {argument.name}:={text}: expected a {kind.__name__}")
     return value
+
+
+def _parsed(text: str, expected: str) -> Any:
+    """A value as YAML has it; `expected` begins the error for one that is none."""
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise GraphError(f"{expected}, found what is no YAML; quote it") from None
 
 
 def _substituted(value: Any, values: Mapping[str, Any]) -> Any:
@@ -202,29 +219,51 @@ def _value_of(match: re.Match[str], values: Mapping[str, Any]) -> Any:
     return values[match[1]]
 
 
-def _is_wanted(entry: Mapping[str, Any] | None) -> bool:
+def _is_wanted(entry: Any) -> bool:
     """Whether a process's `if` holds: it is neither empty nor false, and both sides of an `==` are equal."""
-    condition = (entry or {}).get("if", True)
+    condition = entry.get("if", True) if isinstance(entry, Mapping) else True
     if isinstance(condition, str) and "==" in condition:
         left, _, right = condition.partition("==")
         return left.strip() == right.strip()
     return condition not in ("", "false", "False", False, None, 0)
 
 
-def _process(name: str, entry: Mapping[str, Any], path: Path) -> ProcessPlan:
+def _process(name: str, entry: Any, path: Path) -> ProcessPlan:
+    where = f"{path}: process '{name}'"
+    if not PROCESS_NAME.fullmatch(name):
+        raise GraphError(f"{where}: expected a name of letters, digits, _, - and ., which its log file is named after")
+    if not isinstance(entry, Mapping):
+        raise GraphError(f"{where}: expected keys and values with a list of nodes, found {entry!r}")
     known = {"nodes", "restart", "ends_launch", "spare", "if"}
     for key in entry:
         if key not in known:
-            raise GraphError(f"{path}: process '{name}': unknown key '{key}'; {nearest(str(key), known)}")
-    nodes = tuple(entry.get("nodes") or ())
+            raise GraphError(f"{where}: unknown key '{key}'; {nearest(str(key), known)}")
+    given = entry.get("nodes") or ()
+    if not isinstance(given, list | tuple):
+        raise GraphError(f"{where}: nodes: expected a list, found {given!r}; write [{given}]")
+    nodes = tuple(map(str, given))
     for node in nodes:
-        check_kind(str(node), f"{path}: process '{name}'")
+        check_kind(node, where)
     if not nodes:
-        raise GraphError(f"{path}: process '{name}': expected a list of nodes, found none")
+        raise GraphError(f"{where}: expected a list of nodes, found none")
     flags = (
         bool(entry.get(key, default)) for key, default in (("restart", True), ("ends_launch", False), ("spare", False))
     )
-    return ProcessPlan(str(name), nodes, *flags)
+    return ProcessPlan(name, nodes, *flags)
+
+
+def _check_nodes_once(processes: Sequence[ProcessPlan], path: Path) -> None:
+    """Two nodes of one name would contradict each other."""
+    place: dict[str, str] = {}
+    for process in processes:
+        for node in process.nodes:
+            if node in place:
+                both = place[node], process.name
+                found = (
+                    f"in process '{both[0]}' twice" if both[0] == both[1] else f"in two processes, {' and '.join(both)}"
+                )
+                raise GraphError(f"{path}: node '{node}' is {found}; take one away")
+            place[node] = process.name
 
 
 def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -> None:
@@ -238,7 +277,9 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
         *outer, last = keys.split(".")
         for key in outer:
             inner = inner.setdefault(key, {})
-        inner[last] = yaml.safe_load(value)
+            if not isinstance(inner, dict):
+                raise GraphError(f"-p {text}: expected keys and values under '{key}', found {inner!r}")
+        inner[last] = _parsed(value, f"-p {text}: expected a value")
 
 
 def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
