@@ -7,6 +7,7 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -164,6 +165,23 @@ def test_a_long_range_is_never_held_whole(form: str, tmp_path: Path) -> None:
     count = export(Long(), form, span, ur_model("ur5e"), tmp_path / f"a.{form}", lambda done, _total: told.append(done))
     assert count == len(told) == len(alive) == 20
     assert most[0] <= 3
+
+
+def test_a_stage_that_the_disk_refuses_is_one_error(
+    twin_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Tf, Usd
+
+    class Refusing:
+        @staticmethod
+        def CreateNew(_: str) -> Any:
+            raise Tf.ErrorException("Error occurred writing file: No space left on device")
+
+    monkeypatch.setattr(Usd, "Stage", Refusing)
+    assert run(twin_log, "--to", "usd", "-o", tmp_path / "cell.usdc") == 2
+    assert "cell.usdc: cannot be written (" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path: Path) -> None:

@@ -28,14 +28,24 @@ def write_stage(moments: Moments, path: Path) -> None:
     /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are boxes and spheres with collision,
     kinematic where they move, invisible and without collision while they are not in force; /World/Arm are capsules with
     collision, where the log has the joints; until it first has them they stand as then. Raises `ExportError` where
-    usd-core is not installed.
+    usd-core is not installed or cannot write.
     """
     try:
-        from pxr import Usd, UsdGeom, UsdPhysics
+        from pxr import Tf
     except ImportError:
         raise ExportError(
             "usd: expected the package usd-core; install it with pip install 'twin-node[export]'"
         ) from None
+    try:
+        _write_stage(moments, path)
+    except Tf.ErrorException as error:  # a line per part of USD that it went through, the first says why
+        reason = str(error).strip().partition("\n")[0].rpartition(" : ")[2].strip("' ")
+        raise ExportError(f"{path.name}: cannot be written ({reason}); free space or choose another place") from None
+
+
+def _write_stage(moments: Moments, path: Path) -> None:
+    from pxr import Usd, UsdGeom, UsdPhysics
+
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
