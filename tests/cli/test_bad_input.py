@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from twin_node.bag import open_log
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
+from twin_node.nodes.player import span_of
+from twin_node.nodes.topics import GraphError
 
 RIG = """
 cameras:
@@ -122,3 +128,62 @@ def test_a_recording_is_never_written_over(tmp_path: Path, capfd: pytest.Capture
     assert main(["record", "-o", str(there)]) == 2
     assert "run.mcap: exists already" in capfd.readouterr().err
     assert there.read_bytes() == b"a recording"
+
+
+def test_a_report_that_has_no_place_is_refused_before_the_run(
+    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A run may last an hour: what is known to fail afterwards is told before."""
+    (tmp_path / "file").touch()
+    out = tmp_path / "out.mcap"
+    for name in ("file", "file/below"):
+        status = main(["replay", str(cell_log(0.5)), "--lockstep", "-o", str(out), "--report", str(tmp_path / name)])
+        assert status == 2
+        assert "expected a folder" in capfd.readouterr().err
+        assert not out.exists()
+
+
+def test_a_demo_that_has_no_place(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert main(["demo", "--out", str(tmp_path / "file")]) == 2
+    assert f"--out {tmp_path / 'file'}: cannot be made" in capfd.readouterr().err
+
+
+def test_a_picture_below_a_file(
+    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for name in ("picture.png", "film.mp4"):
+        assert main(["render", str(cell_log(0.5)), "--view", "orbit", "-o", str(tmp_path / "file" / name)]) == 2
+        assert "cannot be written (Not a directory)" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--start-offset", "--duration"])
+def test_times_beyond_all_logs(option: str, cell_log: Callable[..., Path]) -> None:
+    path = cell_log(0.5)
+    with open_log(path) as log:
+        if option == "--duration":
+            assert span_of(log, 0.0, 1e300).stop_ns == log.end_ns + 1
+        else:
+            with pytest.raises(GraphError, match="is past its end"):
+                span_of(log, 1e300)
+
+
+@pytest.mark.parametrize("values", ["max_rate_hz: 0.0", "max_rate_hz: -3.0", "depth_tolerance_ms: -1.0"])
+def test_rates_and_times_that_make_no_sense(
+    refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, values: str
+) -> None:
+    file = tmp_path / "p.yaml"
+    file.write_text(f"synchronizer: {{ros__parameters: {{{values}}}}}\n")
+    assert f"synchronizer: {values.partition(':')[0]}: expected" in refused(cell_log(0.5), "--params", file)
+
+
+def test_who_reads_what_is_printed_may_go(cell_log: Callable[..., Path]) -> None:
+    """As in `twin_node check LOG | head -1`."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-c", "import sys; from twin_node.cli import main; sys.exit(main())", "check"]
+    done = subprocess.run([*command, str(cell_log(0.5))], stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert done.stderr == b""
+    assert done.returncode == 141

@@ -124,6 +124,8 @@ def test_a_paused_player_waits_for_its_word(log: Path) -> None:
         ({"remap": ("/a=/b",)}, "expected FROM:=TO"),
         ({"rate": 0.0}, "expected a rate above 0"),
         ({"start_offset": 60.0}, "is past its end"),
+        ({"start_offset": -1.0}, "start_offset: expected 0 or more, found -1"),
+        ({"playback_duration": -1.0}, "playback_duration: expected 0 or more"),
     ],
 )
 def test_what_cannot_be_played_is_told(log: Path, flags: dict[str, Any], words: str) -> None:

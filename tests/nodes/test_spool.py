@@ -1,10 +1,13 @@
 """The spool keeps ticks in order and within bounds."""
 
+import errno
+import os
 import threading
 
 import numpy as np
 import pytest
 
+from twin_node.errors import TwinError
 from twin_node.nodes.spool import MAX_SETS, WAITING, Spool, Tick
 from twin_node.scene import Camera, FrameSet, View
 
@@ -53,6 +56,17 @@ def test_what_cannot_be_written_is_told_to_who_reads_and_to_who_adds() -> None:
             list(spool)
         with pytest.raises(TypeError, match="lock"):
             spool.add(Tick(FrameSet(stamp=2, views=(), sequence=2)))
+
+
+def test_a_full_disk_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Spool, "_append", refuse)
+    with Spool(0, SECOND, 30) as spool:
+        spool.add(Tick(FrameSet(stamp=1, views=(), sequence=1)))
+        with pytest.raises(TwinError, match=r"No space left on device.*set TMPDIR, or leave out --report"):
+            list(spool)
 
 
 def test_more_ticks_than_may_wait_are_all_written() -> None:

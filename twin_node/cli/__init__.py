@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import select
 import sys
 
 from twin_node import __version__
@@ -27,18 +28,36 @@ from twin_node.errors import TwinError
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted, or the command's own."""
+    """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted, or the command's own.
+
+    141 where who reads what it prints has gone (`twin_node info LOG | head -1`), as if SIGPIPE had ended it.
+    """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: our products are too small to share
     options = _parser().parse_args(arguments)
     try:
         status = options.run(options)
+        sys.stdout.flush()
     except TwinError as error:
         print(f"twin_node: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("twin_node: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        if not _is_unread():
+            raise
+        return 141
     return status if isinstance(status, int) else 0
+
+
+def _is_unread() -> bool:
+    """Whether nobody reads the output any more; what waits for it is thrown away then."""
+    output, poll = sys.stdout.fileno(), select.poll()
+    poll.register(output, 0)
+    if not any(event & select.POLLERR for _, event in poll.poll(0)):
+        return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+    return True
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -46,6 +47,7 @@ def _replay(options: argparse.Namespace) -> None:
 
     parameters = with_source_options(load_parameters(options.params), options)
     _check_output(options.output, options.log)
+    _check_report(options.report)
     _check_size(options)
     session = _open_session(options, parse_remaps(options.remap))
     if options.budget_ms is not None or options.target is not None:
@@ -58,7 +60,10 @@ def _demo(options: argparse.Namespace) -> None:
     from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.log_source import LogSession
 
-    options.out.mkdir(parents=True, exist_ok=True)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TwinError(f"--out {options.out}: cannot be made ({error.strerror}); choose another folder") from None
     log = options.out / "demo.mcap"
     with tqdm(unit="image", desc="simulate", disable=None) as bar:
 
@@ -133,3 +138,10 @@ def _sized(session: Any, parameters: Any, options: argparse.Namespace) -> Any:
 def _check_output(output: Path | None, log: Path) -> None:
     if output is not None and output.resolve() == log.resolve():
         raise TwinError(f"-o {output}: expected another file than the log that is read; choose a new name")
+
+
+def _check_report(folder: Path | None) -> None:
+    """Refuses before the run what cannot be written after it; the folder is made only then."""
+    there = None if folder is None else next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if there is not None and not (there.is_dir() and os.access(there, os.W_OK)):
+        raise TwinError(f"--report {folder}: expected a folder, or a place to make one, found {there}; give another")

@@ -31,12 +31,14 @@ def span_of(log: LogReader, start_offset_s: float = 0.0, duration_s: float | Non
 
     Raises `GraphError` when that is past the log's end.
     """
-    start = log.start_ns + int(start_offset_s * 1e9)
     stop = log.end_ns + 1
-    if start >= stop:
+    if start_offset_s * 1e9 >= stop - log.start_ns:
         length = (log.end_ns - log.start_ns) / 1e9
         raise GraphError(f"{log.path}: --start-offset {start_offset_s:g} s is past its end; it lasts {length:.2f} s")
-    return Span(start, stop if duration_s is None else min(stop, start + int(duration_s * 1e9)))
+    start = log.start_ns + int(start_offset_s * 1e9)
+    if duration_s is None or duration_s * 1e9 >= stop - start:
+        return Span(start, stop)
+    return Span(start, start + int(duration_s * 1e9))
 
 
 class Player:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from queue import Queue
 
+from twin_node.errors import TwinError
 from twin_node.scene import FrameSet, Occupancy, TwinState
 
 MAX_SETS = 600
@@ -17,6 +18,10 @@ BLOCK_NS = 1_000_000_000
 """Longer runs are kept in blocks of one second, spread evenly: a forecast needs its truth 200 ms later."""
 WAITING = 30
 """Ticks that may wait to be written: a second's, 20 MB at 10,000 Gaussians."""
+
+
+class SpoolError(TwinError):
+    """A run cannot be kept for its report."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,10 @@ class Spool:
         self._start_ns = start_ns
         blocks = max(1, int(MAX_SETS / max(rate_hz, 1.0)))
         self._period_ns = max(BLOCK_NS, (stop_ns - start_ns) // blocks)
-        self._file = tempfile.TemporaryFile(prefix="twin_node_")  # noqa: SIM115 (lives as long as the spool)
+        try:
+            self._file = tempfile.TemporaryFile(prefix="twin_node_")  # noqa: SIM115 (lives as long as the spool)
+        except OSError as error:
+            raise _refused(error) from None
         self._places: list[tuple[int, int, tuple[int, ...]]] = []
         """Of every tick its stamp, where it begins, and how many bytes it and each of its arrays take there."""
         self._waiting: Queue[Tick | None] = Queue(WAITING)
@@ -91,6 +99,8 @@ class Spool:
             try:
                 if self._error is None:
                     self._append(tick)
+            except OSError as error:
+                self._error = _refused(error)
             except Exception as error:  # whoever adds or reads the next one raises it, whatever it is
                 self._error = error
             finally:
@@ -104,3 +114,10 @@ class Spool:
         self._places.append((tick.stamp, self._file.seek(0, 2), tuple(part.nbytes for part in parts)))
         for part in parts:
             self._file.write(part)
+
+
+def _refused(error: OSError) -> SpoolError:
+    return SpoolError(
+        f"{tempfile.gettempdir()}: the run cannot be kept there for its report ({error.strerror}); free space, "
+        "set TMPDIR, or leave out --report"
+    )

@@ -36,6 +36,16 @@ class SynchronizerParameters:
     """A depth image belongs to the colour image whose stamp is at most so far away: under half a period at 45 Hz."""
     grouping: SyncParameters = field(default_factory=SyncParameters)
 
+    def __post_init__(self) -> None:
+        """Raises `GraphError` for a rate or a time that is none."""
+        if self.max_rate_hz is not None and not self.max_rate_hz > 0:
+            raise GraphError(
+                f"synchronizer: max_rate_hz: expected more than 0 Hz, found {self.max_rate_hz:g}; leave it out to take "
+                "all sets"
+            )
+        if not self.depth_tolerance_ms >= 0:
+            raise GraphError(f"synchronizer: depth_tolerance_ms: expected 0 or more, found {self.depth_tolerance_ms:g}")
+
 
 @dataclass(frozen=True)
 class EncodedView:

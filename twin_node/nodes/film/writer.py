@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -50,7 +51,7 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
     except OSError as error:
         raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
     finally:
-        partial.unlink(missing_ok=True)
+        _remove(partial)
     return count
 
 
@@ -63,6 +64,12 @@ def write_picture(picture: UInt8, path: Path) -> None:
     except OSError as error:
         raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
     finally:
+        _remove(partial)
+
+
+def _remove(partial: Path) -> None:
+    """Takes an unfinished file away, where there is one."""
+    with contextlib.suppress(OSError):  # its folder is none: why nothing was written is told already
         partial.unlink(missing_ok=True)
 
 

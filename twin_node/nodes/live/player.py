@@ -54,6 +54,9 @@ class PlayParameters:
                 f"play: expected a rate above 0 and a queue of 1 or more, found {self.rate:g} and "
                 f"{self.read_ahead_queue_size}"
             )
+        for name in ("start_offset", "playback_duration", "delay", "clock"):
+            if not getattr(self, name) >= 0:
+                raise GraphError(f"play: {name}: expected 0 or more, found {getattr(self, name):g}")
 
 
 def make_player(setup: Setup) -> Node:

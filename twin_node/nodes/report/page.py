@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -246,4 +247,7 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
         for name in files:
             (folder / f"{name}.partial").replace(folder / name)
     except OSError as error:
+        for name in files:
+            with contextlib.suppress(OSError):
+                (folder / f"{name}.partial").unlink(missing_ok=True)
         raise ReportError(f"--report {folder}: cannot be written ({error.strerror}); give another folder") from None
