@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from mcap.writer import Writer
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import ReaderError, StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
@@ -74,6 +75,26 @@ def test_a_damaged_chunk_ends_reading_there(tmp_path: Path, whole: Path) -> None
     assert stamps == list(range(200))
     assert damage is not None
     assert "crc" in damage
+
+
+@pytest.mark.parametrize("kept", [0, 9, 25, 37])
+def test_a_chunk_of_zeros_is_damage(tmp_path: Path, whole: Path, kept: int) -> None:
+    """As disks leave blocks that never reached them: without size, checksum and messages it looks like an empty one.
+
+    `kept`: bytes at its beginning; the record's head is 9 long, with the times 25, with the checksum 37.
+    """
+    content = bytearray(whole.read_bytes())
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)[5]
+    start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+    content[start + kept : end] = bytes(end - start - kept)
+    path = tmp_path / "zeros.mcap"
+    path.write_bytes(content)
+    stamps, damage = read(path)
+    assert stamps == list(range(100))
+    assert damage is not None and f"zeros.mcap: damaged at byte {start}" in damage
 
 
 def test_parts_without_the_wanted_topics_are_passed_over(tmp_path: Path) -> None:
@@ -192,6 +213,17 @@ def test_a_damaged_sqlite_file_is_read_up_to_the_damage(tmp_path: Path) -> None:
     assert COUNT // 4 < len(stamps) < COUNT
     assert damage is not None
     assert "bag.db3: damaged after the message at" in damage
+
+
+def test_what_sqlite_says_in_two_lines_is_told_in_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise ReaderError("malformed database schema ( NOT NULL\n)")
+
+    monkeypatch.setattr("twin_node.bag.sqlite_storage.Reader", refuse)
+    path = tmp_path / "log.db3"
+    path.write_bytes(b"SQLite format 3\x00")
+    with pytest.raises(BagError, match=r"\( NOT NULL \)\); record it again"):
+        open_log(path)
 
 
 def test_a_truncated_sqlite_file_is_refused(tmp_path: Path) -> None:

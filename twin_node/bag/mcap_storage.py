@@ -107,7 +107,10 @@ class McapStorage:
         self._file.seek(part.offset)
         data = self._file.read(part.size)
         try:
-            records = [self._record(message) for message in _messages(data) if start <= message.log_time < stop]
+            messages = list(_messages(data))
+            if not messages and part.topics:
+                raise ValueError("the index knows messages where there are none")
+            records = [self._record(message) for message in messages if start <= message.log_time < stop]
         except DAMAGED as error:
             raise DamageError(
                 f"{self._path}: damaged at byte {part.offset} ({_reason(error)}); read up to it"

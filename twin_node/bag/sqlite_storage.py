@@ -24,7 +24,8 @@ class SqliteStorage:
             self._reader = Reader(path)
             self._reader.open()
         except (ReaderError, KeyError, TypeError) as error:
-            raise BagError(f"{path}: not a readable rosbag2 SQLite file ({error}); record it again") from None
+            reason = " ".join(str(error).split())
+            raise BagError(f"{path}: not a readable rosbag2 SQLite file ({reason}); record it again") from None
 
     @property
     def channels(self) -> tuple[Channel, ...]:
