@@ -10,6 +10,7 @@ import torch
 from model_scenes import camera, frames, with_joints
 
 from twin_node.model import MapParameters, ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.gaussians import Newborns
 from twin_node.model.robot_links import arm_depth, links_of
 from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
 from twin_node.scene import Float64, FrameSet, Tier
@@ -92,6 +93,21 @@ def test_an_arm_waits_for_nodes_and_is_never_given_too_few() -> None:
     assert not (model.update(with_arm(1, Q)).gaussians.tiers == Tier.ROBOT).any()
     model._nodes.retire(torch.tensor([taken]))
     assert (model.update(with_arm(2, Q)).gaussians.tiers == Tier.ROBOT).any()
+
+
+def test_room_is_made_for_what_moves_beside_the_arm() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=2), gaussians_per_pixel=0.2), arm=ARM)
+    model.update(with_arm(0, Q))
+    model.update(with_arm(1, Q))
+    assert model._tracker is not None
+    store, wanted = model._gaussians, 12
+    for tier, count in ((Tier.TRANSIENT, 20), (Tier.STATIC, store.capacity)):  # there is no row left
+        parts = (torch.rand(count, width) for width in (3, 4, 3))
+        nobody = torch.full((count,), -1)
+        store.spawn(Newborns(*parts, torch.rand(count), torch.rand(count, 3), tier, nobody), 0)
+    assert store.count(Tier.ROBOT) > wanted
+    model._tracker._make_room(wanted)
+    assert int((~store.alive).sum()) >= wanted
 
 
 def test_the_arm_is_left_out_of_the_masks() -> None:

@@ -76,7 +76,8 @@ class Mapper:
     def __init__(
         self, parameters: MapParameters, gaussians: Gaussians, backgrounds: Backgrounds, most_static: int
     ) -> None:
-        """`most_static`: STATIC Gaussians beyond which it makes no new ones, so that what moves finds room."""
+        """`most_static`: STATIC Gaussians, and the arm's, beyond which it makes no new ones, so that what moves finds
+        room."""
         self._parameters = parameters
         self._most_static = most_static
         self._gaussians = gaussians
@@ -112,8 +113,11 @@ class Mapper:
         size = (camera.width // BLOCK, camera.height // BLOCK)
         lacking: Float32 = cv2.resize(rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         blocks = np.flatnonzero(lacking > self._parameters.lacking)
-        room = max(self._most_static - self._gaussians.count(Tier.STATIC), 0) if len(blocks) else 0
-        order = blocks[np.argsort(-lacking.ravel()[blocks], kind="stable")][: min(self._parameters.most_born, room)]
+        if not len(blocks):
+            return
+        room = self._most_static - self._gaussians.count(Tier.STATIC) - self._gaussians.count(Tier.ROBOT)
+        most = min(self._parameters.most_born, max(room, 0))
+        order = blocks[np.argsort(-lacking.ravel()[blocks], kind="stable")][:most]
         if not len(order):
             return
         colours: Float32 = cv2.resize(rest.rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)

@@ -328,7 +328,7 @@ class Tracker:
     def _make_room(self, wanted: int) -> None:
         """Retires the moving Gaussians that matter least to the images where `wanted` more would pass the cap."""
         rows = self._gaussians.moving_rows
-        room = self._gaussians.capacity - len(self._gaussians.static_rows)
+        room = self._gaussians.capacity - len(self._gaussians.static_rows) - len(self._gaussians.robot_rows)
         limit = min(int(self._parameters.birth.moving_share * self._gaussians.capacity), room)
         excess = len(rows) + wanted - limit
         if excess > 0:
