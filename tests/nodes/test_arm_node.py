@@ -15,6 +15,8 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes import arm as arm_node
 from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, ArmParameters
+from twin_node.nodes.live.beside_twin import make_arm
+from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.bus import LocalBus
@@ -328,3 +330,22 @@ def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> N
         cell.wait(8)
         cell.joints(stopped, -0.3 * TURNING)
     assert cell.somebody(at=at).reason in ("clear", "not closing in")
+
+
+def made(arm: dict[str, str], driver: dict[str, str]) -> ArmNode:
+    """The arm's node of a launch file with these sections."""
+    sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": arm, "ur_driver": driver}
+    bus, clock = LocalBus(), SteppedClock(START)
+    setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)  # type: ignore[arg-type]
+    return make_arm(setup)
+
+
+def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
+    """Their joints have the same names: nothing else would tell that distances are those of another arm."""
+    with pytest.raises(TwinError, match=r"cell.yaml: arm.model: expected the arm that is driven, ur5e, found ur10e"):
+        made({}, {"robot": "192.168.1.10"})
+    with pytest.raises(TwinError, match="expected the arm that is driven, ur3e, found ur5e"):
+        made({"model": "ur5e"}, {"robot": "192.168.1.10", "model": "ur3e"})
+    assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
+    assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
+    assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
