@@ -14,13 +14,14 @@ from twin_node.arm import ArmCollisionChecker, default_path
 from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes import arm as arm_node
-from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, ArmParameters
+from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, ArmParameters, make_arm_node
 from twin_node.nodes.live.beside_twin import make_arm
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.parameters import fill
 from twin_node.scene import Float64, JointPath, JointSample, ObstacleKind, Obstacles, ObstacleShape, Separation
 
 PARAMETERS = ArmParameters("ur5e")
@@ -349,3 +350,20 @@ def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
     assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
     assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
     assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
+
+
+def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
+    """As many as 'obstacles: most_static' and the like may ask for: the error tells to raise it."""
+    parameters = fill(ArmParameters, {"model": "ur5e", "max_obstacles": 9}, "arm")
+    bus, clock = LocalBus(), SteppedClock(START)
+    node = make_arm_node(bus, clock, np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]), parameters)
+    node.configure()
+    cell = Cell()
+    cell.bus, cell.node = bus, node
+    bus.subscribe(SEPARATION, lambda message: cell.told.append(convert.separation_from_message(message)))
+    cell.joints()
+    assert cell.somebody(count=9).reason == "slow for MOVING"
+    with pytest.raises(TwinError, match="expected at most 9 of a shape, found 10; raise max_obstacles"):
+        cell.somebody(count=10)
+    with pytest.raises(TwinError, match="max_obstacles: expected 1 or more, found 0"):
+        ArmParameters(max_obstacles=0)

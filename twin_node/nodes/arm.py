@@ -50,13 +50,17 @@ class ArmParameters:
     """A UR arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
     command_latency_ms: float = 20.0
     """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
+    max_obstacles: int = 1024
+    """Room for spheres and for boxes each: 704 boxes are the most of the cover's defaults (section `obstacles`)."""
     separation: SeparationParameters = field(default_factory=SeparationParameters)
     limiter: LimiterParameters = field(default_factory=LimiterParameters)
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for a latency that no command has."""
+        """Raises `ArmError` for a latency that no command has, and for room for nothing."""
         if not 0 <= self.command_latency_ms < math.inf:
             raise ArmError(f"command_latency_ms: expected a number of 0 or more, found {self.command_latency_ms:g}")
+        if self.max_obstacles < 1:
+            raise ArmError(f"max_obstacles: expected 1 or more, found {self.max_obstacles}")
 
     def arm(self) -> ArmModel:
         """The arm's model. Raises `RobotError` or `ResourceError` for a wrong name or file."""
@@ -181,4 +185,5 @@ def make_arm_node(
 ) -> ArmNode:
     """The arm's node of a chain; `workspace` [2, 3] m. `timers`: see `ArmNode`."""
     arm = parameters.arm()
-    return ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm, workspace), parameters, timers)
+    checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles)
+    return ArmNode(bus, clock, checker, default_path(arm, workspace), parameters, timers)
