@@ -367,3 +367,34 @@ def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
         cell.somebody(count=10)
     with pytest.raises(TwinError, match="max_obstacles: expected 1 or more, found 0"):
         ArmParameters(max_obstacles=0)
+
+
+def test_a_tool_of_the_parameters_is_kept_away_too() -> None:
+    """A gripper that no parameter could tell of reached 16 cm farther than the law knew."""
+    gripper = {"start": [0.0, 0.0, 0.045], "end": [0.0, 0.0, 0.25], "radius": 0.045}
+    with_tool = fill(ArmParameters, {"model": "ur5e", "tool": [gripper]}, "arm").arm()
+    tip = forward_kinematics(MODEL, READY)[-1] @ np.array([0.0, 0.0, 0.25, 1.0])
+    distances = []
+    for arm in (MODEL, with_tool):
+        checker = ArmCollisionChecker(arm, max_obstacles=8)
+        cell = Cell()
+        cell.node = ArmNode(LocalBus(), cell.clock, checker, default_path(MODEL), PARAMETERS)
+        cell.bus = cell.node.bus
+        cell.bus.subscribe(
+            SEPARATION, lambda message, cell=cell: cell.told.append(convert.separation_from_message(message))
+        )
+        cell.node.configure()
+        cell.joints()
+        distances.append(cell.somebody(at=tip[:3] + np.array([0.0, 0.3, 0.0])).distance)
+    assert distances[1] == pytest.approx(0.3 - 0.045 - 0.05, abs=0.1)
+    assert distances[1] < distances[0] - 0.05
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"radius": 0.0}, {"radius": math.inf}, {"end": [0.0, 0.0, math.inf]}, {"radius": 45.0}, {"start": [45.0, 0, 0]}],
+)
+def test_a_tool_that_is_none_is_refused(wrong: dict[str, Any]) -> None:
+    tool = {"start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.1], "radius": 0.05, **wrong}
+    with pytest.raises(TwinError, match="tool: expected ends and a radius in metres"):
+        fill(ArmParameters, {"tool": [tool]}, "arm")
