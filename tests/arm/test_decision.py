@@ -279,3 +279,26 @@ def test_an_arm_of_seven_joints_gets_a_speed(ur5e_checker: ArmCollisionChecker, 
 def test_constants_that_no_law_has_are_refused(name: str, value: float) -> None:
     with pytest.raises(ArmError, match=f"{name}: expected a number of 0 or more, found {value:g}"):
         SeparationParameters(**{name: value})
+
+
+GOOD = ahead(TURNING)
+
+
+@pytest.mark.parametrize(
+    ("path", "reaction_s", "word"),
+    [
+        (replace(GOOD, stamps=GOOD.stamps[::-1]), REACTION_S, "expected strictly increasing stamps"),
+        (replace(GOOD, stamps=np.full(21, NOW)), REACTION_S, "expected strictly increasing stamps"),
+        (replace(GOOD, positions=GOOD.positions[:5]), REACTION_S, "expected one pose per stamp, found 5 and 21"),
+        (replace(GOOD, stamps=GOOD.stamps[:0], positions=GOOD.positions[:0]), REACTION_S, "found no sample"),
+        (GOOD, -1.0, "reaction_s: expected 0 or more seconds, found -1"),
+        (GOOD, np.nan, "reaction_s: expected 0 or more seconds, found nan"),
+        (GOOD, np.inf, "reaction_s: expected 0 or more seconds, found inf"),
+    ],
+)
+def test_paths_and_reactions_that_cannot_be_are_refused_not_called_clear(
+    ur5e_checker: ArmCollisionChecker, path: JointPath, reaction_s: float, word: str
+) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.25)))
+    with pytest.raises(ArmError, match=word):
+        decide(ur5e_checker, path, NOW, reaction_s)

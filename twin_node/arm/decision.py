@@ -30,11 +30,10 @@ def decide(
     `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it. `reaction_s` is the measured time
     from now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. The pair
     that falls most short at full speed is named; distances and closing speeds are from the arm's present pose to where
-    the obstacles will be. Raises `ArmError` or `RobotError` for a wrong path, and for the table of another arm.
+    the obstacles will be. Raises `ArmError` or `RobotError` for a wrong path or time, and for the table of another arm.
     """
     law = parameters or SeparationParameters()
-    if len(path.stamps) == 0:
-        raise ArmError("joint path: expected at least the arm's present pose, found no sample; check the trajectory")
+    _refuse_wrong(path, reaction_s)
     positions = checker.model.order(path.names, path.positions)
     seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
     found = hazards(checker.obstacles, stamp, law)
@@ -46,6 +45,19 @@ def decide(
     closing = _closing(pairs, seconds[picked])
     encounter = Encounter(found, pairs.capsules, pairs.obstacles, pairs.distances[0], closing, motion, law)
     return _settle(checker, closest, pairs, encounter)
+
+
+def _refuse_wrong(path: JointPath, reaction_s: float) -> None:
+    """What would be computed with and come out as clear."""
+    if len(path.stamps) == 0:
+        raise ArmError("joint path: expected at least the arm's present pose, found no sample; check the trajectory")
+    if len(path.positions) != len(path.stamps):
+        found = f"{len(path.positions)} and {len(path.stamps)}"
+        raise ArmError(f"joint path: expected one pose per stamp, found {found}; check the trajectory")
+    if len(path.stamps) > 1 and np.diff(path.stamps).min() <= 0:
+        raise ArmError("joint path: expected strictly increasing stamps, found one that is not; check the trajectory")
+    if not 0 <= reaction_s < np.inf:
+        raise ArmError(f"reaction_s: expected 0 or more seconds, found {reaction_s:g}; measure it")
 
 
 def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches, encounter: Encounter) -> Separation:
