@@ -67,3 +67,14 @@ def test_an_arm_without_six_joints_stops_as_late_as_the_slowest_one(joints: int)
 def test_the_table_of_an_arm_of_other_joints_is_refused() -> None:
     with pytest.raises(ArmError, match="expected speeds of 6 joints, found 7"):
         stopping_table("ur5e").stop(np.ones(7))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1])
+def test_times_and_angles_that_none_are_are_refused(wrong: float) -> None:
+    right, bad = np.ones((1, 6)), np.ones((1, 6))
+    bad[0, 3] = wrong
+    for times, angles in ((bad, right), (right, bad)):
+        with pytest.raises(ArmError, match="expected finite times and angles of 0 or more"):
+            StoppingTable(np.array([1.0]), times, angles)
+    with pytest.raises(ArmError, match="expected rising speeds"):
+        StoppingTable(np.array([1.0, np.nan]), np.ones((2, 6)), np.ones((2, 6)))

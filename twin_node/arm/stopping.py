@@ -37,13 +37,19 @@ class StoppingTable:
     """[R, J] rad gone until standstill."""
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for a table whose rows do not rise or do not fit each other."""
+        """Raises `ArmError` for a table whose rows do not rise or fit each other, or with impossible values."""
         rows = len(self.speeds)
         shapes_fit = self.times.ndim == 2 and self.times.shape == self.angles.shape and len(self.times) == rows
-        if rows == 0 or not shapes_fit or np.diff(self.speeds, prepend=0.0).min() <= 0:
+        if rows == 0 or not shapes_fit or not np.diff(self.speeds, prepend=0.0).min() > 0:
             raise ArmError(
                 f"stopping table: expected rising speeds [R] and times and angles [R, J], found "
                 f"{self.speeds.tolist()}, {self.times.shape} and {self.angles.shape}; correct the table"
+            )
+        values = np.concatenate([self.times, self.angles])
+        if not (np.isfinite(values).all() and (values >= 0).all()):
+            raise ArmError(
+                f"stopping table: expected finite times and angles of 0 or more, found {values.tolist()}; correct the "
+                "table"
             )
 
     def stop(self, speeds: NDArray[np.floating]) -> Stop:
