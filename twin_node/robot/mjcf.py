@@ -45,9 +45,10 @@ def write_mjcf(model: ArmModel) -> str:
     for j, (link, joint) in enumerate(zip(model.link_names[1:], model.joint_names, strict=True)):
         indent = "  " * (j + 3)
         place = f'pos="{_text(model.origins[j, :3, 3])}" quat="{_text(quat_from_rotation(model.origins[j, :3, :3]))}"'
-        limits = _text(np.array([model.lower[j], model.upper[j]]))
+        limits = np.array([model.lower[j], model.upper[j]])
+        ends = f' range="{_text(limits)}"' if np.isfinite(limits).all() else ""
         lines.append(f'{indent}<body name="{link}" {place}>')
-        lines.append(f'{indent}  <joint name="{joint}" axis="0 0 1" range="{limits}"/>')
+        lines.append(f'{indent}  <joint name="{joint}" axis="0 0 1"{ends}/>')
         lines.extend(_geom_lines(model, j + 1))
     for j in range(model.joints, -1, -1):
         lines.append("  " * (j + 2) + "</body>")
@@ -80,8 +81,8 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     joints = _arm_joints(engine, path, joint_names)
     frames = np.stack([np.eye(4), *(_joint_frame(engine, data, joint) for joint in joints)])
     limited = engine.jnt_limited[joints].astype(bool)
-    lower = np.where(limited, engine.jnt_range[joints, 0], -2 * np.pi)
-    upper = np.where(limited, engine.jnt_range[joints, 1], 2 * np.pi)
+    lower = np.where(limited, engine.jnt_range[joints, 0], -np.inf)
+    upper = np.where(limited, engine.jnt_range[joints, 1], np.inf)
     bodies = engine.jnt_bodyid[joints]
     base = engine.body_parentid[bodies[0]]
     return ArmModel(

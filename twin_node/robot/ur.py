@@ -76,6 +76,8 @@ class _UrArm:
     max_velocity_deg: tuple[int, int, int, int, int, int]
     """deg/s."""
     capsules: tuple[_Row, ...]
+    turns_for_ever: bool = False
+    """Whether the last joint has no ends."""
 
 
 _UR10E_CAPSULES = (
@@ -128,6 +130,7 @@ _UR3E = _UrArm(
         _Row(5, (0.0, -0.01, -0.004), (0.0, 0.018, -0.001), 0.046),
         _Row(6, (0.0, 0.0, -0.021), (0.002, -0.002, -0.022), 0.039),
     ),
+    turns_for_ever=True,
 )
 
 
@@ -165,6 +168,8 @@ def ur_model(name: str) -> ArmModel:
     arm = _arm(name)
     full_turn = np.full(6, 2 * np.pi)
     full_turn[2] = np.pi  # the elbow meets the upper arm beyond half a turn
+    if arm.turns_for_ever:
+        full_turn[5] = np.inf
     return ArmModel(
         name=name,
         link_names=LINK_NAMES,

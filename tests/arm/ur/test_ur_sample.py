@@ -8,8 +8,12 @@ from fake_link import MODEL, START, sample
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twin_node.arm import extrapolate
 from twin_node.arm.ur import UrSample, implausible, not_ready
 from twin_node.arm.ur.freshness import Freshness
+from twin_node.resources import find
+from twin_node.robot import ur_model
+from twin_node.robot.mjcf import load_arm
 
 JOINT_FIELDS = ("q", "qd", "target_q", "target_qd")
 
@@ -99,3 +103,14 @@ def test_a_driver_that_was_held_up_does_not_blame_the_controller() -> None:
     watch.see(1.0, 2 * SECOND_NS)
     assert watch.age_s == pytest.approx(0.01)
     assert watch.see(2.0, 2 * SECOND_NS + 1)
+
+
+def test_the_last_joint_of_a_ur3e_turns_for_ever() -> None:
+    """As its manual says; after one turn too many the driver halted, and the arm was taken not to turn at all."""
+    turned = np.array([0, 0, 0, 0, 0, 40.0])
+    ur3e, state = ur_model("ur3e"), sample(q=turned, target_q=turned)
+    assert implausible(ur3e, state, None) is None
+    assert "wrist_3_joint: beyond its range" in str(implausible(MODEL, state, None))
+    ahead = extrapolate(ur3e, turned, np.array([0, 0, 0, 0, 0, 1.0]), 0)
+    np.testing.assert_allclose(ahead.positions[-1, 5], 40.2)
+    assert load_arm(find("sim/ur3e.xml")).upper[5] == np.inf
