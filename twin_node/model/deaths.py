@@ -52,8 +52,9 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
     """[n] moving Gaussians that some view sees through.
 
     `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where they
-    reach speaks against them; against others, one that shows the background. That holds at the image's edge too, for
-    what reaches in from beyond. In NumPy: the reference of `compiled_deaths.refuted_moving`.
+    reach speaks against them; against others, one that shows the background, unless they lie where it measures depth of
+    what the background does not explain. That holds at the image's edge too, for what reaches in from beyond. In NumPy:
+    the reference of `compiled_deaths.refuted_moving`.
     """
     refuted = np.zeros(len(carried), bool)
     for one, shape in zip(observed, shapes, strict=True):
@@ -63,7 +64,8 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
         own = surface.size * carried
         rim = _around(seen, _half_axes(one.view.camera, shape), one.usable.shape)
         at_rim = rim.rows * one.usable.shape[1] + rim.columns
-        refuted |= (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
+        rim_is_empty = (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
+        refuted |= rim_is_empty & (carried | ~_lies_there(one, seen))
         looms = ~seen.inside & (pixels_reached(one.view.camera, seen, shape.means, REACH * shape.radii) > 1)
         at_edge = seen.rows * one.usable.shape[1] + seen.columns
         refuted |= looms & ~(seen.depth > surface.take(at_edge)) & empty.take(at_edge + own)
@@ -147,6 +149,15 @@ def judge_static_plainly(
     off = ~on_surface([one.background for one in observed])
     left = proven | (off & (gone == shown) & (gone >= 1))
     return StaticEvidence(left, off & (moving == shown) & (moving >= min(2, len(observed))))
+
+
+def _lies_there(one: Observed, seen: Seen) -> Bool:
+    """[n] points at which something has to be explained where the view measures just their depth."""
+    if one.nearest is None:
+        return np.zeros(len(seen.rows), bool)
+    apart = np.abs(one.nearest[seen.rows, seen.columns] - seen.depth)
+    lying: Bool = seen.inside & seen.within(one.active) & (apart < SEEN_THROUGH * seen.depth)
+    return lying
 
 
 def _seen_through(one: Observed, seen: Seen) -> Bool:
