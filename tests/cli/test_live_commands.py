@@ -22,7 +22,7 @@ from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.model.ply import StoredGaussians, cloud_from_stored
-from twin_node.nodes.topics import GAUSSIANS
+from twin_node.nodes.topics import DIAGNOSTICS, GAUSSIANS
 
 PATIENCE_S = 60.0
 
@@ -101,6 +101,23 @@ def test_what_is_played_is_recorded(tmp_path: Path, start: Callable[..., subproc
         heard = [bytes(m.data) for m in written.messages(["/chatter"])]
     assert heard
     assert set(heard) <= known
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_what_a_driver_said_until_it_was_ended_is_kept(
+    tmp_path: Path, start: Callable[..., subprocess.Popen[str]], ending: signal.Signals
+) -> None:
+    """Ctrl-C is how a driver ends; no controller is needed for it to say something."""
+    out = tmp_path / "driver.mcap"
+    driver = start("ur-driver", "--robot", "127.0.0.77", "-o", str(out))
+    assert driver.stdout is not None
+    while not (line := driver.stdout.readline()).startswith("lost: 127.0.0.77"):
+        assert line, "the driver has ended"
+    driver.send_signal(ending)
+    assert driver.wait(PATIENCE_S) == 0
+    assert list(tmp_path.glob("*.partial")) == []
+    with open_log(out) as log:
+        assert [topic.name for topic in log.topics] == [DIAGNOSTICS]
 
 
 SPLATS = 10_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import select
+import signal
 import sys
 import time
 from pathlib import Path
@@ -69,6 +70,8 @@ def _run(options: argparse.Namespace) -> None:
     bus = LocalBus()
     with contextlib.ExitStack() as stack:
         pace = _Pace(options.decisions, bus, options.duration, stack)
+        for number in (signal.SIGINT, signal.SIGTERM):  # both end the arm in order, and keep what was recorded
+            signal.signal(number, pace.end)
         if options.output is not None:
             log = stack.enter_context(LogWriter(options.output))
             topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
@@ -92,6 +95,7 @@ class _Pace:
         self._tick_s = TICK_S
         self._until = None if duration_s is None else time.monotonic() + duration_s
         self._is_started = False
+        self._is_ended = False
         if decisions is None:
             self.clock, self._steps = PacedClock(time.time_ns(), 1.0), iter(())
             self._is_waiting_for_arm = False
@@ -101,6 +105,11 @@ class _Pace:
             self._steps = player.steps(self.clock)
             self._is_waiting_for_arm = True
 
+    def end(self, *_: object) -> None:
+        """Let time be up, as a handler of signals; the next SIGINT does not wait for a log's next message."""
+        self._is_ended = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
     def step(self, is_ready: bool) -> bool:
         """Wait for the next moment; a log begins when the arm is ready. False when time is up."""
         if not self._is_started and (is_ready or not self._is_waiting_for_arm):
@@ -108,7 +117,7 @@ class _Pace:
             self._is_started = True
         if not self._is_started or next(self._steps, None) is None:
             time.sleep(self._tick_s)
-        return self._until is None or time.monotonic() < self._until
+        return not self._is_ended and (self._until is None or time.monotonic() < self._until)
 
 
 def _player(decisions: Path, bus: Any, stack: contextlib.ExitStack) -> Any:
