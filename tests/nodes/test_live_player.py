@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
-from twin_node.bag import RecordingWriter
+from twin_node.bag import RecordingWriter, open_log
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.nodes.live.player import PlayNode, PlayParameters
 from twin_node.nodes.live.setup import Setup
@@ -115,6 +116,35 @@ def test_a_paused_player_waits_for_its_word(log: Path) -> None:
     assert theatre.finished.wait(WAIT_S)
     theatre.end()
     assert len(theatre.heard) == 20
+
+
+def with_an_unknown_type(log: Path, tmp_path: Path) -> Path:
+    """The log, and a topic /odd whose type it does not define."""
+    path = tmp_path / "odd.mcap"
+    with open_log(log) as read, path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        definitions = {STRING: b"string data", "odd_msgs/msg/Odd": b"no definition ~~~ {"}
+        schemas = {name: writer.register_schema(name, "ros2msg", text) for name, text in definitions.items()}
+        channels = {topic: writer.register_channel(topic, "cdr", schemas[STRING]) for topic in ("/a", "/b")}
+        channels["/odd"] = writer.register_channel("/odd", "cdr", schemas["odd_msgs/msg/Odd"])
+        for message in read.messages():
+            for topic in (message.topic, "/odd"):
+                writer.add_message(channels[topic], message.stamp, bytes(message.data), message.stamp)
+        writer.finish()
+    return path
+
+
+def test_a_topic_whose_type_nobody_knows_is_left_out_and_told(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odd = with_an_unknown_type(log, tmp_path)
+    theatre = Theatre(odd)
+    theatre.play()
+    assert len(theatre.heard) == 20
+    assert "not played: /odd, whose type odd_msgs/msg/Odd" in capsys.readouterr().out
+    with pytest.raises(GraphError, match="/odd is of odd_msgs/msg/Odd"):
+        Theatre(odd, topics=("/odd",))
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,8 @@ from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, kind_of
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import Qos
+from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.scene import Rig, RigCamera
@@ -30,12 +32,14 @@ class Studio:
 
     def __init__(self, output: Path, clock: Clock, **more: Any) -> None:
         self.said: list[str] = []
+        self.graph: tuple[Endpoint, ...] = ()
         self.is_finished = False
         self._wire, self._executor = LocalWire(), Executor()
         bus = WireBus(self._wire, self._executor, "recorder", kind_of)
-        say, ends = self.said.append, self._wire.endpoints
-        setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, ends, say)
-        self.node = LiveRecorderNode(setup, RecordParameters(str(output), (DIAGNOSTICS, TF_STATIC), **more))
+        say = self.said.append
+        setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, lambda: self.graph, say)
+        topics = {"topics": (DIAGNOSTICS, TF_STATIC), **more}
+        self.node = LiveRecorderNode(setup, RecordParameters(str(output), **topics))
         self.node.configure()
         self.node.activate()
 
@@ -46,6 +50,9 @@ class Studio:
         self._wire.publisher("somebody", topic, kind_of(topic))(message)
         while self._executor.step(0.0):
             pass
+
+    def step(self) -> None:
+        self._executor.step(60.0)
 
     def hear_diagnostics(self) -> None:
         self.hear(DIAGNOSTICS, convert.diagnostics_to_message(0, []))
@@ -98,3 +105,17 @@ def test_what_is_said_before_the_graph_has_a_time_is_not_of_1970(tmp_path: Path)
     with open_log(tmp_path / "run.mcap") as log:
         assert [message.topic for message in log.messages()] == [TF_STATIC, DIAGNOSTICS]
         assert log.start_ns >= LOG_START
+
+
+@pytest.mark.parametrize("more", [{"topics": ("/odd",)}, {"all": True}])
+def test_a_topic_of_an_unknown_type_is_not_recorded_and_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
+) -> None:
+    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.0)
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), **more)
+    who = NodeIdentity("1", 1, "somebody")
+    studio.graph = (Endpoint(EntityKind.PUBLISHER, who, 1, "/odd", "odd_msgs/msg/Odd", "RIHS01_0", Qos()),)
+    for _ in range(3):
+        studio.step()
+    assert studio.said == ["not recorded: /odd, whose type odd_msgs/msg/Odd is not known here"]
+    studio.end()

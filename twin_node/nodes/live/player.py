@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,7 +77,7 @@ class PlayNode(Node):
         self._parameters = parameters
         self._finish = setup.finish
         self._log: LogReader = open_log(Path(parameters.log))
-        self._names = _names(self._log, parameters)
+        self._names = _names(self._log, parameters, setup.say)
         self._span: Span = span_of(self._log, parameters.start_offset, parameters.playback_duration or None)
         self._bus: WireBus = setup.bus
         self._time = _LogTime(parameters.rate, parameters.start_paused)
@@ -193,13 +193,25 @@ class _LogTime:
         return self._log_ns + int(since * self._rate)
 
 
-def _names(log: LogReader, parameters: PlayParameters) -> dict[str, str]:
-    """The log's topics to play -> the names they are published under."""
+def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None]) -> dict[str, str]:
+    """The log's topics to play -> the names they are published under.
+
+    A topic whose type is defined nowhere cannot be told to others: it is left out, and said, unless it is asked for.
+    """
     held = {topic.name for topic in log.topics}
     remaps = parse_remaps(list(parameters.remap))
     for topic in (*parameters.topics, *remaps):
         if topic not in held:
             raise GraphError(f"{log.path}: has no topic {topic}; it holds {', '.join(sorted(held))}")
+    unknown = {topic.name: topic.msgtype for topic in log.topics if topic.msgtype not in log.types}
+    for topic in parameters.topics:
+        if topic in unknown:
+            raise GraphError(
+                f"{log.path}: {topic} is of {unknown[topic] or 'no type'}, which is defined nowhere; leave it out"
+            )
+    held -= unknown.keys()
+    for topic, msgtype in sorted(unknown.items()) if not parameters.topics else ():
+        say(f"not played: {topic}, whose type {msgtype or '(none)'} is defined nowhere")
     wanted = parameters.topics or tuple(sorted(held - {CLOCK} if parameters.clock else held))
     return {topic: remaps.get(topic, topic) for topic in wanted}
 

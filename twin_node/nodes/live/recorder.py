@@ -67,6 +67,7 @@ class LiveRecorderNode(Node):
         self._finish = setup.finish
         self._early: deque[tuple[str, Encoded]] = deque(maxlen=EARLY_KEPT)
         self._added: set[str] = set()
+        self._unknown: set[str] = set()
         self._parameters = parameters
         self._writer: RecordingWriter | None = None
         self._error: BagError | None = None
@@ -105,8 +106,13 @@ class LiveRecorderNode(Node):
         for endpoint in self._endpoints():
             is_wanted = self._is_all or endpoint.topic in self._topics
             is_new = endpoint.kind is EntityKind.PUBLISHER and endpoint.topic not in self._added
-            if is_wanted and is_new and endpoint.msgtype in builtin_types():
+            if not (is_wanted and is_new):
+                continue
+            if endpoint.msgtype in builtin_types():
                 self.add(endpoint.topic, TopicKind(endpoint.msgtype, endpoint.qos))
+            elif endpoint.topic not in self._unknown:
+                self._unknown.add(endpoint.topic)
+                self._say(f"not recorded: {endpoint.topic}, whose type {endpoint.msgtype} is not known here")
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How much was written, or why no more is."""
