@@ -15,6 +15,7 @@ from twin_node.bag import BagError, LogWriter, open_log
 from twin_node.messages import message_type, serialize
 
 COUNT = 400
+NONE = "not the metadata of a rosbag2 folder"
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +164,17 @@ def test_missing_paths_and_folders_without_a_bag_are_refused(tmp_path: Path) -> 
     [
         ("{", "not the metadata of a rosbag2 folder"),
         ("something: else", "not the metadata of a rosbag2 folder"),
+        *(
+            (f"rosbag2_bagfile_information: {{relative_file_paths: {files}, topics_with_message_count: {rest}}}", NONE)
+            for files, rest in (
+                ("", "[]"),
+                ("[5]", "[]"),
+                ("[a]", ""),
+                ("[a]", "[{topic_metadata: }]"),
+                ("[a]", "[{}]"),
+                ("[a]", "[], custom_data: [a]"),
+            )
+        ),
         ("rosbag2_bagfile_information: {relative_file_paths: [], topics_with_message_count: []}", "none at all"),
         (
             "rosbag2_bagfile_information: {relative_file_paths: [gone.mcap], topics_with_message_count: []}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
@@ -175,17 +176,16 @@ def _open_folder(folder: Path, unfinished: bool) -> LogReader:
         hint = f"give one of its files ({logs[0]})" if logs else "expected a rosbag2 folder or an MCAP file"
         raise BagError(f"{folder}: no {METADATA_FILE} in this folder; {hint}")
     information = _bag_information(file)
-    formats = {topic["topic_metadata"]["serialization_format"] for topic in information["topics_with_message_count"]}
-    if formats - {"cdr"}:
-        raise BagError(f"{file}: expected messages in cdr, found {', '.join(sorted(formats))}; convert the bag to cdr")
-    compression = Compression.of(information, file)
-    paths = [folder / PurePosixPath(name).name for name in information["relative_file_paths"]]
+    if information.formats - {"cdr"}:
+        found = ", ".join(sorted(information.formats))
+        raise BagError(f"{file}: expected messages in cdr, found {found}; convert the bag to cdr")
+    paths = [folder / name for name in information.files]
     missing = [path.name for path in paths if not path.is_file()]
     if missing or not paths:
         raise BagError(
             f"{file}: names files that are not there: {', '.join(missing) or 'none at all'}; copy the whole bag"
         )
-    return _open_files(folder, paths, _custom_data(information), compression)
+    return _open_files(folder, paths, information.records, information.compression)
 
 
 def _is_bag(names: Sequence[str]) -> bool:
@@ -201,16 +201,32 @@ def _number(name: str) -> int:
     return int(name.rpartition(".")[0].rpartition("_")[2])
 
 
-def _bag_information(file: Path) -> Any:
+@dataclass(frozen=True)
+class _Information:
+    """What a folder's `metadata.yaml` says."""
+
+    files: tuple[str, ...]
+    formats: frozenset[str]
+    """Of its messages."""
+    compression: Compression
+    records: Mapping[str, Mapping[str, str]]
+    """Metadata records by name."""
+
+
+def _bag_information(file: Path) -> _Information:
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
         information = content["rosbag2_bagfile_information"]
-        for key in ("relative_file_paths", "topics_with_message_count"):
-            information[key]
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        topics = [topic["topic_metadata"] for topic in information["topics_with_message_count"]]
+        return _Information(
+            files=tuple(PurePosixPath(name).name for name in information["relative_file_paths"]),
+            formats=frozenset(str(topic["serialization_format"]) for topic in topics),
+            compression=Compression.of(information, file),
+            records=_custom_data(information),
+        )
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"{file}: not the metadata of a rosbag2 folder ({reason}); run `ros2 bag reindex`") from None
-    return information
 
 
 def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
