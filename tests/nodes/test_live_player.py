@@ -118,6 +118,27 @@ def test_a_paused_player_waits_for_its_word(log: Path) -> None:
     assert len(theatre.heard) == 20
 
 
+def test_nobody_reads_on_when_the_log_is_closed(log: Path) -> None:
+    theatre = Theatre(log, start_paused=True, read_ahead_queue_size=1)
+    theatre.begin()
+    assert not theatre.finished.wait(0.05)
+    theatre.end()
+    assert [thread.name for thread in threading.enumerate() if thread.name == "read ahead"] == []
+
+
+def test_whatever_ends_the_playing_ends_the_player(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    theatre = Theatre(log)
+
+    def broken() -> Any:
+        raise RuntimeError("cannot go on")
+
+    monkeypatch.setattr(theatre.node, "_messages", broken)
+    theatre.begin()
+    assert theatre.finished.wait(WAIT_S)
+    with pytest.raises(RuntimeError, match="cannot go on"):
+        theatre.end()
+
+
 def with_an_unknown_type(log: Path, tmp_path: Path) -> Path:
     """The log, and a topic /odd whose type it does not define."""
     path = tmp_path / "odd.mcap"

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twin_node.bag import LogMessage, LogReader, open_log
-from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
@@ -83,7 +82,7 @@ class PlayNode(Node):
         self._time = _LogTime(parameters.rate, parameters.start_paused)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._error: TwinError | None = None
+        self._error: BaseException | None = None
         self.published = 0
 
     @property
@@ -133,7 +132,7 @@ class PlayNode(Node):
                 self._play_once()
                 if not self._parameters.loop:
                     break
-        except TwinError as error:  # raised again when the node is cleaned up
+        except BaseException as error:  # raised again when the node is cleaned up, whatever it is
             self._error = error
         self._finish()
 
@@ -217,11 +216,15 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
 
 
 def _read_ahead(messages: Iterator[LogMessage], size: int, stop: threading.Event) -> Iterator[LogMessage]:
-    """The messages, read by a thread of its own up to `size` ahead; it ends with `stop`."""
+    """The messages, read by a thread of its own up to `size` ahead; it ends with `stop`, and with the iteration.
+
+    Nobody reads the log any more when the iteration has ended. Raises whatever reading it raises.
+    """
     waiting: queue.Queue[LogMessage | BaseException | None] = queue.Queue(size)
+    is_ended = threading.Event()
 
     def put(item: LogMessage | BaseException | None) -> bool:
-        while not stop.is_set():
+        while not (stop.is_set() or is_ended.is_set()):
             try:
                 waiting.put(item, timeout=LONGEST_WAIT_S)
             except queue.Full:
@@ -235,17 +238,22 @@ def _read_ahead(messages: Iterator[LogMessage], size: int, stop: threading.Event
                 if not put(message):
                     return
             put(None)
-        except (TwinError, OSError) as error:  # raised again in the thread that plays
+        except BaseException as error:  # raised again in the thread that plays, whatever it is
             put(error)
 
-    threading.Thread(target=read, name="read ahead", daemon=True).start()
-    while not stop.is_set():
-        try:
-            item = waiting.get(timeout=LONGEST_WAIT_S)
-        except queue.Empty:
-            continue
-        if isinstance(item, BaseException):
-            raise item
-        if item is None:
-            return
-        yield item
+    thread = threading.Thread(target=read, name="read ahead", daemon=True)
+    thread.start()
+    try:
+        while not stop.is_set():
+            try:
+                item = waiting.get(timeout=LONGEST_WAIT_S)
+            except queue.Empty:
+                continue
+            if isinstance(item, BaseException):
+                raise item
+            if item is None:
+                return
+            yield item
+    finally:
+        is_ended.set()
+        thread.join()
