@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -293,3 +295,23 @@ def test_the_rig_files_that_ship(name: str, cameras: int) -> None:
     if not SHARED.exists():
         pytest.skip(f"{SHARED} is absent: the videos are not looked for")
     assert len(rig_file.videos()) == cameras
+
+
+def test_a_rig_that_cannot_be_written_is_named_and_leaves_what_stood_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig_file = load_rig("calibration/walker_4cam.yaml")
+    with pytest.raises(RigError, match=r"rig.yaml: cannot be written \(No such file or directory\)"):
+        save_rig(rig_file, tmp_path / "nowhere" / "rig.yaml")
+    path, write_text = tmp_path / "rig.yaml", Path.write_text
+    path.write_text("as it was", encoding="utf-8")
+
+    def fill_up(here: Path, text: str, **options: str) -> int:
+        write_text(here, text[:20], **options)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", fill_up)
+    with pytest.raises(RigError, match=r"rig.yaml: cannot be written \(No space left on device\)"):
+        save_rig(rig_file, path)
+    assert path.read_text(encoding="utf-8") == "as it was"
+    assert list(tmp_path.iterdir()) == [path]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,7 +129,10 @@ def load_rig(path: str | Path, *, facing: bool = True) -> RigFile:
 
 
 def save_rig(rig_file: RigFile, path: str | Path) -> None:
-    """Writes a rig file that `load_rig` reads back to the same values; video paths are made relative to it."""
+    """Writes a rig file that `load_rig` reads back to the same values; video paths are made relative to it.
+
+    What stands at `path` stays until the new file is whole. Raises `RigError` where it cannot be written.
+    """
     path = Path(path)
     out: dict[str, object] = {"frame": rig_file.frame}
     for key in ("date", "board", "notes"):
@@ -145,7 +149,14 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
         )
     ]
     text = yaml.dump(out, sort_keys=False, default_flow_style=None, width=120)
-    path.write_text(text, encoding="utf-8")
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise RigError(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from None
 
 
 def _camera(fields: Fields) -> RigCamera:
