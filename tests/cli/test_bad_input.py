@@ -143,6 +143,17 @@ def test_a_report_that_has_no_place_is_refused_before_the_run(
         assert not out.exists()
 
 
+@pytest.mark.parametrize("command", ["intrinsics x --board x", "rig x", "hand-eye x", "refine x", "time x"])
+@pytest.mark.parametrize("name", ["nowhere/rig.yaml", "."])
+def test_a_calibration_that_has_no_place_is_refused_before_it_is_made(
+    command: str, name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["calibrate", *command.split(), "-o", str(tmp_path / name)])
+    assert exit_.value.code == 2
+    assert "expected the name of a file in a folder that exists" in capfd.readouterr().err
+
+
 def test_a_demo_that_has_no_place(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     assert main(["demo", "--out", str(tmp_path / "file")]) == 2

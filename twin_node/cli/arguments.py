@@ -59,6 +59,14 @@ def port(text: str) -> int:
     return int(value)
 
 
+def file_to_write(text: str) -> Path:
+    """A file that can be made when the work is done: a wrong name is told before."""
+    path = Path(text)
+    if path.is_dir() or not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: expected the name of a file in a folder that exists")
+    return path
+
+
 def width(text: str) -> int:
     """A width in pixels."""
     value = _number(text)

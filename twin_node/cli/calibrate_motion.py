@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, positive
+from twin_node.cli.arguments import add_source_options, file_to_write, positive
 
 if TYPE_CHECKING:
     from twin_node.nodes.log_source import LogSession
@@ -45,7 +45,7 @@ def add_hand_eye(kinds: Any) -> None:
     parser.add_argument("--arm", metavar="ARM", help="turns joints into flange poses: ur5e, or a URDF or MJCF file")
     parser.add_argument("--fixed-intrinsics", action="store_true", help="take the intrinsics as they are")
     parser.add_argument("--fixed-scale", action="store_true", help="take the board's size as it is")
-    parser.add_argument("-o", "--output", type=Path, metavar="RIG.yaml")
+    parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_hand_eye)
 
@@ -54,7 +54,7 @@ def add_refine(kinds: Any) -> None:
     """Adds `calibrate refine`."""
     parser = kinds.add_parser("refine", help="better extrinsics from an ordinary recording, without a board")
     parser.add_argument("log", type=Path, metavar="LOG")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml")
+    parser.add_argument("-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml")
     parser.add_argument("--plane", choices=("auto", "none"), default="auto", help="use the plane that most views show")
     parser.add_argument("--time", action="store_true", help="then also the clocks, as 'calibrate time' does")
     _add_clock_options(parser)
@@ -67,7 +67,7 @@ def add_time(kinds: Any) -> None:
     """Adds `calibrate time`."""
     parser = kinds.add_parser("time", help="clock offset and rate of every camera, from what moves")
     parser.add_argument("log", type=Path, metavar="LOG")
-    parser.add_argument("-o", "--output", type=Path, metavar="RIG.yaml", help="rig with the offsets")
+    parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig with the offsets")
     _add_clock_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(parser)
