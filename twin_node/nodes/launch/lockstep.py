@@ -13,7 +13,7 @@ from twin_node.nodes.live.player import PlayParameters
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.topics import GraphError, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, fill
 
 
@@ -23,10 +23,12 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
     rig = fill(RigParameters, sections.get(EVERY_NODE, {}).get("rig", {}), f"{where}: {EVERY_NODE}: rig")
     chain = {name: sections[name] for name in CHAIN_SECTIONS if name in sections}
     output = sections.get("recorder", {}).get("output", "")
+    if output and Path(output).resolve() == Path(player.log).resolve():
+        raise GraphError(f"{where}: recorder: output: expected another file than the log that is played, {output}")
     session = LogSession(
         Path(player.log),
         Path(rig.file) if rig.file else None,
-        {},
+        parse_remaps(list(player.remap)),
         player.start_offset,
         player.playback_duration or None,
     )
