@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
+import pytest
+
 from twin_node.messages import header_stamp
+from twin_node.nodes.live.cameras import CamerasNode
 from twin_node.nodes.live.cell import CellNode, CellParameters
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import JOINT_STATES, TF_STATIC, TRAJECTORY, kind_of
+from twin_node.rig.cameras import CameraHealth, CameraImage
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.node import Node
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
 
 RIG = RigParameters(scenario="demo", image="image_raw", depth="depth/image_rect")
+WAIT_S = 60.0
 
 
 def test_a_cell_sends_what_a_rig_would() -> None:
@@ -46,3 +53,36 @@ def test_a_cell_sends_what_a_rig_would() -> None:
     assert joints == sorted(joints)
     assert len(joints) > len(heard[TRAJECTORY]) > 0
     assert len(heard[TF_STATIC]) == 1
+
+
+class FailingSource:
+    """Cameras whose driver fails in a way that nobody has thought of."""
+
+    cameras: tuple[str, ...] = ()
+    health: tuple[CameraHealth, ...] = ()
+
+    def images(self) -> Iterator[CameraImage]:
+        raise RuntimeError("cannot go on")
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kind", ["cell", "cameras"])
+def test_a_source_that_fails_ends_its_process(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread alone would leave a process that is alive and sends nothing, and that nobody starts again."""
+    finished, wire, executor = threading.Event(), LocalWire(), Executor()
+    bus = WireBus(wire, executor, kind, kind_of)
+    setup = Setup(kind, bus, SystemClock(), executor, {}, "test", finished.set, wire.endpoints)
+    node: Node = CamerasNode(setup, FailingSource(), RIG) if kind == "cameras" else CellNode(setup, CellParameters(RIG))
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("cannot go on")
+
+    monkeypatch.setattr(CellNode, "_publish", fail)
+    node.configure()
+    node.activate()
+    assert finished.wait(WAIT_S)
+    node.deactivate()
+    with pytest.raises(RuntimeError, match="cannot go on"):
+        node.cleanup()

@@ -46,6 +46,8 @@ class CamerasNode(Node):
     def __init__(self, setup: Setup, source: ImageSource, rig: RigParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
         self._source = source
+        self._finish = setup.finish
+        self._error: BaseException | None = None
         self._rig_parameters = rig
         self._rig = read_rig(rig).rig
         self._cameras = {camera.name: camera for camera in self._rig.cameras}
@@ -67,6 +69,11 @@ class CamerasNode(Node):
         if self._thread is not None:
             self._thread.join()
 
+    def on_cleanup(self) -> None:
+        """Raises what ended the images."""
+        if self._error is not None:
+            raise self._error
+
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How every camera is doing."""
         found = []
@@ -82,8 +89,12 @@ class CamerasNode(Node):
         return tuple(found)
 
     def _run(self) -> None:
-        for image in self._source.images():
-            self._publish(image)
+        try:
+            for image in self._source.images():
+                self._publish(image)
+        except BaseException as error:  # raised again when the node is cleaned up: its process must not live on silent
+            self._error = error
+            self._finish()
 
     def _publish(self, image: CameraImage) -> None:
         topics = topics_of(image.camera, self._rig_parameters)

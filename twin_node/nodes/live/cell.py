@@ -44,6 +44,7 @@ class CellNode(Node):
         super().__init__(setup.name, setup.bus, setup.clock)
         self._parameters = parameters
         self._finish = setup.finish
+        self._error: BaseException | None = None
         self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario))
         self._period_ns = int(1e9 / self._simulated.scenario.sensing.rate_hz)
         self._stop = threading.Event()
@@ -69,12 +70,24 @@ class CellNode(Node):
         if self._thread is not None:
             self._thread.join()
 
+    def on_cleanup(self) -> None:
+        """Raises what ended the images before their time."""
+        if self._error is not None:
+            raise self._error
+
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How many images came too late to be made."""
         readings = (convert.Reading("skipped_images", str(self.skipped)),)
         return (convert.Diagnosis(f"{self.name}: cameras", convert.Level.OK, "simulated", readings),)
 
     def _run(self) -> None:
+        try:
+            self._send()
+        except BaseException as error:  # raised again when the node is cleaned up: its process must not live on silent
+            self._error = error
+            self._finish()
+
+    def _send(self) -> None:
         exposures, start = self._simulated.exposures(), self._simulated.scenario.start_ns
         until = self._parameters.duration * 1e9 or math.inf
         self._begun = first = self.clock.now()
