@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
 from twin_node.messages import header_stamp
+from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
 from twin_node.nodes.live.cameras import CamerasNode
 from twin_node.nodes.live.cell import CellNode, CellParameters
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
@@ -82,6 +84,29 @@ def test_a_source_that_fails_ends_its_process(kind: str, monkeypatch: pytest.Mon
     monkeypatch.setattr(CellNode, "_publish", fail)
     node.configure()
     node.activate()
+    assert finished.wait(WAIT_S)
+    node.deactivate()
+    with pytest.raises(RuntimeError, match="cannot go on"):
+        node.cleanup()
+
+
+def test_a_controller_that_fails_ends_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    class FailingStandIn:
+        def __init__(self, _: object) -> None:
+            pass
+
+        async def run(self, on_listening: Callable[[], None]) -> None:
+            on_listening()
+            raise RuntimeError("cannot go on")
+
+    monkeypatch.setattr("twin_node.nodes.live.arm_stand_in.StandIn", FailingStandIn)
+    finished, wire, executor = threading.Event(), LocalWire(), Executor()
+    bus = WireBus(wire, executor, "ur_sim", kind_of)
+    setup = Setup("ur_sim", bus, SystemClock(), executor, {}, "test", finished.set, wire.endpoints)
+    node = UrSimNode(setup, UrSimParameters())
+    node.configure()
+    with contextlib.suppress(RuntimeError):  # it may fail before it is asked, too
+        node.activate()
     assert finished.wait(WAIT_S)
     node.deactivate()
     with pytest.raises(RuntimeError, match="cannot go on"):

@@ -8,7 +8,6 @@ import threading
 from dataclasses import dataclass
 
 from twin_node.cell.ur_sim import ControllerParameters, StandIn, StandInParameters
-from twin_node.errors import TwinError
 from twin_node.nodes.live.setup import Setup
 from twin_node.robot import ur_model
 from twin_node.runtime.node import Node
@@ -44,7 +43,8 @@ class UrSimNode(Node):
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
         self._thread: threading.Thread | None = None
-        self._error: TwinError | None = None
+        self._error: BaseException | None = None
+        self._finish = setup.finish
 
     def on_activate(self) -> None:
         listening = threading.Event()
@@ -61,6 +61,11 @@ class UrSimNode(Node):
         if self._thread is not None:
             self._thread.join()
 
+    def on_cleanup(self) -> None:
+        """Raises what ended the controller."""
+        if self._error is not None:
+            raise self._error
+
     def _run(self, listening: threading.Event) -> None:
         async def stand_in() -> None:
             self._loop = asyncio.get_running_loop()
@@ -70,7 +75,8 @@ class UrSimNode(Node):
 
         try:
             asyncio.run(stand_in())
-        except TwinError as error:  # raised again in the node's thread
+        except BaseException as error:  # raised again in the node's thread: its process must not live on without it
             self._error = error
+            self._finish()
         finally:
             listening.set()
