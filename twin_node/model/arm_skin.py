@@ -58,24 +58,25 @@ class ArmSkin:
         self._links = links
         self._gaussians = gaussians
         self._motion = motion
-        self._turn = 0
 
     def refine(
         self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None]
     ) -> Generator[None]:
-        """Looks at the arm through one camera after another, one per set; `robots` are the arm's masks [H, W].
+        """Looks at the arm through one camera after another; `robots` are its masks [H, W].
 
         Called while the links are where the set shows them; what it returns may be gone on with once they are not.
         """
-        self._turn += 1
-        index = self._turn % len(observed)
-        one, mask = observed[index], robots[index]
-        return self._slices(one, mask, joints, self._motion.poses([one.offset_s]))
+        poses = [self._motion.poses([one.offset_s]) for one in observed]
+        return self._slices(list(zip(observed, robots, poses, strict=True)), joints)
 
-    def _slices(self, one: Observed, mask: Bool | None, joints: JointSample, poses: Poses) -> Generator[None]:
-        """The work of a look through the camera of `one`, which saw the links at `poses`."""
-        if mask is None:
-            return
+    def _slices(self, views: Sequence[tuple[Observed, Bool | None, Poses]], joints: JointSample) -> Generator[None]:
+        """The work of a look through each of `views`, which saw the links at the poses beside it."""
+        for one, mask, poses in views:
+            if mask is not None and mask.any():
+                yield from self._look(one, mask, joints, poses)
+                yield
+
+    def _look(self, one: Observed, mask: Bool, joints: JointSample, poses: Poses) -> Generator[None]:
         skin = self._skin(one, mask, joints)
         rows = self._gaussians.robot_rows
         with torch.no_grad():
