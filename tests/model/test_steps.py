@@ -152,15 +152,6 @@ def test_a_needle_that_sticks_out_of_what_moves_is_refuted_and_one_inside_is_not
     assert not refuted_moving(observed, round_ones, np.ones(1, bool)).any()
 
 
-@pytest.mark.parametrize("depth", [False, True])
-def test_what_lies_on_measured_depth_may_reach_over_what_stands_unless_a_node_carries_it(depth: bool) -> None:
-    observed = observe(table(), 0.1, depth)
-    on_top = balls(np.array([[0.1, 0.0, 0.1]]), 0.06)
-    for refute in (refuted_moving, refuted_moving_plainly):
-        gone = [bool(refute(observed, [on_top] * 3, np.array([carried]))[0]) for carried in (False, True)]
-        assert gone == [not depth, True]
-
-
 def test_what_reaches_in_from_beyond_the_edge_is_refuted_too() -> None:
     seeing = observe(table(), 0.1)[0]
     camera = seeing.view.camera

@@ -31,8 +31,7 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
 
     `shapes` holds them for each view, turned as in the first: nothing turns much between two views. `carried` [n]
     says which have a node: a view that shows nothing moving where they reach speaks against them; against others, one
-    that shows the background, unless they lie where it measures depth of what the background does not explain. That
-    holds at the image's edge too, for what reaches in from beyond.
+    that shows the background. That holds at the image's edge too, for what reaches in from beyond.
     """
     library = kernels()
     if library is None:

@@ -52,9 +52,8 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
     """[n] moving Gaussians that some view sees through.
 
     `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where they
-    reach speaks against them; against others, one that shows the background, unless they lie where it measures depth of
-    what the background does not explain. That holds at the image's edge too, for what reaches in from beyond. In NumPy:
-    the reference of `compiled_deaths.refuted_moving`.
+    reach speaks against them; against others, one that shows the background. That holds at the image's edge too, for
+    what reaches in from beyond. In NumPy: the reference of `compiled_deaths.refuted_moving`.
     """
     refuted = np.zeros(len(carried), bool)
     for one, shape in zip(observed, shapes, strict=True):
@@ -64,8 +63,7 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
         own = surface.size * carried
         rim = _around(seen, _half_axes(one.view.camera, shape), one.usable.shape)
         at_rim = rim.rows * one.usable.shape[1] + rim.columns
-        rim_is_empty = (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
-        refuted |= rim_is_empty & (carried | ~_lies_there(one, seen))
+        refuted |= (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
         looms = ~seen.inside & (pixels_reached(one.view.camera, seen, shape.means, REACH * shape.radii) > 1)
         at_edge = seen.rows * one.usable.shape[1] + seen.columns
         refuted |= looms & ~(seen.depth > surface.take(at_edge)) & empty.take(at_edge + own)
@@ -74,17 +72,19 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
 
 
 def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes], threshold: float) -> Bool:
-    """[n] which Gaussians lie where a view that measures depth shows what its background does not explain.
+    """[n] which Gaussians lie where a view measures depth of what its background does not explain; no view sees through.
 
     `shapes` holds them for each view. Of their place nothing is guessed there: without them there were a hole until
     others are born.
     """
-    needed = np.zeros(len(shapes[0].means), bool)
+    needed, refuted = (np.zeros(len(shapes[0].means), bool) for _ in range(2))
     for one, shape in zip(observed, shapes, strict=True):
-        if one.view.depth is not None:
+        if one.nearest is not None:
             seen = look(one.view.camera, shape.means)
-            needed |= seen.inside & seen.within(one.surprise > threshold)
-    return needed
+            apart = np.abs(one.nearest[seen.rows, seen.columns] - seen.depth)
+            needed |= seen.inside & seen.within(one.surprise > threshold) & (apart < SEEN_THROUGH * seen.depth)
+            refuted |= _seen_through(one, seen)
+    return needed & ~refuted
 
 
 def _half_axes(camera: Camera, shape: Shapes) -> Float64:
@@ -149,15 +149,6 @@ def judge_static_plainly(
     off = ~on_surface([one.background for one in observed])
     left = proven | (off & (gone == shown) & (gone >= 1))
     return StaticEvidence(left, off & (moving == shown) & (moving >= min(2, len(observed))))
-
-
-def _lies_there(one: Observed, seen: Seen) -> Bool:
-    """[n] points at which something has to be explained where the view measures just their depth."""
-    if one.nearest is None:
-        return np.zeros(len(seen.rows), bool)
-    apart = np.abs(one.nearest[seen.rows, seen.columns] - seen.depth)
-    lying: Bool = seen.inside & seen.within(one.active) & (apart < SEEN_THROUGH * seen.depth)
-    return lying
 
 
 def _seen_through(one: Observed, seen: Seen) -> Bool:

@@ -292,11 +292,11 @@ class Tracker:
         gone = refuted_moving(observed, shapes, carriers >= 0)
         gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
         refuted = g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)
-        age_s = (self._nodes.stamp - g.births.index_select(0, rows)).double().mul_(1e-9)
-        needed = torch.from_numpy(are_needed(observed, shapes, threshold)).to(rows.device)
-        life_s = self._parameters.birth.transient_s * torch.where(needed, NEEDED_LIVES, 1.0)
+        lives = (self._nodes.stamp - g.births.index_select(0, rows)) * 1e-9 / self._parameters.birth.transient_s
         passing = g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)
-        ends = refuted | (passing & (age_s > life_s))
+        needed = torch.from_numpy(are_needed(observed, shapes, threshold)).to(rows.device)
+        kept = passing & needed & (lives > 1) & (lives <= NEEDED_LIVES)  # though its rim may reach over what was learnt
+        ends = (refuted | (passing & (lives > 1))) & ~kept
         g.retire(rows.index_select(0, rows_where(ends)))
         staying, learned = carriers[~ends.cpu().numpy()], self._nodes.learned_rows.numpy()
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)

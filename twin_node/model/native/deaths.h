@@ -29,7 +29,6 @@ class Witness {
   // Whether the view sees through what moves at `mean`, with three half axes [3, 3] (m, one after another).
   bool refutes(const double *mean, const double (*axes)[3], double radius, bool carried) const {
     const Found seen = camera_.find(mean);
-    if (!carried && lies_there(seen)) return false;
     if (seen.inside ? rim_is_empty(mean, axes, seen, carried) : looms_over_nothing(mean, radius, seen, carried)) {
       return true;
     }
@@ -63,12 +62,6 @@ class Witness {
 
   bool sees_through(int64_t at, double depth, bool inside) const {
     return v_.nearest != nullptr && inside && v_.active[at] && v_.nearest[at] > (1 + rules_.seen_through) * depth;
-  }
-
-  // Whether something has to be explained where the view measures just this depth.
-  bool lies_there(const Found &seen) const {
-    return v_.nearest != nullptr && seen.inside && v_.active[seen.at] &&
-           std::fabs(v_.nearest[seen.at] - seen.depth) < rules_.seen_through * seen.depth;
   }
 
   bool rim_is_empty(const double *mean, const double (*axes)[3], const Found &seen, bool carried) const {
