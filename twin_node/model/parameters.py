@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from twin_node.errors import TwinError
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, SHARE, Range, check_ranges
 
 
 class ModelError(TwinError):
     """The window model was given something that it cannot work with."""
+
+
+_COUNT = Range(0, 1_000_000)
+"""Steps, births: none, or more than anyone waits for."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,18 @@ class SeedParameters:
     """Depths that are tried per pixel where none is measured."""
     shell_factor: float = 2.5
     """Radius of the background shell in units of the farthest camera's distance from what the rig looks at."""
+
+    def __post_init__(self) -> None:
+        """Raises `ModelError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            ModelError,
+            "model: seed.",
+            steps=_COUNT,
+            stride_px=Range(1, 1024),
+            levels=Range(3, 4096),
+            shell_factor=POSITIVE,
+        )
 
 
 @dataclass(frozen=True)
@@ -46,6 +63,20 @@ class TrackParameters:
     residual: float = 25 / 255
     """Largest difference of a colour channel (0 to 1) that counts as explained; the threshold of the selection rule in
     DecoGS and of the figures for moving pixels."""
+
+    def __post_init__(self) -> None:
+        """Raises `ModelError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            ModelError,
+            "model: track.",
+            alignments=_COUNT,
+            steps=_COUNT,
+            learning_rate=POSITIVE,
+            velocity_damping=SHARE,
+            flow_sigma_px=POSITIVE,
+            residual=Range(0, 1, above=True),
+        )
 
 
 @dataclass(frozen=True)
@@ -74,6 +105,23 @@ class BirthParameters:
     carve_sets: int = 2
     """Sets in a row in which a camera sees through a moving Gaussian before it dies."""
 
+    def __post_init__(self) -> None:
+        """Raises `ModelError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            ModelError,
+            "model: birth.",
+            per_set=_COUNT,
+            moving_share=SHARE,
+            ray_samples=Range(1, 4096),
+            kin_m=POSITIVE,
+            node_radius_m=POSITIVE,
+            node_members=Range(1),
+            transient_s=NOT_NEGATIVE,
+            stale_s=NOT_NEGATIVE,
+            carve_sets=Range(1),
+        )
+
 
 @dataclass(frozen=True)
 class MapParameters:
@@ -95,6 +143,21 @@ class MapParameters:
     most_born: int = 40
     """Gaussians born per set at most."""
 
+    def __post_init__(self) -> None:
+        """Raises `ModelError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            ModelError,
+            "model: map.",
+            steps=_COUNT,
+            threshold=SHARE,
+            tries=_COUNT,
+            calm_s=NOT_NEGATIVE,
+            patience_s=NOT_NEGATIVE,
+            lacking=SHARE,
+            most_born=_COUNT,
+        )
+
 
 @dataclass(frozen=True)
 class ModelParameters:
@@ -114,3 +177,15 @@ class ModelParameters:
     track: TrackParameters = field(default_factory=TrackParameters)
     birth: BirthParameters = field(default_factory=BirthParameters)
     map: MapParameters = field(default_factory=MapParameters)
+
+    def __post_init__(self) -> None:
+        """Raises `ModelError` for room for nothing, and for more than any machine has room for."""
+        check_ranges(
+            self,
+            ModelError,
+            "model: ",
+            gaussians_per_pixel=Range(0, 100, above=True),
+            most_gaussians=Range(1, 10_000_000),
+            nodes=Range(1, 10_000),
+            window=Range(2, 10_000),
+        )

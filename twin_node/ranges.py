@@ -1,0 +1,46 @@
+"""Ranges of the numbers that users set, and the one error for what lies outside."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from twin_node.errors import TwinError
+
+
+@dataclass(frozen=True)
+class Range:
+    """Finite numbers from `least` to `most`."""
+
+    least: float = 0
+    most: float = math.inf
+    """Infinity: no bound; infinity itself is in no range, nor is NaN."""
+    above: bool = False
+    """Whether `least` itself is left out."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a number lies in the range."""
+        is_above = value > self.least if self.above else value >= self.least
+        return is_above and value <= self.most and math.isfinite(value)
+
+    def __str__(self) -> str:
+        least = f"{self.least:.15g}"
+        if self.most == math.inf:
+            return f"a number above {least}" if self.above else f"a number of {least} or more"
+        most = f"{self.most:.15g}"
+        return f"more than {least} and at most {most}" if self.above else f"{least} to {most}"
+
+
+POSITIVE = Range(above=True)
+NOT_NEGATIVE = Range()
+SHARE = Range(0, 1)
+
+
+def check_ranges(parameters: object, error: type[TwinError], where: str, **ranges: Range) -> None:
+    """Raises `error`, naming `where` and the field, for the first field of `parameters` outside of its range."""
+    for name, allowed in ranges.items():
+        found = getattr(parameters, name)
+        if not allowed.holds(found):
+            raise error(f"{where}{name}: expected {allowed}, found {found:.15g}; leave it out for what ships")
