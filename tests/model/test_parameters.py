@@ -8,7 +8,15 @@ from typing import Any
 
 import pytest
 
-from twin_node.model import BirthParameters, MapParameters, ModelError, ModelParameters, SeedParameters, TrackParameters
+from twin_node.model import (
+    BirthParameters,
+    MapParameters,
+    ModelError,
+    ModelParameters,
+    SeedParameters,
+    TrackParameters,
+    WindowModel,
+)
 
 WRONG = [
     (ModelParameters, "model: gaussians_per_pixel", (0.0, -1.0, math.inf, math.nan, 1e6)),
@@ -57,3 +65,9 @@ def test_a_part_may_be_switched_off() -> None:
     BirthParameters(per_set=0, moving_share=0.0, transient_s=0.0, stale_s=0.0, node_members=10**6)
     MapParameters(steps=0, tries=0, calm_s=0.0, patience_s=0.0, most_born=0)
     ModelParameters(gaussians_per_pixel=10.0, most_gaussians=1, nodes=1, window=2)
+
+
+@pytest.mark.parametrize("device", ["banana", "cuda:99"])
+def test_a_device_that_is_not_there_is_refused_by_name(device: str) -> None:
+    with pytest.raises(ModelError, match=f"device: expected cpu or a CUDA device that is there, found '{device}'"):
+        WindowModel(ModelParameters(device=device))

@@ -10,6 +10,7 @@ import torch
 
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.decisions import Decision
+from twin_node.model.devices import usable_device
 from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.field import HexPlane
 from twin_node.model.fitting import fit_all
@@ -54,7 +55,7 @@ class WindowModel:
     """
 
     def __init__(self, parameters: ModelParameters | None = None, arm: ArmModel | None = None, seed: int = 0) -> None:
-        """Raises `ModelError` where there are fewer nodes than links of the arm."""
+        """Raises `ModelError` where there are fewer nodes than links of the arm, or no such device."""
         self.parameters = parameters or ModelParameters()
         if arm is not None and self.parameters.nodes < len(links_of(arm)):
             raise ModelError(
@@ -63,7 +64,7 @@ class WindowModel:
             )
         self._arm = arm
         self._seed = seed
-        self._device = torch.device(self.parameters.device)
+        self._device = usable_device(self.parameters.device)
         self._mask = MovingMask()
         self._nodes = Nodes(self.parameters.nodes, self.parameters.window)
         self._gaussians = Gaussians(0, self._device)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
-from twin_node.model.parameters import ModelError
+from twin_node.model.devices import usable_device
 from twin_node.model.ply import StoredGaussians
 from twin_node.model.sequence.canonical import CanonicalGaussians
 from twin_node.model.sequence.densify import PositionGradients, densify
@@ -27,14 +27,6 @@ def make_field(box: Box, steps: int, parameters: TrainParameters) -> SequenceFie
     if parameters.method == "hash":
         return SequenceHashMlp(box, steps, parameters.hash, parameters.seed).to(device)
     return None
-
-
-def usable_device(name: str) -> torch.device:
-    """The torch device of a name. Raises `ModelError` where there is none."""
-    try:
-        return torch.empty(0, device=name).device
-    except (RuntimeError, AssertionError):
-        raise ModelError(f"device: expected cpu or a CUDA device that is there, found '{name}'") from None
 
 
 class Trainer:
