@@ -34,9 +34,10 @@ def test_unusable_workspace_is_refused(corners: list[list[float]]) -> None:
         default_grid(np.array(corners, dtype=np.float64))
 
 
-def test_unusable_voxel_size_is_refused() -> None:
-    with pytest.raises(ForecastError, match="voxel_size"):
-        default_grid(np.array([[0.0, 0, 0], [1, 1, 1]]), voxel_size=0.0)
+@pytest.mark.parametrize("voxel_size", [0.0, -1.0, np.inf, np.nan, 20.0])
+def test_unusable_voxel_size_is_refused(voxel_size: float) -> None:
+    with pytest.raises(ForecastError, match="voxel_size: expected"):
+        default_grid(np.array([[0.0, 0, 0], [1, 1, 1]]), voxel_size=voxel_size)
 
 
 @given(arrays(np.bool_, st.integers(1, 200)))

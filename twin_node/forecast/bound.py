@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from twin_node.forecast.error_scale import Came, Scale, regress
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.past_errors import PastErrors
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, Range, check_ranges
 from twin_node.scene import Bool, Float64
 
 PERSON_SPEED = 1.6
@@ -47,6 +49,25 @@ class BoundParameters:
     """Largest common factor."""
     largest_radius: float = 0.8
     """No radius exceeds this at the last horizon, m: 99 % of human motion stays within half of it in 200 ms."""
+
+    def __post_init__(self) -> None:
+        """Raises `ForecastError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            ForecastError,
+            "forecast: bound.",
+            coverage=Range(0.5, 0.9999),
+            acceleration=NOT_NEGATIVE,
+            memory_s=POSITIVE,
+            correction=NOT_NEGATIVE,
+            follow=NOT_NEGATIVE,
+            surprise=NOT_NEGATIVE,
+            relief=POSITIVE,
+            first_factor=POSITIVE,
+            most_factor=POSITIVE,
+            largest_radius=POSITIVE,
+        )
+        check_ranges(self, ForecastError, "forecast: bound.", least_factor=Range(0, self.most_factor, above=True))
 
 
 @dataclass(frozen=True)

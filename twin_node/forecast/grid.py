@@ -9,12 +9,14 @@ from twin_node.scene import Bool, Float64, Grid, UInt32
 
 MOST_VOXELS = 1_500_000
 """Above this many voxels two CPU cores no longer keep up with camera rate; the voxels are made larger."""
+LARGEST_VOXEL_M = 1.0
+"""Larger ones hold a person and the arm at once, m: who gives more means millimetres."""
 
 
 def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int = MOST_VOXELS) -> Grid:
     """Grid over a workspace [2, 3] (lower and upper corner, m), coarsened until it has at most `most_voxels`.
 
-    Raises `ForecastError` for a workspace that is not finite or not lower < upper, and for a voxel size <= 0.
+    Raises `ForecastError` for a workspace that is not finite or not lower < upper, and for a voxel size that is none.
     """
     corners = np.asarray(workspace, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
@@ -22,8 +24,11 @@ def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int 
             f"workspace: expected two corners [2, 3] with lower < upper in metres, found {corners.tolist()}; "
             "correct `workspace` in the rig file"
         )
-    if not voxel_size > 0:
-        raise ForecastError(f"voxel_size: expected more than 0 m, found {voxel_size}; 0.02 suits two CPU cores")
+    if not 0 < voxel_size <= LARGEST_VOXEL_M:
+        raise ForecastError(
+            f"voxel_size: expected more than 0 and at most {LARGEST_VOXEL_M:g} m, found {voxel_size:g}; 0.02 suits two "
+            "CPU cores"
+        )
     extent = corners[1] - corners[0]
     size = max(voxel_size, float(np.cbrt(extent.prod() / most_voxels)))
     while np.prod(np.ceil(extent / size - 1e-9)) > most_voxels:

@@ -15,6 +15,7 @@ from twin_node.forecast.covering import Covers, Share, Wanted, covers
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
+from twin_node.ranges import Range, check_ranges
 from twin_node.scene import (
     Float64,
     Grid,
@@ -39,6 +40,20 @@ class CoverParameters:
     """Largest number of UNKNOWN obstacles, and of STATIC ones for unknown space that may be full."""
     unknown_share: float = 0.5
     """A cell counts as UNKNOWN obstacle from this share of unknown voxels on: rims of the carving are left out."""
+
+    def __post_init__(self) -> None:
+        """Raises `ForecastError` for no obstacles, and for more than anyone can look at."""
+        some = Range(1, 100_000)
+        share = Range(0, 1, above=True)
+        check_ranges(
+            self,
+            ForecastError,
+            "obstacles: ",
+            most_moving=some,
+            most_static=some,
+            most_unknown=some,
+            unknown_share=share,
+        )
 
 
 @dataclass(frozen=True)
@@ -94,11 +109,8 @@ def cover(
     Unknown space is UNKNOWN where something may come out of it, STATIC where it may be full, and no obstacle where it
     is known to be empty: as `hidden` tells, all of it UNKNOWN without. `sighted` adds, to a forecast of anything,
     MOVING obstacles that hold what it is a forecast of, valid at the evidence alone (`Obstacles.as_seen`).
-
-    Raises `ForecastError` for a cap below 1.
     """
     parameters = parameters or CoverParameters()
-    _check(parameters)
     grid = occupancy.grid
     stamps = [occupancy.publish_stamp + layer.horizon_ns for layer in occupancy.layers]
     if hidden is None:
@@ -146,12 +158,6 @@ class _Batch:
     def wanted(self) -> Wanted:
         """Boxes about them."""
         return Wanted(self.grid, self.most, (int(self.kind) << 3) | self.interval, self.voxels)
-
-
-def _check(parameters: CoverParameters) -> None:
-    for name in ("most_moving", "most_static", "most_unknown"):
-        if getattr(parameters, name) < 1:
-            raise ForecastError(f"{name}: expected at least 1 obstacle, found {getattr(parameters, name)}; raise it")
 
 
 def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion | None) -> Obstacles:

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast import kernel_requests, kernels
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.tables import CameraTable
 from twin_node.forecast.verdicts import BESIDE, MOVING, ROBOT, SEEN, Sight, Surface
 from twin_node.native_library import address_of, addresses_of, thread_count
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_ranges
 from twin_node.scene import Bool, Float32, UInt8, View
 
 _NEVER = np.float32(0)
@@ -43,6 +45,20 @@ class CarvingParameters:
     """Most depth behind a measured moving surface that may belong to the thing, m; a torso from front to back."""
     thickness_share: float = 1.25
     """A thing is at most this many times as thick as it is wide in the image, plus `depth_margin`."""
+
+    def __post_init__(self) -> None:
+        """Raises `ForecastError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            ForecastError,
+            "forecast: carving.",
+            sigmas=NOT_NEGATIVE,
+            assumed_sigma_m=NOT_NEGATIVE,
+            depth_margin=NOT_NEGATIVE,
+            depth_share=SHARE,
+            thickness=POSITIVE,
+            thickness_share=POSITIVE,
+        )
 
 
 @dataclass(frozen=True)

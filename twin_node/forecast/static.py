@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import MarkRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.native_library import addresses_of
+from twin_node.ranges import NOT_NEGATIVE, SHARE, check_ranges
 from twin_node.scene import Bool, Float32, Grid, OccupancyLayer, Tier, TwinState, View
 
 
@@ -25,6 +27,10 @@ class StaticParameters:
     """A STATIC Gaussian at least this opaque occupies the voxel that its centre is in."""
     period_ns: int = 500_000_000
     """Each camera is looked at anew this often, one after the other: what stands does not change faster."""
+
+    def __post_init__(self) -> None:
+        """Raises `ForecastError` for a number that is none of its kind."""
+        check_ranges(self, ForecastError, "forecast: static.", opacity=SHARE, period_ns=NOT_NEGATIVE)
 
 
 class StaticSpace:
