@@ -180,7 +180,17 @@ def test_times_beyond_all_logs(option: str, cell_log: Callable[..., Path]) -> No
                 span_of(log, 1e300)
 
 
-@pytest.mark.parametrize("values", ["max_rate_hz: 0.0", "max_rate_hz: -3.0", "depth_tolerance_ms: -1.0"])
+@pytest.mark.parametrize(
+    "values",
+    [
+        "max_rate_hz: 0.0",
+        "max_rate_hz: -3.0",
+        "depth_tolerance_ms: -1.0",
+        "depth_tolerance_ms: .inf",
+        "width: 0",
+        "width: 1000000",
+    ],
+)
 def test_rates_and_times_that_make_no_sense(
     refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, values: str
 ) -> None:

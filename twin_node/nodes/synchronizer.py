@@ -22,6 +22,10 @@ from twin_node.scene import Camera, Rig, View
 
 DEPTHS_KEPT = 8
 """Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
+LEAST_WIDTH_PX, MOST_WIDTH_PX = 16, 16_384
+"""Widths that images can be worked on with: below nothing shows, above no camera is."""
+MOST_TOLERANCE_MS = 10_000.0
+"""Depth images are not kept for so long."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +41,22 @@ class SynchronizerParameters:
     grouping: SyncParameters = field(default_factory=SyncParameters)
 
     def __post_init__(self) -> None:
-        """Raises `GraphError` for a rate or a time that is none."""
+        """Raises `GraphError` for a width, a rate or a time that is none."""
+        if self.width is not None and not LEAST_WIDTH_PX <= self.width <= MOST_WIDTH_PX:
+            raise GraphError(
+                f"synchronizer: width: expected {LEAST_WIDTH_PX} to {MOST_WIDTH_PX} pixels, found {self.width}; leave "
+                "it out to take the cameras' own"
+            )
         if self.max_rate_hz is not None and not self.max_rate_hz > 0:
             raise GraphError(
                 f"synchronizer: max_rate_hz: expected more than 0 Hz, found {self.max_rate_hz:g}; leave it out to take "
                 "all sets"
             )
-        if not self.depth_tolerance_ms >= 0:
-            raise GraphError(f"synchronizer: depth_tolerance_ms: expected 0 or more, found {self.depth_tolerance_ms:g}")
+        if not 0 <= self.depth_tolerance_ms <= MOST_TOLERANCE_MS:
+            raise GraphError(
+                f"synchronizer: depth_tolerance_ms: expected 0 to {MOST_TOLERANCE_MS:g} ms, found "
+                f"{self.depth_tolerance_ms:g}"
+            )
 
 
 @dataclass(frozen=True)
