@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
@@ -12,12 +13,34 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.cell import CellSource, load_scenario
 from twin_node.rig.drift import Drift, DriftParameters, DriftReport, DriftWatch, Verdict
+from twin_node.rig.errors import RigError
 from twin_node.scene import FrameSet, View
 
 BUMPED_AT_S = 0.6
 """When the edited recordings are bumped, s after their start."""
 Axis = tuple[float, float, float]
 AXES = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+
+WRONG = [
+    ("angle_deg", (0.0, -1.0, math.inf)),
+    ("least_px", (0.0, -1.0, math.inf)),
+    ("confirm", (0, -1, 10**9)),
+    ("period_ms", (-1.0, math.inf)),
+    ("least_features", (0, -1, 3, 10**9)),
+    ("least_share", (0.0, -1.0, 1.5)),
+    ("slow_deg", (0.0, -1.0, math.inf)),
+    ("slow_px", (0.0, -1.0, math.inf)),
+    ("average_s", (0.0, -1.0, math.inf)),
+    ("drifting_s", (-1.0, math.inf)),
+    ("lost_s", (-1.0, math.inf)),
+]
+
+
+@pytest.mark.parametrize(("name", "values"), WRONG)
+def test_numbers_that_mean_nothing_are_refused_by_name(name: str, values: tuple[float, ...]) -> None:
+    for value in values:
+        with pytest.raises(RigError, match=f"drift: {name}: expected .*, found"):
+            DriftParameters(**{name: value})  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

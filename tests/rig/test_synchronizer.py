@@ -194,6 +194,14 @@ def test_reset_starts_anew() -> None:
         ([], SyncParameters(), "distinct names"),
         (["a"], SyncParameters(queue_size=0), "queue_size"),
         (["a", "b"], SyncParameters(min_period_ns=(1,)), "min_period_ns"),
+        (["a"], SyncParameters(queue_size=10**9), "queue_size"),
+        (["a"], SyncParameters(min_period_ns=(-1,)), "min_period_ns"),
+        (["a"], SyncParameters(max_interval_ns=-1), "max_interval_ns"),
+        (["a"], SyncParameters(age_penalty=-1.0), "age_penalty"),
+        (["a"], SyncParameters(period_share=-1.0), "period_share"),
+        (["a"], SyncParameters(period_share=1.5), "period_share"),
+        (["a"], SyncParameters(deadline_ns=-1), "deadline_ns"),
+        (["a"], SyncParameters(future_tolerance_ns=-1), "future_tolerance_ns"),
     ],
 )
 def test_wrong_parameters(inputs: list[str], parameters: SyncParameters, message: str) -> None:

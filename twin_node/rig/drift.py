@@ -8,6 +8,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, Range, check_ranges
+from twin_node.rig.errors import RigError
 from twin_node.rig.landmarks import INLIER_PX, CommonMotion, Landmarks, contrast, features_of, found, tracked
 from twin_node.scene import Bool, Camera, Float64, FrameSet, UInt8
 
@@ -41,6 +43,25 @@ class DriftParameters:
     """A camera drifts when the average stayed beyond `slow_deg` for so long, s."""
     lost_s: float = 3.0
     """A camera is lost when it showed another, standing scene for so long, s: people do not stand so still."""
+
+    def __post_init__(self) -> None:
+        """Raises `RigError` for a number that is none of its kind."""
+        check_ranges(
+            self,
+            RigError,
+            "drift: ",
+            angle_deg=POSITIVE,
+            least_px=POSITIVE,
+            confirm=Range(1, 1000),
+            period_ms=NOT_NEGATIVE,
+            least_features=Range(4, 1000),
+            least_share=Range(0, 1, above=True),
+            slow_deg=POSITIVE,
+            slow_px=POSITIVE,
+            average_s=POSITIVE,
+            drifting_s=NOT_NEGATIVE,
+            lost_s=NOT_NEGATIVE,
+        )
 
 
 class Verdict(IntEnum):

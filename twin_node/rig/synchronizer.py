@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
+from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
 from twin_node.rig.approximate_time import ApproximateTimePolicy, Members, Stamped
 from twin_node.rig.errors import RigError
 
@@ -235,7 +236,11 @@ class ApproximateTimeSynchronizer(Generic[T]):
 def _check(inputs: tuple[str, ...], p: SyncParameters) -> None:
     if not inputs or len(set(inputs)) != len(inputs):
         raise RigError(f"synchroniser: expected inputs with distinct names, found {list(inputs)}")
-    if p.queue_size < 1:
-        raise RigError(f"synchroniser: expected queue_size of at least 1, found {p.queue_size}")
+    check_ranges(p, RigError, "synchroniser: ", queue_size=Range(1, 1000), age_penalty=NOT_NEGATIVE, period_share=SHARE)
+    for name in ("max_interval_ns", "deadline_ns", "future_tolerance_ns"):
+        if getattr(p, name) is not None:
+            check_ranges(p, RigError, "synchroniser: ", **{name: NOT_NEGATIVE})
+    if min(p.min_period_ns, default=0) < 0:
+        raise RigError(f"synchroniser: min_period_ns: expected 0 or more each, found {list(p.min_period_ns)}")
     if p.min_period_ns and len(p.min_period_ns) != len(inputs):
         raise RigError(f"synchroniser: expected {len(inputs)} values of min_period_ns, found {len(p.min_period_ns)}")
