@@ -147,6 +147,27 @@ def test_a_killed_process_is_started_again_and_the_arm_stands_meanwhile(tmp_path
         assert [topic.name for topic in log.topics] == [SEPARATION]
 
 
+def test_a_process_that_is_started_again_and_refuses_is_tried_again(tmp_path: Path) -> None:
+    """A file, a camera or a disk that is away for a moment ends no launch."""
+    rig, away, endpoint = tmp_path / "rig.yaml", tmp_path / "away.yaml", free_endpoint()
+    save_rig(RigFile(make_rig(load_scenario("demo"))), rig)
+    plan = on_loopback(arm_alone(tmp_path, "true"), endpoint)
+    plan = replace(plan, sections={**plan.sections, "/**": {"rig": {"file": str(rig)}}})
+    with launched(plan, tmp_path) as running:
+        with Ear(endpoint) as ear:
+            ear.hear(SEPARATION, lambda message: running.launcher.is_whole)
+            rig.rename(away)
+            os.kill(running.launcher.children()["arm"], signal.SIGKILL)
+            ear.hear(DIAGNOSTICS, lambda message: running.error is not None or any(map(refused_the_rig, running.said)))
+            away.rename(rig)
+            ear.hear(DIAGNOSTICS, lambda message: running.error is not None or running.launcher.is_whole)
+        assert running.stop().restarts >= 2
+
+
+def refused_the_rig(line: str) -> bool:
+    return line.startswith("arm: failed: ") and "rig.yaml" in line and line.endswith("; starting it again")
+
+
 def test_a_second_launch_of_the_same_nodes_is_refused(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     plan = on_loopback(arm_alone(tmp_path, "true"), endpoint)

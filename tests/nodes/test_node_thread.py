@@ -14,7 +14,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert, message_type
 from twin_node.nodes.launch import node_thread
 from twin_node.nodes.launch.host import Order
-from twin_node.nodes.launch.node_thread import Graph, NodeThread
+from twin_node.nodes.launch.node_thread import Graph, NodeFailedError, NodeThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, kind_of
 from twin_node.runtime.clock import SystemClock
@@ -142,6 +142,48 @@ def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(bench
     assert bench.ended.wait(WAIT_S)
     assert isinstance(bench.thread.error, ZeroDivisionError)
     assert bench.life[-2:] == ["deactivate", "cleanup"]
+
+
+class LateLocalWire(LocalWire):
+    """A local wire that is opened as a process's is."""
+
+    def __init__(self, _: object) -> None:
+        super().__init__()
+
+    def open(self) -> None:
+        """It is."""
+
+
+class Failing(Node):
+    """Cannot begin, or fails of a timer once it has begun."""
+
+    def __init__(self, setup: Setup, begins: bool) -> None:
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self._timers, self._begins = setup.timers, begins
+
+    def on_activate(self) -> None:
+        if not self._begins:
+            self._fail()
+        self._timers.every(0.001, self._fail)
+
+    def _fail(self) -> None:
+        raise TwinError("the disk is full")
+
+
+@pytest.mark.parametrize(("begins", "expected"), [(False, TwinError), (True, NodeFailedError)])
+def test_what_ends_a_node_that_had_begun_was_not_refused(
+    monkeypatch: pytest.MonkeyPatch, begins: bool, expected: type[Exception]
+) -> None:
+    monkeypatch.setattr(node_thread, "LateWire", LateLocalWire)
+    monkeypatch.setattr(node_thread, "find_factory", lambda name: lambda setup: Failing(setup, begins))
+    graph = Graph(ORDER, print)
+    graph.make()
+    graph.configure()
+    graph.activate()
+    with pytest.raises(expected, match="the disk is full") as raised:
+        graph.run()
+    assert type(raised.value) is expected
+    graph.close()
 
 
 def test_no_process_but_the_twins_loads_torch() -> None:

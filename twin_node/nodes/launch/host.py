@@ -22,7 +22,7 @@ from typing import Any
 from twin_node.errors import TwinError
 
 FAILED, REFUSED = 1, 2
-"""Exit statuses: a node failed; what it was given is wrong."""
+"""Exit statuses: a node failed; what it was given is wrong, before it had been active."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ def main() -> int:
         return REFUSED
     except Exception as error:  # the launcher names the process that failed, and the log holds the trace
         traceback.print_exc()
-        _say(events, event="failed", error=f"{type(error).__name__}: {error}")
+        is_told = isinstance(error.__cause__, TwinError)  # it says all that there is to know
+        _say(events, event="failed", error=str(error) if is_told else f"{type(error).__name__}: {error}")
         return FAILED
     return 0
 

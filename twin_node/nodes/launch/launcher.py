@@ -86,8 +86,9 @@ class Launcher:
     def run(self) -> LaunchResult:
         """Runs until interrupted, until a process that ends the launch has finished, or until one is given up.
 
-        Raises `GraphError` where a process refuses what it was given, or a node of the same name is alive already;
-        nothing has been activated then. Raises `WireError` where the network cannot be joined.
+        Raises `GraphError` where a process refuses at the start what it was given (one that is started again and then
+        refuses has failed like any other), or a node of the same name is alive already. Raises `WireError` where the
+        network cannot be joined.
         """
         try:
             self._log_folder.mkdir(parents=True, exist_ok=True)
@@ -131,7 +132,7 @@ class Launcher:
                 child = self._children[process.name]
                 if child.status is None:
                     continue
-                if child.status == REFUSED:
+                if child.status == REFUSED and (self._plan.is_lockstep or process.name not in self._failures):
                     raise GraphError(child.error or f"process '{process.name}' refused what it was given")
                 if child.status == 0:
                     if process.ends_launch or self._all_are_done():

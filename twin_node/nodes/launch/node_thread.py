@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from twin_node.errors import TwinError
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.launch.kinds import SOURCES, find_factory
 from twin_node.nodes.live.setup import Setup
@@ -27,6 +28,10 @@ DIAGNOSTICS_PERIOD_S = 1.0
 """Diagnostics go out at 1 Hz, as is customary."""
 
 
+class NodeFailedError(Exception):
+    """A node that was active met what it could not work with: another try may go better."""
+
+
 class NodeThread:
     """One node, made anew whenever time jumps: nothing that it knew is true then."""
 
@@ -42,6 +47,8 @@ class NodeThread:
         """`on_end()` is called, in the node's thread, when it has finished or failed; `say(line)` tells the user."""
         self.name = name
         self.error: BaseException | None = None
+        self.has_begun = False
+        """Whether the node has been active: what fails then was not refused."""
         self.is_finished = False
         self._order = order
         self._wire = wire
@@ -103,6 +110,7 @@ class NodeThread:
     def _activate(self) -> None:
         if self._made.state is LifecycleState.INACTIVE:
             self._made.activate()
+            self.has_begun = True
 
     def _remake(self) -> None:
         is_active = self._made.state is LifecycleState.ACTIVE
@@ -190,11 +198,16 @@ class Graph:
         self._ended.set()
 
     def run(self) -> None:
-        """Waits until told to stop, or a node has finished; raises what a node failed of."""
+        """Waits until told to stop, or a node has finished; raises what a node failed of.
+
+        That is a `TwinError` only where the node has never been active; else a `NodeFailedError` of the same words.
+        """
         self._ended.wait()
         for thread in self._threads:
             thread.stop()
         for thread in self._threads:
+            if isinstance(thread.error, TwinError) and thread.has_begun:
+                raise NodeFailedError(str(thread.error)) from thread.error
             if thread.error is not None:
                 raise thread.error
 
