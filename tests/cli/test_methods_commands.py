@@ -73,7 +73,8 @@ def test_wrong_training_input(
 ) -> None:
     out, log = tmp_path / "out.safetensors", cell_log(0.5)
     assert str(tmp_path / "gone") in refused("train", tmp_path / "gone", "-o", out)
-    assert "-o" in refused("train", log, "-o", tmp_path / "gone" / "out.safetensors")
+    for wrong in (tmp_path, tmp_path / "gone" / "out.safetensors"):
+        assert f"-o {wrong}: expected" in refused("train", log, "-o", wrong, "--steps", 1, "--width", 48)
     assert "no 'nobody'" in refused("train", log, "-o", out, "--hold-out", "nobody")
     assert "--method" in refused("train", log, "-o", out, "--resume", checkpoint, "--method", "hash")
     assert "trained on" in refused("train", log, "-o", out, "--resume", checkpoint, "--frames", 2, "--width", 48)
@@ -88,6 +89,8 @@ def test_wrong_baking_input(
 ) -> None:
     out = tmp_path / "out.safetensors"
     assert "another file" in refused("bake", checkpoint, "-o", checkpoint)
+    for wrong in (tmp_path, tmp_path / "gone" / "out.safetensors"):
+        assert f"-o {wrong}: expected" in refused("bake", tmp_path / "gone.safetensors", "-o", wrong)  # before it reads
     assert "--width, --rig: expected with a log" in refused(
         "bake", checkpoint, "-o", out, "--width", 64, "--rig", "rig.yaml"
     )

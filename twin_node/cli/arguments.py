@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from twin_node.errors import TwinError
+
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
     """Which part of a log to read, and how."""
@@ -62,9 +64,22 @@ def port(text: str) -> int:
 def file_to_write(text: str) -> Path:
     """A file that can be made when the work is done: a wrong name is told before."""
     path = Path(text)
-    if path.is_dir() or not path.parent.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: expected the name of a file in a folder that exists")
+    if not _is_writable(path):
+        raise argparse.ArgumentTypeError(f"{text}: {_WRITABLE}")
     return path
+
+
+def check_output(path: Path) -> None:
+    """Raises `TwinError` where -o is no file that can be made when the work is done."""
+    if not _is_writable(path):
+        raise TwinError(f"-o {path}: {_WRITABLE}; choose another name, or make the folder first")
+
+
+_WRITABLE = "expected the name of a file in a folder that exists"
+
+
+def _is_writable(path: Path) -> bool:
+    return not path.is_dir() and path.parent.is_dir()
 
 
 def width(text: str) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, whole, with_source_options
+from twin_node.cli.arguments import add_source_options, check_output, whole, with_source_options
 
 if TYPE_CHECKING:
     from twin_node.model.sequence import Baked
@@ -34,6 +34,7 @@ def _bake(options: argparse.Namespace) -> None:
     from twin_node.errors import TwinError
     from twin_node.model.sequence import bake_model, load_checkpoint, save_baked
 
+    check_output(options.output)
     if options.output.resolve() == options.source.resolve():
         raise TwinError(f"-o {options.output}: expected another file than the one that is read; choose a new name")
     model = None

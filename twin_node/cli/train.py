@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import whole, width
+from twin_node.cli.arguments import check_output, whole, width
 
 if TYPE_CHECKING:
     from twin_node.model.sequence import Recording, Trainer
@@ -53,13 +53,11 @@ def add_train(commands: Any) -> None:
 
 
 def _train(options: argparse.Namespace) -> None:
-    from twin_node.errors import TwinError
     from twin_node.model.sequence import ReadOptions, save_checkpoint
     from twin_node.nodes.recordings import read_recording
     from twin_node.nodes.synchronizer import SynchronizerParameters
 
-    if not options.output.parent.is_dir():
-        raise TwinError(f"-o {options.output}: expected a folder that exists, found none; make it first")
+    check_output(options.output)
     hold_out = None if options.hold_out is None else tuple(options.hold_out)
     reading = ReadOptions(options.width, options.frames, hold_out)
     recording = read_recording(options.data, reading, SynchronizerParameters(width=options.width), options.rig)
