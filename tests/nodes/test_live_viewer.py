@@ -20,6 +20,7 @@ from twin_node.nodes.live.viewer import make_viewer
 from twin_node.nodes.playback import Snapshot
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, TF_STATIC, kind_of
 from twin_node.nodes.viewer import CellPage, ViewerError, ViewerNode
+from twin_node.robot import ur_model
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
@@ -188,6 +189,18 @@ def test_two_seconds_are_remembered_and_forgotten_when_time_goes_back(graph: Gra
     graph.send(OBSTACLES, convert.obstacles_to_message(obstacles_at(0, START)))  # a log begins again
     graph.until(lambda: graph.snapshots[-1].stamp == START)
     assert len(graph.snapshots[-1].earlier(OBSTACLES, 2_000_000_000)) == 1
+
+
+def test_a_grippers_joints_do_not_hide_the_arms(graph: Graph) -> None:
+    arm = ur_model("ur10e")
+    for names, at in ((arm.joint_names, START), (("finger_joint",), START + PERIOD)):
+        sample = JointSample(at, names, np.full(len(names), 0.3), np.zeros(len(names)))
+        graph.send(JOINT_STATES, convert.joint_sample_to_message(sample), at)
+        while graph.executor.step(0.0):
+            pass
+    graph.until(lambda: bool(graph.snapshots) and graph.snapshots[-1].stamp == START + PERIOD)
+    joints = graph.snapshots[-1].joints_of(arm.joint_names)
+    assert joints is not None and joints.names == arm.joint_names
 
 
 def test_nothing_is_drawn_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from twin_logs import MOMENTS, PERIOD, START, cloud_at
 
+from twin_node.bag import LogWriter
+from twin_node.messages import convert
+from twin_node.nodes.export import LogSource
+from twin_node.nodes.overlays import arm_mask
 from twin_node.nodes.playback import Playback
-from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, GraphError
+from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OCCUPANCY, GraphError
+from twin_node.robot import RobotError, ur_model
+from twin_node.scene import Camera, JointSample
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
@@ -34,6 +41,37 @@ def test_before_the_first_message_nothing_is_known(twin_log: Path) -> None:
     with Playback([twin_log]) as playback:
         shown = playback.at(START - 1)
         assert shown.cloud is None and shown.obstacles is None and shown.joints is None and shown.frames is None
+
+
+@pytest.fixture
+def gripper_log(tmp_path: Path) -> Path:
+    """The arm tells its joints at 0 and 0.1 s, its gripper 1 ms after it and for 3 s more."""
+    path = tmp_path / "gripper.mcap"
+    arm = ur_model("ur10e")
+    with LogWriter(path) as log:
+        for k in range(32):
+            stamp = START + k * PERIOD
+            if k < 2:
+                sample = JointSample(stamp, arm.joint_names, np.full(6, 0.1 * (k + 1)), np.zeros(6))
+                log.write(JOINT_STATES, convert.joint_sample_to_message(sample), stamp)
+            sample = JointSample(stamp + 1_000_000, ("finger_joint",), np.full(1, 0.7), np.zeros(1))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(sample), stamp + 1_000_000)
+    return path
+
+
+def test_a_grippers_joints_do_not_hide_the_arms(gripper_log: Path) -> None:
+    arm = ur_model("ur10e")
+    times = [START + int(s * 1e9) for s in (0.05, 0.15, 3.0)]
+    with Playback([gripper_log]) as playback:
+        shown = playback.at(times[0])
+        assert shown.joints is not None and shown.joints.names == ("finger_joint",)
+        moments = LogSource(playback).moments(times, arm, with_clouds=False)
+        assert [None if m.q is None else m.q[0] for m in moments] == pytest.approx([0.1, 0.2, 0.2])
+        camera = Camera("c", 32, 24, np.array([[20.0, 0, 16], [0, 20, 12], [0, 0, 1]]), np.eye(4))
+        assert arm_mask(playback.at(times[1]), camera, arm) is not None
+        strange = replace(arm, joint_names=tuple(f"other_{name}" for name in arm.joint_names))
+        with pytest.raises(RobotError, match="found finger_joint"):
+            arm_mask(playback.at(times[1]), camera, strange)
 
 
 def test_images_come_from_the_log_that_has_them(twin_log: Path, cell_log: object) -> None:

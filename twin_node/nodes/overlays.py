@@ -18,9 +18,8 @@ def arm_mask(snapshot: Snapshot, camera: Camera, arm: ArmModel) -> Bool | None:
 
     Raises `RobotError` where the joints are not those of `arm`.
     """
-    if snapshot.joints is None:
-        return None
-    return robot_mask(arm, arm.ordered_positions(snapshot.joints), camera)
+    joints = snapshot.joints_of(arm.joint_names)
+    return None if joints is None else robot_mask(arm, arm.ordered_positions(joints), camera)
 
 
 def moving_mask(snapshot: Snapshot, camera: Camera, layer: int) -> Bool | None:

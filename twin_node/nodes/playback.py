@@ -42,6 +42,8 @@ from twin_node.scene import (
 
 LOOK_BACK_NS = 2_000_000_000
 """How far back a first look goes: twice the period of what is published once a second."""
+JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
+"""How far back an arm's joints are looked for where others have come since: one that works tells at 10 Hz or more."""
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
@@ -119,9 +121,24 @@ class Snapshot:
 
     @cached_property
     def joints(self) -> JointSample | None:
-        """The arm's joints."""
+        """The newest joints: an arm's, a gripper's or an axis'; see `joints_of`."""
         said = self.said.get(JOINT_STATES)
         return None if said is None else convert.joint_sample_from_message(said.message)
+
+    def joints_of(self, names: Collection[str]) -> JointSample | None:
+        """The newest joints among which are all of `names`: a gripper's come on the same topic as the arm's.
+
+        Where none such were said of late, the newest of all, whose names tell what came instead; None before the first.
+        """
+        newest, wanted = self.joints, frozenset(names)
+        if newest is None or wanted.issubset(newest.names):
+            return newest
+        for reach in JOINTS_REACHES_NS:
+            for said in reversed(self.earlier(JOINT_STATES, reach)):
+                sample = convert.joint_sample_from_message(said.message)
+                if wanted.issubset(sample.names):
+                    return sample
+        return newest
 
     @cached_property
     def path(self) -> JointPath | None:

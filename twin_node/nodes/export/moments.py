@@ -90,6 +90,7 @@ class LogSource:
         """The moments at rising `stamps` (ns). Raises `RobotError` where the log's joints are not those of `arm`."""
         for stamp in stamps:
             said = self._playback.at(stamp)
-            q = None if said.joints is None else arm.ordered_positions(said.joints)
+            joints = said.joints_of(arm.joint_names)
+            q = None if joints is None else arm.ordered_positions(joints)
             cloud = said.cloud if with_clouds else None
             yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)

@@ -30,8 +30,9 @@ STILL_S = 1.0
 """Longest time between two pictures while somebody watches, s: what is out of force, or silent, is seen to be so."""
 LOOK_S = 0.5
 """How often cameras are looked for that are not there yet, s."""
-REMEMBERED = (OBSTACLES, GAUSSIANS_MOVING)
-"""Topics whose last seconds are kept, for the history of what is picked."""
+REMEMBERED_NS = {OBSTACLES: HISTORY_NS, GAUSSIANS_MOVING: HISTORY_NS, JOINT_STATES: 1_000_000_000}
+"""Topics of which more than the newest is kept, and for how long: for the history of what is picked, and for the arm's
+joints where a gripper's come in between."""
 
 
 @dataclass(frozen=True)
@@ -142,8 +143,8 @@ class ViewerNode(Node):
         self._now = now
         heard = Heard(now, message)
         self._newest[topic] = heard
-        if topic in REMEMBERED:
-            past = (said for said in self._past.get(topic, ()) if said.stamp >= now - HISTORY_NS)
+        if topic in REMEMBERED_NS:
+            past = (said for said in self._past.get(topic, ()) if said.stamp >= now - REMEMBERED_NS[topic])
             self._past[topic] = (*past, heard)
 
     def _earlier(self, stamp: int, topic: str, ns: int) -> Sequence[Said]:

@@ -42,7 +42,7 @@ class ArmBody:
 
     def show(self, snapshot: Snapshot) -> None:
         """Moves the arm; hides it where the joints are unknown."""
-        joints = snapshot.joints
+        joints = snapshot.joints_of(self._arm.joint_names)
         now = None if joints is None else self._arm.ordered_positions(joints)
         self._pose(self._solid, now)
         path = snapshot.path
