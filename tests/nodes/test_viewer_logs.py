@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +24,31 @@ from twin_node.robot import RobotError, ur_model
 from twin_node.scene import GaussianCloud, Grid, JointSample, Occupancy, OccupancyLayer
 
 pytest.importorskip("viser")
+
+
+@pytest.mark.parametrize("swallows", ["set_cameras", "show"])
+def test_an_interrupt_that_a_library_swallows_ends_the_page(
+    twin_log: Path, monkeypatch: pytest.MonkeyPatch, swallows: str
+) -> None:
+    """As modules do that catch whatever interrupts their import: at the start, and at the first picture."""
+    pictures: list[str] = []
+
+    def swallow(*_: object) -> None:
+        pictures.append(swallows)
+        assert len(pictures) < 5, "it goes on"
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    def draw(*_: object) -> None:
+        pictures.append("show")
+        assert len(pictures) < 5, "it goes on"
+
+    monkeypatch.setattr(CellPage, "take_change", lambda self: True)
+    monkeypatch.setattr(CellPage, "show", draw)
+    monkeypatch.setattr(CellPage, swallows, swallow)
+    before = signal.getsignal(signal.SIGINT)
+    assert main(["view", str(twin_log), "--port", str(free_port())]) == 130
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.fixture

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from twin_node.cli.arguments import not_negative, port, width
@@ -52,21 +56,41 @@ def view_log(
     port: int = 8080,
 ) -> None:
     """Shows the logs of a run until interrupted; says where."""
-    from twin_node.nodes.viewer import CellPage, LogViewer
-    from twin_node.robot import arm_model
+    with _interrupts() as is_interrupted:
+        from twin_node.nodes.viewer import CellPage, LogViewer
+        from twin_node.robot import arm_model
 
-    model = arm_model(arm)
-    with open_playback(logs, images_px, rig) as playback:
-        page = CellPage(model, playback.cameras, host, port)
-        viewer = LogViewer(playback, page)
-        viewer.seek(at_s)
-        if not playback.has_twin:
-            print(f"{playback.name}: no /twin topics; add the log that 'twin_node replay LOG -o FILE' writes")
-        print(f"{page.url} (Ctrl-C ends)", flush=True)
-        try:
-            viewer.run()
-        finally:
-            page.close()
+        model = arm_model(arm)
+        with open_playback(logs, images_px, rig) as playback:
+            page = CellPage(model, playback.cameras, host, port)
+            viewer = LogViewer(playback, page)
+            viewer.seek(at_s)
+            if not playback.has_twin:
+                print(f"{playback.name}: no /twin topics; add the log that 'twin_node replay LOG -o FILE' writes")
+            print(f"{page.url} (Ctrl-C ends)", flush=True)
+            try:
+                viewer.run(is_interrupted)
+            finally:
+                page.close()
+        if is_interrupted():
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[Callable[[], bool]]:
+    """Tells whether there was a Ctrl-C: what loads for seconds, some of it at the first picture, may swallow it."""
+    came = False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        signal.default_int_handler(number, frame)
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield lambda: came
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _view_graph(options: argparse.Namespace) -> None:

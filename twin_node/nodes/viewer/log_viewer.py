@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from twin_node.nodes.playback import Playback
@@ -30,11 +31,14 @@ class LogViewer:
         with page.server.gui.add_folder("Time", order=-1):
             self._add_controls(page.server.gui)
 
-    def run(self) -> None:
-        """Draws until `stop` is called; a picture takes as long as it takes, and time goes on meanwhile."""
+    def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
+        """Draws until `stop` is called or `is_over()`; a picture takes as long as it takes, and time goes on meanwhile.
+
+        `is_over()` is asked before every picture; unlike `stop` it may be decided in a handler of signals.
+        """
         drawn_s: float | None = None
         before = time.monotonic()
-        while not self._stopped.is_set():
+        while not (self._stopped.is_set() or is_over()):
             now = time.monotonic()
             self._advance((now - before) * self._speed)
             before = now
