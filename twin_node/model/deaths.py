@@ -74,8 +74,8 @@ def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes
 def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes], threshold: float) -> Bool:
     """[n] which Gaussians lie where a view measures depth of what its background does not explain.
 
-    Those that some view sees through do not. `shapes` holds them for each view. Of their place nothing is guessed there: without them there were a hole until
-    others are born.
+    Those that some view sees through do not. `shapes` holds them for each view. Of their place nothing is guessed
+    there: without them there were a hole until others are born.
     """
     needed, refuted = (np.zeros(len(shapes[0].means), bool) for _ in range(2))
     for one, shape in zip(observed, shapes, strict=True):
