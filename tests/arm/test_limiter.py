@@ -99,14 +99,14 @@ def test_never_above_the_decision_and_never_rising_too_fast(steps: list[tuple[fl
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
-        ({"deadline_s": 0.0}, "deadline_s: expected more than 0 and at most 10 s, found 0"),
-        ({"deadline_s": math.nan}, "deadline_s: expected more than 0 and at most 10 s, found nan"),
-        ({"deadline_s": 100.0}, "deadline_s: expected more than 0 and at most 10 s, found 100"),
-        ({"evidence_latency_s": -0.1}, "evidence_latency_s: expected 0 to 10 s, found -0.1"),
-        ({"evidence_latency_s": math.nan}, "evidence_latency_s: expected 0 to 10 s, found nan"),
+        ({"deadline_s": 0.0}, "deadline_s: expected more than 0 and at most 10, found 0"),
+        ({"deadline_s": math.nan}, "deadline_s: expected more than 0 and at most 10, found nan"),
+        ({"deadline_s": 100.0}, "deadline_s: expected more than 0 and at most 10, found 100"),
+        ({"evidence_latency_s": -0.1}, "evidence_latency_s: expected 0 to 10, found -0.1"),
+        ({"evidence_latency_s": math.nan}, "evidence_latency_s: expected 0 to 10, found nan"),
         ({"slow_fraction": 20.0}, "slow_fraction: expected 0 to 1, found 20"),
-        ({"rise_per_s": 0.0}, "rise_per_s: expected more than 0 per second, found 0"),
-        ({"rise_per_s": math.inf}, "rise_per_s: expected more than 0 per second, found inf"),
+        ({"rise_per_s": 0.0}, "rise_per_s: expected a number above 0, found 0"),
+        ({"rise_per_s": math.inf}, "rise_per_s: expected a number above 0, found inf"),
     ],
 )
 def test_parameters_that_let_nothing_stop_or_nothing_go_are_refused(changes: dict[str, float], word: str) -> None:

@@ -365,7 +365,7 @@ def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
     assert cell.somebody(count=9).reason == "slow for MOVING"
     with pytest.raises(TwinError, match="expected at most 9 of a shape, found 10; raise max_obstacles"):
         cell.somebody(count=10)
-    with pytest.raises(TwinError, match="max_obstacles: expected 1 or more, found 0"):
+    with pytest.raises(TwinError, match="max_obstacles: expected a number of 1 or more, found 0"):
         ArmParameters(max_obstacles=0)
 
 

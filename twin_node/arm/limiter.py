@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from twin_node.arm.errors import ArmError
+from twin_node.ranges import POSITIVE, SHARE, Range, check_ranges
 from twin_node.scene import NO_EVIDENCE, Separation
 
 _LONGEST_S = 10.0
@@ -28,14 +29,15 @@ class LimiterParameters:
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for values with which nothing would stop, or nothing go."""
-        if not 0 < self.deadline_s <= _LONGEST_S:
-            raise ArmError(f"deadline_s: expected more than 0 and at most {_LONGEST_S:g} s, found {self.deadline_s:g}")
-        if not 0 <= self.evidence_latency_s <= _LONGEST_S:
-            raise ArmError(f"evidence_latency_s: expected 0 to {_LONGEST_S:g} s, found {self.evidence_latency_s:g}")
-        if not 0 <= self.slow_fraction <= 1:
-            raise ArmError(f"slow_fraction: expected 0 to 1, found {self.slow_fraction:g}")
-        if not 0 < self.rise_per_s < math.inf:
-            raise ArmError(f"rise_per_s: expected more than 0 per second, found {self.rise_per_s:g}")
+        check_ranges(
+            self,
+            ArmError,
+            "limiter: ",
+            deadline_s=Range(0, _LONGEST_S, above=True),
+            evidence_latency_s=Range(0, _LONGEST_S),
+            slow_fraction=SHARE,
+            rise_per_s=POSITIVE,
+        )
 
 
 class SpeedLimiter:

@@ -6,7 +6,6 @@ of where something may be, so S_h grows only from the end of their validity on. 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.stopping import Stop, StoppingTable
+from twin_node.ranges import NOT_NEGATIVE, check_ranges
 from twin_node.scene import Bool, Float64, ObstacleKind
 
 _BISECTIONS = 10
@@ -56,10 +56,16 @@ class SeparationParameters:
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for a constant that is negative or not finite."""
-        for name in ("human_speed", "intrusion_m", "clearance_m", "position_error_m", "closing_speed"):
-            value: float = getattr(self, name)
-            if not 0 <= value < math.inf:
-                raise ArmError(f"{name}: expected a number of 0 or more, found {value:g}")
+        check_ranges(
+            self,
+            ArmError,
+            "separation: ",
+            human_speed=NOT_NEGATIVE,
+            intrusion_m=NOT_NEGATIVE,
+            clearance_m=NOT_NEGATIVE,
+            position_error_m=NOT_NEGATIVE,
+            closing_speed=NOT_NEGATIVE,
+        )
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ class ArmSkin:
                 yield
 
     def _look(self, one: Observed, mask: Bool, joints: JointSample, poses: Poses) -> Generator[None]:
+        """Through one camera: drawn first, then learnt from."""
         skin = self._skin(one, mask, joints)
         rows = self._gaussians.robot_rows
         with torch.no_grad():

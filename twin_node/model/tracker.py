@@ -288,15 +288,16 @@ class Tracker:
         quats, scales = splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy()  # none turns much between two views
         shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
         carriers = g.nodes.index_select(0, rows).cpu().numpy()
-        threshold = self._parameters.track.residual
         gone = refuted_moving(observed, shapes, carriers >= 0)
         gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
         refuted = g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)
-        lives = (self._nodes.stamp - g.births.index_select(0, rows)) * 1e-9 / self._parameters.birth.transient_s
-        passing = g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)
-        needed = torch.from_numpy(are_needed(observed, shapes, threshold)).to(rows.device)
-        kept = passing & needed & (lives > 1) & (lives <= NEEDED_LIVES)  # though its rim may reach over what was learnt
-        ends = (refuted | (passing & (lives > 1))) & ~kept
+        age_s = (self._nodes.stamp - g.births.index_select(0, rows)).double() * 1e-9
+        life_s = self._parameters.birth.transient_s
+        aged = (g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)) & (age_s > life_s)
+        ends = refuted | aged
+        if bool(aged.any()):  # who is needed stays, though its rim may reach over what was learnt
+            needed = torch.from_numpy(are_needed(observed, shapes, self._parameters.track.residual)).to(rows.device)
+            ends &= ~(aged & needed & (age_s <= NEEDED_LIVES * life_s))
         g.retire(rows.index_select(0, rows_where(ends)))
         staying, learned = carriers[~ends.cpu().numpy()], self._nodes.learned_rows.numpy()
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)

@@ -24,6 +24,7 @@ from twin_node.arm import (
 from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
+from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.robot import ArmModel, Capsules, arm_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
@@ -84,10 +85,7 @@ class ArmParameters:
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for a latency that no command has, and for room for nothing."""
-        if not 0 <= self.command_latency_ms < math.inf:
-            raise ArmError(f"command_latency_ms: expected a number of 0 or more, found {self.command_latency_ms:g}")
-        if self.max_obstacles < 1:
-            raise ArmError(f"max_obstacles: expected 1 or more, found {self.max_obstacles}")
+        check_ranges(self, ArmError, "arm: ", command_latency_ms=NOT_NEGATIVE, max_obstacles=Range(1))
 
     def arm(self) -> ArmModel:
         """The arm's model with its tool. Raises `RobotError` or `ResourceError` for a wrong name or file."""

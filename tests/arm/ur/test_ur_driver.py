@@ -6,65 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_link import START, FakeLink, quintic, sample
+from driver_bench import CLEAR, MS, STEP_MS, Bench
+from fake_link import START, sample
 
-from twin_node.arm import LimiterParameters
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import (
-    Acknowledge,
     Decide,
     DriverMode,
-    DriverReport,
     DriverState,
-    Follow,
     Halt,
-    UrDriver,
     UrParameters,
 )
 from twin_node.runtime.parameters import fill
-from twin_node.scene import Separation
-
-MS = 1_000_000
-STEP_MS = 4
-CLEAR = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
-
-
-class Bench:
-    """Driver, controller and clock; decisions come every 32 ms while `is_fed`."""
-
-    def __init__(self, halt: Halt | None = None, **changes: object) -> None:
-        self.link = FakeLink()
-        parameters = UrParameters(**{"limiter": LimiterParameters(deadline_s=0.07, rise_per_s=100.0), **changes})
-        self.now = 1000 * MS
-        self.driver = UrDriver(parameters, self.link, self.now, halt)
-        self.is_fed = True
-        self.is_alive = True
-        self.fraction = 1.0
-        self.report: DriverReport
-
-    def run(self, milliseconds: int) -> DriverReport:
-        """Let time pass; gives back the last report."""
-        for _ in range(0, milliseconds, STEP_MS):
-            self.now += STEP_MS * MS
-            if self.is_alive and self.now // MS % 8 == 0:
-                self.link.tell(clock_s=self.now * 1e-9)
-            if self.is_fed and self.now // MS % 32 == 0:
-                evidence = self.now - 30 * MS
-                self.driver.order(
-                    Decide(replace(CLEAR, evidence_stamp=evidence, speed_fraction=self.fraction)), self.now
-                )
-            self.report = self.driver.step(self.now)
-        return self.report
-
-    def acknowledge(self) -> None:
-        self.driver.order(Acknowledge(), self.now)
-
-    def ms_until(self, state: DriverState, limit: int = 1000) -> int:
-        """Milliseconds until a report has a state."""
-        for passed in range(STEP_MS, limit, STEP_MS):
-            if self.run(STEP_MS).state is state:
-                return passed
-        raise AssertionError(f"not {state} within {limit} ms, but {self.report}")
 
 
 def test_the_arm_stands_until_the_first_forecast_and_then_goes() -> None:
@@ -313,66 +266,6 @@ def test_the_future_of_a_slowed_program_is_that_of_its_full_speed() -> None:
     np.testing.assert_allclose(stopped.positions[-1], stopped.positions[0])
 
 
-def servo_bench() -> Bench:
-    bench = Bench(mode=DriverMode.SERVO)
-    bench.run(200)
-    bench.driver.order(Follow(quintic()), bench.now)
-    return bench
-
-
-def test_servo_follows_a_trajectory_to_its_end_and_holds_it() -> None:
-    bench = servo_bench()
-    bench.run(2600)
-    np.testing.assert_allclose(bench.link.servoed[-1], quintic().positions[-1])
-    assert bench.link.preparations == 1
-    assert bench.link.speeds == []
-
-
-def test_servo_brakes_on_its_path_when_forecasts_stop_then_leaves_the_script_to_its_watchdog() -> None:
-    bench = servo_bench()
-    bench.run(1000)
-    bench.is_fed = False
-    bench.run(1500)
-    assert bench.report.state is DriverState.HALTED
-    last, sent = bench.link.servoed[-1], len(bench.link.servoed)
-    assert quintic().positions[0, 0] < last[0] < quintic().positions[-1, 0]
-    bench.run(400)
-    assert len(bench.link.servoed) == sent
-    with pytest.raises(ArmError, match="while halted"):
-        bench.driver.order(Follow(quintic()), bench.now)
-    bench.is_fed = True
-    bench.acknowledge()
-    assert bench.link.preparations == 2
-    bench.run(400)
-    np.testing.assert_allclose(bench.link.servoed[-1], last)
-
-
-def test_servo_commands_to_a_script_that_has_stopped_are_not_believed() -> None:
-    bench = servo_bench()
-    bench.run(400)
-    bench.link.runs_script = False
-    assert bench.ms_until(DriverState.HALTED) <= 8
-    assert bench.report.reason == "the control script does not run: it refused a command"
-
-
-def test_an_arm_that_does_not_follow_is_halted() -> None:
-    bench = servo_bench()
-    bench.run(400)
-    bench.link.servo = lambda q: True  # type: ignore[method-assign]  # taken, and nothing happens
-    bench.run(1000)
-    assert bench.report.state is DriverState.HALTED
-    assert "from where it was sent" in bench.report.reason
-
-
-def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:
-    with pytest.raises(ArmError, match="expected servo mode"):
-        Bench().driver.order(Follow(quintic()), 0)
-    bench = servo_bench()
-    bench.run(100)
-    with pytest.raises(ArmError, match="another is followed"):
-        bench.driver.order(Follow(quintic()), bench.now)
-
-
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
@@ -388,39 +281,6 @@ def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> 
 def test_parameters_that_no_controller_accepts_are_refused(changes: dict[str, object], word: str) -> None:
     with pytest.raises(ArmError, match=word):
         UrParameters(**changes)
-
-
-def steps_of(bench: Bench) -> np.ndarray:
-    """Largest joint step between one servoJ command and the next, rad."""
-    return np.abs(np.diff(np.array(bench.link.servoed), axis=0)).max(axis=1)
-
-
-@pytest.mark.parametrize("mode", [DriverMode.SLIDER, DriverMode.SERVO])
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({"speed_fraction": np.nan}, "expected a speed fraction of 0 to 1, found nan"),
-        ({"speed_fraction": 2.0}, "expected a speed fraction of 0 to 1, found 2"),
-        ({"speed_fraction": -0.5}, "expected a speed fraction of 0 to 1, found -0.5"),
-        ({"evidence_stamp": 5_000_000_000}, "evidence lies [23][.0-9]* s in the future"),
-    ],
-)
-def test_decisions_that_cannot_be_halt_at_once_and_leave_the_path_alone(
-    mode: DriverMode, changes: dict[str, object], word: str
-) -> None:
-    bench = servo_bench() if mode is DriverMode.SERVO else Bench()
-    bench.run(1000)
-    decision = replace(CLEAR, **{"evidence_stamp": bench.now, **changes})
-    with pytest.raises(ArmError, match=word):
-        bench.driver.order(Decide(decision), bench.now)
-    report = bench.run(STEP_MS)
-    assert (report.state, report.speed_fraction, report.is_over) == (DriverState.HALTED, 0.0, False)
-    bench.run(1500)
-    assert bench.report.state is DriverState.HALTED
-    if mode is DriverMode.SERVO:
-        assert steps_of(bench).max() < 0.01
-    bench.acknowledge()
-    assert bench.run(200).state is DriverState.READY
 
 
 def test_an_arm_node_that_has_no_forecast_yet_halts_nobody() -> None:
@@ -441,15 +301,6 @@ def test_an_arm_node_that_has_no_forecast_yet_halts_nobody() -> None:
         bench.driver.order(Decide(nothing), bench.now)
         report = bench.run(48)
     assert (report.state, report.reason) == (DriverState.HALTED, "stopped: no forecast yet")
-
-
-def test_an_arm_whose_driver_was_held_up_is_not_sent_all_the_missed_way_at_once() -> None:
-    bench = servo_bench()
-    bench.run(1000)
-    usual = steps_of(bench).max()
-    bench.now += 88 * MS  # within the script's watchdog
-    bench.run(400)
-    assert steps_of(bench).max() <= 3.2 * usual  # three periods' way, and the path still gains speed
 
 
 def test_a_parameter_file_that_changes_the_limiters_ramp_leaves_the_drivers_deadline_alone() -> None:

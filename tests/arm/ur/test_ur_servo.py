@@ -1,0 +1,108 @@
+"""The driver that servoes an arm along a path, and what it does with decisions that cannot be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from driver_bench import CLEAR, MS, STEP_MS, Bench, servo_bench, steps_of
+from fake_link import quintic
+
+from twin_node.arm.errors import ArmError
+from twin_node.arm.ur import (
+    Decide,
+    DriverMode,
+    DriverState,
+    Follow,
+)
+
+
+def test_servo_follows_a_trajectory_to_its_end_and_holds_it() -> None:
+    bench = servo_bench()
+    bench.run(2600)
+    np.testing.assert_allclose(bench.link.servoed[-1], quintic().positions[-1])
+    assert bench.link.preparations == 1
+    assert bench.link.speeds == []
+
+
+def test_servo_brakes_on_its_path_when_forecasts_stop_then_leaves_the_script_to_its_watchdog() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    bench.is_fed = False
+    bench.run(1500)
+    assert bench.report.state is DriverState.HALTED
+    last, sent = bench.link.servoed[-1], len(bench.link.servoed)
+    assert quintic().positions[0, 0] < last[0] < quintic().positions[-1, 0]
+    bench.run(400)
+    assert len(bench.link.servoed) == sent
+    with pytest.raises(ArmError, match="while halted"):
+        bench.driver.order(Follow(quintic()), bench.now)
+    bench.is_fed = True
+    bench.acknowledge()
+    assert bench.link.preparations == 2
+    bench.run(400)
+    np.testing.assert_allclose(bench.link.servoed[-1], last)
+
+
+def test_servo_commands_to_a_script_that_has_stopped_are_not_believed() -> None:
+    bench = servo_bench()
+    bench.run(400)
+    bench.link.runs_script = False
+    assert bench.ms_until(DriverState.HALTED) <= 8
+    assert bench.report.reason == "the control script does not run: it refused a command"
+
+
+def test_an_arm_that_does_not_follow_is_halted() -> None:
+    bench = servo_bench()
+    bench.run(400)
+    bench.link.servo = lambda q: True  # type: ignore[method-assign]  # taken, and nothing happens
+    bench.run(1000)
+    assert bench.report.state is DriverState.HALTED
+    assert "from where it was sent" in bench.report.reason
+
+
+def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:
+    with pytest.raises(ArmError, match="expected servo mode"):
+        Bench().driver.order(Follow(quintic()), 0)
+    bench = servo_bench()
+    bench.run(100)
+    with pytest.raises(ArmError, match="another is followed"):
+        bench.driver.order(Follow(quintic()), bench.now)
+
+
+@pytest.mark.parametrize("mode", [DriverMode.SLIDER, DriverMode.SERVO])
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"speed_fraction": np.nan}, "expected a speed fraction of 0 to 1, found nan"),
+        ({"speed_fraction": 2.0}, "expected a speed fraction of 0 to 1, found 2"),
+        ({"speed_fraction": -0.5}, "expected a speed fraction of 0 to 1, found -0.5"),
+        ({"evidence_stamp": 5_000_000_000}, "evidence lies [23][.0-9]* s in the future"),
+    ],
+)
+def test_decisions_that_cannot_be_halt_at_once_and_leave_the_path_alone(
+    mode: DriverMode, changes: dict[str, object], word: str
+) -> None:
+    bench = servo_bench() if mode is DriverMode.SERVO else Bench()
+    bench.run(1000)
+    decision = replace(CLEAR, **{"evidence_stamp": bench.now, **changes})
+    with pytest.raises(ArmError, match=word):
+        bench.driver.order(Decide(decision), bench.now)
+    report = bench.run(STEP_MS)
+    assert (report.state, report.speed_fraction, report.is_over) == (DriverState.HALTED, 0.0, False)
+    bench.run(1500)
+    assert bench.report.state is DriverState.HALTED
+    if mode is DriverMode.SERVO:
+        assert steps_of(bench).max() < 0.01
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+
+
+def test_an_arm_whose_driver_was_held_up_is_not_sent_all_the_missed_way_at_once() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    usual = steps_of(bench).max()
+    bench.now += 88 * MS  # within the script's watchdog
+    bench.run(400)
+    assert steps_of(bench).max() <= 3.2 * usual  # three periods' way, and the path still gains speed
