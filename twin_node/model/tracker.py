@@ -42,7 +42,7 @@ HURRIED = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
 NEEDED_LIVES = 6.0
 """How many lives a TRANSIENT has while nothing else explains what depth is measured of it."""
-BRAKE, PICK_UP = 0.1, 1.5
+BRAKE, PICK_UP = 0.1, 1.1
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
 
