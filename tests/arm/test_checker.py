@@ -167,6 +167,18 @@ def test_allowed_contacts_hold_for_what_stands_inside_the_region_only() -> None:
         assert checker.distance(READY).distance <= 0
 
 
+def test_where_contact_is_allowed_nothing_stands_unseen() -> None:
+    tool = forward_kinematics(ur_model("ur5e"), READY)[-1, :3, 3]
+    links = ur_model("ur5e").link_names
+    checker = ArmCollisionChecker("ur5e", max_obstacles=4, allowed=(AllowedRegion(tool - 0.2, tool + 0.2, links),))
+    for kind, is_looked_at in ((ObstacleKind.UNSEEN, False), (ObstacleKind.STATIC, True), (ObstacleKind.UNKNOWN, True)):
+        checker.update(obstacles(Thing(tuple(tool), size=(0.5, 0.1, 0.02), kind=kind, shape=ObstacleShape.BOX)))
+        assert (checker.distance(READY).distance <= 0) == is_looked_at
+    beside = Thing((*tool[:2], tool[2] + 0.25), size=(0.08,) * 3, kind=ObstacleKind.UNSEEN, shape=ObstacleShape.BOX)
+    checker.update(obstacles(beside))
+    assert checker.distance(READY).obstacle_id == 100, "what does not reach into the region is kept away from"
+
+
 def test_a_folded_arm_meets_itself(ur5e_checker: ArmCollisionChecker) -> None:
     assert ur5e_checker.self_distance(READY).distance > 0.02
     folded = ur5e_checker.self_distance(np.array([0.0, -1.5, 3.0, 0.0, 0.0, 0.0]))

@@ -188,6 +188,8 @@ def test_furniture_gets_plain_clearance(ur5e_checker: ArmCollisionChecker) -> No
     table = beside_the_tool(ur5e_checker, 0.2, kind=ObstacleKind.STATIC)
     person = replace(table, kind=ObstacleKind.MOVING)
     assert decided(ur5e_checker, table).speed_fraction > decided(ur5e_checker, person).speed_fraction
+    unseen = replace(table, kind=ObstacleKind.UNSEEN)
+    assert decided(ur5e_checker, unseen).speed_fraction == decided(ur5e_checker, table).speed_fraction
     touching = beside_the_tool(ur5e_checker, 0.06, kind=ObstacleKind.STATIC)
     assert decided(ur5e_checker, touching).speed_fraction == 0.0
 
@@ -199,8 +201,10 @@ def test_unknown_space_follows_the_policy(ur5e_checker: ArmCollisionChecker) -> 
     assert by_law.speed_fraction < as_furniture.speed_fraction
     assert by_law.term_intrusion == 0.2
     assert as_furniture.term_intrusion == 0.03
-    ignored = decided(ur5e_checker, replace(dark, size=(0.5,) * 3), unknown=UnknownPolicy.IGNORE)
-    assert ignored.speed_fraction == 1.0
+    for kind in (ObstacleKind.UNKNOWN, ObstacleKind.UNSEEN):
+        over = replace(dark, size=(0.5,) * 3, kind=kind)
+        assert decided(ur5e_checker, over).speed_fraction == 0.0
+        assert decided(ur5e_checker, over, unknown=UnknownPolicy.IGNORE).speed_fraction == 1.0
 
 
 def test_what_comes_after_the_arm_has_stopped_does_not_count(ur5e_checker: ArmCollisionChecker) -> None:

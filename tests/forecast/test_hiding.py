@@ -119,6 +119,17 @@ def test_a_thing_faster_than_the_cameras_is_not_missed_on_its_way() -> None:
     assert watch.see(mask(SHADOW)).reachable.any()
 
 
+@pytest.mark.parametrize(("side", "is_reached"), [(2, False), (6, True)])
+def test_specks_are_no_stepping_stones_for_a_hand(side: int, is_reached: bool) -> None:
+    """From the grid's side to a shadow by places in between, each too far from the next but one to be passed over."""
+    watch = Watch()
+    watch.see(NOTHING)
+    stones = mask(*((slice(x, x + 2), slice(16, 16 + side), slice(10, 10 + side)) for x in (4, 8, 12)))
+    for _ in range(4):
+        found = watch.see(stones | mask(SHADOW), after_ns=50_000_000)
+    assert found.reachable[mask(SHADOW)].any() == is_reached
+
+
 def test_after_a_pause_nothing_is_known_to_be_empty() -> None:
     watch = Watch()
     watch.see(NOTHING)

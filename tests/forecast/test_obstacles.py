@@ -119,7 +119,7 @@ def test_unknown_space_is_an_obstacle_by_what_may_be_in_it() -> None:
     obstacles = cover(
         found, None, None, None, Hidden(*(Bits.of_mask(GRID.dims, mask) for mask in (reachable, maybe_full)))
     )
-    for mask, kind in ((reachable, ObstacleKind.UNKNOWN), (maybe_full, ObstacleKind.STATIC)):
+    for mask, kind in ((reachable, ObstacleKind.UNKNOWN), (maybe_full, ObstacleKind.UNSEEN)):
         assert held(obstacles, np.flatnonzero(mask), 40_000_000, kind).all()
     for kind in ObstacleKind:
         assert not held(obstacles, np.flatnonzero(empty), 40_000_000, kind).any()

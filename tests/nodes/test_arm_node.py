@@ -14,7 +14,8 @@ from twin_node.arm import ArmCollisionChecker, default_path
 from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes import arm as arm_node
-from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, ArmParameters, make_arm_node
+from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, make_arm_node
+from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.live.beside_twin import make_arm
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
@@ -117,17 +118,20 @@ MODEL = ur_model("ur5e")
 READY = np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0])
 TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 """rad/s: the arm sweeps to its left."""
+WORKSPACE = np.array([[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]])
+"""Corners, m."""
 
 
 class Cell:
     """An arm's node, its clock, and somebody 28 cm to the left of the tool: an arm that turns there slows."""
 
-    def __init__(self, timers: Timers | None = None) -> None:
+    def __init__(self, timers: Timers | None = None, **given: object) -> None:
+        """`given`: parameters of the arm as they stand in a file."""
         self.bus, self.clock = LocalBus(), SteppedClock(START)
         self.told: list[Separation] = []
         self.bus.subscribe(SEPARATION, lambda message: self.told.append(convert.separation_from_message(message)))
-        checker = ArmCollisionChecker(MODEL, max_obstacles=8)
-        self.node = ArmNode(self.bus, self.clock, checker, default_path(MODEL), PARAMETERS, timers)
+        parameters = fill(ArmParameters, {"model": "ur5e", "max_obstacles": 8, **given}, "arm")
+        self.node = make_arm_node(self.bus, self.clock, WORKSPACE, parameters, timers)
         self.node.configure()
 
     def wait(self, milliseconds: int) -> None:
@@ -157,6 +161,7 @@ class Cell:
         ahead_ms: int = 0,
         frame: str = "base_link",
         at: Float64 | None = None,
+        kind: ObstacleKind = ObstacleKind.MOVING,
     ) -> Separation:
         """Obstacles, now (or stamped ahead), foreseen from so much later on; gives back what the arm is told."""
         now = self.clock.now() + ahead_ms * MS
@@ -164,7 +169,7 @@ class Cell:
         obstacles = Obstacles(
             stamp=now,
             ids=np.arange(count, dtype=np.uint32),
-            kinds=np.full(count, ObstacleKind.MOVING, np.uint8),
+            kinds=np.full(count, kind, np.uint8),
             shapes=np.full(count, ObstacleShape.SPHERE, np.uint8),
             positions=np.tile(beside if at is None else at, (count, 1)),
             quats=np.tile([1.0, 0, 0, 0], (count, 1)),
@@ -372,18 +377,10 @@ def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
 def test_a_tool_of_the_parameters_is_kept_away_too() -> None:
     """A gripper that no parameter could tell of reached 16 cm farther than the law knew."""
     gripper = {"start": [0.0, 0.0, 0.045], "end": [0.0, 0.0, 0.25], "radius": 0.045}
-    with_tool = fill(ArmParameters, {"model": "ur5e", "tool": [gripper]}, "arm").arm()
     tip = forward_kinematics(MODEL, READY)[-1] @ np.array([0.0, 0.0, 0.25, 1.0])
     distances = []
-    for arm in (MODEL, with_tool):
-        checker = ArmCollisionChecker(arm, max_obstacles=8)
-        cell = Cell()
-        cell.node = ArmNode(LocalBus(), cell.clock, checker, default_path(MODEL), PARAMETERS)
-        cell.bus = cell.node.bus
-        cell.bus.subscribe(
-            SEPARATION, lambda message, cell=cell: cell.told.append(convert.separation_from_message(message))
-        )
-        cell.node.configure()
+    for tool in ([], [gripper]):
+        cell = Cell(tool=tool)
         cell.joints()
         distances.append(cell.somebody(at=tip[:3] + np.array([0.0, 0.3, 0.0])).distance)
     assert distances[1] == pytest.approx(0.3 - 0.045 - 0.05, abs=0.1)
@@ -398,3 +395,31 @@ def test_a_tool_that_is_none_is_refused(wrong: dict[str, Any]) -> None:
     tool = {"start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.1], "radius": 0.05, **wrong}
     with pytest.raises(TwinError, match="tool: expected ends and a radius in metres"):
         fill(ArmParameters, {"tool": [tool]}, "arm")
+
+
+def test_what_stands_may_be_touched_where_it_is_allowed() -> None:
+    """An arm at its table had no parameter that let it near, and beside its own unseen shadow it stood for ever."""
+    tool = forward_kinematics(MODEL, READY)[-1, :3, 3]
+    box = {"lower": (tool - 0.2).tolist(), "upper": (tool + 0.2).tolist()}
+    for kind in (ObstacleKind.STATIC, ObstacleKind.UNSEEN, ObstacleKind.MOVING):
+        touched = []
+        for allowed in ([], [{**box, "links": ["forearm_link"]}], [box]):
+            cell = Cell(allowed=allowed)
+            cell.joints()
+            touched.append(cell.somebody(at=tool, kind=kind).distance <= 0)
+        assert touched == [True, True, kind == ObstacleKind.MOVING]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"lower": [1.0, 0.0, 0.0]}, "allowed: expected a lower corner below the upper one in metres"),
+        ({"upper": [500.0, 500.0, 500.0]}, "allowed: expected a lower corner below the upper one in metres"),
+        ({"links": ["wrist_9_link"]}, "allowed: expected links of shoulder_link, .*, found 'wrist_9_link'"),
+    ],
+)
+def test_a_region_that_is_none_is_refused(wrong: dict[str, Any], words: str) -> None:
+    box = {"lower": [0.0, 0.0, 0.0], "upper": [0.5, 0.5, 0.5], **wrong}
+    with pytest.raises(TwinError, match=words):
+        parameters = fill(ArmParameters, {"model": "ur5e", "allowed": [box]}, "arm")
+        make_arm_node(LocalBus(), SteppedClock(START), WORKSPACE, parameters)

@@ -324,5 +324,6 @@ class ArmCollisionChecker:
         exempt[self._model.capsules.links == 0] = True
         for region in self._allowed:
             rows = self._obstacles.is_static & self._obstacles.inside(region.lower, region.upper)
+            rows |= self._obstacles.is_unseen & self._obstacles.reaching_into(region.lower, region.upper)
             exempt |= np.isin(self._names, region.links)[:, None] & rows
         return exempt

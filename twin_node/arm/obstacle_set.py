@@ -78,6 +78,11 @@ class ObstacleSet:
         """[n]."""
         return np.asarray(self.kinds == ObstacleKind.STATIC)
 
+    @property
+    def is_unseen(self) -> Bool:
+        """[n]."""
+        return np.asarray(self.kinds == ObstacleKind.UNSEEN)
+
     def valid_at(self, stamps: NDArray[np.integer] | int) -> Bool:
         """True where an obstacle [n] counts at a time (ns); times [T, 1] give [T, n]."""
         return np.asarray((self.source.valid_from <= stamps) & (stamps <= self.source.valid_to))
@@ -89,8 +94,19 @@ class ObstacleSet:
 
     def inside(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
-        reach = np.where(self.is_sphere[:, None], self.half, np.einsum("nij,nj->ni", np.abs(self.rotations), self.half))
+        reach = self._reach
         return np.asarray(((self.centers - reach >= lower) & (self.centers + reach <= upper)).all(axis=1))
+
+    def reaching_into(self, lower: Float64, upper: Float64) -> Bool:
+        """True [n] for obstacles whose bounding boxes share space with a box given by its corners [3] (m)."""
+        reach = self._reach
+        return np.asarray(((self.centers + reach > lower) & (self.centers - reach < upper)).all(axis=1))
+
+    @property
+    def _reach(self) -> Float64:
+        """[n, 3] half extents of the bounding boxes along the axes of `base_link`, m."""
+        turned = np.einsum("nij,nj->ni", np.abs(self.rotations), self.half)
+        return np.where(self.is_sphere[:, None], self.half, turned)
 
 
 def _refuse_wrong(obstacles: Obstacles) -> None:

@@ -28,11 +28,11 @@ class UnknownPolicy(Enum):
     """How space that no camera sees is treated."""
 
     LAW = "law"
-    """Something may come out of it: as MOVING."""
+    """Something may come out of what is UNKNOWN: as MOVING. UNSEEN may be full: as STATIC."""
     CLEARANCE = "clearance"
-    """It may be full, but nothing comes out of it: as STATIC."""
+    """It may be full, but nothing comes out of it: both as STATIC."""
     IGNORE = "ignore"
-    """Not looked at: for cells whose unseen space is known to be empty."""
+    """Neither is looked at: for cells whose unseen space is known to be empty."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,8 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     """
     source, kinds = obstacles.source, obstacles.kinds
     unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
-    keeps_still = obstacles.is_static | (unknown & (parameters.unknown is UnknownPolicy.CLEARANCE))
+    is_furniture = parameters.unknown is UnknownPolicy.CLEARANCE
+    keeps_still = obstacles.is_static | obstacles.is_unseen | (unknown & is_furniture)
     in_last_layer = keeps_still.copy()
     for kind in ObstacleKind:
         last = obstacles.last_valid(kind)
@@ -141,7 +142,7 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
             in_last_layer |= (kinds == kind) & (source.valid_to > last - _SAME_LAYER_NS)
     as_seen = source.as_seen & ~in_last_layer
     counts = (source.valid_to >= stamp) | in_last_layer | as_seen
-    counts &= ~(unknown & (parameters.unknown is UnknownPolicy.IGNORE))
+    counts &= ~((unknown | obstacles.is_unseen) & (parameters.unknown is UnknownPolicy.IGNORE))
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,

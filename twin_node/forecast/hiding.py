@@ -19,6 +19,8 @@ from twin_node.scene import Bool, Float32, Grid
 
 HAND_M = 0.04
 """Thinnest thing that is looked for, m: a hand, as detection capability is told in ISO 13855."""
+HAND_M3 = 3e-4
+"""Smallest place that a hand goes on to unseen, m^3: what a small adult's takes up."""
 ATTACHED_S = 0.3
 """What was attached to something that moves counts as attached for so long, s: three sets at 10 Hz in which the limb
 that it hangs on is not seen to move. What is still in there afterwards hangs on nobody."""
@@ -42,8 +44,9 @@ class HidingPlaces:
 
     People are in one piece and larger than any shadow: an unseen hand hangs on an arm that is unseen as far as the
     grid's side, or until where it is seen to move. Unknown space is therefore reachable where a hand's width of unknown
-    or moving space leads to either. What is loose, such as a ball, gets in only where something was seen to move. It
-    may lie there from then on; where it rolls out again, it is seen to move. All else keeps what it had when it was
+    or moving space leads to either. A hand may also go from one such place to another between two sets, if it fits in
+    there: specks are no stepping stones. What is loose, such as a ball, gets in only where something was seen to move.
+    It may lie there from then on; where it rolls out again, it is seen to move. All else keeps what it had when it was
     last seen. Nothing comes through the grid's bottom, which is a table or a floor.
     """
 
@@ -104,7 +107,7 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     given = tuple(np.ascontiguousarray(mask.words) for mask in (seen.unknown, seen.moving, seen.standing))
     kept: tuple[NDArray[np.generic], ...] = (memory.ages_s, memory.reached.words, memory.maybe_full.words)
     arrays = (*given, *kept, reachable.words)
-    steps = (_hand(grid), _reach(grid, seen.elapsed_s))
+    steps = (_hand(grid), _reach(grid, seen.elapsed_s), _fewest(grid))
     compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses_of(*arrays)))
     return reachable
 
@@ -133,6 +136,11 @@ def _reach(grid: Grid, elapsed_s: float) -> int:
     return int(np.ceil(PERSON_SPEED * min(elapsed_s, LONGEST_GAP_S) / (2 * grid.voxel_size)))
 
 
+def _fewest(grid: Grid) -> int:
+    """Cells that a hand takes up."""
+    return int(np.ceil(HAND_M3 / (2 * grid.voxel_size) ** 3))
+
+
 def _ways(grid: Grid, unknown: Words, moving: Words, standing: Words) -> Bool:
     """Cells where a hand's width is unknown or moving; beside what stands lie the rims of its measurement."""
     beside = _joined(np.bitwise_or, standing, (-1, 0, 1))
@@ -153,6 +161,7 @@ def _spread(grid: Grid, ages: Float32, elapsed_s: float, ways: Bool, moving: Wor
     newest = np.full(count + 1, _NEVER)
     np.minimum.at(newest, labels[ways], ages[ways])
     newest[newest > ATTACHED_S] = _NEVER
+    newest[(newest > 0) & (np.bincount(labels[ways], minlength=count + 1) < _fewest(grid))] = _NEVER
     return np.where(ways, newest[labels], _NEVER)
 
 

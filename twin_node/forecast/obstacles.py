@@ -37,9 +37,9 @@ class CoverParameters:
     most_static: int = 256
     """Largest number of STATIC obstacles."""
     most_unknown: int = 64
-    """Largest number of UNKNOWN obstacles, and of STATIC ones for unknown space that may be full."""
+    """Largest number of UNKNOWN obstacles, and of UNSEEN ones."""
     unknown_share: float = 0.5
-    """A cell counts as UNKNOWN obstacle from this share of unknown voxels on: rims of the carving are left out."""
+    """A cell counts as UNKNOWN or UNSEEN from this share of unknown voxels on: rims of the carving are left out."""
 
     def __post_init__(self) -> None:
         """Raises `ForecastError` for no obstacles, and for more than anyone can look at."""
@@ -102,11 +102,11 @@ def cover(
 ) -> Obstacles:
     """Obstacles that hold every occupied voxel of `occupancy`, whole, for as long as it is occupied.
 
-    MOVING ones are valid from one horizon to the next and hold the voxels of both layers; STATIC and UNKNOWN ones are
-    valid throughout. Each is the tight box about the voxels in one cell of an octree, small where that spares most
+    MOVING ones are valid from one horizon to the next and hold the voxels of both layers; all others are valid
+    throughout. Each is the tight box about the voxels in one cell of an octree, small where that spares most
     space; ids name kind, interval and cell, so they stay while things move within cells. `previous` keeps the cover
     from flickering between two that are equally good; `motion` gives velocities and bounds, zero without it.
-    Unknown space is UNKNOWN where something may come out of it, STATIC where it may be full, and no obstacle where it
+    Unknown space is UNKNOWN where something may come out of it, UNSEEN where it may be full, and no obstacle where it
     is known to be empty: as `hidden` tells, all of it UNKNOWN without. `sighted` adds, to a forecast of anything,
     MOVING obstacles that hold what it is a forecast of, valid at the evidence alone (`Obstacles.as_seen`).
     """
@@ -128,7 +128,7 @@ def cover(
     maybe_full, reachable = Share(hidden.maybe_full, share), Share(hidden.reachable, share)
     batches += [
         _Batch(ObstacleKind.STATIC, 0, *throughout, grid, parameters.most_static, (occupancy.static.indices,)),
-        _Batch(ObstacleKind.STATIC, 1, *throughout, grid, parameters.most_unknown, maybe_full),
+        _Batch(ObstacleKind.UNSEEN, 0, *throughout, grid, parameters.most_unknown, maybe_full),
         _Batch(ObstacleKind.UNKNOWN, 0, *throughout, grid, parameters.most_unknown, reachable),
     ]
     before = np.zeros(0, np.uint32) if previous is None else previous.ids

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from twin_node.arm import (
     ArmCollisionChecker,
     ArmError,
     CyclicPath,
-    LimiterParameters,
-    SeparationParameters,
     SpeedLimiter,
     Whereabouts,
     decide,
@@ -23,9 +19,8 @@ from twin_node.arm import (
 )
 from twin_node.errors import TwinError
 from twin_node.messages import convert
+from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
-from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
-from twin_node.robot import ArmModel, Capsules, arm_model
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
@@ -39,65 +34,8 @@ REPEATS_PER_DEADLINE = 2
 HEARD_NS = 5_000_000
 """From a decision until another process of the host has heard it, ns, ten times the usual: silence is answered so much
 before its deadline, so that who drives the arm knows by then."""
-FARTHEST_TOOL_M = 2.0
-"""No part of a tool is farther from `tool0`, m: who gives more means millimetres."""
 ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
-
-
-@dataclass(frozen=True)
-class ToolCapsule:
-    """A capsule about a part of what the arm carries for good, in the frame of `tool0`; equal ends make a sphere."""
-
-    start: tuple[float, float, float]
-    """m."""
-    end: tuple[float, float, float]
-    """m."""
-    radius: float
-    """m."""
-
-    def __post_init__(self) -> None:
-        """Raises `ArmError` for values that make no capsule, or one in millimetres."""
-        places = np.abs([*self.start, *self.end])
-        if not (places <= FARTHEST_TOOL_M).all() or not 0 < self.radius <= FARTHEST_TOOL_M:
-            raise ArmError(
-                f"tool: expected ends and a radius in metres, at most {FARTHEST_TOOL_M:g} from tool0, found "
-                f"{list(self.start)}, {list(self.end)} and {self.radius:g}"
-            )
-
-
-@dataclass(frozen=True)
-class ArmParameters:
-    """Which arm works in the cell, and how it keeps its distance."""
-
-    model: str = "ur10e"
-    """One of the arms of `twin_node.robot.UR_NAMES`, or an MJCF or URDF file."""
-    kinematics: str | None = None
-    """A UR arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
-    tool: tuple[ToolCapsule, ...] = ()
-    """What it carries for good, a gripper at its widest for example: kept away, and masked, as the arm's links are."""
-    command_latency_ms: float = 20.0
-    """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
-    max_obstacles: int = 1024
-    """Room for spheres and for boxes each: 704 boxes are the most of the cover's defaults (section `obstacles`)."""
-    separation: SeparationParameters = field(default_factory=SeparationParameters)
-    limiter: LimiterParameters = field(default_factory=LimiterParameters)
-
-    def __post_init__(self) -> None:
-        """Raises `ArmError` for a latency that no command has, and for room for nothing."""
-        check_ranges(self, ArmError, "arm: ", command_latency_ms=NOT_NEGATIVE, max_obstacles=Range(1))
-
-    def arm(self) -> ArmModel:
-        """The arm's model with its tool. Raises `RobotError` or `ResourceError` for a wrong name or file."""
-        bare = arm_model(self.model, self.kinematics)
-        if not self.tool:
-            return bare
-        carried = Capsules(
-            links=np.full(len(self.tool), bare.joints),
-            ends=np.array([[capsule.start, capsule.end] for capsule in self.tool]),
-            radii=np.array([capsule.radius for capsule in self.tool]),
-        )
-        return replace(bare, capsules=bare.capsules.joined(carried))
 
 
 class ArmNode(Node):
@@ -218,5 +156,5 @@ def make_arm_node(
 ) -> ArmNode:
     """The arm's node of a chain; `workspace` [2, 3] m. `timers`: see `ArmNode`."""
     arm = parameters.arm()
-    checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles)
+    checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles, allowed=parameters.regions(arm))
     return ArmNode(bus, clock, checker, default_path(arm, workspace), parameters, timers)

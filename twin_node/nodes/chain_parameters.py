@@ -9,7 +9,7 @@ from pathlib import Path
 from twin_node import resources
 from twin_node.forecast import CoverParameters, ForecastParameters
 from twin_node.model import ModelParameters
-from twin_node.nodes.arm import ArmParameters
+from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.synchronizer import SynchronizerParameters

@@ -19,9 +19,11 @@ class ObstacleKind(IntEnum):
 
     MOVING = 0
     STATIC = 1
-    """Stands still, or is unseen space in which something may lie that does not come out."""
+    """Stands still."""
     UNKNOWN = 2
     """Unseen space that something may come out of at any time."""
+    UNSEEN = 3
+    """Unseen space in which something may lie that does not come out."""
 
 
 class ObstacleShape(IntEnum):

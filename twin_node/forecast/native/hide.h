@@ -14,6 +14,7 @@ namespace forecast {
 struct Stretch {
   int64_t begin, end;  // first cell and one past the last
   float least;
+  int64_t cells;  // of its piece, where it is the root
 };
 
 // The cells that what is attached reached last so long ago, s.
@@ -46,13 +47,15 @@ class Pieces {
     }
   }
 
-  // Gives every cell its piece's least value; the cells whose values are not `otherwise`, which stays with all others.
-  Bits write(float *values, int64_t nx, int64_t ny, int64_t nz, float otherwise) {
+  // Gives every cell its piece's least value; the cells whose values are not `otherwise`, which stays with all others,
+  // and with pieces of fewer cells than `fewest` that were reached before, not now.
+  Bits write(float *values, int64_t nx, int64_t ny, int64_t nz, float otherwise, int64_t fewest) {
     Bits written(nx, ny, nz);
     for (int64_t column = 0; column + 1 < static_cast<int64_t>(starts_.size()); column++) {
       for (int64_t i = starts_[column]; i < starts_[column + 1]; i++) {
-        const float least = stretches_[root(i)].least;
-        if (least == otherwise) continue;
+        const Stretch &piece = stretches_[root(i)];
+        const float least = piece.least;
+        if (least == otherwise || (least > 0 && piece.cells < fewest)) continue;
         for (int64_t z = stretches_[i].begin; z < stretches_[i].end; z++) {
           values[column * nz + z] = least;
           written.bits[column * written.words + z / 64] |= uint64_t{1} << z % 64;
@@ -78,7 +81,7 @@ class Pieces {
       const auto one = std::find_if(reached.begin(), reached.end(), [&](const Reached &r) {
         return any_of(r.cells.bits.data() + column * r.cells.words, begin, z);
       });
-      stretches_.push_back({begin, z, one == reached.end() ? otherwise : one->age});
+      stretches_.push_back({begin, z, one == reached.end() ? otherwise : one->age, z - begin});
     }
   }
 
@@ -104,6 +107,7 @@ class Pieces {
       if (one.begin <= two.end && two.begin <= one.end) {
         const int64_t a = root(i), b = root(j);
         const float least = std::min(stretches_[a].least, stretches_[b].least);
+        if (a != b) stretches_[std::min(a, b)].cells += stretches_[std::max(a, b)].cells;
         parents_[std::max(a, b)] = std::min(a, b);
         stretches_[std::min(a, b)].least = least;
       }
@@ -178,7 +182,7 @@ inline void hide(const HideRequest &r) {
   const Bits ways = halved(passable(r, moving), r.nz);
   const int64_t cz = (r.nz + 1) / 2;
   clear(r, cz, ways.words);
-  Bits open = Pieces(ways, cz, reached, r.never).write(r.ages, ways.nx, ways.ny, cz, r.never);
+  Bits open = Pieces(ways, cz, reached, r.never).write(r.ages, ways.nx, ways.ny, cz, r.never, r.fewest);
   std::copy(open.bits.begin(), open.bits.end(), r.reached);
   join_around<Join::kAny>(open, -1, 1);
   for (int64_t x = 0; x < r.nx; x++) {

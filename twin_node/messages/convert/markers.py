@@ -16,6 +16,7 @@ COLOURS = {
     ObstacleKind.MOVING: (0.85, 0.19, 0.15, 0.45),
     ObstacleKind.STATIC: (0.45, 0.45, 0.50, 0.35),
     ObstacleKind.UNKNOWN: (0.95, 0.70, 0.10, 0.12),
+    ObstacleKind.UNSEEN: (0.98, 0.86, 0.47, 0.12),
 }
 """Red, green, blue and opacity of obstacles by kind."""
 FRUSTUM_COLOUR = (0.10, 0.45, 0.91, 1.0)

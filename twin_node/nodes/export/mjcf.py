@@ -17,8 +17,12 @@ from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
 
 PARKED = np.array([0.0, 0.0, -1000.0])
 """Where a body waits that no obstacle needs, m: no arm comes near."""
-COLOURS = {ObstacleKind.MOVING: "0.85 0.19 0.15 0.6", ObstacleKind.STATIC: "0.6 0.63 0.65 0.8"}
-UNKNOWN_COLOUR = "0.95 0.6 0 0.3"
+COLOURS = {
+    ObstacleKind.MOVING: "0.85 0.19 0.15 0.6",
+    ObstacleKind.STATIC: "0.6 0.63 0.65 0.8",
+    ObstacleKind.UNKNOWN: "0.95 0.6 0 0.3",
+    ObstacleKind.UNSEEN: "0.98 0.86 0.47 0.3",
+}
 
 PLAYER = '''"""Plays {model} in MuJoCo's viewer at its own pace, over and over."""
 
@@ -126,7 +130,7 @@ def _body_element(number: int, body: _Body) -> ET.Element:
         size=_text(body.half[:1] if is_sphere else body.half),
         contype="0",
         conaffinity="1",
-        rgba=COLOURS.get(ObstacleKind(body.kind), UNKNOWN_COLOUR),
+        rgba=COLOURS[ObstacleKind(body.kind)],
     )
     return element
 

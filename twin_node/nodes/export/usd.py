@@ -16,6 +16,7 @@ COLOURS = {
     ObstacleKind.MOVING: (0.85, 0.19, 0.15),
     ObstacleKind.STATIC: (0.6, 0.63, 0.65),
     ObstacleKind.UNKNOWN: (0.95, 0.6, 0.0),
+    ObstacleKind.UNSEEN: (0.98, 0.86, 0.47),
 }
 ARM_COLOUR = (0.62, 0.68, 0.74)
 SIGMAS_SHOWN = 2.0

@@ -22,8 +22,14 @@ KIND_COLOURS = {
     ObstacleKind.MOVING: (217, 48, 37),
     ObstacleKind.STATIC: (154, 160, 166),
     ObstacleKind.UNKNOWN: (242, 153, 0),
+    ObstacleKind.UNSEEN: (251, 220, 120),
 }
-KIND_OPACITIES = {ObstacleKind.MOVING: 0.45, ObstacleKind.STATIC: 0.2, ObstacleKind.UNKNOWN: 0.12}
+KIND_OPACITIES = {
+    ObstacleKind.MOVING: 0.45,
+    ObstacleKind.STATIC: 0.2,
+    ObstacleKind.UNKNOWN: 0.12,
+    ObstacleKind.UNSEEN: 0.12,
+}
 MOVING_VOXELS, STATIC_VOXELS, UNKNOWN_VOXELS = (217, 48, 37), (95, 99, 104), (242, 153, 0)
 MARK_COLOUR = (161, 66, 244)
 MARK_M = 0.01

@@ -1,0 +1,106 @@
+"""Parameters of the arm: which one works in the cell, what it carries, what it may touch, how it keeps its distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twin_node.arm import AllowedRegion, ArmError, LimiterParameters, SeparationParameters
+from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
+from twin_node.robot import ArmModel, Capsules, arm_model
+
+FARTHEST_TOOL_M = 2.0
+"""No part of a tool is farther from `tool0`, m: who gives more means millimetres."""
+FARTHEST_REGION_M = 10.0
+"""No corner of an allowed region is farther from `base_link` along an axis, m: who gives more means millimetres."""
+
+
+@dataclass(frozen=True)
+class ToolCapsule:
+    """A capsule about a part of what the arm carries for good, in the frame of `tool0`; equal ends make a sphere."""
+
+    start: tuple[float, float, float]
+    """m."""
+    end: tuple[float, float, float]
+    """m."""
+    radius: float
+    """m."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for values that make no capsule, or one in millimetres."""
+        places = np.abs([*self.start, *self.end])
+        if not (places <= FARTHEST_TOOL_M).all() or not 0 < self.radius <= FARTHEST_TOOL_M:
+            raise ArmError(
+                f"tool: expected ends and a radius in metres, at most {FARTHEST_TOOL_M:g} from tool0, found "
+                f"{list(self.start)}, {list(self.end)} and {self.radius:g}"
+            )
+
+
+@dataclass(frozen=True)
+class AllowedBox:
+    """A box in which links may touch what stands, for their program was taught clear of furniture (`AllowedRegion`)."""
+
+    lower: tuple[float, float, float]
+    """Lower corner, m, in `base_link`."""
+    upper: tuple[float, float, float]
+    """Upper corner, m, in `base_link`."""
+    links: tuple[str, ...] = ()
+    """Names of links; none: every link that moves."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for corners that make no box, or one in millimetres."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        if not (np.abs([lower, upper]) <= FARTHEST_REGION_M).all() or not (lower < upper).all():
+            raise ArmError(
+                f"allowed: expected a lower corner below the upper one in metres, at most {FARTHEST_REGION_M:g} from "
+                f"base_link, found {list(self.lower)} and {list(self.upper)}"
+            )
+
+    def region(self, arm: ArmModel) -> AllowedRegion:
+        """For an arm; raises `ArmError` for a link that it does not have."""
+        moving = arm.link_names[1:]
+        for link in self.links:
+            if link not in moving:
+                raise ArmError(f"allowed: expected links of {', '.join(moving)}, found {link!r}")
+        return AllowedRegion(np.array(self.lower), np.array(self.upper), self.links or moving)
+
+
+@dataclass(frozen=True)
+class ArmParameters:
+    """Which arm works in the cell, and how it keeps its distance."""
+
+    model: str = "ur10e"
+    """One of the arms of `twin_node.robot.UR_NAMES`, or an MJCF or URDF file."""
+    kinematics: str | None = None
+    """A UR arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
+    tool: tuple[ToolCapsule, ...] = ()
+    """What it carries for good, a gripper at its widest for example: kept away, and masked, as the arm's links are."""
+    allowed: tuple[AllowedBox, ...] = ()
+    """Where it may touch what stands, the table it works on for example, and where nothing can stand unseen."""
+    command_latency_ms: float = 20.0
+    """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
+    max_obstacles: int = 1024
+    """Room for spheres and for boxes each: 704 boxes are the most of the cover's defaults (section `obstacles`)."""
+    separation: SeparationParameters = field(default_factory=SeparationParameters)
+    limiter: LimiterParameters = field(default_factory=LimiterParameters)
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for a latency that no command has, and for room for nothing."""
+        check_ranges(self, ArmError, "arm: ", command_latency_ms=NOT_NEGATIVE, max_obstacles=Range(1))
+
+    def arm(self) -> ArmModel:
+        """The arm's model with its tool. Raises `RobotError` or `ResourceError` for a wrong name or file."""
+        bare = arm_model(self.model, self.kinematics)
+        if not self.tool:
+            return bare
+        carried = Capsules(
+            links=np.full(len(self.tool), bare.joints),
+            ends=np.array([[capsule.start, capsule.end] for capsule in self.tool]),
+            radii=np.array([capsule.radius for capsule in self.tool]),
+        )
+        return replace(bare, capsules=bare.capsules.joined(carried))
+
+    def regions(self, arm: ArmModel) -> tuple[AllowedRegion, ...]:
+        """What it may touch where. Raises `ArmError` for a link that the arm does not have."""
+        return tuple(box.region(arm) for box in self.allowed)
