@@ -11,6 +11,8 @@ from scipy import ndimage
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernel_requests import RestRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.parts import split
+from twin_node.forecast.specks import of_things
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Grid
 
@@ -38,7 +40,7 @@ class Resting:
         `moving` [m]: flat indices where something moves that may rest and start again; `standing`: what stands. A table
         that a hand passes over stood all along: it is none of these. Its edges, which at times are found to stand only
         after somebody passed them, are none either: a layer about what stood counts only where it may be a limb of
-        somebody near it, who moves or rests.
+        somebody near it, who moves or rests. Nor are specks that no hand fits in and that hang on nothing larger.
         """
         found = rested(self._memory, stamp, moving, standing)
         if len(found) == 0:
@@ -46,7 +48,14 @@ class Resting:
         touches = standing.without(self._memory.moved).grown().holds(found)
         layer, bodies = found[touches], found[~touches]
         is_limb = self._is_within_reach(layer, np.concatenate([bodies, moving]))
-        return np.sort(np.concatenate([bodies, layer[is_limb]]))
+        return self._without_specks(np.concatenate([bodies, layer[is_limb]]), moving)
+
+    def _without_specks(self, resting: NDArray[np.int64], moving: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of the `resting` voxels [n] that hang together with enough others, or with what moves; in order."""
+        mine = Bits.of_indices(self._grid.dims, resting)
+        indices = (mine | Bits.of_indices(self._grid.dims, moving)).indices()
+        parts = split(self._grid, indices, np.ones(len(indices), np.bool_))
+        return indices[of_things(self._grid, parts)[parts.labels] & mine.holds(indices)]
 
     def _is_within_reach(self, voxels: NDArray[np.int64], others: NDArray[np.int64]) -> Bool:
         """[n] which `voxels` are at most `LIMB_M` from any of the `others`, to a cell; both are flat indices."""
