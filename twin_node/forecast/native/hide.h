@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
 #include <vector>
 
 #include "bits.h"
@@ -124,18 +125,20 @@ class Pieces {
 // the grid's sides but for its bottom, are reached now.
 inline std::vector<Reached> reached_lately(const HideRequest &r, const Bits &moving) {
   const int64_t cx = moving.nx, cy = moving.ny, cz = (r.nz + 1) / 2;
-  std::vector<Reached> reached{{0.0f, moving}};
-  Bits &now = reached[0].cells;
+  const int64_t words = moving.words;
+  Bits now = moving;
   for (int64_t x = 0; x < cx; x++) {
     for (int64_t y = 0; y < cy; y++) {
       uint64_t *column = now.at(x, y);
-      if (x == 0 || y == 0 || x == cx - 1 || y == cy - 1) std::fill_n(column, now.words, ~uint64_t{0});
+      if (x == 0 || y == 0 || x == cx - 1 || y == cy - 1) std::fill_n(column, words, ~uint64_t{0});
       column[(cz - 1) / 64] |= uint64_t{1} << (cz - 1) % 64;
     }
   }
+  std::vector<Reached> reached;
+  reached.push_back({0.0f, std::move(now)});
   size_t last = 0;  // that a cell belonged to: neighbours were mostly reached together
-  for (int64_t word = 0; word < cx * cy * now.words; word++) {
-    const float *ages = r.ages + word / now.words * cz + word % now.words * 64;
+  for (int64_t word = 0; word < cx * cy * words; word++) {
+    const float *ages = r.ages + word / words * cz + word % words * 64;
     for (uint64_t left = r.reached[word]; left; left &= left - 1) {
       const int z = __builtin_ctzll(left);
       const float age = ages[z] + r.elapsed_s;
