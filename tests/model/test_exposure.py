@@ -107,6 +107,22 @@ def test_the_compiled_kernels_tell_and_remember_what_numpy_does(
         assert np.array_equal(compiled.samples, plain.samples)
 
 
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+def test_images_that_lie_otherwise_in_memory_are_remembered_alike() -> None:
+    """Those of cameras that hang askew are often turned without a copy."""
+    rng = np.random.default_rng(0)
+    turned = np.rot90(rng.integers(0, 256, (61, 83, 3), dtype=np.uint8))
+    compiled, plain, still = Remembered(turned), Remembered(turned), np.ones(turned.shape[:2], bool)
+    next_one = np.clip(turned.astype(int) + rng.integers(-4, 5, turned.shape), 0, 255).astype(np.uint8)
+    one, other = compiled.ratios(next_one, still, PLAIN), plain.ratios_plainly(next_one, still, PLAIN)
+    assert one.middle is not None and other.middle is not None
+    np.testing.assert_array_equal(one.middle, other.middle)
+    compiled.take(next_one, still)
+    plain.take_plainly(next_one, still)
+    np.testing.assert_array_equal(compiled.samples, plain.samples)
+    np.testing.assert_array_equal(compiled.newest, plain.newest)
+
+
 def test_what_is_too_bright_to_tell_does_not_count_unless_its_depth_is_measured() -> None:
     for depth in (False, True):
         exposures, still = Exposures(), frames(0, None, rig(), depth=depth)

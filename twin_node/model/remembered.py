@@ -48,7 +48,7 @@ class Remembered:
         """[H, W, 3] every pixel as it was when it stood still last."""
         self.stride = max(1, round(float(np.sqrt(rgb.shape[0] * rgb.shape[1] / SAMPLES))))
         """Pixels from one sample to the next."""
-        self.samples: Float32 = QUANTUM * rgb[:: self.stride, :: self.stride]
+        self.samples: Float32 = np.ascontiguousarray(QUANTUM * rgb[:: self.stride, :: self.stride])
         """[h, w, 3] their mean of late, 0 to 1."""
 
     def ratios(self, rgb: UInt8, still: Bool, exposure: Exposure) -> Ratios:
