@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_depth, ball_voxels, camera, pixels_of, state_of
 from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
 from twin_node.geometry import transform
@@ -60,6 +63,21 @@ def test_space_behind_a_camera_is_unknown() -> None:
     behind = np.flatnonzero(transform(inside.viewmat, centers)[:, 2] < 0)
     assert len(behind) > 0
     assert carved.unknown.holds(behind).all()
+
+
+@pytest.mark.parametrize("name", ["depth", "moving", "robot"])
+def test_images_and_masks_that_are_not_of_their_cameras_size_are_refused(name: str) -> None:
+    """Compiled code takes sizes from the camera: it would read what lies beyond the image."""
+    state, half = state_of(0, CENTER, with_depth=True), (HEIGHT // 2, WIDTH // 2)
+    if name == "depth":
+        views = (replace(state.frames.views[0], depth=np.ones(half, np.float32)), *state.frames.views[1:])
+        wrong = replace(state, frames=replace(state.frames, views=views))
+    else:
+        masks = (np.ones(half, np.bool_), *getattr(state, f"{name}_masks")[1:])
+        wrong = replace(state, **{f"{name}_masks": masks})
+    size = re.escape(str([HEIGHT, WIDTH]))
+    with pytest.raises(ForecastError, match=f"camera {RIG[0].name}: expected {name} {size} of .*; give images"):
+        carve(wrong)
 
 
 def test_one_camera_alone_explains_nothing_without_depth() -> None:

@@ -257,6 +257,25 @@ def test_wrong_sets_are_refused_in_one_line() -> None:
         model.update(sets[0])
 
 
+@pytest.mark.parametrize(
+    ("name", "shape", "kind"),
+    [
+        ("rgb", (30, 40, 3), np.uint8),
+        ("rgb", (60, 80), np.uint8),
+        ("rgb", (60, 80, 3), np.float32),
+        ("depth", (30, 40), np.float32),
+        ("depth", (60, 80), np.float64),
+        ("valid", (80, 60), np.bool_),
+    ],
+)
+def test_images_that_are_not_of_their_cameras_size_are_refused(name: str, shape: tuple[int, ...], kind: type) -> None:
+    """Compiled code takes sizes from the camera: it would read what lies beyond the image."""
+    model, one = WindowModel(QUICK), sliding(1, CAMERAS)[0]
+    wrong = replace(one.views[1], **{name: np.ones(shape, kind)})
+    with pytest.raises(ModelError, match=f"camera cam1: expected {name} .*, found .* of {np.dtype(kind)}; give images"):
+        model.update(replace(one, views=(one.views[0], wrong, *one.views[2:])))
+
+
 def test_a_learning_rate_that_explodes_is_braked_and_reported() -> None:
     wild = replace(QUICK, track=replace(QUICK.track, learning_rate=1e5))
     model = WindowModel(wild)

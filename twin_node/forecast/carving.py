@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved, Sight, carved
@@ -29,7 +30,11 @@ class Carver:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
 
         States come in rising order of stamps: what each depth camera saw behind moving things before is remembered.
+        Raises `ForecastError` for images or masks that are not of their camera's size.
         """
+        for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
+            if misfit := view.misfit(moving=moving, robot=robot):
+                raise ForecastError(f"state of {state.stamp} ns: {misfit}")
         self._backdrops.update(state)
         sights = self._sights(state, speed)
         self._last = (state, sights)

@@ -117,7 +117,10 @@ class Forecaster:
         return Motion(self._tracks.positions[-1], self._tracks.velocities, self._radii, experts, self._sigmas)
 
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
-        """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock)."""
+        """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
+
+        Raises `ForecastError` for images or masks that are not of their camera's size.
+        """
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         has_depth = any(view.depth is not None for view in state.frames.views)
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS

@@ -110,7 +110,9 @@ class WindowModel:
         return self._bytes_per_frame
 
     def update(self, frames: FrameSet) -> TwinState:
-        """Brings the model up to date with a set; raises `ModelError` for one without views or older than the last."""
+        """Brings the model up to date with a set; raises `ModelError` for one without views, older than the last,
+        or with images that are not of their camera's size.
+        """
         self._check(frames)
         if self._tracker is None:
             return self._update(frames)
@@ -175,6 +177,9 @@ class WindowModel:
     def _check(self, frames: FrameSet) -> None:
         if not frames.views:
             raise ModelError(f"set {frames.sequence}: expected at least one view, found none; check the synchroniser")
+        for view in frames.views:
+            if misfit := view.misfit():
+                raise ModelError(f"set {frames.sequence}: {misfit}")
         if self._tracker is not None and frames.stamp < self._nodes.stamp:
             raise ModelError(
                 f"set {frames.sequence}: expected a stamp of {self._nodes.stamp} ns or later, found {frames.stamp} ns; "

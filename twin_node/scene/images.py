@@ -94,6 +94,24 @@ class View:
     valid: Bool | None = None
     """[H, W] False where undistortion found no pixel; None: all valid."""
 
+    def misfit(self, **masks: Bool | None) -> str | None:
+        """The first of its arrays, or of `masks` [H, W] of it, that is not of its camera's size or not of its kind.
+
+        As a sentence for an error; None where all fit. Compiled code takes sizes from the camera, and looks no further.
+        """
+        size = (self.camera.height, self.camera.width)
+        images = (("rgb", self.rgb, (*size, 3), np.uint8), ("depth", self.depth, size, np.float32))
+        for name, array, shape, kind in (
+            *images,
+            *((name, mask, size, np.bool_) for name, mask in (("valid", self.valid), *masks.items())),
+        ):
+            if array is not None and (array.shape != shape or array.dtype != kind):
+                return (
+                    f"camera {self.camera.name}: expected {name} {list(shape)} of {np.dtype(kind)}, found "
+                    f"{list(array.shape)} of {array.dtype}; give images of the camera's size"
+                )
+        return None
+
 
 @dataclass(frozen=True)
 class JointSample:
