@@ -85,3 +85,41 @@ threads.append(torch.get_num_threads())
 runtimes = {line.split()[-1] for line in open("/proc/self/maps") if "libgomp" in line}
 print(json.dumps({"loads_torch": loads_torch, "threads": threads, "runtimes": len(runtimes)}))
 """
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="counts pages as Linux does")
+def test_loops_are_done_alone_where_there_are_no_more_threads() -> None:
+    """A container may allow no more of them: its process must not end for want of help."""
+    run = subprocess.run(
+        [sys.executable, "-c", WITHOUT_THREADS],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (run.returncode, run.stdout.strip()) == (0, "as alone"), run.stderr[-2000:]
+
+
+WITHOUT_THREADS = """
+import resource
+from pathlib import Path
+
+import numpy as np
+
+from twin_node.forecast.growth import Points, spread
+from twin_node.native_library import kernel_threads
+from twin_node.scene import Grid
+
+points = Points(np.arange(60, dtype=np.int32).reshape(3, 20) % 12, np.zeros(20, np.int64), np.ones(20, bool))
+given = (Grid(np.zeros(3), 0.02, (12, 12, 12)), points, np.zeros((4, 1, 3), np.int32), np.full((4, 1), 8, np.uint8))
+with kernel_threads(1):
+    alone = spread(*given)
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+limit = pages * resource.getpagesize() + 2**20  # less than the stack of another thread
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+with kernel_threads(4):
+    found = spread(*given)
+for one, other in zip(found, alone, strict=True):
+    assert np.array_equal(one.indices, other.indices)
+print("as alone")
+"""

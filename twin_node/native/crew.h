@@ -10,7 +10,9 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <limits>
 #include <mutex>
+#include <system_error>
 #include <thread>
 
 namespace crew {
@@ -98,10 +100,14 @@ class Crew {
     alone_ = waited > worked + kSlack ? doubt_ : 0;
   }
 
+  // No more where the system has no more threads to give: who is there does it all.
   void hire(int wanted) {
-    while (static_cast<int>(hired_) < wanted) {
-      const int part = ++hired_;
-      std::thread([this, part] { serve(part); }).detach();
+    try {
+      for (; hired_ < std::min(wanted, most_hired_); hired_++) {
+        std::thread([this, part = hired_ + 1] { serve(part); }).detach();
+      }
+    } catch (const std::system_error &) {
+      most_hired_ = hired_;
     }
   }
 
@@ -155,7 +161,7 @@ class Crew {
   std::atomic<uint32_t> state_{0}, loops_{0};
   std::atomic<int> asleep_{0};
   std::atomic<bool> is_waiting_{false};
-  int hired_ = 0, parts_ = 0, doubt_ = 0, alone_ = 0;
+  int hired_ = 0, most_hired_ = std::numeric_limits<int>::max(), parts_ = 0, doubt_ = 0, alone_ = 0;
   Job job_{};
 };
 
