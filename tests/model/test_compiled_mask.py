@@ -85,6 +85,23 @@ def test_wide_gaps_are_closed_as_in_numpy() -> None:
     assert expected.any() and not expected.all()
 
 
+@pytest.mark.parametrize(
+    "cut", [(slice(25, 26), slice(None)), (slice(None), slice(14, 15)), (slice(24, 26), slice(None))]
+)
+def test_lines_of_one_and_two_pixels_are_images_too(cut: tuple[slice, slice]) -> None:
+    """What lies beyond a side is mirrored: of a line of one pixel that is the pixel itself."""
+    views = [replace(view, rgb=np.ascontiguousarray(view.rgb[cut])) for view in scene(1, False)]
+    plain, compiled = (CameraMask(views[0], MovingMaskParameters()) for _ in range(2))
+    uncovered = 0
+    for view in views:
+        expected, (found,) = plain.update(view, None), update_compiled([compiled], [view], [None])
+        uncovered += np.count_nonzero(plain.confirmed)
+        assert np.count_nonzero(found != expected) <= ROUNDING
+        for name in ("mask", "known", "trusted", "confirmed"):
+            setattr(compiled, name, getattr(plain, name).copy())
+    assert uncovered
+
+
 def test_several_cameras_at_once_are_those_one_by_one() -> None:
     scenes = [scene(seed, False) for seed in (3, 4, 5)]
     together, alone = ([CameraMask(views[0], MovingMaskParameters()) for views in scenes] for _ in range(2))

@@ -276,6 +276,7 @@ class MaskUpdate {
 
   // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
   static int mirrored(int at, int size) {
+    if (size == 1) return 0;
     while (at < 0 || at >= size) at = at < 0 ? -at : 2 * size - 2 - at;
     return at;
   }
