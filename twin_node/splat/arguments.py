@@ -198,6 +198,12 @@ def require_finite(name: str, tensor: Tensor) -> None:
         raise non_finite(name, tensor)
 
 
+def require_layout(name: str, tensor: Tensor | None, shape: tuple[int, ...], dtype: torch.dtype) -> None:
+    """Raises `ValueError` for a tensor that compiled code would read as something else; None will do."""
+    if tensor is not None and (tensor.shape != shape or tensor.dtype != dtype or not tensor.is_cpu):
+        raise ValueError(f"{name}: expected {list(shape)} {dtype} on cpu, found {_describe_whole(tensor)}")
+
+
 def non_finite(name: str, tensor: Tensor) -> ValueError:
     """The error for an argument with a NaN or an infinity, saying where the first one is."""
     first = torch.nonzero(~torch.isfinite(tensor))[0].tolist()
@@ -233,6 +239,10 @@ def _check_tensors(gaussians: Gaussians, views: Views) -> None:
             raise ValueError(f"{name}: expected {_describe(first)} as the means are, found {_describe(tensor)}")
         if tensor.numel() > MAX_ELEMENTS:
             raise ValueError(f"{name}: expected at most {MAX_ELEMENTS} elements, found {tensor.numel()}")
+
+
+def _describe_whole(tensor: Tensor) -> str:
+    return f"{list(tensor.shape)} {_describe(tensor)}"
 
 
 def _describe(value: object) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite
+from twin_node.splat.arguments import Options, non_finite, require_layout
 from twin_node.splat.semantics import installed_semantics
 
 WIDTH = 14
@@ -123,7 +123,8 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Cour
 
     Gaussians that nothing pulls at are left alone; those that would not stay finite keep their values and forget their
     moments. Float32 tensors on the CPU.
-    Raises `ValueError` naming a target that is not finite, or where the library is not at hand (see `can_descend`).
+    Raises `ValueError` naming a target that is not finite, what is of another shape or kind or, of what is brought up
+    to date, in pieces, or where the library is not at hand (see `can_descend`).
     """
     library = native.native_library()
     if library is None:
@@ -152,6 +153,7 @@ class _Call:
     def __init__(self, learners: Learners, bystanders: Bystanders, aims: Aims) -> None:
         self.learners = learners
         self.aims = aims
+        _require_layouts(learners, aims)
         times, height, width = aims.rgb.shape[:3]
         self.standing, self.learned = bystanders.means.shape[1], len(learners.rows)
         count = self.standing + self.learned
@@ -175,6 +177,9 @@ class _Call:
         self.carriage = [
             t.contiguous() for t in (learners.turns, learners.shifts, learners.products, learners.carriers)
         ]
+        self.rows, self.ceilings, self.rates = (
+            t.contiguous() for t in (learners.rows, learners.ceilings, learners.rates)
+        )
         self.loss = torch.zeros(1, dtype=torch.float64)
         self.refused = torch.zeros(1, dtype=torch.int64)
         self.losses = torch.zeros(0, dtype=torch.float64)
@@ -184,7 +189,7 @@ class _Call:
         learners = self.learners
         self.losses = torch.zeros(course.steps, dtype=torch.float64)
         drawn = (self.means, self.quats, self.scales, self.opacities, self.colors)
-        store = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.ceilings)
+        store = (learners.values, learners.moment1, learners.moment2, learners.steps, self.ceilings)
         return native.DescentRequest(
             self._scene(),
             self._gradients(),
@@ -193,7 +198,7 @@ class _Call:
             self.learned,
             course.steps,
             course.smallest_log_scale,
-            *(_pointer(t) for t in (*drawn, learners.rows, *store, learners.rates)),
+            *(_pointer(t) for t in (*drawn, self.rows, *store, self.rates)),
             learners.turns.shape[1],
             *(_pointer(t) for t in self.carriage),
             *vars(course.decays).values(),
@@ -227,6 +232,25 @@ class _Call:
             *(times * weight for weight in (0.8, 0.2, self.aims.depth_weight)),
             *(_pointer(t) for t in tensors),
         )
+
+
+def _require_layouts(learners: Learners, aims: Aims) -> None:
+    count, learned, (times, carriages) = len(learners.values), len(learners.rows), (*learners.turns.shape, 0, 0)[:2]
+    kept = {"values": (count, WIDTH), "moment1": (count, WIDTH), "moment2": (count, WIDTH), "steps": (count,)}
+    size = (times, *aims.rgb.shape[1:3])
+    learns = {"ceilings": (count,), "rates": (learned, WIDTH), "rows": (learned,), "carriers": (learned,)}
+    carried = {"turns": (times, carriages, 3, 3), "shifts": (times, carriages, 3), "products": (times, carriages, 4, 4)}
+    seen = {"backdrop": (*size, 4), "pixel_mask": size, "rgb": (*size, 3), "weights": size, "depth": size}
+    cameras = {"viewmats": (times, 4, 4), "Ks": (times, 3, 3)}
+    for of, shapes in ((learners, {**kept, **learns, **carried}), (aims, {**seen, **cameras})):
+        for name, shape in shapes.items():
+            require_layout(name, vars(of)[name], shape, _KINDS.get(name, torch.float32))
+    for name in kept:
+        if not vars(learners)[name].is_contiguous():
+            raise ValueError(f"{name}: expected rows that lie one after the other, found others; give a copy")
+
+
+_KINDS = dict.fromkeys(("rows", "steps", "carriers"), torch.int64) | {"pixel_mask": torch.bool}
 
 
 def _pointer(tensor: Tensor | None) -> ctypes.c_void_p | int | None:

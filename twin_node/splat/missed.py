@@ -9,7 +9,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite
+from twin_node.splat.arguments import Options, non_finite, require_layout
 from twin_node.splat.dispatch import rasterize
 from twin_node.splat.semantics import installed_semantics
 
@@ -30,6 +30,18 @@ class Sight:
     """[H, W] m, 0 where unknown; None: unknown everywhere."""
     surface: Tensor | None
     """[H, W] m: what stands behind all Gaussians; with `depth`."""
+
+    def check_layout(self) -> None:
+        """Raises `ValueError` naming what is of another shape or kind, and depth without a surface."""
+        size = tuple(self.counted.shape[:2])
+        require_layout("viewmat", self.viewmat, (4, 4), torch.float32)
+        require_layout("K", self.K, (3, 3), torch.float32)
+        require_layout("counted", self.counted, size, torch.bool)
+        require_layout("rgb", self.rgb, (*size, 3), torch.float32)
+        require_layout("depth", self.depth, size, torch.float32)
+        require_layout("surface", self.surface, size, torch.float32)
+        if self.depth is not None and self.surface is None:
+            raise ValueError("surface: expected what stands behind all with a depth, found None")
 
     def contiguous(self) -> Sight:
         """The same, each array in one piece."""
@@ -58,8 +70,14 @@ class Missed:
     ) -> None:
         """Gaussians as `rasterize` takes them: [n, 3], [n, 4], [n, 3] linear, [n], [n, 3]; see `can_miss`.
 
-        Those that are no `learners` [n] are drawn, and get no descent: zeros.
+        Those that are no `learners` [n] are drawn, and get no descent: zeros. Float32 and bool on the CPU; raises
+        `ValueError` naming what is of another shape or kind.
         """
+        count = len(means)
+        for name, of, width in (("means", means, 3), ("quats", quats, 4), ("scales", scales, 3), ("rgb", rgb, 3)):
+            require_layout(name, of, (count, width), torch.float32)
+        require_layout("opacities", opacities, (count,), torch.float32)
+        require_layout("learners", learners, (count,), torch.bool)
         self._learns = learners.contiguous()
         features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
         self._given = tuple(t.detach().contiguous() for t in (means, quats, scales, opacities, features))
@@ -79,9 +97,13 @@ class Missed:
         return self.colours[:, 3]
 
     def add(self, sight: Sight, tolerance: Tolerance) -> None:
-        """Takes in what one camera should see. Raises `ValueError` naming Gaussians that are not finite."""
+        """Takes in what one camera should see.
+
+        Raises `ValueError` naming what is not finite of the Gaussians, or of another shape or kind of the sight.
+        """
         library = native.native_library()
         assert library is not None
+        sight.check_layout()
         self._workspace = self._workspace or native.Workspace(library)
         view = sight.contiguous()
         count, (height, width), channels = len(self._given[0]), view.counted.shape, 4 if view.depth is None else 5

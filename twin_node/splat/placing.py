@@ -9,6 +9,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
+from twin_node.splat.arguments import require_layout
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,16 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
     `values` [n, 14] float32: mean, quaternion, log scale, opacity logit and colour in the frames of the nodes,
     `carriers` [n] int64 rows of these, -1 for none, `positions` [T, M, 3] and `quats` [T, M, 4] float64 their poses.
     With `rows` [n] int64 both are a store of more, of which those are wanted. On the CPU; see `can_place`.
+    Raises `ValueError` naming what is of another shape or kind.
     """
     library = native.native_library()
     assert library is not None
-    count, times = len(values if rows is None else rows), positions.shape[0]
+    count, (times, nodes) = len(values if rows is None else rows), (*positions.shape, 0, 0)[:2]
+    require_layout("values", values, (len(values), 14), values.dtype)
+    require_layout("carriers", carriers, (len(values),), torch.int64)
+    require_layout("positions", positions, (times, nodes, 3), positions.dtype)
+    require_layout("quats", quats, (times, nodes, 4), quats.dtype)
+    require_layout("rows", rows, (count,), torch.int64)
     placed = Placed(
         torch.empty(times, count, 3),
         torch.empty(times, count, 4),
@@ -54,5 +61,5 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
     pointers = (tensor.data_ptr() for tensor in tensors)
     chosen = None if rows is None else rows.contiguous()
     row_pointer = None if chosen is None else chosen.data_ptr()
-    library.place(native.PlaceRequest(count, times, positions.shape[1], thread_count(), row_pointer, *pointers))
+    library.place(native.PlaceRequest(count, times, nodes, thread_count(), row_pointer, *pointers))
     return placed

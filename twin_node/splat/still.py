@@ -9,7 +9,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite
+from twin_node.splat.arguments import Options, non_finite, require_layout
 from twin_node.splat.cpu import DEPTH_MODES
 from twin_node.splat.dispatch import rasterize
 from twin_node.splat.semantics import installed_semantics
@@ -43,7 +43,7 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     """Colour and depth [H, W, 4], and alpha [H, W]; nothing is differentiated.
 
     Colour is 0 to 1, on black; depth is that expected along the optical axis, m, 0 where nothing is.
-    Raises `ValueError` naming what is not finite.
+    Raises `ValueError` naming what is of another shape or not finite.
     """
     library = native.native_library()
     if library is None or shot.means.device.type != "cpu":
@@ -51,6 +51,9 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}
     given = [of.detach().float().contiguous() for of in tensors.values()]
     count, width, height, semantics = len(shot.means), shot.width, shot.height, installed_semantics()
+    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (4, 4), (3, 3))
+    for name, of, shape in zip(tensors, given, shapes, strict=True):
+        require_layout(name, of, shape, torch.float32)
     rgbd, alpha = torch.empty(height, width, 4), torch.empty(height, width)
     found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
     request = native.Request(

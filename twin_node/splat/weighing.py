@@ -7,7 +7,7 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite
+from twin_node.splat.arguments import Options, non_finite, require_layout
 from twin_node.splat.dispatch import rasterize
 from twin_node.splat.semantics import installed_semantics
 
@@ -25,13 +25,16 @@ def weigh(
     """[n] blend weights of n Gaussians, summed over the pixels of a camera.
 
     `means` [n, 3], `quats` [n, 4], `scales` [n, 3], `opacities` [n], `viewmat` [4, 4] and `K` [3, 3] as `rasterize`
-    takes them; nothing is differentiated. Raises `ValueError` naming what is not finite.
+    takes them; nothing is differentiated. Raises `ValueError` naming what is of another shape or not finite.
     """
     library = native.native_library()
     if library is None or means.device.type != "cpu":
         return weigh_plainly(means, quats, scales, opacities, viewmat, K, width, height)
     given = [t.detach().float().contiguous() for t in (means, quats, scales, opacities, viewmat, K)]
     count, semantics = len(means), installed_semantics()
+    shapes = ((count, 3), (count, 4), (count, 3), (count,), (4, 4), (3, 3))
+    for name, of, shape in zip(_NAMES, given, shapes, strict=True):
+        require_layout(name, of, shape, torch.float32)
     weights = torch.empty(count)
     found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
     drawn, camera = given[:4], given[4:]
@@ -51,9 +54,11 @@ def weigh(
         library.weigh(native.Workspace(library), request, weights.data_ptr())
     except native.NonFiniteError as error:
         index = error.index if error.index < len(drawn) else error.index - 1  # there are no colours
-        name = ("means", "quats", "scales", "opacities", "viewmat", "K")[index]
-        raise non_finite(name, given[index]) from None
+        raise non_finite(_NAMES[index], given[index]) from None
     return weights
+
+
+_NAMES = ("means", "quats", "scales", "opacities", "viewmat", "K")
 
 
 def weigh_plainly(

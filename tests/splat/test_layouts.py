@@ -1,0 +1,148 @@
+"""What the compiled library takes by its address is looked at first: of another shape or kind it is named, not read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from twin_node.splat import (
+    Aims,
+    Bystanders,
+    Course,
+    Learners,
+    Missed,
+    Shot,
+    Sight,
+    Tolerance,
+    can_descend,
+    descend,
+    draw_still,
+    place,
+    weigh,
+)
+
+pytestmark = pytest.mark.skipif(not can_descend(torch.device("cpu")), reason="no compiled kernels here")
+COUNT, HEIGHT, WIDTH = 6, 9, 12
+INTRINSICS = torch.tensor([[12.0, 0, WIDTH / 2], [0, 12, HEIGHT / 2], [0, 0, 1]])
+Call = Callable[..., Any]
+
+
+def drawn() -> dict[str, Tensor]:
+    """Gaussians before a camera at the origin."""
+    generator = torch.Generator().manual_seed(0)
+    return {
+        "means": torch.randn(COUNT, 3, generator=generator) + torch.tensor([0, 0, 4.0]),
+        "quats": torch.randn(COUNT, 4, generator=generator),
+        "scales": torch.full((COUNT, 3), 0.1),
+        "opacities": torch.full((COUNT,), 0.5),
+    }
+
+
+SHOT = {**drawn(), "rgb": torch.rand(COUNT, 3), "viewmat": torch.eye(4), "K": INTRINSICS}
+WEIGHED = {**drawn(), "viewmat": torch.eye(4), "K": INTRINSICS}
+GAUSSIANS = {**drawn(), "rgb": torch.rand(COUNT, 3), "learners": torch.ones(COUNT, dtype=torch.bool)}
+SIGHT = {
+    "viewmat": torch.eye(4),
+    "K": INTRINSICS,
+    "rgb": torch.rand(HEIGHT, WIDTH, 3),
+    "counted": torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
+    "depth": torch.ones(HEIGHT, WIDTH),
+    "surface": torch.ones(HEIGHT, WIDTH),
+}
+PLACED = {
+    "values": torch.randn(COUNT, 14),
+    "carriers": torch.zeros(COUNT, dtype=torch.int64),
+    "positions": torch.zeros(1, 2, 3, dtype=torch.float64),
+    "quats": torch.ones(1, 2, 4, dtype=torch.float64),
+    "rows": torch.arange(3),
+}
+LEARNERS = {
+    "rows": torch.arange(3),
+    "values": torch.cat([drawn()["means"], torch.randn(COUNT, 11)], 1),
+    "moment1": torch.zeros(COUNT, 14),
+    "moment2": torch.zeros(COUNT, 14),
+    "steps": torch.zeros(COUNT, dtype=torch.int64),
+    "ceilings": torch.zeros(COUNT),
+    "rates": torch.full((3, 14), 1e-3),
+    "turns": torch.eye(3).expand(1, 2, 3, 3).clone(),
+    "shifts": torch.zeros(1, 2, 3),
+    "products": torch.eye(4).expand(1, 2, 4, 4).clone(),
+    "carriers": torch.zeros(3, dtype=torch.int64),
+}
+AIMS = {
+    "viewmats": torch.eye(4)[None],
+    "Ks": INTRINSICS[None],
+    "backdrop": torch.zeros(1, HEIGHT, WIDTH, 4),
+    "pixel_mask": torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool),
+    "rgb": torch.rand(1, HEIGHT, WIDTH, 3),
+    "weights": torch.ones(1, HEIGHT, WIDTH),
+    "depth": torch.ones(1, HEIGHT, WIDTH),
+}
+
+
+def add_missed(**given: Tensor) -> None:
+    sight = Sight(**{name: given.get(f"sight_{name}", of) for name, of in SIGHT.items()})
+    missed = Missed(*(given.get(name, of) for name, of in GAUSSIANS.items()))
+    missed.add(sight, Tolerance(0.1, 1.0, 0.05))
+
+
+def descended(**given: Tensor) -> None:
+    nobody = Bystanders(*(torch.zeros(shape) for shape in ((1, 0, 3), (1, 0, 4), (0, 3), (0,), (0, 3))))
+    learners = Learners(**{name: given.get(name, of.clone()) for name, of in LEARNERS.items()})
+    aims = Aims(**{name: given.get(name, of) for name, of in AIMS.items()}, depth_weight=0.1)
+    descend(learners, nobody, aims, Course(1, -9.0))
+
+
+CALLS: dict[str, tuple[Call, dict[str, Tensor]]] = {
+    "still": (lambda **given: draw_still(Shot(**{**SHOT, **given}, width=WIDTH, height=HEIGHT)), SHOT),
+    "weigh": (lambda **given: weigh(**{**WEIGHED, **given}, width=WIDTH, height=HEIGHT), WEIGHED),
+    "place": (lambda **given: place(**{**PLACED, **given}), PLACED),
+    "missed": (add_missed, {**GAUSSIANS, **{f"sight_{name}": of for name, of in SIGHT.items()}}),
+    "descend": (descended, {**LEARNERS, **AIMS}),
+}
+CASES = [(call, name) for call, (_, given) in CALLS.items() for name in given]
+CONVERTED = {"still": set(SHOT), "weigh": set(WEIGHED), "place": {"values", "positions", "quats"}}
+"""What each call itself makes the kind of number that it takes."""
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_what_fits_is_taken(call: str) -> None:
+    CALLS[call][0]()
+
+
+@pytest.mark.parametrize(("call", "name"), CASES)
+def test_another_shape_is_named(call: str, name: str) -> None:
+    work, given = CALLS[call]
+    tensor = given[name]
+    for axis in range(tensor.dim()):
+        shorter = tensor.narrow(axis, 0, tensor.shape[axis] - 1) if tensor.shape[axis] > 1 else tensor.squeeze(axis)
+        if (call, name) == ("place", "rows") and shorter.dim():
+            continue  # fewer are wanted
+        with pytest.raises(ValueError, match=r"^\w+: expected \[.*\] torch.* on cpu, found \[.*"):
+            work(**{name: shorter})
+
+
+@pytest.mark.parametrize(("call", "name"), [case for case in CASES if case[1] not in CONVERTED.get(case[0], ())])
+def test_another_kind_is_named(call: str, name: str) -> None:
+    work, given = CALLS[call]
+    other = {torch.float32: torch.float64, torch.int64: torch.int32, torch.bool: torch.float32}[given[name].dtype]
+    with pytest.raises(ValueError, match=rf"^{name.removeprefix('sight_')}: expected .* found .* {other} on cpu$"):
+        work(**{name: given[name].to(other)})
+
+
+@pytest.mark.parametrize("name", ["values", "moment1", "moment2", "steps"])
+def test_what_is_brought_up_to_date_must_lie_in_one_piece(name: str) -> None:
+    tensor = LEARNERS[name]
+    with pytest.raises(ValueError, match=f"^{name}: expected rows that lie one after the other"):
+        descended(**{name: torch.stack([tensor, tensor], -1)[..., 0]})
+
+
+def test_depth_needs_what_stands_behind() -> None:
+    sight = replace(Sight(**SIGHT), surface=None)
+    with pytest.raises(ValueError, match=r"^surface: expected what stands behind"):
+        Missed(*GAUSSIANS.values()).add(sight, Tolerance(0.1, 1.0, 0.05))
