@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +15,7 @@ from twin_node.forecast.boxes import (
     smallest_boxes,
 )
 from twin_node.forecast.covering import Covers, Share, Wanted, covers, covers_plainly
+from twin_node.forecast.errors import ForecastError
 from twin_node.scene import Bool, Grid
 
 GRID = Grid(np.zeros(3), 0.02, (50, 37, 29))
@@ -83,6 +85,18 @@ def test_an_earlier_cover_is_kept_where_it_is_nearly_as_good() -> None:
     second = fitted(GRID, smallest_boxes(GRID, nearly), 12, first.places(GRID))
     shared = np.isin(second.places(GRID), first.places(GRID)).mean()
     assert shared >= 0.8
+
+
+@pytest.mark.parametrize("voxels", [np.array([3, GRID.size], np.uint32), np.array([-1, 3])])
+def test_voxels_beside_the_grid_are_refused(voxels: np.ndarray) -> None:
+    """Compiled code keeps a box for each of the grid's cells: beside them lies something else."""
+    with pytest.raises(ForecastError, match=f"expected flat indices of the grid's {GRID.size} voxels, found"):
+        covers([Wanted(GRID, 5, 0, (voxels[:0], voxels))], np.zeros(0, np.uint32))
+
+
+def test_masks_of_another_grid_are_refused() -> None:
+    with pytest.raises(ForecastError, match=r"expected a mask of .* voxels, as the grid has, found \(3, 4, 5\)"):
+        covers([Wanted(GRID, 5, 0, Share(Bits.all((3, 4, 5)), 0.5))], np.zeros(0, np.uint32))
 
 
 def same(one: Covers, other: Covers) -> bool:

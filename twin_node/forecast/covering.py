@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.boxes import HIGHEST_LEVEL, LOYALTY, PRICES, fitted, mostly_full, smallest_boxes
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import CoverRequest, CoverTask
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.native_library import addresses_of
@@ -56,10 +57,32 @@ def covers(wanted: Sequence[Wanted], before: UInt32) -> Covers:
     """Boxes for each of what is wanted, on about as little space as possible (`boxes.fitted`).
 
     `before` [k]: ids of an earlier cover, whose boxes are kept where they are nearly as good. Compiled;
-    `covers_plainly` where that cannot be.
+    `covers_plainly` where that cannot be. Raises `ForecastError` for voxels that are not in their grid, and for a mask
+    of another.
     """
+    for one in wanted:
+        _require_inside(one)
     compiled = kernels()
     return covers_plainly(wanted, before) if compiled is None else _covers_by(compiled, wanted, before)
+
+
+def _require_inside(wanted: Wanted) -> None:
+    dims = wanted.grid.dims
+    if isinstance(wanted.voxels, Share):
+        if wanted.voxels.mask.dims != dims:
+            raise ForecastError(
+                f"cover: expected a mask of {dims} voxels, as the grid has, found {wanted.voxels.mask.dims}; give that "
+                "of this grid"
+            )
+        return
+    for indices in wanted.voxels:
+        most = int(indices.max(initial=0))
+        least = 0 if indices.dtype.kind == "u" else int(indices.min(initial=0))
+        if least < 0 or most >= wanted.grid.size:
+            raise ForecastError(
+                f"cover: expected flat indices of the grid's {wanted.grid.size} voxels, found "
+                f"{least if least < 0 else most}; check who made the occupancy"
+            )
 
 
 def _covers_by(compiled: Kernels, wanted: Sequence[Wanted], before: UInt32) -> Covers:
