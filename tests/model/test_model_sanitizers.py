@@ -15,7 +15,22 @@ from twin_node import native_build
 found = native_build.Kernels.best_library
 given = Path(sys.argv[1])
 native_build.Kernels.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
-import test_compiled_mask, test_flow, test_nodes, test_semi_global, test_steps, test_sweep
+import test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares, test_nodes, test_rendering
+import test_semi_global, test_steps, test_sweep, test_velocity_equations
+test_carried.test_the_compiled_cloud_is_the_plain_one()
+test_carried.test_compiled_cells_are_the_plain_ones()
+test_carried.test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one()
+test_exposure.test_the_compiled_kernels_tell_and_remember_what_numpy_does.hypothesis.inner_test(0.7, 0.05, 0.6, 0)
+test_least_squares.test_the_compiled_kernel_takes_the_step_that_torch_does()
+test_nodes.test_groups_by_kernel_are_those_in_numpy(30)
+test_nodes.test_how_nodes_have_moved_and_what_they_carry_are_by_kernel_what_they_are_in_torch()
+test_rendering.test_compiled_images_before_their_backdrops_are_those_in_torch_to_the_bit()
+test_velocity_equations.test_compiled_velocities_are_the_plain_ones()
+test_velocity_equations.test_bodies_are_judged_by_the_compiled_kernel_as_by_the_plain_one()
+test_steps.test_the_compiled_kernel_holds_a_rendering_to_the_pixels_that_numpy_does()
+test_steps.test_the_compiled_kernel_finds_what_stands_before_as_numpy_does()
+test_steps.test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(True)
+test_compiled_mask.test_lines_of_one_and_two_pixels_are_images_too((slice(25, 26), slice(None)))
 test_compiled_mask.test_several_cameras_at_once_are_those_one_by_one()
 test_flow.test_compiled_flow_is_that_in_numpy()
 test_nodes.test_compiled_poses_are_those_in_torch()

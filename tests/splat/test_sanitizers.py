@@ -14,7 +14,7 @@ from pathlib import Path
 from twin_node.splat import library as native
 library = native.SplatLibrary(Path(sys.argv[1]))
 native.native_library = lambda: library
-import test_loss, test_missed, test_native, test_weighing
+import test_layouts, test_loss, test_missed, test_native, test_weighing
 from splat_scenes import differentiate
 from twin_node.splat import rasterize
 for name in ("degree 3, expected depth", "nineteen channels", "mask", "huge", "flat and long", "tiny, antialiased"):
@@ -28,6 +28,8 @@ for size in ((33, 47), (5, 3), (1, 1)):
             test_loss.test_agrees_with_the_plain_loss(size, channels, weighted, library)
 for with_depth in (False, True):
     test_missed.test_agrees_with_the_plain_one(with_depth, library)
+for call in test_layouts.CALLS:
+    test_layouts.test_what_fits_is_taken(call)
 for camera in (0, 1):
     test_weighing.test_agrees_with_the_plain_one(camera, library)
 print("clean")
