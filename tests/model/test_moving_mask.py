@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from twin_node.model.moving_mask import MovingMask
+from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, Camera, FrameSet, UInt8, View
 
 HEIGHT, WIDTH = 90, 160
@@ -192,3 +193,12 @@ def test_pixels_without_an_image_are_never_moving(scene: Scene) -> None:
         view = View(CAMERA, tick * STEP_NS, image, valid=valid)
         found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
         assert not (found & ~valid).any()
+
+
+@pytest.mark.parametrize("name", ["depth", "robot"])
+def test_depth_and_arm_that_are_not_of_their_cameras_size_are_refused(scene: Scene, name: str) -> None:
+    half = (HEIGHT // 2, WIDTH // 2)
+    view = View(CAMERA, 0, scene.floor, np.ones(half, np.float32) if name == "depth" else None)
+    robot = np.zeros(half, np.bool_) if name == "robot" else None
+    with pytest.raises(ModelError, match=f"camera cam: expected {name} .*; give images of the camera's size"):
+        MovingMask().update(FrameSet(0, (view,)), [robot])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from twin_node.model.camera_mask import CameraMask, MovingMaskParameters
 from twin_node.model.compiled_mask import can_compile, update_compiled
+from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, FrameSet, View
 
 
@@ -24,7 +25,11 @@ class MovingMask:
         """Masks [H, W] per view of `frames`, True where something moves or has moved; the robot is left out.
 
         `robot_masks`: per view [H, W] True on the arm and its margin, or None where the arm's joints are unknown.
+        Raises `ModelError` for images or masks that are not of their camera's size.
         """
+        for view, robot in zip(frames.views, robot_masks, strict=True):
+            if misfit := view.misfit(robot=robot):
+                raise ModelError(f"set {frames.sequence}: {misfit}")
         cameras = [self._camera_of(view) for view in frames.views]
         if can_compile(cameras):
             return tuple(update_compiled(cameras, frames.views, robot_masks))
