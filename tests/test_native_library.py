@@ -115,7 +115,7 @@ given = (Grid(np.zeros(3), 0.02, (12, 12, 12)), points, np.zeros((4, 1, 3), np.i
 with kernel_threads(1):
     alone = spread(*given)
 pages = int(Path("/proc/self/statm").read_text().split()[0])
-limit = pages * resource.getpagesize() + 2**20  # less than the stack of another thread
+limit = pages * resource.getpagesize() + 2**22  # less than the stack of another thread
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 with kernel_threads(4):
     found = spread(*given)
