@@ -18,7 +18,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.rig_speed import measure
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters, LoopRecord
 from twin_node.cell.motion import Path
-from twin_node.cell.scenario import load_scenario
+from twin_node.cell.scenario_file import load_scenario
 from twin_node.cli import main
 from twin_node.robot import forward_kinematics
 

@@ -12,7 +12,8 @@ from twin_node.bench.cell_case import CellCase
 from twin_node.bench.cell_twin import BySight, TwinPerception, TwinTiming, run_twin, taught_region
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters
 from twin_node.cell.program import RunningProgram
-from twin_node.cell.scenario import Scenario, load_scenario
+from twin_node.cell.scenario import Scenario
+from twin_node.cell.scenario_file import load_scenario
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.robot import forward_kinematics, place_capsules
 from twin_node.scene import ObstacleKind, Obstacles

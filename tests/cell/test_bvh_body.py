@@ -81,3 +81,10 @@ def test_seeds_vary_the_pace() -> None:
 def test_motions_that_make_no_sense_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(CellError, match="motion"):
         BvhMotion(**{"file": "walk.bvh", **change})
+
+
+def test_a_motion_that_begins_after_its_recording_is_refused() -> None:
+    file = str(resources.find("sim/walk.bvh"))
+    with pytest.raises(CellError, match=r"walk\.bvh: from_s .* found 5\.5; the recording lasts 5 s"):
+        RecordedBody(Person(), BvhMotion(file, from_s=5.5))
+    assert len(RecordedBody(Person(), BvhMotion(file, from_s=4.0)).ends(0.0))

@@ -45,6 +45,15 @@ def test_what_a_scenario_does_not_set_comes_from_the_one_it_extends() -> None:
     assert [body.name for body in demo.bodies] == ["parcel"]
 
 
+def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
+    (tmp_path / "first.yaml").write_text(yaml.safe_dump({"name": "first", "duration_s": 3.0, "cameras": [CAMERA]}))
+    (tmp_path / "second.yaml").write_text(yaml.safe_dump({"extends": "first", "name": "second", "bodies": [BALL]}))
+    third = load_scenario(written(tmp_path, {"extends": "second", "duration_s": 5.0}))
+    assert (third.name, third.duration_s) == ("second", 5.0)
+    assert [camera.name for camera in third.cameras] == ["cam"]
+    assert [body.name for body in third.bodies] == ["ball"]
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -75,6 +84,37 @@ def test_what_a_scenario_does_not_set_comes_from_the_one_it_extends() -> None:
         ({"cameras": [CAMERA], "faults": [{"kind": "frozen", "camera": "cam2"}]}, "'cam2'; known cameras: cam"),
         ({"cameras": [CAMERA], "faults": [{"kind": "fog", "camera": "cam"}]}, "'fog'"),
         ({"extends": "cel", "cameras": [CAMERA]}, "extends 'cel'.*beside it are: none"),
+        ({"cameras": [CAMERA], "seed": -1}, "seed: expected .* found -1"),
+        ({"cameras": [CAMERA], "start_ns": 2**70}, "start_ns"),
+        ({"cameras": [CAMERA], "duration_s": 0.02}, "one image set"),
+        ({"cameras": [CAMERA], "voxel_size_m": 0.0}, "voxel_size_m"),
+        ({"cameras": [CAMERA], "voxel_size_m": -0.02}, "voxel_size_m"),
+        ({"cameras": [CAMERA], "voxel_size_m": 20.0}, "voxel_size_m"),
+        ({"cameras": [CAMERA], "workspace": [[0, -600, 0], [1000, 600, 800]]}, "voxels.*metres"),
+        ({"cameras": [{**CAMERA, "position": [1.0, float("inf"), 1.0]}]}, r"cameras\[0\]\.position\[1\].*found inf"),
+        ({"cameras": [{**CAMERA, "skew_ms": 1e12}]}, "skew_ms"),
+        ({"cameras": [CAMERA], "sensing": {"width": 10**12}}, "width"),
+        ({"cameras": [CAMERA], "sensing": {"rate_hz": 1e9, "jitter_ms": 0.0}}, "rate_hz"),
+        ({"cameras": [CAMERA], "sensing": {"rgb_sigma": -1.0}}, "rgb_sigma"),
+        ({"cameras": [CAMERA], "sensing": {"depth_sigma_at_1m_mm": -2.0}}, "depth_sigma_at_1m_mm"),
+        ({"cameras": [CAMERA], "sensing": {"depth_dropout": 5.0}}, "depth_dropout"),
+        ({"cameras": [CAMERA], "sensing": {"edge_dropout": -0.1}}, "edge_dropout"),
+        ({"cameras": [CAMERA], "arm": {"joint_rate_hz": -125.0}}, "joint_rate_hz"),
+        ({"cameras": [CAMERA], "arm": {"cycle": {"speed": 0.0}}}, "arm: cycle.speed"),
+        ({"cameras": [CAMERA], "arm": {"cycle": {"acceleration": -1.4}}}, "arm: cycle.acceleration"),
+        ({"cameras": [CAMERA], "arm": {"cycle": {"dwell_s": -1.0}}}, "arm: cycle.dwell_s"),
+        ({"cameras": [CAMERA], "arm": {"workspace": [[1, 0, 0], [0, 1, 1]]}}, "arm: workspace"),
+        ({"cameras": [CAMERA], "people": [{"name": "p", "height_m": 0.0}]}, "person 'p': height_m"),
+        ({"cameras": [CAMERA], "people": [{"name": "p", "height_m": 175.0}]}, "person 'p': height_m"),
+        ({"cameras": [CAMERA], "bodies": [{"name": "b", "parts": [{"texture": {"color": [0, 300, 0]}}]}]}, "300"),
+        ({"cameras": [CAMERA], "variation": {"time_s": -0.5}}, "variation: time_s"),
+        ({"cameras": [CAMERA], "variation": {"pace": 15.0}}, "variation: pace"),
+        (
+            {"cameras": [CAMERA], "faults": [{"kind": "frozen", "camera": "cam", "from_s": 3.0, "to_s": 2.0}]},
+            "from_s before to_s",
+        ),
+        ({"extends": "there/cell", "cameras": [CAMERA]}, "extends 'there/cell'"),
+        ({"extends": "scenario", "cameras": [CAMERA]}, "in turn"),
         ("[1, 2", "YAML"),
         ("just words", "keys and values"),
     ],

@@ -14,7 +14,7 @@ import numpy as np
 from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
 from twin_node.bench.cell_scores import Outcome, score
 from twin_node.cell.closed_loop import LoopParameters
-from twin_node.cell.scenario import load_scenario
+from twin_node.cell.scenario_file import load_scenario
 
 if TYPE_CHECKING:
     from twin_node.bench.cell_twin import TwinTiming

@@ -13,7 +13,7 @@ from twin_node.bench.cell import CaseResult, CellBenchParameters
 from twin_node.bench.cell_case import PERFECT, WORST_CASE, CellCase, Policy
 from twin_node.bench.cell_scores import distances_to_people
 from twin_node.bench.results_folder import save_chart
-from twin_node.cell.scenario import load_scenario
+from twin_node.cell.scenario_file import load_scenario
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

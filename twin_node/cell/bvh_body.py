@@ -44,8 +44,15 @@ class RecordedBody:
     """A person's bones in `base_link` at any time."""
 
     def __init__(self, person: Person, motion: BvhMotion) -> None:
-        """Raises `BagError` for a file that is no BVH, `CellError` for a skeleton without bones."""
+        """Raises `BagError` for a file that is no BVH, `CellError` for a skeleton without bones and for a motion that
+        begins after its recording."""
         clip = _clip(motion.file)
+        lasts_s = (len(clip.positions) - 1) * clip.frame_s
+        if motion.from_s > lasts_s:
+            raise CellError(
+                f"{motion.file}: from_s must lie within the recording, found {motion.from_s:g}; the recording lasts "
+                f"{lasts_s:g} s"
+            )
         first = min(int(motion.from_s / clip.frame_s), len(clip.positions) - 1)
         last = max(min(int(np.ceil(motion.to_s / clip.frame_s)), len(clip.positions) - 1), first)
         points = _in_base(clip, person.height_m, motion)[first : last + 1]

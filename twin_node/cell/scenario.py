@@ -1,21 +1,18 @@
-"""What happens in a simulated cell: a scenario as data, read from YAML."""
+"""What happens in a simulated cell: a scenario as data."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from pathlib import Path as FilePath
 
 import numpy as np
-import yaml
 
-from twin_node import resources
 from twin_node.arm.path import CycleParameters
 from twin_node.cell.errors import CellError
 from twin_node.cell.motion import Path
 from twin_node.cell.shapes import Form
 from twin_node.cell.textures import Texture
-from twin_node.runtime.parameters import ParameterError, fill
+from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
 
 Triple = tuple[float, float, float]
 
@@ -25,6 +22,8 @@ SIZES = {Form.SPHERE: 1, Form.CAPSULE: 2, Form.BOX: 3}
 FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen", "bumped")
 """Faults a camera can be given."""
 
+MOST_VOXELS = 100_000_000
+"""Of the recorded truth: more are lengths in millimetres, or voxels smaller than anybody looks at."""
 
 SHIRT = Texture(pattern="checker", color=(60, 80, 160), color2=(220, 220, 230), scale_m=0.06)
 SKIN = Texture(pattern="speckle", color=(205, 150, 120), color2=(165, 105, 80), scale_m=0.04)
@@ -122,6 +121,9 @@ class Person:
         default_factory=lambda: Texture(pattern="stripes", color=(50, 50, 60), color2=(80, 80, 95), scale_m=0.08)
     )
 
+    def __post_init__(self) -> None:
+        check_ranges(self, CellError, f"person '{self.name}': ", height_m=Range(0.3, 3))
+
 
 @dataclass(frozen=True)
 class CameraSpec:
@@ -146,6 +148,7 @@ class CameraSpec:
             raise CellError(f"camera '{self.name}': fov_deg must lie between 0 and 180, found {self.fov_deg}")
         if not 0 < self.gain <= 16:
             raise CellError(f"camera '{self.name}': gain must lie above 0 and be at most 16, found {self.gain}")
+        check_ranges(self, CellError, f"camera '{self.name}': ", skew_ms=Range(-10_000, 10_000))
         if self.position == self.look_at:
             raise CellError(f"camera '{self.name}': look_at must differ from position, both are {self.position}")
 
@@ -166,6 +169,11 @@ class Fault:
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:
             raise CellError(f"fault: kind must be one of {', '.join(FAULTS)}, found '{self.kind}'")
+        if not self.from_s < self.to_s:
+            raise CellError(
+                f"fault '{self.kind}': expected from_s before to_s, found {self.from_s:g} and {self.to_s:g}; it would "
+                "never be"
+            )
 
 
 @dataclass(frozen=True)
@@ -205,6 +213,19 @@ class Sensing:
         for name in ("latency_ms", "latency_jitter_ms", "exposure_ms"):
             if not 0 <= getattr(self, name) <= 10_000:
                 raise CellError(f"sensing: {name} must lie between 0 and 10000, found {getattr(self, name)}")
+        size, noise = Range(1, 16_384), Range(0, 100_000)
+        check_ranges(
+            self,
+            CellError,
+            "sensing: ",
+            width=size,
+            height=size,
+            rate_hz=Range(0, 1000, above=True),
+            rgb_sigma=noise,
+            depth_sigma_at_1m_mm=noise,
+            depth_dropout=SHARE,
+            edge_dropout=SHARE,
+        )
 
 
 @dataclass(frozen=True)
@@ -222,6 +243,13 @@ class ArmSpec:
         default_factory=lambda: Texture(pattern="stripes", color=(200, 205, 210), color2=(95, 130, 170), scale_m=0.12)
     )
 
+    def __post_init__(self) -> None:
+        if self.workspace is not None:
+            _require_corners("arm", self.workspace)
+        check_ranges(self, CellError, "arm: ", joint_rate_hz=Range(0, 1000, above=True))
+        speeds = {"speed": Range(0.01, 100), "acceleration": Range(0.01, 1000)}
+        check_ranges(self.cycle, CellError, "arm: cycle.", **speeds, dwell_s=Range(0, 3600), lift_m=Range(0, 10))
+
 
 @dataclass(frozen=True)
 class Variation:
@@ -233,6 +261,9 @@ class Variation:
     """1 sigma of one delay per body or person."""
     pace: float = 0.0
     """1 sigma of the logarithm of one factor on the speed per body or person."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, CellError, "variation: ", position_m=NOT_NEGATIVE, time_s=NOT_NEGATIVE, pace=Range(0, 3))
 
 
 @dataclass(frozen=True)
@@ -271,8 +302,14 @@ class Scenario:
             raise CellError(f"{where}: expected at least one camera under 'cameras', found none")
         if not 0 < self.duration_s <= 3600:
             raise CellError(f"{where}: duration_s must be above 0 and at most 3600, found {self.duration_s}")
-        if np.any(np.array(self.workspace[0]) >= np.array(self.workspace[1])):
-            raise CellError(f"{where}: workspace must be a lower and an upper corner, found {self.workspace}")
+        if self.duration_s * self.sensing.rate_hz < 1:
+            raise CellError(
+                f"{where}: expected time for one image set at least, found duration_s {self.duration_s:g} at rate_hz "
+                f"{self.sensing.rate_hz:g}; make it longer"
+            )
+        check_ranges(self, CellError, f"{where}: ", seed=NOT_NEGATIVE, start_ns=Range(0, 2_000_000_000_000_000_000))
+        _require_corners(where, self.workspace)
+        self._require_voxels(where)
         known = {camera.name for camera in self.cameras}
         for fault in self.faults:
             if fault.camera not in known:
@@ -281,73 +318,28 @@ class Scenario:
                     f"{where}: fault '{fault.kind}' names camera '{fault.camera}'; known cameras: {cameras}"
                 )
 
+    def _require_voxels(self, where: str) -> None:
+        """Raises `CellError` for a voxel size that is none, and for more of them than can be."""
+        check_ranges(self, CellError, f"{where}: ", voxel_size_m=Range(0, 1, above=True))
+        extent = np.subtract(self.workspace[1], self.workspace[0])
+        voxels = float(np.prod(np.ceil(extent / self.voxel_size_m)))
+        if not voxels <= MOST_VOXELS:
+            raise CellError(
+                f"{where}: expected at most {MOST_VOXELS} voxels, found {voxels:.3g} of {self.voxel_size_m:g} m in a "
+                f"workspace of {' x '.join(f'{side:g}' for side in extent)} m; give metres"
+            )
+
     def with_seed(self, seed: int) -> Scenario:
         """The same scenario under another seed: other noise and stamps, and other motion where it varies."""
         return replace(self, seed=seed)
+
+
+def _require_corners(where: str, workspace: tuple[Triple, Triple]) -> None:
+    if np.any(np.array(workspace[0]) >= np.array(workspace[1])):
+        raise CellError(f"{where}: workspace must be a lower and an upper corner, found {workspace}")
 
 
 def _require_names(where: str, kind: str, names: list[str]) -> None:
     for i, name in enumerate(names):
         if not name or name in names[:i]:
             raise CellError(f"{where}: every {kind} needs a name of its own, found '{name}' as number {i + 1}")
-
-
-def load_scenario(name: str | FilePath) -> Scenario:
-    """Read a scenario from a YAML file, as given or below the `sim` data folder (`demo`, `sim/demo.yaml`).
-
-    `extends: NAME` takes what the file does not set itself from NAME.yaml beside it. Raises `CellError` naming the file
-    and the key for anything unknown or out of range, and `ResourceError` where the file does not exist.
-    """
-    path = _find(name)
-    content = _read(path)
-    if "extends" in content:
-        content = {**_read(_base(path, content.pop("extends"))), **content}
-    try:
-        return _with_files(fill(Scenario, content, path.name), path.parent)
-    except ParameterError as error:
-        raise CellError(str(error)) from error
-    except CellError as error:
-        raise CellError(f"{path}: {error}") from error
-
-
-def _with_files(scenario: Scenario, folder: FilePath) -> Scenario:
-    """The scenario with the files it names found beside it."""
-    people = tuple(
-        person
-        if person.motion is None
-        else replace(person, motion=replace(person.motion, file=str(_beside(folder, person.motion.file))))
-        for person in scenario.people
-    )
-    return replace(scenario, people=people)
-
-
-def _beside(folder: FilePath, name: str) -> FilePath:
-    """A file beside the scenario, else as given from here; raises `CellError` where there is neither."""
-    for path in (folder / name, FilePath(name)):
-        if path.is_file():
-            return path.resolve()
-    known = ", ".join(sorted(file.name for file in folder.glob("*.bvh"))) or "none"
-    raise CellError(f"motion: no file '{name}' beside the scenario or here; beside it are: {known}")
-
-
-def _read(path: FilePath) -> dict[str, object]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise CellError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise CellError(f"{path}: expected a scenario's keys and values, found {type(content).__name__}")
-    return content
-
-
-def _base(path: FilePath, name: object) -> FilePath:
-    base = path.with_name(f"{name}.yaml")
-    if not base.is_file():
-        known = ", ".join(sorted(file.stem for file in path.parent.glob("*.yaml") if file != path))
-        raise CellError(f"{path}: extends '{name}', but {base} does not exist; beside it are: {known or 'none'}")
-    return base
-
-
-def _find(name: str | FilePath) -> FilePath:
-    bare = FilePath(name)
-    return resources.find(bare if bare.suffix or bare.is_file() else f"sim/{bare}.yaml")

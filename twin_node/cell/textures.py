@@ -33,6 +33,11 @@ class Texture:
             raise CellError(f"texture: pattern must be one of {', '.join(PATTERNS)}, found '{self.pattern}'")
         if not self.scale_m > 0:
             raise CellError(f"texture: scale_m must be positive, found {self.scale_m}")
+        for name in ("color", "color2"):
+            if not all(0 <= level <= 255 for level in getattr(self, name)):
+                raise CellError(
+                    f"texture: {name} must be red, green and blue from 0 to 255, found {list(getattr(self, name))}"
+                )
 
 
 def colors(texture: Texture, points: Float32) -> Float32:
