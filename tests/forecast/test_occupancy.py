@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, rays, state_of
 
-from twin_node.forecast import BaselineForecaster, Forecaster, cover
+from twin_node.forecast import BaselineForecaster, Forecaster, ForecastError, cover
 from twin_node.forecast.grid import decode_runs
 from twin_node.scene import HORIZONS_NS, GaussianCloud, Occupancy, Tier, TwinState
 
@@ -203,3 +203,11 @@ def test_what_comes_after_a_pause_is_new_though_something_was_forecast_there_bef
         return float(forecaster.motion.radii[-1].max())
 
     assert reach_after(2_000_000_000) > 1.2 * reach_after(33_000_000)
+
+
+def test_a_forecast_to_be_read_before_its_evidence_is_refused() -> None:
+    forecaster = Forecaster(GRID)
+    (state,) = moving_ball(1, with_depth=True)
+    with pytest.raises(ForecastError, match=r"publish_stamp: expected .* found 1 ms before it"):
+        forecaster.update(state, state.stamp - 1_000_000)
+    assert len(forecaster.update(state, state.stamp).layers) == len(HORIZONS_NS)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.ahead import Ahead, layers_of
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
+from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Judgement, Watch
@@ -119,8 +120,15 @@ class Forecaster:
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
 
-        Raises `ForecastError` for images or masks that are not of their camera's size.
+        Raises `ForecastError` where it is to be read before its evidence, and for images or masks that are not of their
+        camera's size.
         """
+        if publish_stamp < state.stamp:
+            early_ms = (state.stamp - publish_stamp) / 1e6
+            raise ForecastError(
+                f"publish_stamp: expected the evidence's stamp or later, found {early_ms:g} ms before it; give both on "
+                "one clock"
+            )
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         has_depth = any(view.depth is not None for view in state.frames.views)
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS

@@ -33,10 +33,10 @@ class Latency:
 
     @property
     def expected_ns(self) -> int:
-        """What a forecast must bridge to be valid when it is read: the p99, ns."""
+        """What a forecast must bridge to be valid when it is read: the p99, ns; 0 where cameras' clocks are ahead."""
         if len(self._samples_ns) < 30:
             return self._assumed_ns
-        return int(np.percentile(self._samples_ns, 99))
+        return max(int(np.percentile(self._samples_ns, 99)), 0)
 
     def percentile_ms(self, percent: float) -> float:
         """A percentile of the measured latencies, ms; NaN without samples."""
