@@ -151,6 +151,21 @@ def test_obstacles_survive(n: int) -> None:
     assert_same(c.obstacles_from_message(sent(c.obstacles_to_message(obstacles))), obstacles)
 
 
+@pytest.mark.parametrize("valid_to", [2**31 * 10**9, 2**63 - 1, -1])
+def test_obstacles_valid_until_a_time_that_ros_cannot_hold_are_refused(valid_to: int) -> None:
+    """Wrapped, one that holds for ever would have ended in 1990."""
+    one = Obstacles(
+        STAMP,
+        *(np.array([value], np.uint8) for value in (7, ObstacleKind.STATIC, ObstacleShape.BOX)),
+        *(np.ones((1, width)) for width in (3, 4, 3, 3)),
+        np.ones(1),
+        valid_from=np.full(1, STAMP),
+        valid_to=np.full(1, valid_to),
+    )
+    with pytest.raises(MessageError, match=f"valid_to .*{valid_to} ns"):
+        c.obstacles_to_message(one)
+
+
 def test_obstacles_of_older_logs_do_not_say_their_experts() -> None:
     kind = ObstacleKind.MOVING
     one = Obstacles(

@@ -135,3 +135,9 @@ def test_durations_survive(span: int) -> None:
 def test_stamps_that_ros_cannot_hold_are_refused(stamp: int) -> None:
     with pytest.raises(MessageError, match=str(stamp)):
         to_time(stamp)
+
+
+@pytest.mark.parametrize("span", [2**31 * 10**9, -(2**31) * 10**9 - 1])
+def test_durations_that_ros_cannot_hold_are_refused(span: int) -> None:
+    with pytest.raises(MessageError, match=str(span)):
+        to_duration(span)

@@ -9,13 +9,18 @@ NS_PER_S = 1_000_000_000
 
 def to_time(stamp_ns: int) -> Message:
     """`builtin_interfaces/msg/Time` of a stamp in ns. Raises `MessageError` outside of 1970 to 2038 (int32 seconds)."""
+    require_stamp(stamp_ns, "stamp")
     seconds, nanoseconds = divmod(int(stamp_ns), NS_PER_S)
-    if not 0 <= seconds < 2**31:
+    return message_type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
+
+
+def require_stamp(stamp_ns: int, name: str) -> None:
+    """Raises `MessageError`, naming it, for a stamp in ns outside of 1970 to 2038 (int32 seconds)."""
+    if not 0 <= stamp_ns < 2**31 * NS_PER_S:
         raise MessageError(
-            f"stamp {stamp_ns} ns: expected 0 to {2**31 * NS_PER_S - 1} ns since 1970 (ROS seconds are int32); "
+            f"{name} {stamp_ns} ns: expected 0 to {2**31 * NS_PER_S - 1} ns since 1970 (ROS seconds are int32); "
             "check the unit of the stamp"
         )
-    return message_type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 
 
 def from_time(time: Message) -> int:
@@ -24,8 +29,12 @@ def from_time(time: Message) -> int:
 
 
 def to_duration(duration_ns: int) -> Message:
-    """`builtin_interfaces/msg/Duration` of a time span in ns."""
+    """`builtin_interfaces/msg/Duration` of a time span in ns. Raises `MessageError` beyond 68 years (int32 seconds)."""
     seconds, nanoseconds = divmod(int(duration_ns), NS_PER_S)
+    if not -(2**31) <= seconds < 2**31:
+        raise MessageError(
+            f"time span {duration_ns} ns: expected at most 68 years (ROS seconds are int32); check its unit"
+        )
     return message_type("builtin_interfaces/msg/Duration")(sec=seconds, nanosec=nanoseconds)
 
 

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from twin_node.messages.convert.camera import BASE_FRAME
 from twin_node.messages.rows import Rows
-from twin_node.messages.stamps import from_duration, from_time, header, header_stamp, to_duration, to_time
+from twin_node.messages.stamps import (
+    from_duration,
+    from_time,
+    header,
+    header_stamp,
+    require_stamp,
+    to_duration,
+    to_time,
+)
 from twin_node.messages.types import Message, MessageError, builtin_types, message_type
 from twin_node.scene import Grid, MotionExpert, Obstacles, Occupancy, OccupancyLayer
 
@@ -62,7 +70,10 @@ def occupancy_from_message(message: Message) -> Occupancy:
 
 
 def obstacles_to_message(obstacles: Obstacles) -> Message:
-    """`twin_msgs/msg/ObstacleArray` of obstacles; angular velocities are zero, because the cover does not turn."""
+    """`twin_msgs/msg/ObstacleArray` of obstacles; angular velocities are zero, because the cover does not turn.
+
+    Raises `MessageError` for times that ROS cannot hold.
+    """
     codec = builtin_types().row_codec(OBSTACLE_ARRAY)
     assert codec is not None, f"{OBSTACLE_ARRAY} is no longer a header and flat structs"
     rows = np.zeros(len(obstacles.ids), codec.dtype)
@@ -72,6 +83,9 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
     columns |= zip(SIZE, obstacles.sizes.T, strict=True)
     columns |= zip(VELOCITY, obstacles.velocities.T, strict=True)
     for name, stamps in (("valid_from", obstacles.valid_from), ("valid_to", obstacles.valid_to)):
+        if len(stamps):
+            require_stamp(int(stamps.min()), f"obstacles' {name}")
+            require_stamp(int(stamps.max()), f"obstacles' {name}")
         columns[f"{name}.sec"], columns[f"{name}.nanosec"] = np.divmod(stamps, SECOND_NS)
     for name, values in columns.items():
         rows[name] = values
