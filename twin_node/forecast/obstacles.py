@@ -25,6 +25,7 @@ from twin_node.scene import (
     ObstacleShape,
     Occupancy,
     UInt8,
+    UInt32,
 )
 
 
@@ -70,6 +71,9 @@ class Motion:
     """[M] values of `MotionExpert`: which has the most weight; None where nobody says."""
     sigmas: Float64 | None = None
     """[M] standard deviations of each component of the velocities, m/s; None where nobody says."""
+    between: tuple[NDArray[np.int64], ...] = ()
+    """Flat indices per interval of what fast parts pass through from one horizon to the next; empty: no part is so fast
+    that the layers would not hold it."""
 
     @property
     def sure_velocities(self) -> Float64:
@@ -102,13 +106,14 @@ def cover(
 ) -> Obstacles:
     """Obstacles that hold every occupied voxel of `occupancy`, whole, for as long as it is occupied.
 
-    MOVING ones are valid from one horizon to the next and hold the voxels of both layers; all others are valid
-    throughout. Each is the tight box about the voxels in one cell of an octree, small where that spares most
-    space; ids name kind, interval and cell, so they stay while things move within cells. `previous` keeps the cover
-    from flickering between two that are equally good; `motion` gives velocities and bounds, zero without it.
-    Unknown space is UNKNOWN where something may come out of it, UNSEEN where it may be full, and no obstacle where it
-    is known to be empty: as `hidden` tells, all of it UNKNOWN without. `sighted` adds, to a forecast of anything,
-    MOVING obstacles that hold what it is a forecast of, valid at the evidence alone (`Obstacles.as_seen`).
+    MOVING ones are valid from one horizon to the next and hold the voxels of both layers, and of what `motion` tells to
+    be passed between them; all others are valid throughout. Each is the tight box about the voxels in one
+    cell of an octree, small where that spares most space; ids name kind, interval and cell, so they stay while things
+    move within cells. `previous` keeps the cover from flickering between two that are equally good; `motion` gives
+    velocities and bounds, zero without it. Unknown space is UNKNOWN where something may come out of it, UNSEEN where it
+    may be full, and no obstacle where it is known to be empty: as `hidden` tells, all of it UNKNOWN without. `sighted`
+    adds, to a forecast of anything, MOVING obstacles that hold what it is a forecast of, valid at the evidence alone
+    (`Obstacles.as_seen`).
     """
     parameters = parameters or CoverParameters()
     grid = occupancy.grid
@@ -118,9 +123,12 @@ def cover(
         hidden = Hidden(reachable=Bits.of_mask(grid.dims, unknown), maybe_full=Bits.none(grid.dims))
     throughout, share = (stamps[0], stamps[-1]), parameters.unknown_share
     layers = [layer.indices for layer in occupancy.layers]
+    passed = motion.between if motion is not None else ()
     batches = [
-        _Batch(ObstacleKind.MOVING, interval, *valid, grid, parameters.most_moving, both)
-        for interval, (valid, both) in enumerate(zip(pairwise(stamps), pairwise(layers), strict=True))
+        _Batch(ObstacleKind.MOVING, interval, *valid, grid, parameters.most_moving, (first, _joined(second, between)))
+        for interval, (valid, (first, second), between) in enumerate(
+            zip(pairwise(stamps), pairwise(layers), passed or (None,) * (len(layers) - 1), strict=True)
+        )
     ]
     if sighted is not None and any(len(indices) for indices in layers):
         at, seen = (occupancy.stamp, occupancy.stamp), (sighted.indices,)
@@ -134,6 +142,10 @@ def cover(
     before = np.zeros(0, np.uint32) if previous is None else previous.ids
     found = covers([batch.wanted for batch in batches], before)
     return _obstacles(occupancy.stamp, batches, found, motion)
+
+
+def _joined(layer: UInt32, more: NDArray[np.int64] | None) -> NDArray[np.integer]:
+    return layer if more is None or len(more) == 0 else np.concatenate([layer, more.astype(np.uint32)])
 
 
 _SIGMAS = 2.0

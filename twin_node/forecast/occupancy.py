@@ -18,6 +18,7 @@ from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.nearest import nearest
 from twin_node.forecast.obstacles import Motion, Sighted
 from twin_node.forecast.parts import PART_SIZE
+from twin_node.forecast.passing import passed_between
 from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
@@ -81,6 +82,7 @@ class Forecaster:
         self._due: _Issued | None = None
         self._radii = np.zeros((len(HORIZONS_NS), 0))
         self._sigmas = np.zeros(0)
+        self._passed: tuple[NDArray[np.int64], ...] = ()
         self._watch = Watch()
         self._sees_motion_from = 0
         self._warnings: tuple[str, ...] = ()
@@ -115,7 +117,8 @@ class Forecaster:
         if len(self._tracks.times) == 0:
             return Motion(np.zeros((0, 3)), np.zeros((0, 3)), self._radii)
         experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
-        return Motion(self._tracks.positions[-1], self._tracks.velocities, self._radii, experts, self._sigmas)
+        places, velocities = self._tracks.positions[-1], self._tracks.velocities
+        return Motion(places, velocities, self._radii, experts, self._sigmas, self._passed)
 
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
@@ -152,6 +155,7 @@ class Forecaster:
         started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
         moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
         layers = layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
+        self._passed = passed_between(self.grid, evidence.parts, prediction.displacements, prediction.radii)
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]
         ahead = evidence.parts.centers + prediction.displacements[-1]
