@@ -139,6 +139,23 @@ def test_motion_gives_velocity_bound_and_expert() -> None:
     assert np.allclose(obstacles.velocities[~moving], 0)
 
 
+def test_bounds_are_those_inside_the_shapes() -> None:
+    """An obstacle of an interval is as wide as the forecast at its end; what was seen is no forecast."""
+    blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
+    radii = np.array([[0.01], [0.03], [0.06], [0.1], [0.15]])
+    motion = Motion(blobs[:1], np.zeros((1, 3)), radii, np.array([MotionExpert.DAMPED], np.uint8))
+    nothing = np.zeros(0, np.int64)
+    obstacles = cover(occupancy(blobs, nothing), motion=motion, sighted=Sighted(GRID, np.array([7, 8])))
+    seen = obstacles.as_seen
+    assert seen.any()
+    moving = (obstacles.kinds == ObstacleKind.MOVING) & ~seen
+    interval = (obstacles.valid_from[moving] - obstacles.begins) // 50_000_000
+    assert np.allclose(obstacles.bounds[moving], radii[interval + 1, 0])
+    assert (obstacles.bounds[seen] == 0).all()
+    assert obstacles.experts is not None and (obstacles.experts[seen] == MotionExpert.NO_EXPERT).all()
+    assert (obstacles.experts[moving] == MotionExpert.DAMPED).all()
+
+
 def test_a_speed_beyond_a_persons_is_told_only_as_far_as_it_is_sure() -> None:
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
     told = []

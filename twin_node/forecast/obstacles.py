@@ -184,12 +184,14 @@ def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion 
     experts = np.full(total, MotionExpert.NO_EXPERT, np.uint8)
     moving = kinds == ObstacleKind.MOVING
     if motion is not None and len(motion.centers):
-        centers = (lower + upper)[moving] / 2
-        nearest = _nearest(centers, motion.centers)
+        nearest = _nearest((lower + upper)[moving] / 2, motion.centers)
         velocities[moving] = motion.sure_velocities[nearest]
-        bounds[moving] = motion.radii[-1][nearest]
+        intervals = np.repeat([batch.interval for batch in batches], counts)[moving]
+        is_forecast = intervals != _AS_SEEN
+        foreseen, of = np.flatnonzero(moving)[is_forecast], nearest[is_forecast]
+        bounds[foreseen] = motion.radii[intervals[is_forecast] + 1, of]  # as wide as at the interval's end
         if motion.experts is not None:
-            experts[moving] = motion.experts[nearest]
+            experts[foreseen] = motion.experts[of]
     return Obstacles(
         stamp=stamp,
         ids=found.ids,
