@@ -14,11 +14,11 @@ from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 
 WRONG = [
-    (CarvingParameters, "forecast: carving.sigmas", (-1.0, math.inf)),
-    (CarvingParameters, "forecast: carving.assumed_sigma_m", (-1.0, math.inf)),
-    (CarvingParameters, "forecast: carving.depth_margin", (-1.0, math.inf)),
+    (CarvingParameters, "forecast: carving.sigmas", (-1.0, 1000.0, math.inf)),
+    (CarvingParameters, "forecast: carving.assumed_sigma_m", (-1.0, 3.0, math.inf)),
+    (CarvingParameters, "forecast: carving.depth_margin", (-1.0, 15.0, math.inf)),
     (CarvingParameters, "forecast: carving.depth_share", (-1.0, 1.5)),
-    (CarvingParameters, "forecast: carving.thickness", (0.0, -1.0, math.inf)),
+    (CarvingParameters, "forecast: carving.thickness", (0.0, -1.0, 300.0, math.inf)),
     (CarvingParameters, "forecast: carving.thickness_share", (0.0, -1.0, math.inf)),
     (StaticParameters, "forecast: static.opacity", (-1.0, 2.0)),
     (StaticParameters, "forecast: static.period_ns", (-1,)),

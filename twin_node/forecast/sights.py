@@ -16,7 +16,7 @@ from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.tables import CameraTable
 from twin_node.forecast.verdicts import BESIDE, MOVING, ROBOT, SEEN, Sight, Surface
 from twin_node.native_library import address_of, addresses_of, thread_count
-from twin_node.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_ranges
+from twin_node.ranges import POSITIVE, SHARE, Range, check_ranges
 from twin_node.scene import Bool, Float32, UInt8, View
 
 _NEVER = np.float32(0)
@@ -52,11 +52,11 @@ class CarvingParameters:
             self,
             ForecastError,
             "forecast: carving.",
-            sigmas=NOT_NEGATIVE,
-            assumed_sigma_m=NOT_NEGATIVE,
-            depth_margin=NOT_NEGATIVE,
+            sigmas=Range(0, 100),
+            assumed_sigma_m=Range(0, 0.5),
+            depth_margin=Range(0, 1),
             depth_share=SHARE,
-            thickness=POSITIVE,
+            thickness=Range(0, 10, above=True),
             thickness_share=POSITIVE,
         )
 
