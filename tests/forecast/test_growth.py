@@ -25,7 +25,7 @@ from twin_node.forecast.growth import (
 )
 from twin_node.forecast.kernels import kernels
 from twin_node.native_build import Kernels
-from twin_node.scene import Grid, UInt8
+from twin_node.scene import Grid
 
 compiled = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 
@@ -38,11 +38,11 @@ def points_of(places: NDArray[np.integer], labels: NDArray[np.integer] | None = 
 
 def still(grid: Grid, places: NDArray[np.integer], reach: int) -> Spread:
     """One part that stands and grows by `reach`."""
-    (only,) = spread(grid, points_of(places), np.zeros((1, 1, 3), np.int32), np.array([[reach]], np.uint8))
+    (only,) = spread(grid, points_of(places), np.zeros((1, 1, 3), np.int32), np.array([[reach]], np.uint16))
     return only
 
 
-def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32], UInt8]:
+def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32], NDArray[np.uint16]]:
     """A grid of odd size, parts inside and beside it, and three layers of shifts and reaches."""
     rng = np.random.default_rng(seed)
     dims = tuple(int(n) for n in rng.integers(1, [40, 30, 150]))
@@ -50,7 +50,7 @@ def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32
     count = int(rng.integers(0, 120))
     places = (rng.normal(0.5, 0.5, (3, count)) * np.array(dims)[:, None]).round()
     shifts = rng.normal(0, 6, (3, parts, 3)).round().astype(np.int32)
-    reach = rng.integers(0, largest, (3, parts)).astype(np.uint8)
+    reach = rng.integers(0, largest, (3, parts)).astype(np.uint16)
     return Grid(np.zeros(3), 0.02, dims), points_of(places, rng.integers(0, parts, count)), shifts, reach
 
 
@@ -63,6 +63,8 @@ def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32
 @example(4, 256)
 @example(5, 256)
 @example(6, 256)
+@example(7, 600)
+@example(8, 600)
 def test_compiled_growth_is_the_plain_one_bit_by_bit(seed: int, largest: int) -> None:
     case = random_case(seed, largest)
     for found, expected in zip(spread(*case), spread_plainly(*case), strict=True):
@@ -81,16 +83,17 @@ def test_growth_is_the_ball(reach: int, seed: int) -> None:
     assert np.array_equal(still(grid, place[:, None], reach).indices, expected)
 
 
-def test_reach_is_never_less_than_the_radius_and_half_a_diagonal_and_little_more() -> None:
-    grid = Grid(np.zeros(3), 0.02, (5, 5, 5))
+@pytest.mark.parametrize("voxel_size", [0.02, 0.005, 0.002])
+def test_reach_is_never_less_than_the_radius_and_half_a_diagonal_and_little_more(voxel_size: float) -> None:
+    grid = Grid(np.zeros(3), voxel_size, (5, 5, 5))
     radii = np.linspace(1e-4, 1.0, 500)
     reach = reach_of(grid, radii) / PER_VOXEL
-    assert np.all(reach >= radii / 0.02 + np.sqrt(0.75) - 1e-6)
-    assert np.all(reach <= 1.17 * (radii / 0.02 + np.sqrt(0.75)) + 0.25)
+    assert np.all(reach >= radii / voxel_size + np.sqrt(0.75) - 1e-6)
+    assert np.all(reach <= 1.17 * (radii / voxel_size + np.sqrt(0.75)) + 0.25)
     assert reach_of(grid, np.zeros(1))[0] == 0
     exact = exact_reach_of(grid, radii) / PER_VOXEL
-    assert np.all(exact >= radii / 0.02 + np.sqrt(0.75) - 1e-6)
-    assert np.all(exact <= np.minimum(reach, radii / 0.02 + np.sqrt(0.75) + 0.25))
+    assert np.all(exact >= radii / voxel_size + np.sqrt(0.75) - 1e-6)
+    assert np.all(exact <= np.minimum(reach, radii / voxel_size + np.sqrt(0.75) + 0.25))
 
 
 @settings(max_examples=30)

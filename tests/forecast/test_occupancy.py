@@ -10,7 +10,7 @@ from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, 
 
 from twin_node.forecast import BaselineForecaster, Forecaster, ForecastError, cover
 from twin_node.forecast.grid import decode_runs
-from twin_node.scene import HORIZONS_NS, GaussianCloud, Occupancy, Tier, TwinState
+from twin_node.scene import HORIZONS_NS, GaussianCloud, Grid, Occupancy, Tier, TwinState
 
 PERIOD_NS = 33_333_333
 LATENCY_NS = 33_000_000
@@ -211,3 +211,17 @@ def test_a_forecast_to_be_read_before_its_evidence_is_refused() -> None:
     with pytest.raises(ForecastError, match=r"publish_stamp: expected .* found 1 ms before it"):
         forecaster.update(state, state.stamp - 1_000_000)
     assert len(forecaster.update(state, state.stamp).layers) == len(HORIZONS_NS)
+
+
+@pytest.mark.parametrize("voxel_size", [0.02, 0.005])
+def test_fine_voxels_hold_as_much_as_coarse_ones(voxel_size: float) -> None:
+    """A ball appears, of whose velocity nothing is known: it may be anywhere within its bound, half a metre away."""
+    across = round(0.5 / voxel_size)
+    grid = Grid(np.array([-0.25, -0.1, 0.35]), voxel_size, (across, across // 3, across // 3))
+    forecaster, appears = Forecaster(grid), np.array([-0.2, 0.0, 0.4])
+    for tick, center in enumerate((None, None, appears)):
+        state = state_of(tick * PERIOD_NS, center, 0.04, with_depth=True)
+        occupancy = forecaster.update(state, state.stamp + LATENCY_NS)
+    assert forecaster.quality.bound_radius > 0.4
+    later = ball_voxels(appears + np.array([1.6 * 0.233, 0.0, 0.0]), 0.036, grid)
+    assert len(later) and np.isin(later, occupancy.layers[-1].indices).all()

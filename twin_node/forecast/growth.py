@@ -12,7 +12,7 @@ from twin_node.forecast.bits import Masks, all_told
 from twin_node.forecast.kernel_requests import GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.native_library import addresses_of, thread_count
-from twin_node.scene import Bool, Float64, Grid, UInt8, UInt32
+from twin_node.scene import Bool, Float64, Grid, UInt32
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,13 @@ class Points:
         )
 
 
+UInt16 = NDArray[np.uint16]
+
 PER_VOXEL = 4
 """Units of reach in a voxel's edge."""
 
 
-def reach_of(grid: Grid, radii: Float64) -> UInt8:
+def reach_of(grid: Grid, radii: Float64) -> UInt16:
     """Radii [...] (m) as reach in quarter voxels, rounded up: by at most a seventh, as every level costs time.
 
     Half a voxel's diagonal is added for the rounding of places to voxels, to all but radii of 0.
@@ -61,9 +63,9 @@ def reach_of(grid: Grid, radii: Float64) -> UInt8:
     return np.asarray(REACHES[np.minimum(np.searchsorted(REACHES, _reach(grid, radii)), len(REACHES) - 1)])
 
 
-def exact_reach_of(grid: Grid, radii: Float64) -> UInt8:
+def exact_reach_of(grid: Grid, radii: Float64) -> UInt16:
     """As `reach_of`, rounded up to the next quarter voxel: for comparisons, where a seventh would tell."""
-    return np.ceil(_reach(grid, radii)).clip(0, np.iinfo(np.uint8).max).astype(np.uint8)
+    return np.ceil(_reach(grid, radii)).clip(0, REACHES[-1]).astype(np.uint16)
 
 
 def _reach(grid: Grid, radii: Float64) -> Float64:
@@ -73,7 +75,14 @@ def _reach(grid: Grid, radii: Float64) -> Float64:
 
 ROUNDING = float(np.sqrt(3) / 2)
 """How far a place is from the middle of its voxel at most, voxels."""
-REACHES = np.array([*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)], np.uint8)
+REACHES = np.array(
+    [
+        *(*range(12), *range(12, 24, 2), *range(24, 48, 4), *range(48, 96, 8), *range(96, 241, 16)),
+        *(*range(272, 513, 32), *range(576, 1025, 64), *range(1152, 4097, 128)),
+    ],
+    np.uint16,
+)
+"""Quarter voxels that radii are rounded up to: up to a thousand voxels, more than the sides of grids of such voxels."""
 
 
 def shifts_of(grid: Grid, displacements: Float64) -> NDArray[np.int32]:
@@ -85,7 +94,7 @@ FARTHEST = 1 << 20
 """Voxels beyond any grid."""
 
 
-def spread(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) -> tuple[Spread, ...]:
+def spread(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt16) -> tuple[Spread, ...]:
     """Per layer the voxels of `grid` within a part's reach of one of its points.
 
     In each of H layers every part of `points` has moved by its `shifts` [H, M, 3] (voxels) and has its `reach` [H, M]
@@ -98,17 +107,23 @@ def spread(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) 
 
 
 def _spread_by(
-    compiled: Kernels, grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8
+    compiled: Kernels, grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt16
 ) -> tuple[Spread, ...]:
     (layers, parts), room = reach.shape, Masks.room(grid.dims, len(reach))
-    given = (points.places.astype(np.int32), points.labels.astype(np.int64), points.core, shifts, reach)
+    given = (
+        points.places.astype(np.int32),
+        points.labels.astype(np.int64),
+        points.core,
+        shifts,
+        reach.astype(np.uint16),
+    )
     arrays = (*(np.ascontiguousarray(array) for array in given), *room.arrays)
     compiled.grow(GrowRequest(len(points.labels), layers, parts, *grid.dims, thread_count(), *addresses_of(*arrays)))
     found = all_told(compiled, room, marked=1, unmarked=0, threads=thread_count())
     return tuple(Spread(one.indices, one.values.view(np.bool_)) for one in found)
 
 
-def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt8) -> tuple[Spread, ...]:
+def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt16) -> tuple[Spread, ...]:
     """What `spread` does, by exact distance transforms: one per layer and reach."""
     return tuple(
         _layer_plainly(grid, points.places + layer.T[:, points.labels], own[points.labels], points.core)
@@ -116,7 +131,7 @@ def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach:
     )
 
 
-def _layer_plainly(grid: Grid, places: NDArray[np.int32], reach: UInt8, core_points: Bool) -> Spread:
+def _layer_plainly(grid: Grid, places: NDArray[np.int32], reach: UInt16, core_points: Bool) -> Spread:
     reached, core = np.zeros((2, *grid.dims), np.bool_)
     for level in np.unique(reach):
         margin = int(level) // PER_VOXEL
@@ -140,7 +155,7 @@ def grown(grid: Grid, mask: Bool, voxels: float) -> Bool:
     indices = np.flatnonzero(mask)
     places = np.stack(np.unravel_index(indices, grid.dims)).astype(np.int32)
     points = Points(places, np.zeros(len(indices), np.int64), np.ones(len(indices), np.bool_))
-    reach = np.array([[PER_VOXEL * voxels]], np.uint8)
+    reach = np.array([[PER_VOXEL * voxels]], np.uint16)
     (reached,) = spread(grid, points, np.zeros((1, 1, 3), np.int32), reach)
     larger = np.zeros(grid.size, np.bool_)
     larger[reached.indices] = True

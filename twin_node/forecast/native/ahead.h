@@ -125,7 +125,7 @@ class Ways {
     }
     const double voxels = radius / r_.voxel_size + (radius > 0 ? r_.rounding : 0.0);
     const double reach = kPerVoxel * voxels - 1e-6;
-    const uint8_t *level = std::lower_bound(r_.level, r_.level + r_.levels - 1, reach);
+    const uint16_t *level = std::lower_bound(r_.level, r_.level + r_.levels - 1, reach);
     reaches_[row] = *level;
   }
 
@@ -169,7 +169,8 @@ class Ways {
   std::vector<int64_t> aside_number_, swerving_;  // the same of those that swerve
   int64_t steps_ = 0, aside_steps_ = 0, first_aside_ = 0, rows_ = 0;
   std::vector<int32_t> shifts_, places_;
-  std::vector<uint8_t> reaches_, cores_;
+  std::vector<uint16_t> reaches_;
+  std::vector<uint8_t> cores_;
   std::vector<int64_t> labels_;
 };
 

@@ -13,7 +13,6 @@
 namespace forecast {
 
 constexpr int kPerVoxel = 4;  // units of reach in a voxel's edge
-constexpr int kLevels = 256;
 
 // Balls of one radius in one layer.
 struct Task {
@@ -179,11 +178,12 @@ class Union {
 
 // One task per radius of a layer, of the points that reach the grid.
 inline std::vector<Task> layer_tasks(const GrowRequest &r, int layer) {
-  const uint8_t *reaches = r.reaches + static_cast<int64_t>(layer) * r.parts;
-  int64_t most[kLevels] = {};
+  const uint16_t *reaches = r.reaches + static_cast<int64_t>(layer) * r.parts;
+  const int levels = r.parts > 0 ? *std::max_element(reaches, reaches + r.parts) + 1 : 0;
+  std::vector<int64_t> most(levels);
   for (int64_t point = 0; point < r.points; point++) most[reaches[r.labels[point]]]++;
-  std::vector<int64_t> members[kLevels];
-  for (int level = 0; level < kLevels; level++) members[level].reserve(most[level]);
+  std::vector<std::vector<int64_t>> members(levels);
+  for (int level = 0; level < levels; level++) members[level].reserve(most[level]);
   for (int64_t point = 0; point < r.points; point++) {
     const int level = reaches[r.labels[point]], whole = level / kPerVoxel;
     const Place p = place_of(r, layer, point);
@@ -194,7 +194,7 @@ inline std::vector<Task> layer_tasks(const GrowRequest &r, int layer) {
     members[level].push_back(point);
   }
   std::vector<Task> tasks;
-  for (int level = 0; level < kLevels; level++) {
+  for (int level = 0; level < levels; level++) {
     if (members[level].empty()) continue;
     const double cost = static_cast<double>(level + kPerVoxel) * (level + kPerVoxel) * members[level].size();
     tasks.push_back({layer, level, std::move(members[level]), cost});

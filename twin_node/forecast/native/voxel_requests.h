@@ -13,7 +13,7 @@ struct GrowRequest {
   const int64_t *labels;   // [points] part of each
   const uint8_t *cores;    // [points] 1: makes its voxel a core
   const int32_t *shifts;   // [layers, parts, 3] voxels
-  const uint8_t *reaches;  // [layers, parts] radius in quarter voxels
+  const uint16_t *reaches;  // [layers, parts] radius in quarter voxels
   uint64_t *reached;       // [layers, nx, ny, words] written in the planes told of
   uint64_t *core;          // the same
   int64_t *counts;         // [layers] voxels reached
@@ -38,7 +38,7 @@ struct AheadRequest {
   const double *swerved;        // [layers, parts, 3] m, displacements if accelerations last
   const uint8_t *swerving;      // [parts] 1: held as far as there
   const double *started;        // [layers] m, radii of what may start
-  const uint8_t *level;         // [levels] quarter voxels that radii are rounded up to, rising
+  const uint16_t *level;        // [levels] quarter voxels that radii are rounded up to, rising
   GrowRequest grid;             // where they grow: its size, threads and results
 };
 
