@@ -58,6 +58,20 @@ def test_covering_spheres_hold_the_shape(radius: float, length: float, sides: tu
         assert gaps.max(initial=-1.0) <= 1e-9
 
 
+@pytest.mark.parametrize(
+    "shape", [Shape(Form.BOX, (0.6, 0.4, 0.003)), Shape(Form.BOX, (1.0, 1.0, 0.001)), Shape(Form.CAPSULE, (0.004, 2.0))]
+)
+def test_thin_things_take_few_spheres(shape: Shape) -> None:
+    """A board of 3 mm took 27,200 of them: more than any collision scene of the bench holds."""
+    cover = covering_spheres(shape)
+    assert len(cover.centers) <= 65
+    points = np.random.default_rng(1).uniform(-1, 1, (3000, 3)) * shape.half_extents
+    inside = points[cubes_meet(Placed(shape, np.eye(4)), points, 0.0)]
+    gaps = np.linalg.norm(inside[:, None] - cover.centers, axis=2).min(axis=1) - cover.radius
+    assert len(inside) and gaps.max() <= 1e-9
+    assert cover.radius < 0.2 * shape.half_extents.max()
+
+
 def holds(obstacles: Obstacles, points: Float64, stamp: int) -> bool:
     """Whether moving obstacles that are valid at a time hold all the points [n, 3]."""
     rows = (obstacles.kinds == ObstacleKind.MOVING) & (obstacles.valid_from <= stamp) & (stamp <= obstacles.valid_to)

@@ -13,6 +13,8 @@ from twin_node.scene import Float64
 
 _COARSENESS = 1.2
 """Spacing of the covering spheres along a capsule, in radii: they stand out by 17 % of the radius."""
+_MOST_ALONG, _MOST_ACROSS = 64, 8
+"""Spheres along a capsule, and along a side of a box, at most: those of thinner things stand out farther."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,12 @@ def covering_spheres(shape: Shape) -> Spheres:
         return Spheres(np.zeros((1, 3)), shape.size[0])
     if shape.form is Form.CAPSULE:
         radius, length = shape.size
-        count = max(int(np.ceil(length / (_COARSENESS * radius))), 1)
+        count = min(max(int(np.ceil(length / (_COARSENESS * radius))), 1), _MOST_ALONG)
         centers = np.zeros((count + 1, 3))
         centers[:, 2] = np.linspace(-length / 2, length / 2, count + 1)
         return Spheres(centers, float(np.hypot(radius, length / count / 2)))
     half = np.array(shape.size) / 2
-    counts = np.ceil(half / half.min()).astype(int)
+    counts = np.ceil(half / max(half.min(), half.max() / _MOST_ACROSS)).astype(int)
     cell = half / counts
     axes = [np.arange(1, 2 * n, 2) * c - h for n, c, h in zip(counts, cell, half, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
