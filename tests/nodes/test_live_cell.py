@@ -6,9 +6,11 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from twin_node.messages import header_stamp
 from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
@@ -55,6 +57,27 @@ def test_a_cell_sends_what_a_rig_would() -> None:
     assert joints == sorted(joints)
     assert len(joints) > len(heard[TRAJECTORY]) > 0
     assert len(heard[TF_STATIC]) == 1
+
+
+def test_a_cell_whose_cameras_are_silent_to_its_end_takes_its_time_and_ends(tmp_path: Path) -> None:
+    """Its next run began at once when the last image was out: with none at all it never came to look at the clock."""
+    fault = {"kind": "missing", "camera": "one", "from_s": 0.0}
+    silent = {"duration_s": 0.1, "cameras": [{"name": "one"}], "faults": [fault]}
+    (tmp_path / "silent.yaml").write_text(yaml.safe_dump(silent))
+    wire, executor, finished = LocalWire(), Executor(), threading.Event()
+    bus = WireBus(wire, executor, "cell", kind_of)
+    setup = Setup("cell", bus, SystemClock(), executor, {}, "test", finished.set, wire.endpoints)
+    rig = RigParameters(scenario=str(tmp_path / "silent.yaml"), image="image_raw")
+    node = CellNode(setup, CellParameters(rig=rig, duration=0.25))
+    node.configure()
+    begun = time.monotonic()
+    node.activate()
+    in_time = finished.wait(10.0)
+    took_s = time.monotonic() - begun
+    node.deactivate()
+    node.cleanup()
+    assert in_time
+    assert took_s >= 0.25
 
 
 class FailingSource:

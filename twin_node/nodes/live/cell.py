@@ -106,6 +106,12 @@ class CellNode(Node):
                     self.skipped += 1
                 else:
                     self._publish(exposure, stamp)
+            over = self._begun + round(self._simulated.scenario.duration_s * 1e9)
+            if self._stop.wait(max(0.0, (min(over, first + until) - self.clock.now()) / 1e9)):
+                return
+            if over - first >= until:
+                self._finish()
+                return
             self._begun = self.clock.now()
 
     def _publish(self, exposure: Exposure, stamp: int) -> None:
