@@ -82,3 +82,14 @@ def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
 def test_a_scenario_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "occupancy", "no_such_scenario", "--seeds", "1"]) == 2
     assert "no_such_scenario" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "given",
+    [["--start-offset", "1"], ["--rig", "rig.yaml"], ["--remap", "/a:=/b"], ["--max-rate", "5"], ["--hue", "8"]],
+)
+def test_options_of_logs_are_refused_beside_seeds(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Figures at the scenario's own rate would be taken for those at the rate that was asked for."""
+    assert main(["bench", "occupancy", "reach_in", "--seeds", "1", *given]) == 2
+    told = capsys.readouterr().err
+    assert f"leave out {given[0]}" in told and told.count("\n") == 1

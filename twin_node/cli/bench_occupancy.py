@@ -34,7 +34,6 @@ def add_bench_occupancy(benches: Any) -> None:
 
 
 def _bench_occupancy(options: argparse.Namespace) -> None:
-    from twin_node.bench.errors import BenchError
     from twin_node.bench.occupancy import OccupancyBenchParameters, run
     from twin_node.bench.truth import ColourOf
     from twin_node.nodes.chain_parameters import load_parameters
@@ -51,13 +50,32 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
         chain=chain,
     )
     if options.seeds is not None:
-        if options.markers is not None or options.hue is not None:
-            raise BenchError("--seeds: a scenario brings its own truth; leave out --markers and --hue")
+        _require_no_log_options(options)
         _bench_seeds(str(options.log), options.seeds, parameters, options.json)
         return
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
     _show(bench.as_json(), options.json)
+
+
+def _require_no_log_options(options: argparse.Namespace) -> None:
+    """Raises `BenchError` for what says how a log is read, beside a scenario."""
+    from twin_node.bench.errors import BenchError
+
+    given = {
+        "--markers": options.markers is not None,
+        "--hue": options.hue is not None,
+        "--rig": options.rig is not None,
+        "--start-offset": options.start_offset > 0,
+        "--max-rate": options.max_rate is not None,
+        "--remap": bool(options.remap),
+    }
+    names = [name for name, is_given in given.items() if is_given]
+    if names:
+        raise BenchError(
+            f"--seeds: a scenario brings its own truth, rig and rate, and is run from its start; leave out "
+            f"{' and '.join(names)}"
+        )
 
 
 def _bench_seeds(scenario: str, seeds: int, parameters: OccupancyBenchParameters, as_json: bool) -> None:
