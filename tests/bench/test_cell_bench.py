@@ -124,6 +124,15 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
         main(["bench", "cell", str(short), "--seeds", "0"])
 
 
+def test_scenarios_of_one_name_are_refused(short: FilePath, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their runs would be told as those of one scenario."""
+    other = short.with_name("mine.yaml")
+    other.write_text("extends: short\nduration_s: 1.0\n")
+    assert main(["bench", "cell", str(short), str(other), "--seeds", "1", "--processes", "1"]) == 2
+    told = capsys.readouterr().err
+    assert "mine.yaml" in told and "short.yaml" in told and "'short'" in told
+
+
 def test_seeds_are_run_in_slices(short: FilePath) -> None:
     short.write_text(SHORT.replace("duration_s: 1.6", "duration_s: 0.3"))
     parameters = cell.CellBenchParameters((str(short),), seeds=2, first_seed=3, processes=1)

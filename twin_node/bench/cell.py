@@ -13,6 +13,7 @@ import numpy as np
 
 from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
 from twin_node.bench.cell_scores import Outcome, score
+from twin_node.bench.errors import BenchError
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario_file import load_scenario
 
@@ -125,11 +126,20 @@ def run(
 ) -> list[CaseResult]:
     """Runs every scenario under every seed, in processes of their own; `progress` may wrap the results as they come.
 
-    Raises the errors of scenarios and their motion files, and `BenchError` for one without an arm, before any is run.
+    Raises the errors of scenarios and their motion files, and `BenchError` for one without an arm and for two of one
+    name, before any is run.
     """
     parameters = parameters or CellBenchParameters()
+    files: dict[str, str] = {}
     for name in parameters.scenarios:
-        _ = CellCase(load_scenario(name), parameters.latency_ms, parameters.loop).world  # reads motion files too
+        case = CellCase(load_scenario(name), parameters.latency_ms, parameters.loop)
+        _ = case.world  # reads motion files too
+        other = files.setdefault(case.scenario.name, name)
+        if other != name:
+            raise BenchError(
+                f"scenarios {other} and {name}: expected a 'name' of each one's own, found '{case.scenario.name}' in "
+                "both; give one another, or leave one out"
+            )
     seeds = range(parameters.first_seed, parameters.first_seed + parameters.seeds)
     jobs = [Job(name, seed, parameters) for seed in seeds for name in parameters.scenarios]
     return list(progress(_results(jobs, min(parameters.processes, len(jobs))), len(jobs)))
