@@ -34,11 +34,11 @@ class Status:
     latency_p95_ms: float = math.nan
     latency_p99_ms: float = math.nan
     coverage: float = math.nan
-    """Share of forecasts that held what came true 200 ms later, 0 to 1."""
+    """Share of what was seen to move that lay in the forecast made for that time 200 ms before, 0 to 1."""
     coverage_target: float = math.nan
     """Share that the bound aims at, 0 to 1."""
     psnr_db: float = math.nan
-    """Newest clouds against the images, all pixels, dB."""
+    """Newest clouds against the images, all pixels, dB; the live twin does not reckon it."""
     cameras: tuple[str, ...] = ()
     exposures: tuple[float, ...] = ()
     """Per camera how bright it shows the scene beside the light that the model was begun in."""
