@@ -56,11 +56,6 @@ def blocked_volume(occupancy: Occupancy, layer: OccupancyLayer) -> float:
     return float(np.count_nonzero(blocked)) * litres_per_voxel(occupancy.grid)
 
 
-def moving_volume(occupancy: Occupancy, layer: OccupancyLayer) -> float:
-    """Litres of the layer alone."""
-    return len(layer.indices) * litres_per_voxel(occupancy.grid)
-
-
 def litres_per_voxel(grid: Grid) -> float:
     """Volume of a voxel."""
     return grid.voxel_size**3 * 1e3
