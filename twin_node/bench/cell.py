@@ -16,6 +16,7 @@ from twin_node.bench.cell_scores import Outcome, score
 from twin_node.bench.errors import BenchError
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario_file import load_scenario
+from twin_node.ranges import Range, check_ranges
 
 if TYPE_CHECKING:
     from twin_node.bench.cell_twin import TwinTiming
@@ -25,6 +26,9 @@ SUITE = ("reach_in", "cross", "stop", "retreat", "two_people", "thrown_ball", "o
 OURS = "ours"
 BY_SIGHT = "by_sight"
 """The worst case with the twin's eyes."""
+
+MOST_LATENCY = Range(0, 10_000)
+"""ms: whoever gives more means another unit."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,12 @@ class CellBenchParameters:
     """Working width of the twin's images, pixels."""
     processes: int = 2
     loop: LoopParameters = field(default_factory=LoopParameters)
+
+    def __post_init__(self) -> None:
+        """Raises `BenchError` for a latency that is none in milliseconds."""
+        check_ranges(self, BenchError, "bench cell: ", latency_ms=MOST_LATENCY)
+        if self.twin_latency_ms is not None:
+            check_ranges(self, BenchError, "bench cell: ", twin_latency_ms=MOST_LATENCY)
 
 
 @dataclass(frozen=True)
