@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -78,6 +79,32 @@ def test_a_cell_whose_cameras_are_silent_to_its_end_takes_its_time_and_ends(tmp_
     node.cleanup()
     assert in_time
     assert took_s >= 0.25
+
+
+def test_faults_of_cameras_are_those_of_logs(tmp_path: Path) -> None:
+    """Stamps and depth went out as if nothing were wrong."""
+    faults = [{"kind": kind, "camera": "one"} for kind in ("unsorted_stamps", "nan_depth")]
+    sensing = {"width": 32, "height": 24, "rate_hz": 40.0}
+    faulty = {"duration_s": 0.5, "cameras": [{"name": "one"}], "sensing": sensing, "faults": faults}
+    (tmp_path / "faulty.yaml").write_text(yaml.safe_dump(faulty))
+    wire, executor, finished = LocalWire(), Executor(), threading.Event()
+    rig = RigParameters(scenario=str(tmp_path / "faulty.yaml"), image="image_raw", depth="depth/image_rect")
+    topics, heard = topics_of("one", rig), dict[str, list[Any]]()
+    for topic in (topics.image, str(topics.depth)):
+        wire.subscribe("test", topic, kind_of(topic), heard.setdefault(topic, []).append)
+    bus = WireBus(wire, executor, "cell", kind_of)
+    setup = Setup("cell", bus, SystemClock(), executor, {}, "test", finished.set, wire.endpoints)
+    node = CellNode(setup, CellParameters(rig=rig, duration=0.4))
+    node.configure()
+    node.activate()
+    assert finished.wait(WAIT_S)
+    node.deactivate()
+    node.cleanup()
+    executor.step(0.0)
+    stamps = [header_stamp(message) for message in heard[topics.image]]
+    assert len(stamps) > 2 and stamps != sorted(stamps)
+    depth = heard[str(topics.depth)][0]
+    assert depth.encoding == "32FC1" and np.isnan(np.asarray(depth.data).view(np.float32)).all()
 
 
 class FailingSource:

@@ -124,8 +124,12 @@ class Recording:
 
 
 def _depth(image: RawImage) -> Message:
-    metres = image.depth_mm.astype(np.float32) / np.float32(1000)
-    if not image.depth_is_nan:
-        return depth_image(image.camera, image.stamp, metres, "16UC1")
-    message = depth_image(image.camera, image.stamp, metres, "32FC1")
-    return replace(message, data=np.full(metres.size, np.nan, np.float32).view(np.uint8))
+    if image.depth_is_nan:
+        return nan_depth(image, image.stamp)
+    return depth_image(image.camera, image.stamp, image.depth_mm.astype(np.float32) / np.float32(1000), "16UC1")
+
+
+def nan_depth(image: RawImage, stamp: int) -> Message:
+    """Depth in 32FC1, all NaN, as a camera sends it at a stamp (ns) under the fault `nan_depth`."""
+    nothing = np.full(image.depth_mm.shape, np.nan, np.float32)
+    return replace(depth_image(image.camera, stamp, nothing, "32FC1"), data=nothing.reshape(-1).view(np.uint8))

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin_node.cell import SimulatedRig, load_scenario
-from twin_node.cell.record import TRAJECTORY_RATE_HZ
+from twin_node.cell.record import TRAJECTORY_RATE_HZ, nan_depth
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.live.rig_messages import publish_calibration
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
@@ -116,13 +116,12 @@ class CellNode(Node):
 
     def _publish(self, exposure: Exposure, stamp: int) -> None:
         image = self._simulated.take(exposure)
+        stamp += image.stamp - exposure.stamp  # but for a fault of the camera's they are the same
         topics = topics_of(image.camera, self._parameters.rig)
         camera = self._simulated.rig.cameras[exposure.camera]
         self.bus.publish(topics.info, convert.camera_info(camera, stamp))
         if topics.depth is not None:
-            depth = depth_m(image)
-            to_message = convert.compressed_depth_image if topics.depth_type == COMPRESSED else convert.depth_image
-            self.bus.publish(topics.depth, to_message(image.camera, stamp, depth))
+            self.bus.publish(topics.depth, _depth(image, stamp, topics.depth_type == COMPRESSED))
         colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
         self.bus.publish(topics.image, colour(image.camera, stamp, image.rgb))
 
@@ -146,6 +145,12 @@ class CellNode(Node):
         """The scenario's time, ns, when so much has passed since it began."""
         scenario = self._simulated.scenario
         return scenario.start_ns + min(passed, int(scenario.duration_s * 1e9))
+
+
+def _depth(image: RawImage, stamp: int, compressed: bool) -> Message:
+    if compressed:
+        return convert.compressed_depth_image(image.camera, stamp, depth_m(image))
+    return nan_depth(image, stamp) if image.depth_is_nan else convert.depth_image(image.camera, stamp, depth_m(image))
 
 
 def depth_m(image: RawImage) -> Float32:
