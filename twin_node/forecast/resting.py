@@ -6,18 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernel_requests import RestRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import split
-from twin_node.forecast.specks import of_somebody
+from twin_node.forecast.specks import of_things
 from twin_node.native_library import addresses_of
-from twin_node.scene import Grid
+from twin_node.scene import Bool, Grid
 
 RESTING_S = 20.0
 """How long what has moved by itself may start again, s: one start spoils the forecasts of one horizon of 0.2 s, and a
 target of 99 % allows one in a hundred. Longer rests are those of things that somebody put down."""
+LIMB_M = 0.5
+"""How far what rests of somebody may be from what else moves or rests of them, m: an arm from shoulder to wrist."""
+_CELL = 8
+"""Voxels along a cell in which distances are told."""
 _RESTING_NS = round(RESTING_S * 1e9)
 _NEVER = np.iinfo(np.int64).min // 2
 
@@ -34,18 +39,36 @@ class Resting:
 
         `moving` [m]: flat indices where something moves that may rest and start again; `standing`: what stands. A table
         that a hand passes over stood all along: it is none of these. Its edges, which at times are found to stand only
-        after somebody passed them, are none either: a layer about what stood counts only where it hangs together with
-        so much else that rests, or moves, that a hand may be in it. What is less by itself is nobody.
+        after somebody passed them, are none either: a layer about what stood counts only where it may be a limb of
+        somebody near it, who moves or rests. Specks that no hand fits in, and that hang on nothing larger, are nobody.
         """
         found = rested(self._memory, stamp, moving, standing)
         if len(found) == 0:
             return found
-        dims, is_layer = self._grid.dims, standing.without(self._memory.moved).grown().holds(found)
-        resting = Bits.of_indices(dims, found)
-        bodies = Bits.of_indices(dims, found[~is_layer]) | Bits.of_indices(dims, moving)
-        indices = (bodies | resting).indices()
-        parts = split(self._grid, indices, bodies.holds(indices))
-        return indices[of_somebody(self._grid, parts)[parts.labels] & resting.holds(indices)]
+        touches = standing.without(self._memory.moved).grown().holds(found)
+        layer, bodies = found[touches], Bits.of_indices(self._grid.dims, found[~touches])
+        somebody = self._without_specks(bodies | Bits.of_indices(self._grid.dims, moving))
+        is_limb = self._is_within_reach(layer, somebody)
+        return np.sort(np.concatenate([somebody[bodies.holds(somebody)], layer[is_limb]]))
+
+    def _without_specks(self, voxels: Bits) -> NDArray[np.int64]:
+        """Flat indices [n] of those of the voxels that hang together with enough others."""
+        indices = voxels.indices()
+        parts = split(self._grid, indices, np.ones(len(indices), np.bool_))
+        return indices[of_things(self._grid, parts)[parts.labels]]
+
+    def _is_within_reach(self, voxels: NDArray[np.int64], others: NDArray[np.int64]) -> Bool:
+        """[n] which `voxels` are at most `LIMB_M` from any of the `others`, to a cell; both are flat indices."""
+        if len(voxels) == 0 or len(others) == 0:
+            return np.zeros(len(voxels), np.bool_)
+        is_apart = np.ones(tuple(-(-size // _CELL) for size in self._grid.dims), np.bool_)
+        is_apart[self._cells(others)] = False
+        away_m = ndimage.distance_transform_edt(is_apart) * (_CELL * self._grid.voxel_size)
+        within: Bool = away_m[self._cells(voxels)] <= LIMB_M
+        return within
+
+    def _cells(self, voxels: NDArray[np.int64]) -> tuple[NDArray[np.intp], ...]:
+        return tuple(axis // _CELL for axis in np.unravel_index(voxels, self._grid.dims))
 
 
 @dataclass(frozen=True)
