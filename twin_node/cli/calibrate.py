@@ -159,18 +159,19 @@ def _rig(options: argparse.Namespace) -> None:
         from twin_node.rig import load_rig
 
         cameras = with_lenses(cameras, load_rig(options.lenses).rig)
+    base_ns = None
+    if options.board_is_base_at is not None:
+        base_ns = min(int(camera.stamps[0]) for camera in cameras) + round(options.board_is_base_at * 1e9)
     rig_options = RigOptions(
         options.model,
         not options.fixed_lenses,
         SHAPES[options.board_shape],
         not options.fixed_clocks,
         options.partial,
+        base_ns,
     )
     solution = calibrate_rig(board, cameras, rig_options)
-    T_base_rig = None
-    if options.board_is_base_at is not None:
-        start = min(int(camera.stamps[0]) for camera in cameras)
-        T_base_rig = board_as_base(solution, start + round(options.board_is_base_at * 1e9))
+    T_base_rig = None if base_ns is None else board_as_base(solution, base_ns)
     save_rig(rig_file_of(solution, T_base_rig), options.output)
     if options.json:
         print(json.dumps(_rig_figures(solution)))

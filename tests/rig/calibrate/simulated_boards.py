@@ -153,13 +153,14 @@ def record(
     spoiled: Spoiled | None = None,
     seconds: float = 12.0,
     rate_hz: float = 10.0,
+    rests_at_s: float = np.inf,
 ) -> CameraRecording:
-    """A video of the waved board, with the stamps of the camera's own clock."""
+    """A video of the waved board, which is held still from a time on, with the stamps of the camera's own clock."""
     spoiled = spoiled or Spoiled()
     times = np.arange(0, seconds, 1 / rate_hz) + rng.uniform(0, 1 / rate_hz)
     found: list[Corners | None] = []
     for time in times.tolist():
-        corners = seen_corners(board, lens, inverse_pose(T_base_cam) @ waved(time))
+        corners = seen_corners(board, lens, inverse_pose(T_base_cam) @ waved(min(time, rests_at_s)))
         if corners is not None:
             noise = rng.normal(0, spoiled.noise_px, corners.pixels.shape)
             if rng.uniform() < spoiled.outliers:

@@ -70,6 +70,16 @@ def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
         load_cameras(tmp_path, board)
 
 
+def test_stamps_in_milliseconds_are_told(tmp_path: Path) -> None:
+    video = cv2.VideoWriter(str(tmp_path / "left.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30, (64, 48))
+    for _ in range(4):
+        video.write(np.zeros((48, 64, 3), np.uint8))
+    video.release()
+    (tmp_path / "left.txt").write_text("0\n33\n67\n100\n")
+    with pytest.raises(RigError, match=r"left.mp4: expected stamps in seconds, found 33 s"):
+        load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+
+
 def test_pictures_of_different_sizes_are_refused(tmp_path: Path) -> None:
     for number, width in ((1, 64), (2, 80)):
         cv2.imwrite(str(tmp_path / f"left{number}.png"), np.zeros((48, width), np.uint8))

@@ -15,6 +15,7 @@ from twin_node.geometry import inverse_pose
 from twin_node.rig import RigError, load_rig, save_rig
 from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, Corners
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
+from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import board_as_base, camera_poses, pose_covariances, rig_file_of, settled
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64
@@ -94,15 +95,65 @@ def test_the_rig_file_keeps_what_was_found(solution: RigSolution, tmp_path: Path
     np.testing.assert_allclose(again.evidence[1].pose_covariance, pose_covariances(solution, np.eye(4))[1])  # type: ignore[union-attr]
 
 
-def test_the_board_can_be_the_base(solution: RigSolution) -> None:
-    sightings = solution.bundle.sightings
-    stamp = solution.origin_ns + round(1e9 * sightings[len(sightings) // 2].time_s)
-    poses = [camera.T_base_cam for camera in rig_file_of(solution, board_as_base(solution, stamp)).rig.cameras]
+def test_the_board_can_be_the_base_where_it_lies_still() -> None:
+    rng = np.random.default_rng(0)
+    cameras = [
+        replace(record(BOARD, a_lens(), T, f"cam{i}", rng, seconds=SECONDS, rests_at_s=SECONDS - 2), lens=a_lens())
+        for i, T in enumerate(around(2))
+    ]
+    solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+    start = int(cameras[0].stamps[0])
+    at_rest = board_as_base(solution, start + round(1e9 * (SECONDS - 1)))
+    poses = [camera.T_base_cam for camera in rig_file_of(solution, at_rest).rig.cameras]
     assert all(T[2, 3] > 0.3 for T in poses)  # the cameras are on the side that the board's z points to
     relative = inverse_pose(poses[0]) @ poses[1]
     np.testing.assert_allclose(relative, camera_poses(solution.bundle.state)[1], atol=1e-9)
-    with pytest.raises(RigError, match="base"):
-        board_as_base(solution, stamp + 10**11)
+    with pytest.raises(RigError, match="base: expected the board to be seen"):
+        board_as_base(solution, start + 10**11)
+    with pytest.raises(RigError, match="lie still"):
+        board_as_base(solution, start + 2 * 10**9)
+
+
+def test_the_base_is_seen_however_long_the_recording_is() -> None:
+    """Of long recordings parts are used: the one that tells the base is."""
+    cameras = [
+        replace(
+            record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i), seconds=70.0, rate_hz=5.0), lens=a_lens()
+        )
+        for i, T in enumerate(around(2))
+    ]
+    start = int(cameras[0].stamps[0])
+    for second in range(50, 56):
+        stamp = start + second * 10**9
+        solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False, clocks=False, base_ns=stamp))
+        seen = [abs(s.time_s + (solution.origin_ns - stamp) / 1e9) for s in solution.bundle.sightings]
+        assert min(seen) < 0.2
+
+
+def test_any_picture_of_stills_can_be_the_base() -> None:
+    board = Chessboard(6, 5, 0.08)
+    cameras = [
+        replace(
+            record(board, a_lens(), T, f"cam{i}", np.random.default_rng(7), Spoiled(0.1), seconds=120, rate_hz=0.5),
+            stamps=np.arange(1, 61) * 10**9,
+            moving=False,
+            lens=a_lens(),
+        )
+        for i, T in enumerate(around(2))
+    ]
+    whole = [
+        replace(c, found=tuple(x if x is not None and len(x) == len(board.points) else None for x in c.found))
+        for c in cameras
+    ]
+    number = next(i for i in range(30, 60) if whole[0].found[i] is not None and whole[1].found[i] is not None)
+    stamp = int(whole[0].stamps[number])
+    solution = calibrate_rig(board, whole, RigOptions(lenses=False, board=False, base_ns=stamp))
+    own = whole[0].found[number]
+    assert own is not None
+    T = board_pose(a_lens(), board.points[own.ids], own.pixels)
+    assert T is not None
+    placed = inverse_pose(board_as_base(solution, stamp))
+    np.testing.assert_allclose(placed[:3, 3], T[:3, 3], atol=0.01)
 
 
 def test_cameras_that_share_no_view_are_named() -> None:
@@ -113,6 +164,36 @@ def test_cameras_that_share_no_view_are_named() -> None:
     partial = calibrate_rig(BOARD, [*cameras[:3], late], RigOptions(partial=True, lenses=False, board=False))
     assert partial.unconnected == ("cam3",)
     assert partial.names == ("cam0", "cam1", "cam2")
+
+
+@pytest.mark.parametrize("fault", ["seconds off", "jumps", "backwards", "too fast"])
+def test_stamps_of_other_moments_are_refused(fault: str) -> None:
+    first, second, third = (
+        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i), seconds=20.0), lens=a_lens())
+        for i, T in enumerate(around(3))
+    )
+    half = np.arange(len(third.stamps)) >= len(third.stamps) // 2
+    wrong = {
+        "seconds off": replace(third, stamps=third.stamps + 4 * 10**9),
+        "jumps": replace(third, stamps=third.stamps + 5 * 10**8 * half),
+        "backwards": replace(third, found=third.found[::-1]),
+        "too fast": replace(third, stamps=third.stamps[0] + (third.stamps - third.stamps[0]) * 6 // 5),
+    }
+    with pytest.raises(RigError, match="stamps"):
+        calibrate_rig(BOARD, [first, second, wrong[fault]], RigOptions(lenses=False, board=False))
+
+
+def test_stamps_that_jitter_are_not() -> None:
+    rng = np.random.default_rng(3)
+    cameras = [
+        replace(
+            record(BOARD, a_lens(), T, f"cam{i}", rng, Spoiled(0.1, 0.2, CLOCKS_S[i]), seconds=SECONDS), lens=a_lens()
+        )
+        for i, T in enumerate(around(3))
+    ]
+    shaky = [replace(c, stamps=c.stamps + np.rint(rng.normal(0, 1e7, len(c.stamps))).astype(np.int64)) for c in cameras]
+    solution = calibrate_rig(BOARD, shaky, RigOptions(lenses=False, board=False))
+    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.03
 
 
 def test_cameras_chained_by_pairs_are_one_rig() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
+from twin_node.rig.calibrate.contradictions import check_fit
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, evenly, usable
 from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import islands
@@ -42,6 +43,8 @@ class RigOptions:
     """Estimate clock offsets, where the board moved."""
     partial: bool = False
     """Leave out cameras that share no set with the largest group, instead of refusing."""
+    base_ns: int | None = None
+    """Stamp at which the board lies on the base: of long recordings only parts are used, and this is one of them."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,8 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     """The rig that explains all cameras' views of the board best.
 
     Raises `RigError` for fewer than two cameras, for a board that looks the same when turned, where cameras share no
-    set, directly or through others, with the largest group (unless `options.partial`), or where a camera's views do not
-    determine its lens.
+    set, directly or through others, with the largest group (unless `options.partial`), where a camera's views do not
+    determine its lens, or where the views contradict each other.
     """
     options = options or RigOptions()
     _check(board, cameras)
@@ -97,8 +100,10 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
         )
     members = [cameras[i] for i in group]
     own = [Sighting(group.index(s.camera), s.board, s.corners) for s in first_look if s.camera in group]
-    start = start_of(board, members, [lenses[i] for i in group], own, stamps)
+    start = start_of(board, members, [lenses[i] for i in group], own, stamps, options.base_ns)
     bundle = _solved(start, options)
+    moving = all(camera.moving for camera in members)
+    check_fit([camera.name for camera in members], start.state.lenses, start.sightings, bundle, moving)
     return RigSolution(
         board,
         tuple(camera.name for camera in members),

@@ -28,6 +28,9 @@ STAMP_SUFFIXES = (".json", ".csv", ".txt")
 SHARED_STAMPS = "timestamps.csv"
 """One file for all cameras, as caliscope writes it: columns cam_id, frame_time (s) and, in any order, others."""
 
+LONGEST_PERIOD_S = 5.0
+"""No video of a board that is moved has fewer frames: such stamps are not in seconds."""
+
 STILL_PERIOD_NS = 1_000_000_000
 """Made-up time between stills, which have numbers and no stamps."""
 
@@ -155,6 +158,11 @@ def _video_camera(path: Path, number: int, board: Board, every: int, progress: P
         )
     if (np.diff(stamps) <= 0).any():
         raise RigError(f"{path}: expected rising stamps, found some that go back; sort them with their frames")
+    if len(stamps) > 1 and (period_s := float(np.median(np.diff(stamps))) / 1e9 / every) > LONGEST_PERIOD_S:
+        raise RigError(
+            f"{path}: expected stamps in seconds, found {period_s:g} s from frame to frame; write them in seconds "
+            "(milliseconds divided by 1000)"
+        )
     return CameraRecording(_name(path.stem), search.size, stamps, search.images, search.found)
 
 

@@ -27,6 +27,10 @@ LEAST_DEPTH_M = 0.05
 BASE_TOLERANCE_S = 0.5
 """A board that lies still is taken for seen at a time where an image shows it so near to that."""
 
+STILL_S, STILL_M = 0.25, 0.01
+"""A board lies still where none of its corners is further than this from where it was so long before and after: hands
+that wave it move it by several times as much."""
+
 
 @dataclass(frozen=True)
 class Residuals:
@@ -114,19 +118,26 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
 def board_as_base(solution: RigSolution, stamp: int) -> Float64:
     """`T_base_rig` [4, 4] that makes the board, as it lay at a time (ns), the base: x along its rows, z to the cameras.
 
-    Raises `RigError` where no image with the board is within half a second of that time.
+    Raises `RigError` where no image with the board is within half a second of that time, or the board moved then.
     """
     bundle, wanted = solution.bundle, (stamp - solution.origin_ns) / 1e9
     nearest = min(bundle.sightings, key=lambda sighting: abs(sighting.time_s - wanted))
     if abs(nearest.time_s - wanted) > BASE_TOLERANCE_S:
         raise RigError(
-            f"base: expected the board to be seen at {stamp / 1e9:.3f} s, found it at "
+            f"base: expected the board to be seen at stamp {stamp / 1e9:.3f} s, found it at "
             f"{nearest.time_s + solution.origin_ns / 1e9:.3f} s at the nearest; name a time at which it lies on the "
             "base in sight of a camera"
         )
-    course = bundle.state.course
-    placed = course.at(course.blend(np.array([nearest.board]), np.array([nearest.time_s])))
+    course, about = bundle.state.course, [s for s in bundle.sightings if s.board == nearest.board]
+    times = [nearest.time_s, *(s.time_s for s in about if abs(s.time_s - nearest.time_s) <= STILL_S)]
+    placed = course.at(course.blend(np.full(len(times), nearest.board), np.array(times)))
     T_rig_board = pose(placed.rotations[0], placed.positions[0])
+    corners = np.einsum("tij,pj->tpi", placed.rotations, bundle.state.points) + placed.positions[:, None]
+    if (moved := float(np.linalg.norm(corners - corners[0], axis=2).max())) > STILL_M:
+        raise RigError(
+            f"base: expected the board to lie still at stamp {stamp / 1e9:.3f} s, found it {1e3 * moved:.0f} mm further "
+            f"within {STILL_S:g} s of that; name a time at which it lies on the base"
+        )
     seen_from = transform(inverse_pose(T_rig_board), camera_poses(bundle.state)[:, :3, 3])
     if seen_from[:, 2].mean() < 0:  # rows of most boards run down the page: their z points into it
         T_rig_board = T_rig_board @ np.diag([1.0, -1.0, -1.0, 1.0])

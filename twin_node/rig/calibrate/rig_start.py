@@ -85,10 +85,22 @@ def start_of(
     lenses: Sequence[Lens],
     first_look: Sequence[Sighting],
     stamps: NDArray[np.int64],
+    wanted_ns: int | None = None,
 ) -> Start:
-    """A first guess of a rig; `first_look`: sightings in sets at `stamps` (ns) that hold all cameras together."""
+    """A first guess of a rig; `first_look`: sightings in sets at `stamps` (ns) that hold all cameras together.
+
+    `wanted_ns`: a stamp whose images are used in any case.
+    """
     chosen = _spread(first_look, len(cameras), SETS_PER_PAIR)
-    sets = [Sighting(s.camera, chosen.index(s.board), s.corners) for s in first_look if s.board in chosen]
+    if wanted_ns is not None:
+        nearest = min((s.board for s in first_look), key=lambda board: abs(int(stamps[board]) - wanted_ns))
+        chosen = sorted({*chosen, nearest})
+    origin = int(stamps[0])
+    sets = [
+        Sighting(s.camera, chosen.index(s.board), s.corners, (int(stamps[s.board]) - origin) / 1e9)
+        for s in first_look
+        if s.board in chosen
+    ]
     graph = build_pose_graph(lenses, board.points, sets)
     T_rig_cam = np.stack([graph.T_rig_cam[i] for i in range(len(cameras))])
     clocks = np.zeros((len(cameras), 2))
@@ -96,10 +108,11 @@ def start_of(
         course = still_course(np.stack([graph.T_rig_board[i] for i in range(len(chosen))]))
         names = tuple(_image_at(cameras[s.camera], int(stamps[chosen[s.board]])) for s in sets)
         state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks)
-        return Start(state, tuple(sets), names, int(stamps[0]))
+        return Start(state, tuple(sets), names, origin)
     step_s = max(STEP_S, float(np.median([camera.period_s for camera in cameras])))
-    origin = int(stamps[0])
     windows = _windows(first_look, len(cameras), stamps)
+    if wanted_ns is not None:
+        windows.add(int((wanted_ns - origin) / 1e9 // WINDOW_S))
     seen = _in_stretches([*_images(board, cameras, origin, windows, step_s)], step_s)
     poses = [board_pose(lenses[s.camera], board.points[s.corners.ids], s.corners.pixels) for s in seen.sightings]
     times, places = [], []

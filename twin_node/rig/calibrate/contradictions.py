@@ -1,0 +1,71 @@
+"""Whether images fit one rig at all: wrong stamps bend every fit, and figures of what is left would not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin_node.geometry import transform
+from twin_node.rig.calibrate.bundle import BundleResult, Sighting
+from twin_node.rig.calibrate.lenses import Lens, project
+from twin_node.rig.calibrate.pose_graph import board_pose
+from twin_node.rig.errors import RigError
+from twin_node.scene import Float64
+
+MOST_WORSE, LEAST_PX = 8.0, 0.5
+"""Images of one rig fit it up to so many times worse than each fits a place of its own; less than so many pixels is no
+matter. A good recording of rolling shutters and free clocks (`charuco_4cam`) has 5 times, 0.5 pixels; stamps that are
+seconds off have 15 times and more."""
+
+MOST_LEFT_OUT = 0.15
+"""Share of all images of a moved board that a fit may do without. Good recordings lose 1 %, stamps that jitter by 15 ms
+9 %; where a clock is seconds off, jumps by half a second or runs a fifth too fast 18 % and more are lost."""
+
+CAUSE = (
+    "are the stamps those of its frames, in seconds, and the cameras' clocks within a second of each other all along? "
+    "Nor may a camera be moved"
+)
+
+
+def check_fit(
+    names: Sequence[str], lenses: Sequence[Lens], given: Sequence[Sighting], bundle: BundleResult, moving: bool
+) -> None:
+    """Raises `RigError` where cameras' images contradict each other.
+
+    `lenses`: as each camera's own images tell them; `given`: the sightings that the bundle was made of.
+    """
+    for camera, (name, lens) in enumerate(zip(names, lenses, strict=True)):
+        fits = [(s, r) for s, r in zip(bundle.sightings, bundle.residuals, strict=True) if s.camera == camera]
+        if not fits:
+            raise RigError(f"camera {name}: expected images that fit the other cameras', found none that do; {CAUSE}")
+        together = _median([residual for _, residual in fits])
+        alone = _alone(lens, bundle.state.points, [sighting for sighting, _ in fits])
+        if together > max(LEAST_PX, MOST_WORSE * alone):
+            raise RigError(
+                f"camera {name}: expected images that fit the other cameras', found them {together:.2f} px off where "
+                f"each by itself is {alone:.2f} px off; {CAUSE}"
+            )
+    if moving and len(bundle.left_out) > MOST_LEFT_OUT * len(given):
+        lost = [
+            f"{sum(s.camera == i for s in bundle.left_out)} of {sum(s.camera == i for s in given)} of {name}"
+            for i, name in enumerate(names)
+        ]
+        raise RigError(
+            f"cameras {', '.join(names)}: expected images that fit one course of the board, found that many do not "
+            f"({', '.join(lost)}); {CAUSE}"
+        )
+
+
+def _alone(lens: Lens, points: Float64, sightings: Sequence[Sighting]) -> float:
+    """Median distance, pixels, of corners from a board [P, 3] that lies wherever the image itself wants it."""
+    residuals = []
+    for corners in (sighting.corners for sighting in sightings):
+        T = board_pose(lens, points[corners.ids], corners.pixels)
+        if T is not None:
+            residuals.append(corners.pixels - project(lens, transform(T, points[corners.ids])).pixels)
+    return _median(residuals) if residuals else np.inf
+
+
+def _median(residuals: Sequence[Float64]) -> float:
+    return float(np.median(np.linalg.norm(np.concatenate(residuals), axis=1)))
