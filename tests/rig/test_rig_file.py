@@ -162,6 +162,8 @@ MISTAKES = {
         r"left.*unit: expected one of s, ms, us, ns, found 'min'",
     ),
     "sigma in mm": (lambda d, c: c.update(sigma_m=16), r"left.*sigma_m: expected metres from 0 to 1, found 16"),
+    "number without end": (lambda d, c: c.update(sigma_m=10**400), r"left.*sigma_m: expected a number"),
+    "size without end": (lambda d, c: c.update(size=[10**400, 2]), r"left.*size: expected 2 numbers"),
     "rate in shares": (lambda d, c: c.update(time_rate_ppm=2e4), r"left.*time_rate_ppm: .*found 20000"),
     "rate without reference": (lambda d, c: c.update(time_rate_ppm=20.0), r"left.*expected `time_reference`"),
     "exponent that YAML takes for text": (lambda d, c: c.update(sigma_m="1e-3"), r"left.*sigma_m: .*1\.0e-3"),
@@ -189,6 +191,23 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text(text)
     with pytest.raises(RigError, match="expected a") as caught:
+        load_rig(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("date: 2026-25-03", r"rig\.yaml: expected a rig file \(YAML\), found month must be in 1\.\.12"),
+        ("notes: !!int many", r"rig\.yaml: expected a rig file \(YAML\), found invalid literal"),
+        ("frame: a\nframe: b", r"found the field 'frame' 2 times"),
+        ("notes: " + 2000 * "[", r"rig\.yaml: expected a rig file \(YAML\), found "),
+    ],
+)
+def test_values_that_cannot_be_and_fields_twice_are_one_line(tmp_path: Path, line: str, message: str) -> None:
+    path = written(tmp_path, valid())
+    path.write_text(path.read_text() + line + "\n")
+    with pytest.raises(RigError, match=message) as caught:
         load_rig(path)
     assert "\n" not in str(caught.value)
 

@@ -15,7 +15,7 @@ from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.stamps import UNITS_NS, StampsFile
-from twin_node.rig.yaml_fields import Fields
+from twin_node.rig.yaml_fields import Fields, read_yaml
 from twin_node.scene import Float64, Rig, RigCamera
 
 CAMERA_FIELDS = (
@@ -96,14 +96,7 @@ def load_rig(path: str | Path, *, facing: bool = True) -> RigFile:
     and the field, what was expected, what was found and what to do.
     """
     path = find(path)
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError as error:
-        raise RigError(f"{path}: expected a rig file (YAML), found what is no text; is it a log?") from error
-    except (OSError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise RigError(f"{path}: expected a rig file (YAML), found {reason}") from error
-    fields = Fields(str(path), data)
+    fields = Fields(str(path), read_yaml(path, "a rig file (YAML)"))
     fields.only("cameras", "workspace", "frame", "date", "notes", "board", "data")
     folder = path.parent / fields.text("data", ".")
     cameras = tuple(_camera(entry) for entry in fields.entries("cameras"))

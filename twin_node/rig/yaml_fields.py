@@ -4,11 +4,42 @@ from __future__ import annotations
 
 import datetime
 import difflib
+from collections import Counter
+from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from twin_node.rig.errors import RigError
+
+LARGEST = float(np.finfo(np.float64).max)
+"""Whole numbers of YAML have no end; those beyond this are no number of ours."""
+
+
+def read_yaml(path: Path, kind: str) -> object:
+    """What a YAML file holds; `kind`: what it is expected to be, for messages.
+
+    Raises `RigError` where it cannot be read, holds a value that cannot be (the 30th of February) or a field twice.
+    """
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except UnicodeDecodeError as error:
+        raise RigError(f"{path}: expected {kind}, found what is no text; is it a log?") from error
+    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
+        raise RigError(f"{path}: expected {kind}, found {' '.join(str(error).split())}") from error
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses a field that stands twice in a mapping: the last would win, and nobody would hear of it."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[object, object]:
+        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for name, count in counts.items():
+            if count > 1:
+                twice = f"the field {name!r} {count} times"
+                raise yaml.constructor.ConstructorError(None, None, twice, node.start_mark)
+        return dict(super().construct_mapping(node, deep))
 
 
 class Fields:
@@ -66,7 +97,7 @@ class Fields:
         if default is not None and not self.has(key):
             return default
         value = self._required(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
             raise RigError(f"{self.where}.{key}: expected a number, found {value!r}{_exponent_hint(value)}")
         return float(value)
 
@@ -83,7 +114,7 @@ class Fields:
         expected = "a list of numbers" if shape is None else f"{'x'.join(map(str, shape))} numbers"
         try:
             array = np.array(value, dtype=np.float64)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             raise RigError(f"{self.where}.{key}: expected {expected}, found {value!r}") from error
         if array.ndim != 1 if shape is None else array.shape != shape:
             found = "x".join(map(str, array.shape)) or "one number"

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, marker_dictionary
 from twin_node.rig.errors import RigError
-from twin_node.rig.yaml_fields import Fields
+from twin_node.rig.yaml_fields import Fields, read_yaml
 
 FORMS = (
     "chessboard:COLUMNSxROWS:SQUARE (inner corners)",
@@ -98,18 +97,19 @@ _FROM_TEXT: dict[str, Callable[[int, int, list[str]], Board]] = {
 
 
 def _from_file(path: Path) -> Board:
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text) if path.suffix == ".toml" else yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, tomllib.TOMLDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise RigError(f"{path}: expected a board file (YAML or TOML), found {reason}") from error
-    fields = Fields(str(path), data)
+    fields = Fields(str(path), _toml(path) if path.suffix == ".toml" else read_yaml(path, "a board file (YAML)"))
     if fields.has("target_type"):
         return _checked(str(path), _kalibr(fields))
     if fields.has("aruco_scale"):
         return _checked(str(path), _caliscope(fields))
     return _checked(str(path), _own(fields))
+
+
+def _toml(path: Path) -> object:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RigError(f"{path}: expected a board file (TOML), found {' '.join(str(error).split())}") from error
 
 
 def _own(fields: Fields) -> Board:

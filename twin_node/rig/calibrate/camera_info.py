@@ -9,9 +9,8 @@ import numpy as np
 import yaml
 
 from twin_node.rig.calibrate.lenses import Lens
-from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_distortion, check_intrinsics
-from twin_node.rig.yaml_fields import Fields
+from twin_node.rig.yaml_fields import Fields, read_yaml
 from twin_node.scene import Float64
 
 
@@ -44,12 +43,7 @@ def save_camera_info(lens: Lens, path: Path) -> None:
 
 def load_camera_info(path: Path) -> CameraInfo:
     """The content of a ROS camera calibration file. Raises `RigError` where it is none or a value is wrong."""
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise RigError(f"{path}: expected a ROS camera calibration file, found {reason}") from error
-    fields = Fields(str(path), data)
+    fields = Fields(str(path), read_yaml(path, "a ROS camera calibration file"))
     width, height = int(fields.number("image_width")), int(fields.number("image_height"))
     K = fields.table("camera_matrix").array("data", (9,)).reshape(3, 3)
     D = fields.table("distortion_coefficients").array("data", None)

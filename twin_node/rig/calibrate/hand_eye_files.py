@@ -12,13 +12,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from twin_node.geometry import pose, rotation_from_quat
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.hand_eye import HandEyeView
 from twin_node.rig.errors import RigError
-from twin_node.rig.yaml_fields import Fields
+from twin_node.rig.yaml_fields import Fields, read_yaml
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import Float64, RigCamera, UInt8
 
@@ -51,7 +50,7 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     Raises `RigError` for a file that is missing or wrong, naming the field.
     """
     file = path / LIST_FILE if path.is_dir() else path
-    content = _yaml(file)
+    content = read_yaml(file, "a YAML file")
     if not isinstance(content, list) or not content:
         raise RigError(f"{file}: expected a list of {{image, pose}}, found {type(content).__name__}")
     return tuple(_stop(Fields(f"{file}[{i}]", entry), file.parent, arm) for i, entry in enumerate(content))
@@ -85,7 +84,7 @@ def read_lens(folder: Path, size: tuple[int, int]) -> RigCamera:
     """
     for name in LENS_FILES:
         if (folder / name).is_file():
-            fields = Fields(str(folder / name), _yaml(folder / name)).table("intrinsics")
+            fields = Fields(str(folder / name), read_yaml(folder / name, "a YAML file")).table("intrinsics")
             fx, fy, cx, cy = (fields.number(key) for key in ("fx", "fy", "cx", "cy"))
             K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             return RigCamera("camera", size[0], size[1], K, np.eye(4))
@@ -97,7 +96,7 @@ def read_target(folder: Path) -> CircleTarget:
     file = folder / TARGET_FILE
     if not file.is_file():
         raise RigError(f"{folder}: expected {TARGET_FILE}, found none; give --board")
-    fields = Fields(str(file), _yaml(file)).table("target_finder")
+    fields = Fields(str(file), read_yaml(file, "a YAML file")).table("target_finder")
     if "CircleGrid" not in fields.text("type"):
         raise RigError(f"{fields.where}.type: expected a grid of circles, found {fields.text('type')}; give --board")
     return CircleTarget(int(fields.number("cols")), int(fields.number("rows")), fields.number("spacing"))
@@ -115,7 +114,7 @@ def _stop(fields: Fields, folder: Path, arm: ArmModel | None) -> Stop:
     if fields.is_table("pose"):
         return Stop(image, _pose(fields.table("pose")))
     file = folder / fields.text("pose")
-    return Stop(image, _pose(Fields(str(file), _yaml(file))))
+    return Stop(image, _pose(Fields(str(file), read_yaml(file, "a YAML file"))))
 
 
 def _pose(fields: Fields) -> Float64:
@@ -130,11 +129,3 @@ def _grey(path: Path) -> UInt8:
     if image is None:
         raise RigError(f"{path}: expected a picture, found a file that cannot be read as one; check the path")
     return np.asarray(image, dtype=np.uint8)
-
-
-def _yaml(file: Path) -> object:
-    try:
-        content: object = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RigError(f"{file}: expected a YAML file, found {' '.join(str(error).split())}") from error
-    return content

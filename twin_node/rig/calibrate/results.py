@@ -135,7 +135,7 @@ def board_as_base(solution: RigSolution, stamp: int) -> Float64:
     corners = np.einsum("tij,pj->tpi", placed.rotations, bundle.state.points) + placed.positions[:, None]
     if (moved := float(np.linalg.norm(corners - corners[0], axis=2).max())) > STILL_M:
         raise RigError(
-            f"base: expected the board to lie still at stamp {stamp / 1e9:.3f} s, found it {1e3 * moved:.0f} mm further "
+            f"base: expected the board to lie still at stamp {stamp / 1e9:.3f} s, found it {1e3 * moved:.0f} mm off "
             f"within {STILL_S:g} s of that; name a time at which it lies on the base"
         )
     seen_from = transform(inverse_pose(T_rig_board), camera_poses(bundle.state)[:, :3, 3])

@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
-from twin_node.rig.yaml_fields import Fields
+from twin_node.rig.yaml_fields import Fields, read_yaml
 from twin_node.scene import Float64, RigCamera
 
 MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
@@ -20,12 +19,7 @@ MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bo
 
 def import_kalibr(path: Path, unit: float = 1.0) -> RigFile:
     """A rig in the optical frame of cam0. Raises `RigError` for models other than pinhole-radtan and pinhole-equi."""
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise RigError(f"{path}: expected a camchain of Kalibr (YAML), found {reason}") from error
-    chain = Fields(str(path), data)
+    chain = Fields(str(path), read_yaml(path, "a camchain of Kalibr (YAML)"))
     cameras: list[RigCamera] = []
     T_rig_cam = np.eye(4)
     while chain.has(f"cam{len(cameras)}"):
