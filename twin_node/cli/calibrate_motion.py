@@ -85,18 +85,23 @@ def _hand_eye(options: argparse.Namespace) -> None:
     from twin_node.robot import arm_model
 
     stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)
-    board = _board(options)
-    views = detect_target(stops, board)
-    parameters = HandEyeParameters(not options.fixed_intrinsics, not options.fixed_scale)
-    result = solve_hand_eye(_camera(options, stops[0].image), board.points, views, Mount(options.mount), parameters)
+    board, mount = _board(options), Mount(options.mount)
+    camera = _camera(options, stops[0].image)
+    with tqdm(unit="picture", desc="board", disable=None) as bar:
+        views = detect_target(stops, board, (camera.width, camera.height), bar.update)
+    together = _cameras_beside(options) if mount is Mount.TARGET else None
+    parameters = HandEyeParameters(not (options.fixed_intrinsics or together), not options.fixed_scale)
+    result = solve_hand_eye(camera, board.points, views, mount, parameters, numbered=board.turns == 1)
     if options.output:
-        _save_hand_eye(result, options.output)
+        _save_hand_eye(result, options.output, together)
     if options.json:
         print(json.dumps(_hand_eye_figures(result)))
         return
     carrier, other = ("flange", "base") if result.mount is Mount.CAMERA else ("base", "flange")
     print(f"reprojection: mean {result.mean_px:.3f}, median {result.median_px:.3f}, rms {result.rms_px:.3f} px")
     print(f"views: {len(views) - len(result.dropped)} used, dropped {', '.join(result.dropped) or 'none'}")
+    if unseen := {stop.image.stem for stop in stops} - {view.name for view in views}:
+        print(f"too little of the target in: {', '.join(sorted(unseen))}")
     print(f"target: {100 * result.target_scale:.2f} % of the size given")
     print(f"camera in the {carrier} (+- {1000 * result.sigma_m:.1f} mm):\n{result.T_carrier_camera.round(6)}")
     print(f"target in the {other}:\n{result.T_carrier_target.round(6)}")
@@ -131,10 +136,19 @@ def _folder(views: Path) -> Path:
     return views if views.is_dir() else views.parent
 
 
-def _save_hand_eye(result: HandEyeResult, path: Path) -> None:
-    """A rig file whose frame is what carries the camera."""
+def _cameras_beside(options: argparse.Namespace) -> RigFile | None:
+    """The rig file given, where it has cameras that stand fixed beside the one that took the pictures."""
+    from twin_node.rig import load_rig
+
+    rig_file = load_rig(options.rig) if options.rig else None
+    return rig_file if rig_file is not None and len(rig_file.rig.cameras) > 1 else None
+
+
+def _save_hand_eye(result: HandEyeResult, path: Path, together: RigFile | None) -> None:
+    """A rig file whose frame is what carries the camera; `together`: the cameras that stand beside it come along."""
     from twin_node.rig import RigFile, save_rig
     from twin_node.rig.calibrate.hand_eye import Mount
+    from twin_node.rig.calibrate.results import in_base
     from twin_node.scene import Rig
 
     camera = replace(result.camera, T_base_cam=result.T_carrier_camera, sigma_m=result.sigma_m)
@@ -142,6 +156,11 @@ def _save_hand_eye(result: HandEyeResult, path: Path) -> None:
         f"Hand-eye calibration: mean reprojection {result.mean_px:.3f} px, median {result.median_px:.3f} px, target at "
         f"{100 * result.target_scale:.2f} % of the size given, views dropped: {', '.join(result.dropped) or 'none'}."
     )
+    if together is not None:
+        notes = f"Tied to the robot by camera {camera.name}. {notes} {together.notes}".strip()
+        moved = in_base(together, camera.name, result.T_carrier_camera)
+        save_rig(replace(moved, date=_today(), notes=notes), path)
+        return
     frame = "tool0" if result.mount is Mount.CAMERA else "base_link"
     save_rig(RigFile(Rig((camera,)), frame=frame, date=_today(), notes=notes), path)
 

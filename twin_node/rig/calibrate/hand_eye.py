@@ -114,19 +114,23 @@ def solve_hand_eye(
     views: Sequence[HandEyeView],
     mount: Mount,
     parameters: HandEyeParameters | None = None,
+    *,
+    numbered: bool = False,
 ) -> HandEyeResult:
     """Solves for the camera and the target from stops of the robot.
 
-    A target that looks the same from several sides (a square grid of circles) may be numbered from any of its corners
-    in each view: the numbering that fits the robot's motion is found. Views that disagree with the others are dropped
-    and named.
+    `numbered`: the points' numbers are certain, as markers tell them. Otherwise a target that looks the same from
+    several sides (a square grid of circles) may be numbered from any of its corners in each view: the numbering that
+    fits the robot's motion is found. Views that disagree with the others are dropped and named.
 
     Raises `RigError` for too few views, or where the robot did not turn about two axes.
     """
     parameters = parameters or HandEyeParameters()
     _check(target, views)
     G = [inverse_pose(v.T_base_flange) if mount is Mount.CAMERA else v.T_base_flange for v in views]
-    stops = numbered_alike(camera, target, Stops(np.stack(G), np.stack([view.pixels for view in views])))
+    stops = Stops(np.stack(G), np.stack([view.pixels for view in views]))
+    if not numbered:
+        stops = numbered_alike(camera, target, stops)
     solution = _Adjustment(camera, target, stops, parameters).solve()
     worst = np.nanmean(solution.errors, axis=1)
     kept = worst <= OUTLIER * np.median(worst)
@@ -194,11 +198,9 @@ class _Adjustment:
         solved = least_squares(
             self._residuals, np.zeros(12 + self._free.sum()), loss="soft_l1", tr_solver="lsmr", x_scale="jac"
         )
-        errors = self._offsets(solved.x)
-        spare = max(int(np.isfinite(errors).sum()) - len(solved.x), 1)
-        spread = float(np.nansum(errors**2)) / spare
-        covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * spread
-        distances = np.linalg.norm(errors, axis=2)
+        stops, points, _ = self._stops.pixels.shape
+        covariance = _covariance(np.asarray(solved.jac), np.asarray(solved.fun), stops, 2 * points)
+        distances = np.linalg.norm(self._offsets(solved.x), axis=2)
         return _Solution(
             self._lens(solved.x), self._loop(solved.x), self._scale(solved.x), covariance[:6, :6], distances
         )
@@ -226,6 +228,24 @@ class _Adjustment:
 
     def _loop(self, x: Float64) -> Loop:
         return Loop(_nudged(self._start.X, x[:6]), _nudged(self._start.Y, x[6:12]))
+
+
+def _covariance(jac: Float64, residuals: Float64, stops: int, rows: int) -> Float64:
+    """[n, n] of a fit to the residuals [M] of stops, `rows` each, then of priors; `jac` [M, n] as SciPy bends it.
+
+    An arm that errs at a stop moves all corners there alike: stops count as one witness each, and their spread is what
+    the fit would leave over without them (the jackknife; MacKinnon and White, J. Econometrics 1985, HC3 by clusters).
+    """
+    bent = residuals * (1 + residuals**2) ** 0.25  # J^T bent is the slope of the soft L1 cost
+    inverse = np.linalg.pinv(jac.T @ jac)
+    priors = jac[stops * rows :]
+    spread = priors.T @ priors
+    for i in range(stops):
+        own = jac[i * rows : (i + 1) * rows]
+        alone = np.eye(rows) - own @ inverse @ own.T
+        slope = own.T @ np.linalg.lstsq(alone, bent[i * rows : (i + 1) * rows], rcond=1e-9)[0]
+        spread += (stops - 1) / stops * np.outer(slope, slope)
+    return np.asarray(inverse @ spread @ inverse)
 
 
 def _nudged(T: Float64, change: Float64) -> Float64:

@@ -6,7 +6,7 @@ qw}` (m) in the file itself or in one of its own. `joints: [...]` (rad) may stan
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 from twin_node.geometry import pose, rotation_from_quat
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.hand_eye import HandEyeView
+from twin_node.rig.calibrate.intrinsics import usable
 from twin_node.rig.errors import RigError
 from twin_node.rig.yaml_fields import Fields, read_yaml
 from twin_node.robot import ArmModel, forward_kinematics
@@ -56,15 +57,26 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     return tuple(_stop(Fields(f"{file}[{i}]", entry), file.parent, arm) for i, entry in enumerate(content))
 
 
-def detect_target(stops: Sequence[Stop], board: Board) -> tuple[HandEyeView, ...]:
-    """The stops whose picture shows the target, with its points' pixels.
+def detect_target(
+    stops: Sequence[Stop], board: Board, size: tuple[int, int], progress: Callable[[], object] | None = None
+) -> tuple[HandEyeView, ...]:
+    """The stops whose picture shows enough of the target to tell its pose, with its points' pixels.
 
-    Raises `RigError` for a picture that cannot be read.
+    `size`: (width, height) of the images that the lens is calibrated for; `progress` is called after each. Raises
+    `RigError` for a picture that cannot be read or is of another size.
     """
     views = []
     for stop in stops:
-        found = board.detect(_grey(stop.image))
-        if found is not None:
+        picture = _grey(stop.image)
+        if picture.shape != size[::-1]:
+            raise RigError(
+                f"{stop.image}: expected a picture of {size[0]}x{size[1]}, as the lens is calibrated for, found "
+                f"{picture.shape[1]}x{picture.shape[0]}; use the calibration of this resolution"
+            )
+        found = board.detect(picture)
+        if progress is not None:
+            progress()
+        if found is not None and usable(board, found):
             pixels = np.full((len(board.points), 2), np.nan)
             pixels[found.ids] = found.pixels
             views.append(HandEyeView(stop.image.stem, stop.T_base_flange, pixels))

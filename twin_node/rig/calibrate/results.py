@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -142,6 +142,24 @@ def board_as_base(solution: RigSolution, stamp: int) -> Float64:
     if seen_from[:, 2].mean() < 0:  # rows of most boards run down the page: their z points into it
         T_rig_board = T_rig_board @ np.diag([1.0, -1.0, -1.0, 1.0])
     return inverse_pose(T_rig_board)
+
+
+def in_base(rig_file: RigFile, camera: str, T_base_cam: Float64) -> RigFile:
+    """A rig moved as a whole to where one of its cameras stands in the robot's base: `T_base_cam` [4, 4].
+
+    Its workspace, a box along axes that are no longer the frame's, is left to be derived.
+    """
+    known = next(own.T_base_cam for own in rig_file.rig.cameras if own.name == camera)
+    move = T_base_cam @ inverse_pose(known)
+    turn = np.kron(np.eye(2), move[:3, :3])
+    cameras = tuple(replace(own, T_base_cam=move @ own.T_base_cam) for own in rig_file.rig.cameras)
+    evidence = tuple(
+        own
+        if own is None or own.pose_covariance is None
+        else replace(own, pose_covariance=turn @ own.pose_covariance @ turn.T)
+        for own in rig_file.evidence
+    )
+    return replace(rig_file, rig=Rig(cameras), frame="base_link", evidence=evidence)
 
 
 def pose_covariances(solution: RigSolution, T_base_rig: Float64) -> Float64:
