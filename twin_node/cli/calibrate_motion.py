@@ -109,13 +109,11 @@ def _hand_eye(options: argparse.Namespace) -> None:
 
 def _board(options: argparse.Namespace) -> Board:
     from twin_node.rig.calibrate.board_files import load_board
-    from twin_node.rig.calibrate.boards import CircleGrid
     from twin_node.rig.calibrate.hand_eye_files import read_target
 
     if options.board:
         return load_board(options.board)
-    grid = read_target(_folder(options.views))
-    return CircleGrid(grid.columns, grid.rows, grid.spacing)
+    return read_target(_folder(options.views))
 
 
 def _camera(options: argparse.Namespace, image: Path) -> RigCamera:

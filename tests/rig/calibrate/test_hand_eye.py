@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from simulated_boards import a_lens, picture
 from twin_node.cli import main
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig import RigError, RigFile, load_rig, save_rig
-from twin_node.rig.calibrate.boards import CharucoBoard, CircleGrid
+from twin_node.rig.calibrate.boards import CharucoBoard
 from twin_node.rig.calibrate.hand_eye import HandEyeParameters, HandEyeView, Mount, solve_hand_eye
 from twin_node.rig.calibrate.hand_eye_files import detect_target, read_lens, read_stops, read_target
 from twin_node.rig.calibrate.hand_eye_start import target_symmetries
@@ -169,8 +170,7 @@ def test_rays_and_pixels_are_inverse(model: tuple[str, int], seed: int) -> None:
 
 def test_a_real_robot_reprojects_within_half_a_pixel(recordings: Path) -> None:
     folder = recordings / "hand_eye"
-    grid = read_target(folder)
-    board = CircleGrid(grid.columns, grid.rows, grid.spacing)
+    board = read_target(folder)
     views = detect_target(read_stops(folder), board, (640, 480))
     assert len(views) == 15
     result = solve_hand_eye(read_lens(folder, (640, 480)), board.points, views, Mount.CAMERA)
@@ -243,6 +243,63 @@ def test_a_rig_is_tied_to_the_robot_as_a_whole(tmp_path: Path, capsys: pytest.Ca
     assert np.linalg.norm(left.T_base_cam[:3, 3] - X[:3, 3]) < 0.003
     np.testing.assert_allclose(inverse_pose(left.T_base_cam) @ right.T_base_cam, beside, atol=1e-9)
     np.testing.assert_array_equal(left.K, LENS.K)
+
+
+def quaternion_rolled(T: Float64) -> Float64:
+    quat = np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), 1)
+    return pose(Rotation.from_quat(quat).as_matrix(), T[:3, 3])
+
+
+@pytest.mark.parametrize("mount", Mount)
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        inverse_pose,
+        lambda T: T @ np.diag([1.0, 1, 1, 1]) + np.pad(999 * T[:3, 3:], ((0, 1), (3, 0))),
+        lambda T: pose(T[:3, :3].T, T[:3, 3]),
+        quaternion_rolled,
+        None,
+    ],
+    ids=["inverted", "millimetres", "transposed", "quaternion", "other pictures"],
+)
+def test_poses_that_are_none_of_the_pictures_are_refused(mount: Mount, mistake: Callable[[Float64], Float64]) -> None:
+    _, views = session(np.random.default_rng(8), OBLONG, mount, noise_px=0.1)
+    poses = [mistake(view.T_base_flange) if mistake else T for view, T in zip(views, _rolled(views), strict=True)]
+    wrong = [replace(view, T_base_flange=T) for view, T in zip(views, poses, strict=True)]
+    for parameters in (FIXED, HandEyeParameters()):
+        with pytest.raises(RigError, match=r"hand-eye: expected (pictures that fit|motions that tell)"):
+            solve_hand_eye(CAMERA, OBLONG, wrong, mount, parameters, numbered=True)
+
+
+def _rolled(views: list[HandEyeView]) -> list[Float64]:
+    return [view.T_base_flange for view in [*views[1:], views[0]]]
+
+
+def test_the_other_mount_is_refused() -> None:
+    _, views = session(np.random.default_rng(8), OBLONG, Mount.TARGET, noise_px=0.1)
+    with pytest.raises(RigError, match="a flange that carries the camera"):
+        solve_hand_eye(CAMERA, OBLONG, views, Mount.CAMERA, numbered=True)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("camera_intr.yaml", "intrinsics: {fx: -600, fy: 600, cx: 320, cy: 240}", r"intrinsics\.K: expected"),
+        ("target.yaml", "target_finder: {type: CircleGrid, cols: 0, rows: 5, spacing: 0.02}", "cols: expected a whole"),
+        ("target.yaml", "target_finder: {type: CircleGrid, cols: 5, rows: 5, spacing: -0.02}", "lengths above 0"),
+        ("cal_data.yaml", "[]", "found an empty list"),
+    ],
+)
+def test_files_of_a_session_that_cannot_be_are_refused(tmp_path: Path, file: str, text: str, message: str) -> None:
+    (tmp_path / file).write_text(text)
+    with pytest.raises(RigError, match=message):
+        match file:
+            case "camera_intr.yaml":
+                read_lens(tmp_path, (640, 480))
+            case "target.yaml":
+                read_target(tmp_path)
+            case _:
+                read_stops(tmp_path)
 
 
 def test_pictures_of_another_size_than_the_lens_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

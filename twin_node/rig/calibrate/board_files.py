@@ -59,7 +59,7 @@ def _from_text(text: str, kind: str, parts: list[str]) -> Board:
     except (ValueError, IndexError) as error:
         form = next(form for form in FORMS if form.startswith(f"{kind}:"))
         raise RigError(f"board {text!r}: expected {form}, found something else") from error
-    return _checked(f"board {text!r}", board)
+    return checked(f"board {text!r}", board)
 
 
 def _text_chessboard(columns: int, rows: int, parts: list[str]) -> Board:
@@ -99,10 +99,10 @@ _FROM_TEXT: dict[str, Callable[[int, int, list[str]], Board]] = {
 def _from_file(path: Path) -> Board:
     fields = Fields(str(path), _toml(path) if path.suffix == ".toml" else read_yaml(path, "a board file (YAML)"))
     if fields.has("target_type"):
-        return _checked(str(path), _kalibr(fields))
+        return checked(str(path), _kalibr(fields))
     if fields.has("aruco_scale"):
-        return _checked(str(path), _caliscope(fields))
-    return _checked(str(path), _own(fields))
+        return checked(str(path), _caliscope(fields))
+    return checked(str(path), _own(fields))
 
 
 def _toml(path: Path) -> object:
@@ -114,7 +114,7 @@ def _toml(path: Path) -> object:
 
 def _own(fields: Fields) -> Board:
     kind = fields.text("kind")
-    columns, rows = _whole(fields, "columns"), _whole(fields, "rows")
+    columns, rows = whole(fields, "columns"), whole(fields, "rows")
     if kind == "chessboard":
         fields.only("kind", "columns", "rows", "square")
         return Chessboard(columns, rows, fields.number("square"))
@@ -137,9 +137,9 @@ def _kalibr(fields: Fields) -> Board:
     """A target file of Kalibr (github.com/ethz-asl/kalibr/wiki/calibration-targets)."""
     kind = fields.text("target_type")
     if kind == "aprilgrid":
-        columns, rows = _whole(fields, "tagCols"), _whole(fields, "tagRows")
+        columns, rows = whole(fields, "tagCols"), whole(fields, "tagRows")
         return AprilGrid(columns, rows, fields.number("tagSize"), fields.number("tagSpacing"))
-    columns, rows = _whole(fields, "targetCols"), _whole(fields, "targetRows")
+    columns, rows = whole(fields, "targetCols"), whole(fields, "targetRows")
     if kind == "checkerboard":
         square = fields.number("colSpacingMeters")
         if square != fields.number("rowSpacingMeters"):
@@ -152,7 +152,7 @@ def _kalibr(fields: Fields) -> Board:
 
 def _caliscope(fields: Fields) -> Board:
     """`charuco.toml` of caliscope (github.com/mprib/caliscope), whose squares fill the page unless measured."""
-    columns, rows = _whole(fields, "columns"), _whole(fields, "rows")
+    columns, rows = whole(fields, "columns"), whole(fields, "rows")
     if fields.has("square_size_override_cm"):
         square = fields.number("square_size_override_cm") / 100
     else:
@@ -164,14 +164,15 @@ def _caliscope(fields: Fields) -> Board:
     )
 
 
-def _whole(fields: Fields, key: str) -> int:
+def whole(fields: Fields, key: str) -> int:
+    """A number of columns or rows. Raises `RigError` for what is none."""
     value = fields.number(key)
     if value < 2 or value % 1:
         raise RigError(f"{fields.where}.{key}: expected a whole number of 2 or more, found {value:g}")
     return int(value)
 
 
-def _checked(where: str, board: Board) -> Board:
+def checked(where: str, board: Board) -> Board:
     """The board, if there can be one. Raises `RigError` for lengths that no board has."""
     smallest = 3 if isinstance(board, CharucoBoard) else 2
     if min(board.columns, board.rows) < smallest:

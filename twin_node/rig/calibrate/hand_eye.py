@@ -38,6 +38,12 @@ FOCAL_SIGMA, CENTRE_SIGMA_PX, DISTORTION_SIGMA = 0.05, 20.0, 0.3
 SCALE_SIGMA = 0.05
 """1 sigma of the target's printed size: printers that fit to the page are off by a few per cent."""
 
+MOST_OFF = 0.003
+"""Half of all corners fit within this share of the focal length (0.17 degrees): an arm whose stops are true to 2 mm and
+0.2 degrees leaves a third of it, another mount than said, or other units, twice as much and more."""
+MOST_SIGMA_M = 0.1
+"""A camera's place that is open by more than this is none."""
+
 
 class Mount(Enum):
     """What the flange carries."""
@@ -123,7 +129,8 @@ def solve_hand_eye(
     several sides (a square grid of circles) may be numbered from any of its corners in each view: the numbering that
     fits the robot's motion is found. Views that disagree with the others are dropped and named.
 
-    Raises `RigError` for too few views, or where the robot did not turn about two axes.
+    Raises `RigError` for too few views, where the robot did not turn about two axes, or where pictures and poses
+    contradict each other.
     """
     parameters = parameters or HandEyeParameters()
     _check(target, views)
@@ -139,7 +146,7 @@ def solve_hand_eye(
     else:
         kept = np.ones(len(views), dtype=bool)
     refined, X = solution.camera, solution.loop.X
-    return HandEyeResult(
+    result = HandEyeResult(
         mount,
         replace(refined, T_base_cam=X) if mount is Mount.TARGET else refined,
         X,
@@ -148,6 +155,18 @@ def solve_hand_eye(
         solution.covariance,
         solution.errors,
         tuple(view.name for view, used in zip(views, kept, strict=True) if not used),
+    )
+    _check_fit(result, camera)
+    return result
+
+
+def _check_fit(result: HandEyeResult, camera: RigCamera) -> None:
+    if result.median_px <= MOST_OFF * camera.K[0, 0] and result.sigma_m <= MOST_SIGMA_M:
+        return
+    raise RigError(
+        f"hand-eye: expected pictures that fit the poses of a flange that carries the {result.mount.value}, found corners "
+        f"{result.median_px:.1f} px off and the camera's place open by {result.sigma_m:.3g} m; check --mount, the lens, and "
+        "that each pose is its picture's and maps the flange to the base (m; qx, qy, qz, qw)"
     )
 
 

@@ -14,10 +14,12 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import pose, rotation_from_quat
-from twin_node.rig.calibrate.boards import Board
+from twin_node.rig.calibrate.board_files import checked, whole
+from twin_node.rig.calibrate.boards import Board, CircleGrid
 from twin_node.rig.calibrate.hand_eye import HandEyeView
 from twin_node.rig.calibrate.intrinsics import usable
 from twin_node.rig.errors import RigError
+from twin_node.rig.rig_checks import check_intrinsics
 from twin_node.rig.yaml_fields import Fields, read_yaml
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import Float64, RigCamera, UInt8
@@ -35,16 +37,6 @@ class Stop:
     """[4, 4]."""
 
 
-@dataclass(frozen=True)
-class CircleTarget:
-    """The grid of circles that a session's own target file describes."""
-
-    columns: int
-    rows: int
-    spacing: float
-    """m."""
-
-
 def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     """The stops that a list names, or that of a folder; paths are relative to it.
 
@@ -53,7 +45,8 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     file = path / LIST_FILE if path.is_dir() else path
     content = read_yaml(file, "a YAML file")
     if not isinstance(content, list) or not content:
-        raise RigError(f"{file}: expected a list of {{image, pose}}, found {type(content).__name__}")
+        found = "an empty list" if content == [] else type(content).__name__
+        raise RigError(f"{file}: expected a list of {{image, pose}}, found {found}")
     return tuple(_stop(Fields(f"{file}[{i}]", entry), file.parent, arm) for i, entry in enumerate(content))
 
 
@@ -92,18 +85,19 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_lens(folder: Path, size: tuple[int, int]) -> RigCamera:
     """The camera of a session's folder, of images of `size` (width, height), without distortion.
 
-    Raises `RigError` where the folder has no intrinsics.
+    Raises `RigError` where the folder has no intrinsics, or they are none of such images.
     """
     for name in LENS_FILES:
         if (folder / name).is_file():
             fields = Fields(str(folder / name), read_yaml(folder / name, "a YAML file")).table("intrinsics")
             fx, fy, cx, cy = (fields.number(key) for key in ("fx", "fy", "cx", "cy"))
             K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            check_intrinsics(fields.where, K, size)
             return RigCamera("camera", size[0], size[1], K, np.eye(4))
     raise RigError(f"{folder}: expected {' or '.join(LENS_FILES)}, found neither; give --rig RIG.yaml")
 
 
-def read_target(folder: Path) -> CircleTarget:
+def read_target(folder: Path) -> Board:
     """The target of a session's folder. Raises `RigError` where it has none, or one that is no grid of circles."""
     file = folder / TARGET_FILE
     if not file.is_file():
@@ -111,7 +105,7 @@ def read_target(folder: Path) -> CircleTarget:
     fields = Fields(str(file), read_yaml(file, "a YAML file")).table("target_finder")
     if "CircleGrid" not in fields.text("type"):
         raise RigError(f"{fields.where}.type: expected a grid of circles, found {fields.text('type')}; give --board")
-    return CircleTarget(int(fields.number("cols")), int(fields.number("rows")), fields.number("spacing"))
+    return checked(fields.where, CircleGrid(whole(fields, "cols"), whole(fields, "rows"), fields.number("spacing")))
 
 
 def _stop(fields: Fields, folder: Path, arm: ArmModel | None) -> Stop:

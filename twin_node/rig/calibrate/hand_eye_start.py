@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import cv2
@@ -96,24 +97,43 @@ def closed_form(camera: RigCamera, target: Float64, stops: Stops) -> Loop:
 
     Raises `RigError` where none of them finds one.
     """
-    seen, back = _target_poses(camera, target, stops), inverse_pose(stops.carried)
-    turns_seen, moves_seen = list(seen[:, :3, :3]), list(seen[:, :3, 3])
-    loops = []
-    for method in AX_XB:
-        R, t = cv2.calibrateHandEye(list(back[:, :3, :3]), list(back[:, :3, 3]), turns_seen, moves_seen, method=method)
-        X = pose(np.asarray(R), np.ravel(t))
-        if np.isfinite(X).all():
-            Ys = back @ X @ seen
-            loops.append(Loop(X, pose(Rotation.from_matrix(Ys[:, :3, :3]).mean().as_matrix(), Ys[:, :3, 3].mean(0))))
-    turns, moves = list(stops.carried[:, :3, :3]), list(stops.carried[:, :3, 3])
-    for method in ROBOT_WORLD:
-        Rw, tw, Rg, tg = cv2.calibrateRobotWorldHandEye(turns_seen, moves_seen, turns, moves, method=method)
-        X, Y = inverse_pose(pose(Rg, np.ravel(tg))), inverse_pose(pose(Rw, np.ravel(tw)))
-        if np.isfinite(X).all() and np.isfinite(Y).all():
-            loops.append(Loop(X, Y))
+    seen, loops = _target_poses(camera, target, stops), []
+    for solve, methods in ((_from_motions, AX_XB), (_from_poses, ROBOT_WORLD)):
+        for method in methods:
+            with contextlib.suppress(cv2.error, ValueError):  # poses that contradict the pictures leave no rotation
+                loop = solve(stops.carried, seen, method)
+                if np.isfinite(loop.X).all() and np.isfinite(loop.Y).all():
+                    loops.append(loop)
     if not loops:
         raise RigError("hand-eye: expected motions that tell the camera's pose, found none that do; add stops")
     return min(loops, key=lambda loop: float(np.nanmedian(np.abs(offsets(camera, target, stops, loop)))))
+
+
+def _from_motions(carried: Float64, seen: Float64, method: int) -> Loop:
+    """From the robot's moves between stops: AX = XB."""
+    back = inverse_pose(carried)
+    R, t = cv2.calibrateHandEye(
+        list(back[:, :3, :3]), list(back[:, :3, 3]), list(seen[:, :3, :3]), list(seen[:, :3, 3]), method=method
+    )
+    X = pose(_rotation(R), np.ravel(t))
+    Ys = back @ X @ seen
+    return Loop(X, pose(Rotation.from_matrix(Ys[:, :3, :3]).mean().as_matrix(), Ys[:, :3, 3].mean(0)))
+
+
+def _from_poses(carried: Float64, seen: Float64, method: int) -> Loop:
+    """From the robot's poses at the stops: robot-world."""
+    Rw, tw, Rg, tg = cv2.calibrateRobotWorldHandEye(
+        list(seen[:, :3, :3]), list(seen[:, :3, 3]), list(carried[:, :3, :3]), list(carried[:, :3, 3]), method=method
+    )
+    return Loop(inverse_pose(pose(_rotation(Rg), np.ravel(tg))), inverse_pose(pose(_rotation(Rw), np.ravel(tw))))
+
+
+def _rotation(R: object) -> Float64:
+    """[3, 3] as found, if it is one. Raises `ValueError` where it is none."""
+    found = np.asarray(R, np.float64)
+    if not np.isfinite(found).all():
+        raise ValueError("no rotation was found")
+    return np.asarray(Rotation.from_matrix(found).as_matrix())
 
 
 def _target_poses(camera: RigCamera, target: Float64, stops: Stops) -> Float64:
