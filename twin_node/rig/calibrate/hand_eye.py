@@ -163,10 +163,11 @@ def solve_hand_eye(
 def _check_fit(result: HandEyeResult, camera: RigCamera) -> None:
     if result.median_px <= MOST_OFF * camera.K[0, 0] and result.sigma_m <= MOST_SIGMA_M:
         return
+    place = f" and the camera's place open by {result.sigma_m:.2g} m" if result.sigma_m > MOST_SIGMA_M else ""
     raise RigError(
-        f"hand-eye: expected pictures that fit the poses of a flange that carries the {result.mount.value}, found corners "
-        f"{result.median_px:.1f} px off and the camera's place open by {result.sigma_m:.3g} m; check --mount, the lens, and "
-        "that each pose is its picture's and maps the flange to the base (m; qx, qy, qz, qw)"
+        f"hand-eye: expected pictures that fit the poses of a flange that carries the {result.mount.value}, found "
+        f"corners {result.median_px:.1f} px off{place}; check --mount, the lens, and that each pose is its picture's and "
+        "maps the flange to the base (m; qx, qy, qz, qw)"
     )
 
 
