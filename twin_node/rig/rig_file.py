@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from twin_node.geometry import pose, rotation_from_quat
 from twin_node.resources import find
@@ -15,7 +13,7 @@ from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.stamps import UNITS_NS, StampsFile
-from twin_node.rig.yaml_fields import Fields, read_yaml
+from twin_node.rig.yaml_fields import Fields, read_yaml, write_yaml
 from twin_node.scene import Float64, Rig, RigCamera
 
 CAMERA_FIELDS = (
@@ -141,15 +139,7 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
             rig_file.rig.cameras, rig_file.sources or unknown, rig_file.evidence or unknown, strict=True
         )
     ]
-    text = yaml.dump(out, sort_keys=False, default_flow_style=None, width=120)
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise RigError(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from None
+    write_yaml(path, out)
 
 
 def _camera(fields: Fields) -> RigCamera:

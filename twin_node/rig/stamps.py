@@ -30,6 +30,14 @@ class StampsFile:
     """s, ms, us or ns."""
 
 
+@dataclass(frozen=True)
+class SharedColumns:
+    """Names of the columns of a file that lists the frames of all cameras."""
+
+    camera: str
+    stamp: str
+
+
 def read_stamps(source: StampsFile) -> NDArray[np.int64]:
     """Stamps [N] in ns as the file lists them.
 
@@ -39,13 +47,36 @@ def read_stamps(source: StampsFile) -> NDArray[np.int64]:
         values = _values(source)
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
         raise RigError(f"{source.path}: expected stamps, found no readable file ({error})") from error
+    return _nanoseconds(source, values)
+
+
+def read_shared_stamps(path: Path, columns: SharedColumns, camera: str) -> NDArray[np.int64]:
+    """Rising stamps [N] in ns, of seconds, of one camera in a CSV file that lists those of all.
+
+    Raises `RigError` naming the file where it cannot be read, holds something else or nothing of the camera.
+    """
+    source = StampsFile(path)
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RigError(f"{path}: expected stamps, found no readable file ({error})") from error
+    if not rows or not {columns.camera, columns.stamp} <= set(rows[0]):
+        found = ", ".join(map(str, rows[0])) if rows else "none"
+        raise RigError(f"{path}: expected the columns {columns.camera} and {columns.stamp}, found {found}")
+    own = [row[columns.stamp] for row in rows if str(row[columns.camera]).strip() == camera]
+    if not own:
+        raise RigError(f"{path}: expected rows with {columns.camera} {camera}, found none")
+    return _nanoseconds(source, sorted(_number(source, value) for value in own))
+
+
+def _nanoseconds(source: StampsFile, values: list[float]) -> NDArray[np.int64]:
     if not values:
         raise RigError(f"{source.path}: expected stamps, found none; check the file and its key")
-    if not all(np.isfinite(values)):
+    if not all(abs(value) < np.inf for value in values):  # NaN is not below anything
         raise RigError(f"{source.path}: expected finite stamps, found NaN or infinity")
-    if max(values) * UNITS_NS[source.unit] > LATEST_S * 1e9:
+    if max(map(abs, values)) * UNITS_NS[source.unit] > LATEST_S * 1e9:
         raise RigError(
-            f"{source.path}: expected stamps in {source.unit}, found {max(values):.0f}; "
+            f"{source.path}: expected stamps in {source.unit}, found {max(values, key=abs):.0f}; "
             "give their unit (ms, us or ns) under `unit`"
         )
     # Python's numbers: whole nanoseconds since 1970 do not fit a float.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import difflib
 from collections import Counter
@@ -28,6 +29,22 @@ def read_yaml(path: Path, kind: str) -> object:
         raise RigError(f"{path}: expected {kind}, found what is no text; is it a log?") from error
     except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: expected {kind}, found {' '.join(str(error).split())}") from error
+
+
+def write_yaml(path: Path, content: object) -> None:
+    """Writes a YAML file; what stands at `path` stays until the new one is whole.
+
+    Raises `RigError` where it cannot be written.
+    """
+    text = yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise RigError(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from None
 
 
 class _Loader(yaml.SafeLoader):

@@ -70,6 +70,39 @@ def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
         load_cameras(tmp_path, board)
 
 
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (b"0,0.0\n0,nan\n", "expected finite stamps"),
+        (b"0,0.0\n0,inf\n", "expected finite stamps"),
+        (b"0,0.0\n0\n", "expected a number as a stamp, found None"),
+        (b"0,1700000000000\n", "expected stamps in s, found 1700000000000"),
+        (b"0,\xe9\n", "expected stamps, found no readable file"),
+        (b"1,0.0\n", "expected rows with cam_id 0"),
+    ],
+)
+def test_shared_stamps_that_cannot_be_are_one_line(tmp_path: Path, rows: bytes, message: str) -> None:
+    (tmp_path / "left.mp4").write_bytes(b"no video")
+    (tmp_path / "timestamps.csv").write_bytes(b"cam_id,frame_time\n" + rows)
+    with pytest.raises(RigError, match=message):
+        load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+
+
+def test_a_board_in_millimetres_is_told() -> None:
+    with pytest.raises(RigError, match=r"expected lengths in metres, found charuco .* squares of 28 m"):
+        load_board("charuco:6x5:28:21")
+
+
+def test_a_lens_that_cannot_be_written_leaves_what_stood_there(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    save_camera_info(a_lens(), path)
+    before = path.read_text()
+    (tmp_path / "camera.yaml.partial").mkdir()
+    with pytest.raises(RigError, match="cannot be written"):
+        save_camera_info(a_lens(focal=600.0), path)
+    assert path.read_text() == before
+
+
 def test_stamps_in_milliseconds_are_told(tmp_path: Path) -> None:
     video = cv2.VideoWriter(str(tmp_path / "left.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30, (64, 48))
     for _ in range(4):

@@ -26,6 +26,9 @@ NAMES = ("board.yaml", "board.yml", "board.toml", "charuco.toml", "target.yaml",
 
 INCH = 0.0254
 
+LARGEST_M = 20.0
+"""No board is longer: its lengths are in another unit."""
+
 MOST_CELLS = 10_000
 """No board has more corners: larger numbers are mistyped."""
 
@@ -185,4 +188,8 @@ def checked(where: str, board: Board) -> Board:
             raise RigError(f"{where}: expected markers smaller than squares, found {board}")
     if not 0 < float(board.points.max()) < np.inf:
         raise RigError(f"{where}: expected lengths above 0, found {board}")
+    if float(board.points.max()) > LARGEST_M:
+        raise RigError(
+            f"{where}: expected lengths in metres, found {board}; if they are millimetres divide them by 1000"
+        )
     return board

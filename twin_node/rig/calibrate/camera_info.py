@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.rig_checks import check_distortion, check_intrinsics
-from twin_node.rig.yaml_fields import Fields, read_yaml
+from twin_node.rig.yaml_fields import Fields, read_yaml, write_yaml
 from twin_node.scene import Float64
 
 
@@ -26,7 +25,10 @@ class CameraInfo:
 
 
 def save_camera_info(lens: Lens, path: Path) -> None:
-    """Writes a lens as `camera_info_manager` and `image_proc` read it; P is K, for images that are undistorted."""
+    """Writes a lens as `camera_info_manager` and `image_proc` read it; P is K, for images that are undistorted.
+
+    What stands at `path` stays until the new file is whole. Raises `RigError` where it cannot be written.
+    """
     P = np.concatenate([lens.K, np.zeros((3, 1))], axis=1)
     out = {
         "image_width": lens.width,
@@ -38,7 +40,7 @@ def save_camera_info(lens: Lens, path: Path) -> None:
         "rectification_matrix": _matrix(np.eye(3)),
         "projection_matrix": _matrix(P),
     }
-    path.write_text(yaml.dump(out, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+    write_yaml(path, out)
 
 
 def load_camera_info(path: Path) -> CameraInfo:

@@ -166,8 +166,8 @@ def _check_fit(result: HandEyeResult, camera: RigCamera) -> None:
     place = f" and the camera's place open by {result.sigma_m:.2g} m" if result.sigma_m > MOST_SIGMA_M else ""
     raise RigError(
         f"hand-eye: expected pictures that fit the poses of a flange that carries the {result.mount.value}, found "
-        f"corners {result.median_px:.1f} px off{place}; check --mount, the lens, and that each pose is its picture's and "
-        "maps the flange to the base (m; qx, qy, qz, qw)"
+        f"corners {result.median_px:.1f} px off{place}; check --mount, the lens, and that each pose is its picture's "
+        "and maps the flange to the base (m; qx, qy, qz, qw)"
     )
 
 

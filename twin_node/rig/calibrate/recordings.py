@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from twin_node.rig.calibrate.intrinsics import BoardView
 from twin_node.rig.calibrate.lenses import lens_of
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
-from twin_node.rig.stamps import StampsFile, read_stamps
+from twin_node.rig.stamps import SharedColumns, StampsFile, read_shared_stamps, read_stamps
 from twin_node.scene import Rig, UInt8
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
@@ -25,7 +24,7 @@ VIDEO_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v"}
 STAMP_SUFFIXES = (".json", ".csv", ".txt")
 """Of a file beside a video that has the video's name: the capture times of its frames."""
 
-SHARED_STAMPS = "timestamps.csv"
+SHARED_STAMPS, SHARED_COLUMNS = "timestamps.csv", SharedColumns("cam_id", "frame_time")
 """One file for all cameras, as caliscope writes it: columns cam_id, frame_time (s) and, in any order, others."""
 
 LONGEST_PERIOD_S = 5.0
@@ -178,21 +177,8 @@ def _video_stamps(path: Path, number: int) -> NDArray[np.int64]:
             f"{path}: expected stamps in {path.stem}{{{','.join(STAMP_SUFFIXES)}}} or {SHARED_STAMPS}, found neither; "
             "cameras that run free cannot be paired without"
         )
-    rows = list(csv.DictReader(shared.read_text(encoding="utf-8").splitlines()))
-    if not rows or not {"cam_id", "frame_time"} <= set(rows[0]):
-        raise RigError(
-            f"{shared}: expected the columns cam_id and frame_time, found {', '.join(rows[0]) if rows else 'none'}"
-        )
     ending = re.search(r"\d+$", path.stem)
-    camera = int(ending.group()) if ending else number
-    own = [row["frame_time"] for row in rows if row["cam_id"].strip() == str(camera)]
-    if not own:
-        raise RigError(f"{shared}: expected rows with cam_id {camera} for {path.name}, found none")
-    try:
-        seconds = sorted(float(value) for value in own)
-    except ValueError as error:
-        raise RigError(f"{shared}: expected numbers under frame_time, found {error}") from error
-    return np.array([round(value * 1e9) for value in seconds], dtype=np.int64)
+    return read_shared_stamps(shared, SHARED_COLUMNS, str(int(ending.group()) if ending else number))
 
 
 def _stills(folder: Path) -> dict[str, dict[int, Path]]:
