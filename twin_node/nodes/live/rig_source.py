@@ -50,8 +50,19 @@ def read_rig(parameters: RigParameters) -> RigSource:
     else:
         from twin_node.rig import load_rig
 
-        rig = load_rig(parameters.file).rig
+        rig_file = load_rig(parameters.file)
+        _check_frame(parameters.file, rig_file.frame)
+        rig = rig_file.rig
     return RigSource(rig, tuple(topics_of(camera.name, parameters) for camera in rig.cameras))
+
+
+def _check_frame(file: str, frame: str) -> None:
+    """Raises `GraphError` for poses seen from a camera or the flange: the arm would be judged as if it stood there."""
+    if frame.endswith("optical_frame") or frame in ("tool0", "flange"):
+        raise GraphError(
+            f"{file}: expected cameras' poses in the robot's base (frame: base_link), found them in {frame!r}; tie the rig "
+            "to the base with `twin_node calibrate hand-eye --mount target --rig` or `calibrate rig --board-is-base-at`"
+        )
 
 
 def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:

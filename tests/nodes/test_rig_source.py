@@ -1,0 +1,29 @@
+"""Which rigs a live graph takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.nodes.live.rig_source import RigParameters, read_rig
+from twin_node.nodes.topics import GraphError
+from twin_node.rig import RigFile, save_rig
+from twin_node.scene import Rig, RigCamera
+
+CAMERA = RigCamera("left", 64, 48, np.array([[50.0, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.eye(4))
+
+
+@pytest.mark.parametrize("frame", ["left_optical_frame", "tool0"])
+def test_a_rig_that_is_not_tied_to_the_robot_drives_no_arm(tmp_path: Path, frame: str) -> None:
+    """The twin takes the file's frame for the base: the arm would be judged as if it stood in the camera."""
+    save_rig(RigFile(Rig((CAMERA,)), frame=frame), tmp_path / "rig.yaml")
+    with pytest.raises(GraphError, match=f"found them in '{frame}'"):
+        read_rig(RigParameters(file=str(tmp_path / "rig.yaml")))
+
+
+@pytest.mark.parametrize("frame", ["base_link", "world"])
+def test_a_rig_in_the_base_is_taken(tmp_path: Path, frame: str) -> None:
+    save_rig(RigFile(Rig((CAMERA,)), frame=frame), tmp_path / "rig.yaml")
+    assert read_rig(RigParameters(file=str(tmp_path / "rig.yaml"))).cameras[0].name == "left"
