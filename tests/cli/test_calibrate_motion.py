@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twin_node.cli import main
-from twin_node.rig import load_rig
+from twin_node.rig import load_rig, save_rig
+from twin_node.rig.evidence import CameraEvidence
 
 
 def test_hand_eye_of_a_folder(recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +50,14 @@ def test_refine_of_a_log_with_depth(
     assert main(["calibrate", "refine", str(cell_log(1.2)), "-o", str(out), "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["surfaces_mm"] < 5
-    assert [camera.name for camera in load_rig(out).rig.cameras] == list(figures["cameras"])
+    first = load_rig(out)
+    assert [camera.name for camera in first.rig.cameras] == list(figures["cameras"])
+    of_a_board = CameraEvidence(0.1, 0.1, 20, 400, 1e-8 * np.eye(6), np.ones(9), 0.001, 5.0)
+    save_rig(replace(first, evidence=(of_a_board,) * len(first.rig.cameras)), tmp_path / "board.yaml")
+    given = ["--rig", str(tmp_path / "board.yaml")]
+    assert main(["calibrate", "refine", str(cell_log(1.2)), *given, "-o", str(out)]) == 0
+    clocks_alone = CameraEvidence(time_offset_sigma=0.001, time_rate_sigma_ppm=5.0)
+    assert load_rig(out).evidence == (clocks_alone,) * len(first.rig.cameras)  # poses and lenses are others now
 
 
 def test_refine_times_the_clocks_too(

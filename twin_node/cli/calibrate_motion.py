@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from twin_node.rig.calibrate.hand_eye import HandEyeResult
     from twin_node.rig.calibrate.refine import PairFigures, RefineResult
     from twin_node.rig.calibrate.stills import Still
+    from twin_node.rig.evidence import CameraEvidence
     from twin_node.scene import Float64, Rig, RigCamera
 
 STILLS_RATE_HZ = 4.0
@@ -195,7 +196,8 @@ def _refine(options: argparse.Namespace) -> None:
         given = _given(options, rig)
         lines = _refine_lines(result, [camera.name for camera in rig.cameras])
         notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
-        refined = replace(given, rig=result.rig, date=_today(), notes=notes)
+        evidence = tuple(_of_the_clock(one) for one in given.evidence)
+        refined = replace(given, rig=result.rig, date=_today(), notes=notes, evidence=evidence)
         figures: dict[str, object] = _refine_figures(result)
         warnings = list(result.skipped)
         if options.time:
@@ -210,6 +212,17 @@ def _refine(options: argparse.Namespace) -> None:
     for reason in warnings:
         print(f"twin_node: warning: {reason}", file=sys.stderr)
     print(json.dumps(figures) if options.json else "\n".join([*lines, str(options.output)]))
+
+
+def _of_the_clock(evidence: CameraEvidence | None) -> CameraEvidence | None:
+    """What is known of a camera's clock; how well a board told its pose and lens says nothing of others."""
+    from twin_node.rig.evidence import CameraEvidence
+
+    if evidence is None or evidence.time_offset_sigma is None:
+        return None
+    return CameraEvidence(
+        time_offset_sigma=evidence.time_offset_sigma, time_rate_sigma_ppm=evidence.time_rate_sigma_ppm
+    )
 
 
 def _refine_lines(result: RefineResult, names: Sequence[str]) -> list[str]:

@@ -60,8 +60,8 @@ def _check_frame(file: str, frame: str) -> None:
     """Raises `GraphError` for poses seen from a camera or the flange: the arm would be judged as if it stood there."""
     if frame.endswith("optical_frame") or frame in ("tool0", "flange"):
         raise GraphError(
-            f"{file}: expected cameras' poses in the robot's base (frame: base_link), found them in {frame!r}; tie the rig "
-            "to the base with `twin_node calibrate hand-eye --mount target --rig` or `calibrate rig --board-is-base-at`"
+            f"{file}: expected cameras' poses in the robot's base (frame: base_link), found them in {frame!r}; tie the "
+            "rig to it with `twin_node calibrate hand-eye --mount target --rig` or `calibrate rig --board-is-base-at`"
         )
 
 
