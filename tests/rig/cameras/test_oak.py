@@ -109,3 +109,5 @@ def test_wrong_settings_are_named() -> None:
         OakSource([OakCamera("front", depth_preset="BEST")])
     with pytest.raises(RigError, match="distinct names"):
         OakSource([FRONT, FRONT])
+    with pytest.raises(RigError, match="front and left: expected a device each, found '14442C10' for both"):
+        OakSource([OakCamera("front", "14442C10"), OakCamera("left", "14442C10")])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from twin_node.rig import RigError
-from twin_node.rig.cameras import OpenCvCamera, OpenCvSource, SynchronizedSource
+from twin_node.rig.cameras import CameraImage, OpenCvCamera, OpenCvSource, SynchronizedSource
 from twin_node.scene import Rig, RigCamera
 
 
@@ -84,6 +84,31 @@ def test_sets_of_running_cameras(video: Path) -> None:
     cameras.close()
     assert [view.camera.name for view in frames.views] == ["a", "b"]
     assert source.report.sets >= 1
+
+
+class Recorded:
+    """Images of two cameras, 33 ms apart, and the host's clock when each comes; it is put back by an hour half-way."""
+
+    cameras, health = ("a", "b"), ()
+
+    def __init__(self) -> None:
+        self.now = 0
+
+    def images(self) -> Iterator[CameraImage]:
+        for number in range(40):
+            taken = 10**18 + number * 33_000_000 - (3_600_000_000_000 if number >= 20 else 0)
+            for name in self.cameras:
+                self.now = taken + 5_000_000
+                yield CameraImage(name, taken, np.zeros((24, 32, 3), np.uint8))
+
+    def close(self) -> None:
+        pass
+
+
+def test_sets_go_on_when_the_hosts_clock_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded = Recorded()
+    monkeypatch.setattr("time.time_ns", lambda: recorded.now)
+    assert len(list(SynchronizedSource(recorded, rig_of("a", "b")))) > 35
 
 
 def test_wrong_names_are_told(video: Path) -> None:

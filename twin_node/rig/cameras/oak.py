@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, Protocol
 
 import cv2
@@ -94,9 +95,15 @@ class OakSource(ThreadedSource[OakCamera]):
     ) -> None:
         """`connect`: opens a camera's device, None where it is not there; the real ones by default.
 
-        Raises `RigError` for no cameras, equal names or an unknown preset, and where depthai is not installed.
+        Raises `RigError` for no cameras, equal names or devices, an unknown preset, and where depthai is not installed.
         """
         super().__init__(cameras)
+        for first, second in combinations(cameras, 2):
+            if first.device and first.device == second.device:
+                raise RigError(
+                    f"cameras {first.name} and {second.name}: expected a device each, found {first.device!r} for both; "
+                    "`twin_node doctor --devices` lists them"
+                )
         self._dai = _depthai()
         presets = self._dai.node.StereoDepth.PresetMode.__members__
         for camera in cameras:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 
 from twin_node.rig.cameras.image_source import CameraImage, ImageSource
+from twin_node.rig.cameras.stamps import RESET_NS
 from twin_node.rig.errors import RigError
 from twin_node.rig.frames import DecodedImage, FrameAssembler
 from twin_node.rig.synchronizer import ApproximateTimeSynchronizer, SyncParameters, SyncReport, SyncSet
@@ -15,7 +16,8 @@ from twin_node.scene import Camera, FrameSet, Rig
 class SynchronizedSource:
     """Sets of undistorted images of running cameras; a `scene.FrameSource` for scripts without a graph.
 
-    A camera that falls silent costs its deadline only when another one sends: sets come as images do.
+    A camera that falls silent costs its deadline only when another one sends: sets come as images do. Where this host's
+    clock is put back, grouping and its counts begin anew: all that comes would be late for as long as that.
     """
 
     def __init__(
@@ -43,9 +45,15 @@ class SynchronizedSource:
         return self._synchronizer.report
 
     def __iter__(self) -> Iterator[FrameSet]:
-        """Sets in rising order of stamps, until the cameras are closed."""
+        """Sets in rising order of stamps, until the cameras are closed or this host's clock is put back."""
+        last = 0
         for image in self._source.images():
-            for ready in self._synchronizer.add(image.camera, image.stamp, image, time.time_ns()):
+            now = time.time_ns()
+            if now < last - RESET_NS:
+                self._synchronizer.reset()
+                self._assembler.reset()
+            last = now
+            for ready in self._synchronizer.add(image.camera, image.stamp, image, now):
                 yield self._assembler.assemble(_decoded(ready))
 
 
