@@ -162,6 +162,13 @@ MISTAKES = {
         r"left.*unit: expected one of s, ms, us, ns, found 'min'",
     ),
     "sigma in mm": (lambda d, c: c.update(sigma_m=16), r"left.*sigma_m: expected metres from 0 to 1, found 16"),
+    "skew": (lambda d, c: c["K"][0].__setitem__(1, 5.0), r"left.*\.K: expected no skew \(0 beside fx\), found 5"),
+    "too many pixels": (lambda d, c: c.update(size=[10**6, 240]), r"left.*size: expected .* up to 32767"),
+    "offset beyond time": (lambda d, c: c.update(time_offset=1e12), r"left.*time_offset: expected seconds"),
+    "reference in ns": (
+        lambda d, c: c.update(time_rate_ppm=5.0, time_reference=1.7e18),
+        r"left.*time_reference: expected seconds, found 1.7e\+18",
+    ),
     "number without end": (lambda d, c: c.update(sigma_m=10**400), r"left.*sigma_m: expected a number"),
     "size without end": (lambda d, c: c.update(size=[10**400, 2]), r"left.*size: expected 2 numbers"),
     "rate in shares": (lambda d, c: c.update(time_rate_ppm=2e4), r"left.*time_rate_ppm: .*found 20000"),

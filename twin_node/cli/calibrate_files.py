@@ -95,6 +95,7 @@ def _check(options: argparse.Namespace) -> int:
             for found in verdict.findings
         ]
         told = {"ok": not findings, "findings": findings, "untold": untold, "agreement": verdict.agreement}
+        told["unseen"] = list(verdict.unseen)
         print(json.dumps(told))
     if verdict.findings:
         raise RigError(f"{options.rig}: {'; '.join(str(finding) for finding in verdict.findings)}")
@@ -103,8 +104,14 @@ def _check(options: argparse.Namespace) -> int:
         print(f"{options.rig}: {len(rig.cameras)} cameras, nothing wrong in the numbers{seen}")
         if verdict.agreement is not None:
             print(f"what moves fits together by {verdict.agreement:.2f} (1: fully, 0: by chance)")
+    if verdict.unseen:
+        print(
+            f"twin_node: warning: not judged: {', '.join(verdict.unseen)}, which saw the board never together with "
+            "another camera; check the clocks (time_offset), or record it where two see it",
+            file=sys.stderr,
+        )
     if not untold:
-        return 0
+        return UNTOLD_STATUS if verdict.unseen else 0
     print(
         f"twin_node: warning: not told by this: {', '.join(untold)}; give a log of ten seconds in which a person or "
         "the arm moves where all cameras see it",

@@ -12,6 +12,9 @@ from twin_node.rig.workspace import axes_focus, axes_spread
 DISTORTION_LENGTHS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 """ROS distortion models and how many coefficients each takes."""
 
+MOST_SKEW_PX = 0.5
+"""Skew that moves no pixel by more than half of one is left out in silence."""
+
 MAX_DISTANCE_M = 100.0
 """No camera of a robot cell is further from the base; beyond this a translation is taken for millimetres."""
 
@@ -37,6 +40,11 @@ def check_intrinsics(where: str, K: Float, size: tuple[int, int]) -> None:
         hint = "transpose it" if K[2, 0] > 0 and K[2, 1] > 0 else "write the intrinsics in pixels"
         raise RigError(
             f"{where}.K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, found {_text(K)}; {hint}"
+        )
+    if abs(K[0, 1]) > MOST_SKEW_PX:
+        raise RigError(
+            f"{where}.K: expected no skew (0 beside fx), found {K[0, 1]:g}: no lens model here has one; calibrate with "
+            "it fixed at 0"
         )
     width, height = size
     cx, cy = K[0, 2], K[1, 2]

@@ -12,7 +12,7 @@ from twin_node.resources import find
 from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
-from twin_node.rig.stamps import UNITS_NS, StampsFile
+from twin_node.rig.stamps import LATEST_S, UNITS_NS, StampsFile
 from twin_node.rig.yaml_fields import Fields, read_yaml, write_yaml
 from twin_node.scene import Float64, Rig, RigCamera
 
@@ -32,6 +32,9 @@ CAMERA_FIELDS = (
     "evidence",
 )
 """What a camera of a rig file may have."""
+
+MOST_PX = 32_767
+"""What OpenCV's maps can address."""
 
 MOST_RATE_PPM = 10_000.0
 """Crystals are good to 100 ppm and driver clocks to some 1000; what is beyond 1 % is a mistake of units."""
@@ -147,8 +150,10 @@ def _camera(fields: Fields) -> RigCamera:
     name = fields.text("name")
     fields = fields.named(f"{fields.where} ({name})")
     size = fields.array("size", (2,))
-    if (size < 1).any() or (size % 1 != 0).any():
-        raise RigError(f"{fields.where}.size: expected [width, height] in whole pixels, found {size.tolist()}")
+    if (size < 1).any() or (size > MOST_PX).any() or (size % 1 != 0).any():
+        raise RigError(
+            f"{fields.where}.size: expected [width, height] in whole pixels, up to {MOST_PX}, found {size.tolist()}"
+        )
     width, height = (int(value) for value in size)
     K, T = fields.array("K", (3, 3)), _pose(fields)
     check_intrinsics(fields.where, K, (width, height))
@@ -179,6 +184,9 @@ def _clock(fields: Fields) -> tuple[int, float, int]:
             "at which `time_offset` holds"
         )
     offset, reference = fields.number("time_offset", 0.0), fields.number("time_reference", 0.0)
+    for name, seconds in (("time_offset", offset), ("time_reference", reference)):
+        if abs(seconds) > LATEST_S:
+            raise RigError(f"{fields.where}.{name}: expected seconds, found {seconds:g}; no clock is there")
     return round(offset * 1e9), rate_ppm, _nanoseconds(reference)
 
 

@@ -14,9 +14,11 @@ from simulated_boards import Spoiled, a_lens, around, record
 from twin_node.geometry import inverse_pose
 from twin_node.rig import RigError, load_rig, save_rig
 from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, Corners
+from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import board_as_base, camera_poses, pose_covariances, rig_file_of, settled
+from twin_node.rig.calibrate.rig_fit import common_sightings
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64
 
@@ -164,6 +166,20 @@ def test_cameras_that_share_no_view_are_named() -> None:
     partial = calibrate_rig(BOARD, [*cameras[:3], late], RigOptions(partial=True, lenses=False, board=False))
     assert partial.unconnected == ("cam3",)
     assert partial.names == ("cam0", "cam1", "cam2")
+
+
+def test_a_camera_that_a_check_cannot_judge_is_named(solution: RigSolution) -> None:
+    rig, recordings = rig_file_of(solution).rig, a_rig(0)
+    verdict = check_against_board(BOARD, rig, common_sightings(BOARD, rig, recordings))
+    assert not verdict.findings and not verdict.unseen
+    late = replace(rig.cameras[2], time_offset_ns=10**11)
+    rig = replace(rig, cameras=(*rig.cameras[:2], late))
+    assert check_against_board(BOARD, rig, common_sightings(BOARD, rig, recordings)).unseen == ("cam2",)
+    larger = replace(rig.cameras[0], width=1280, height=960)
+    with pytest.raises(
+        RigError, match="camera cam0: expected a recording of 1280x960, as in the rig file, found 640x480"
+    ):
+        common_sightings(BOARD, replace(rig, cameras=(larger, *rig.cameras[1:])), recordings)
 
 
 @pytest.mark.parametrize("fault", ["seconds off", "jumps", "backwards", "too fast"])

@@ -51,6 +51,8 @@ class Verdict:
     """Mistakes that could be there without showing in what was looked at."""
     agreement: float | None = None
     """How well the rig explains the motion of a recording, 0 to 1; None where that was not looked at."""
+    unseen: tuple[str, ...] = ()
+    """Cameras that saw a board never together with another one: nothing is known of them."""
 
 
 def check_numbers(rig: Rig) -> Verdict:
@@ -77,8 +79,9 @@ def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -
     """
     limit = GOOD_SHARE * max(camera.width for camera in rig.cameras)
     views = BoardViews(board)
-    if _Misfit.of(board, rig, sightings, views).worst_px < limit:
-        return Verdict(())
+    whole, seen = _Misfit.of(board, rig, sightings, views), {sighting.camera for sighting in sightings}
+    if whole.worst_px < limit:
+        return Verdict((), unseen=tuple(camera.name for i, camera in enumerate(rig.cameras) if i not in seen))
     few = _some_sets(sightings)
     now, mistakes = _Misfit.of(board, rig, few, views), list(undone(rig))
     errors = [_Misfit.of(board, mistake.rig, few, views).worst_px for mistake in mistakes]
@@ -87,8 +90,8 @@ def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -
         found = mistakes[best].finding
         cause = f"{found.cause} (median error {now.worst_px:.1f} px, then {errors[best]:.1f} px)"
         return Verdict((replace(found, cause=cause),))
-    cause = f"its median error is {now.worst_px:.1f} px and no customary mistake explains it: calibrate anew"
-    return Verdict((Finding(now.worst, cause),))
+    cause = f"its median error is {whole.worst_px:.1f} px and no customary mistake explains it: calibrate anew"
+    return Verdict((Finding(whole.worst, cause),))
 
 
 def check_against_recording(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | None = None) -> Verdict:

@@ -45,7 +45,8 @@ class RigFit:
 def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecording]) -> tuple[Sighting, ...]:
     """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied.
 
-    Raises `RigError` where a recording is of a camera that the rig does not have, or no two saw the board at once.
+    Raises `RigError` where a recording is of a camera that the rig does not have, or of another size, or where no two
+    saw the board at once.
     """
     names = [camera.name for camera in rig.cameras]
     for recording in recordings:
@@ -53,6 +54,12 @@ def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecordin
             raise RigError(
                 f"camera {recording.name}: expected one of the rig file ({', '.join(names)}), found another; rename "
                 "the recording or give this rig's file"
+            )
+        camera = rig.cameras[names.index(recording.name)]
+        if recording.size != (camera.width, camera.height):
+            raise RigError(
+                f"camera {recording.name}: expected a recording of {camera.width}x{camera.height}, as in the rig file, "
+                f"found {recording.size[0]}x{recording.size[1]}; use the calibration of this resolution"
             )
     order = [names.index(recording.name) for recording in recordings]
     stamps = set_stamps(recordings)
