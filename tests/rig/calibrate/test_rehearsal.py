@@ -36,6 +36,15 @@ def test_a_folder_that_exists_is_left_alone(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_what_is_interrupted_leaves_nothing(tmp_path: Path) -> None:
+    def interrupted(images: object = None) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rehearse(tmp_path / "session", interrupted)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("tilt", [0.4, 1.45])
 def test_a_ray_sees_the_board_where_it_meets_its_plane_and_nothing_behind_the_camera(tilt: float) -> None:
     """Tilted to near the camera's level, half of the image looks over the plane's horizon."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,13 +58,27 @@ class Rehearsal:
 def rehearse(folder: Path, progress: Progress = lambda images: None) -> Rehearsal:
     """Writes videos, their stamps, `board.yaml`, a preview and the truth, `truth.yaml`, to a new folder.
 
-    The truth's base is the board at rest: x along its rows, z up. Raises `RigError` where the folder exists already or
-    cannot be made.
+    The truth's base is the board at rest: x along its rows, z up. The folder gets its name when all is in it. Raises
+    `RigError` where it exists already or cannot be made.
     """
+    if folder.exists():
+        raise RigError(f"{folder}: cannot be made (it is there); give a folder that does not exist yet")
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
     try:
-        folder.mkdir(parents=True)
+        partial.mkdir(parents=True)
+        made = _written(partial, progress)
+        partial.rename(folder)
     except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
         raise RigError(f"{folder}: cannot be made ({error.strerror}); give a folder that does not exist yet") from None
+    except BaseException:  # whatever ended it: half of a recording is none
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    return made
+
+
+def _written(folder: Path, progress: Progress) -> Rehearsal:
     drawing = draw_board(BOARD)
     sheet = _sheet(drawing)
     cameras = _cameras()
