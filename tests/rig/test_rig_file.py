@@ -205,16 +205,23 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("date: 2026-25-03", r"rig\.yaml: expected a rig file \(YAML\), found month must be in 1\.\.12"),
-        ("notes: !!int many", r"rig\.yaml: expected a rig file \(YAML\), found invalid literal"),
+        (
+            "date: 2026-25-03",
+            r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: month must be in 1\.\.12",
+        ),
+        (
+            "notes: !!int many",
+            r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: invalid literal",
+        ),
         ("frame: a\nframe: b", r"found the field 'frame' 2 times"),
-        ("notes: " + 2000 * "[", r"rig\.yaml: expected a rig file \(YAML\), found "),
+        ("notes: " + 2000 * "[", r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: "),
     ],
 )
 def test_values_that_cannot_be_and_fields_twice_are_one_line(tmp_path: Path, line: str, message: str) -> None:
     path = written(tmp_path, valid())
     path.write_text(path.read_text() + line + "\n")
-    with pytest.raises(RigError, match=message) as caught:
+    expected = r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: " + message
+    with pytest.raises(RigError, match=expected) as caught:
         load_rig(path)
     assert "\n" not in str(caught.value)
 

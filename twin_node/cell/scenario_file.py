@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import yaml
-
 from twin_node import resources
 from twin_node.cell.errors import CellError
 from twin_node.cell.scenario import Scenario
 from twin_node.runtime.parameters import ParameterError, fill
+from twin_node.yaml_file import read_yaml
 
 
 def load_scenario(name: str | Path) -> Scenario:
@@ -53,10 +52,7 @@ def _beside(folder: Path, name: str) -> Path:
 
 
 def _read(path: Path) -> dict[str, object]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise CellError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
+    content = read_yaml(path, "a scenario (YAML)", CellError)
     if not isinstance(content, dict):
         raise CellError(f"{path}: expected a scenario's keys and values, found {type(content).__name__}")
     _require_finite(content, path)

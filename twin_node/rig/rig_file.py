@@ -13,8 +13,9 @@ from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.stamps import LATEST_S, UNITS_NS, StampsFile
-from twin_node.rig.yaml_fields import Fields, read_yaml, write_yaml
+from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64, Rig, RigCamera
+from twin_node.yaml_file import read_yaml, write_yaml
 
 CAMERA_FIELDS = (
     "name",
@@ -97,7 +98,7 @@ def load_rig(path: str | Path, *, facing: bool = True) -> RigFile:
     and the field, what was expected, what was found and what to do.
     """
     path = find(path)
-    fields = Fields(str(path), read_yaml(path, "a rig file (YAML)"))
+    fields = Fields(str(path), read_yaml(path, "a rig file (YAML)", RigError))
     fields.only("cameras", "workspace", "frame", "date", "notes", "board", "data")
     folder = path.parent / fields.text("data", ".")
     cameras = tuple(_camera(entry) for entry in fields.entries("cameras"))
@@ -142,7 +143,7 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
             rig_file.rig.cameras, rig_file.sources or unknown, rig_file.evidence or unknown, strict=True
         )
     ]
-    write_yaml(path, out)
+    write_yaml(path, out, RigError)
 
 
 def _camera(fields: Fields) -> RigCamera:

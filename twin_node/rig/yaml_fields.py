@@ -2,61 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import difflib
-from collections import Counter
-from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from twin_node.rig.errors import RigError
 
 LARGEST = float(np.finfo(np.float64).max)
 """Whole numbers of YAML have no end; those beyond this are no number of ours."""
-
-
-def read_yaml(path: Path, kind: str) -> object:
-    """What a YAML file holds; `kind`: what it is expected to be, for messages.
-
-    Raises `RigError` where it cannot be read, holds a value that cannot be (the 30th of February) or a field twice.
-    """
-    try:
-        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except UnicodeDecodeError as error:
-        raise RigError(f"{path}: expected {kind}, found what is no text; is it a log?") from error
-    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
-        raise RigError(f"{path}: expected {kind}, found {' '.join(str(error).split())}") from error
-
-
-def write_yaml(path: Path, content: object) -> None:
-    """Writes a YAML file; what stands at `path` stays until the new one is whole.
-
-    Raises `RigError` where it cannot be written.
-    """
-    text = yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise RigError(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from None
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a field that stands twice in a mapping: the last would win, and nobody would hear of it."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[object, object]:
-        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-        for name, count in counts.items():
-            if count > 1:
-                twice = f"the field {name!r} {count} times"
-                raise yaml.constructor.ConstructorError(None, None, twice, node.start_mark)
-        return dict(super().construct_mapping(node, deep))
 
 
 class Fields:

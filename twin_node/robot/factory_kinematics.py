@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from twin_node.robot.model import ArmModel, RobotError
 from twin_node.scene import Float64
+from twin_node.yaml_file import read_yaml
 
 _SECTIONS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 _FIELDS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -24,10 +24,7 @@ def with_factory_kinematics(model: ArmModel, path: str | Path) -> ArmModel:
     pitch, yaw in radians per link). Without it the tool is off by millimetres. Raises `RobotError` for a file that
     lacks a value, and for one that belongs to another type of arm.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise RobotError(f"{path}: expected a UR calibration file, {' '.join(str(error).split())}") from error
+    content = read_yaml(Path(path), "a UR calibration file (YAML)", RobotError)
     sections = content.get("kinematics") if isinstance(content, dict) else None
     origins = np.stack([_origin(sections, section, path) for section in _SECTIONS])
     origins[0] = np.diag([-1.0, -1.0, 1.0, 1.0]) @ origins[0]  # the file starts in `base`, as UR's controller does

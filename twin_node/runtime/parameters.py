@@ -12,9 +12,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-
 from twin_node.errors import TwinError
+from twin_node.yaml_file import read_yaml
 
 T = TypeVar("T")
 
@@ -33,10 +32,7 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
 
     Raises `ParameterError` when the file is not one.
     """
-    try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ParameterError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from error
+    content = read_yaml(path, "a parameter file (YAML)", ParameterError)
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: expected 'node: {{ros__parameters: {{...}}}}', found {type(content).__name__}")
     content.pop(LAUNCH, None)

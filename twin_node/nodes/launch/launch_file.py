@@ -16,6 +16,7 @@ from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
+from twin_node.yaml_file import read_yaml
 
 VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
 """A value that the user gives, as in the YAML launch files of ROS 2."""
@@ -129,10 +130,7 @@ def in_one_process(plan: LaunchPlan) -> LaunchPlan:
 
 
 def _launch_section(path: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise GraphError(f"{path}: cannot be read as YAML: {' '.join(str(error).split())}") from None
+    content = read_yaml(path, "a launch file (YAML)", GraphError)
     section = content.get(LAUNCH) if isinstance(content, dict) else None
     if not isinstance(section, dict):
         raise GraphError(f"{path}: has no section '{LAUNCH}'; give a launch file, for example launch/replay.yaml")

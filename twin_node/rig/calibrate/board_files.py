@@ -10,7 +10,8 @@ import numpy as np
 
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, marker_dictionary
 from twin_node.rig.errors import RigError
-from twin_node.rig.yaml_fields import Fields, read_yaml
+from twin_node.rig.yaml_fields import Fields
+from twin_node.yaml_file import read_yaml
 
 FORMS = (
     "chessboard:COLUMNSxROWS:SQUARE (inner corners)",
@@ -100,7 +101,9 @@ _FROM_TEXT: dict[str, Callable[[int, int, list[str]], Board]] = {
 
 
 def _from_file(path: Path) -> Board:
-    fields = Fields(str(path), _toml(path) if path.suffix == ".toml" else read_yaml(path, "a board file (YAML)"))
+    fields = Fields(
+        str(path), _toml(path) if path.suffix == ".toml" else read_yaml(path, "a board file (YAML)", RigError)
+    )
     if fields.has("target_type"):
         return checked(str(path), _kalibr(fields))
     if fields.has("aruco_scale"):

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.rig.calibrate.lenses import Lens
+from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_distortion, check_intrinsics
-from twin_node.rig.yaml_fields import Fields, read_yaml, write_yaml
+from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64
+from twin_node.yaml_file import read_yaml, write_yaml
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,12 @@ def save_camera_info(lens: Lens, path: Path) -> None:
         "rectification_matrix": _matrix(np.eye(3)),
         "projection_matrix": _matrix(P),
     }
-    write_yaml(path, out)
+    write_yaml(path, out, RigError)
 
 
 def load_camera_info(path: Path) -> CameraInfo:
     """The content of a ROS camera calibration file. Raises `RigError` where it is none or a value is wrong."""
-    fields = Fields(str(path), read_yaml(path, "a ROS camera calibration file"))
+    fields = Fields(str(path), read_yaml(path, "a ROS camera calibration file", RigError))
     width, height = int(fields.number("image_width")), int(fields.number("image_height"))
     K = fields.table("camera_matrix").array("data", (9,)).reshape(3, 3)
     D = fields.table("distortion_coefficients").array("data", None)

@@ -20,9 +20,10 @@ from twin_node.rig.calibrate.hand_eye import HandEyeView
 from twin_node.rig.calibrate.intrinsics import usable
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_intrinsics
-from twin_node.rig.yaml_fields import Fields, read_yaml
+from twin_node.rig.yaml_fields import Fields
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import Float64, RigCamera, UInt8
+from twin_node.yaml_file import read_yaml
 
 LIST_FILE, LENS_FILES, TARGET_FILE = "cal_data.yaml", ("camera_intr_calibrated.yaml", "camera_intr.yaml"), "target.yaml"
 """What a folder holds: the list, the intrinsics (the first that is there) and the target."""
@@ -43,7 +44,7 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     Raises `RigError` for a file that is missing or wrong, naming the field.
     """
     file = path / LIST_FILE if path.is_dir() else path
-    content = read_yaml(file, "a YAML file")
+    content = read_yaml(file, "a YAML file", RigError)
     if not isinstance(content, list) or not content:
         found = "an empty list" if content == [] else type(content).__name__
         raise RigError(f"{file}: expected a list of {{image, pose}}, found {found}")
@@ -89,7 +90,7 @@ def read_lens(folder: Path, size: tuple[int, int]) -> RigCamera:
     """
     for name in LENS_FILES:
         if (folder / name).is_file():
-            fields = Fields(str(folder / name), read_yaml(folder / name, "a YAML file")).table("intrinsics")
+            fields = Fields(str(folder / name), read_yaml(folder / name, "a YAML file", RigError)).table("intrinsics")
             fx, fy, cx, cy = (fields.number(key) for key in ("fx", "fy", "cx", "cy"))
             K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             check_intrinsics(fields.where, K, size)
@@ -102,7 +103,7 @@ def read_target(folder: Path) -> Board:
     file = folder / TARGET_FILE
     if not file.is_file():
         raise RigError(f"{folder}: expected {TARGET_FILE}, found none; give --board")
-    fields = Fields(str(file), read_yaml(file, "a YAML file")).table("target_finder")
+    fields = Fields(str(file), read_yaml(file, "a YAML file", RigError)).table("target_finder")
     if "CircleGrid" not in fields.text("type"):
         raise RigError(f"{fields.where}.type: expected a grid of circles, found {fields.text('type')}; give --board")
     return checked(fields.where, CircleGrid(whole(fields, "cols"), whole(fields, "rows"), fields.number("spacing")))
@@ -120,7 +121,7 @@ def _stop(fields: Fields, folder: Path, arm: ArmModel | None) -> Stop:
     if fields.is_table("pose"):
         return Stop(image, _pose(fields.table("pose")))
     file = folder / fields.text("pose")
-    return Stop(image, _pose(Fields(str(file), read_yaml(file, "a YAML file"))))
+    return Stop(image, _pose(Fields(str(file), read_yaml(file, "a YAML file", RigError))))
 
 
 def _pose(fields: Fields) -> Float64:

@@ -11,15 +11,16 @@ from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
-from twin_node.rig.yaml_fields import Fields, read_yaml
+from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64, RigCamera
+from twin_node.yaml_file import read_yaml
 
 MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
 
 
 def import_kalibr(path: Path, unit: float = 1.0) -> RigFile:
     """A rig in the optical frame of cam0. Raises `RigError` for models other than pinhole-radtan and pinhole-equi."""
-    chain = Fields(str(path), read_yaml(path, "a camchain of Kalibr (YAML)"))
+    chain = Fields(str(path), read_yaml(path, "a camchain of Kalibr (YAML)", RigError))
     cameras: list[RigCamera] = []
     T_rig_cam = np.eye(4)
     while chain.has(f"cam{len(cameras)}"):

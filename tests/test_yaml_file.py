@@ -1,0 +1,46 @@
+"""YAML that users write: what stands twice, or cannot be read, is one error of the room that reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twin_node.cell import load_scenario
+from twin_node.errors import TwinError
+from twin_node.nodes.launch.launch_file import read_launch_file
+from twin_node.rig import load_rig
+from twin_node.robot import arm_model
+from twin_node.runtime.parameters import read_parameters
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "a parameter file": read_parameters,
+    "a launch file": lambda path: read_launch_file(path, [], []),
+    "a scenario": load_scenario,
+    "a rig file": load_rig,
+    "a UR calibration file": lambda path: arm_model("ur5e", str(path)),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"a: 1\nb:\n  c: 1\n  c: 2\n", "but it cannot be read as YAML: found the field 'c' 2 times in line 3"),
+        (b"a: [1\n", "but it cannot be read as YAML"),
+        (b"a: 2026-02-30\n", "but it cannot be read as YAML: day is out of range"),
+        (b"\x89MCAP\r\n\xff", "found what is no text; is it a log"),
+        (None, "but it cannot be read: No such file|no such file|does not exist|not found"),
+    ],
+)
+def test_what_cannot_be_read_is_one_error(tmp_path: Path, kind: str, content: bytes | None, words: str) -> None:
+    path = tmp_path / "mine.yaml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(TwinError, match=words) as caught:
+        READERS[kind](path)
+    assert str(path) in str(caught.value)
+    if content is not None:
+        assert f"expected {kind}" in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,55 @@
+"""YAML files that users write: read with one error for what cannot be, written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from pathlib import Path
+
+import yaml
+
+from twin_node.errors import TwinError
+
+
+def read_yaml(path: Path, kind: str, error: type[TwinError]) -> object:
+    """What a YAML file holds; `kind`: what it is expected to be, for messages.
+
+    Raises `error` where it cannot be read, holds a value that cannot be (the 30th of February) or a field twice.
+    """
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: expected {kind}, found what is no text; is it a log?") from problem
+    except OSError as problem:
+        raise error(f"{path}: expected {kind}, but it cannot be read: {problem.strerror}") from problem
+    except (yaml.YAMLError, ValueError, RecursionError) as problem:
+        words = " ".join(str(problem).split()).replace('in "<unicode string>", line', "in line")
+        raise error(f"{path}: expected {kind}, but it cannot be read as YAML: {words}") from problem
+
+
+def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
+    """Writes a YAML file; what stands at `path` stays until the new one is whole.
+
+    Raises `error` where it cannot be written.
+    """
+    text = yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as problem:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise error(f"{path}: cannot be written ({problem.strerror}); give a file in a folder that exists") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses a field that stands twice in a mapping: the last would win, and nobody would hear of it."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[object, object]:
+        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for name, count in counts.items():
+            if count > 1 and name != "<<":
+                twice = f"found the field {name!r} {count} times"
+                raise yaml.constructor.ConstructorError(None, None, twice, node.start_mark)
+        return dict(super().construct_mapping(node, deep))
