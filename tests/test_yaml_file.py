@@ -13,6 +13,7 @@ from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.rig import load_rig
 from twin_node.robot import arm_model
 from twin_node.runtime.parameters import read_parameters
+from twin_node.yaml_file import read_yaml
 
 READERS: dict[str, Callable[[Path], object]] = {
     "a parameter file": read_parameters,
@@ -23,11 +24,24 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
+MERGED = """
+deep: {own: &own {<<: &shared {depth: 1, rate: 2}, rate: 3}}
+taken: {<<: *own, width: 4}
+"""
+
+
+def test_what_is_merged_may_be_set_otherwise(tmp_path: Path) -> None:
+    path = tmp_path / "merged.yaml"
+    path.write_text(MERGED)
+    expected = {"deep": {"own": {"depth": 1, "rate": 3}}, "taken": {"depth": 1, "rate": 3, "width": 4}}
+    assert read_yaml(path, "merged keys", TwinError) == expected
+
+
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"a: 1\nb:\n  c: 1\n  c: 2\n", "but it cannot be read as YAML: found the field 'c' 2 times in line 3"),
+        (b"a: 1\nb:\n  c: 1\n  c: 2\n", "but it cannot be read as YAML: found the field 'c' a second time in line 4"),
         (b"a: [1\n", "but it cannot be read as YAML"),
         (b"a: 2026-02-30\n", "but it cannot be read as YAML: day is out of range"),
         (b"\x89MCAP\r\n\xff", "found what is no text; is it a log"),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -46,10 +46,12 @@ def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
 class _Loader(yaml.SafeLoader):
     """Refuses a field that stands twice in a mapping: the last would win, and nobody would hear of it."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[object, object]:
-        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-        for name, count in counts.items():
-            if count > 1 and name != "<<":
-                twice = f"found the field {name!r} {count} times"
-                raise yaml.constructor.ConstructorError(None, None, twice, node.start_mark)
-        return dict(super().construct_mapping(node, deep))
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        known: set[str] = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in known:
+                again = f"found the field {key.value!r} a second time"
+                raise yaml.constructor.ConstructorError(None, None, again, key.start_mark)
+            known.add(key.value)
+        return node

@@ -207,7 +207,7 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
     [
         ("date: 2026-25-03", r"month must be in 1\.\.12"),
         ("notes: !!int many", "invalid literal"),
-        ("frame: a\nframe: b", "found the field 'frame' 2 times"),
+        ("frame: a\nframe: b", "found the field 'frame' a second time"),
         ("notes: " + 2000 * "[", ""),
     ],
 )
