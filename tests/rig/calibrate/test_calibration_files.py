@@ -38,6 +38,19 @@ def test_boards_as_text(text: str, board: object) -> None:
     assert load_board(text) == board
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("charuco:12x12:0.04:0.03", "at most 50 markers, as many as DICT_4X4_50 has, found 72"),
+        ("aprilgrid:30x30:0.02:0.3", "at most 587 markers, as many as DICT_APRILTAG_36h11 has, found 900"),
+    ],
+)
+def test_boards_with_more_markers_than_there_are_are_refused(text: str, words: str) -> None:
+    """They were found in no picture, and nobody said why."""
+    with pytest.raises(RigError, match=words):
+        load_board(text)
+
+
 @given(st.text(max_size=40))
 def test_no_text_breaks_the_parser(text: str) -> None:
     for kind in ("chessboard:", "charuco:", "aprilgrid:", ""):

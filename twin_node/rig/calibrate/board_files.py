@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, marker_dictionary
+from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, dictionary_of
 from twin_node.rig.errors import RigError
 from twin_node.rig.yaml_fields import Fields
 from twin_node.yaml_file import read_yaml
@@ -185,10 +185,10 @@ def checked(where: str, board: Board) -> Board:
         raise RigError(f"{where}: expected at least {smallest} columns and rows, found {board}")
     if board.columns * board.rows > MOST_CELLS:
         raise RigError(f"{where}: expected at most {MOST_CELLS} cells, found {board}")
-    if isinstance(board, CharucoBoard):
-        marker_dictionary(board.dictionary)
-        if not 0 < board.marker < board.square:
-            raise RigError(f"{where}: expected markers smaller than squares, found {board}")
+    if isinstance(board, CharucoBoard) and not 0 < board.marker < board.square:
+        raise RigError(f"{where}: expected markers smaller than squares, found {board}")
+    if isinstance(board, CharucoBoard | AprilGrid):
+        dictionary_of(board)
     if not 0 < float(board.points.max()) < np.inf:
         raise RigError(f"{where}: expected lengths above 0, found {board}")
     if float(board.points.max()) > LARGEST_M:

@@ -16,7 +16,7 @@ from twin_node.rig.calibrate.boards import (
     CharucoBoard,
     Chessboard,
     CircleGrid,
-    marker_dictionary,
+    dictionary_of,
 )
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, UInt8
@@ -96,7 +96,7 @@ def _(board: CharucoBoard) -> BoardPrint:
     legacy = board.legacy and board.rows % 2 == 0
     squares = _dark(board.rows, board.columns, board.square, int(legacy))
     light = [(i, j) for i in range(board.rows) for j in range(board.columns) if (i + j) % 2 != int(legacy)]
-    dictionary, inset = marker_dictionary(board.dictionary), (board.square - board.marker) / 2
+    dictionary, inset = dictionary_of(board), (board.square - board.marker) / 2
     side = dictionary.markerSize + 2
     tiles = tuple(
         Tile((j * board.square + inset, i * board.square + inset), board.marker, _marker(dictionary, number, side, 1))
@@ -110,7 +110,7 @@ def _(board: CharucoBoard) -> BoardPrint:
 def _(board: AprilGrid) -> BoardPrint:
     gap, step = board.tag * board.spacing, board.tag * (1 + board.spacing)
     height = board.rows * step + gap
-    dictionary = marker_dictionary(board.dictionary)
+    dictionary = dictionary_of(board)
     side = dictionary.markerSize + 2 * TAG_BORDER
     tiles = tuple(
         Tile(
@@ -199,10 +199,5 @@ def _dark(rows: int, columns: int, square: float, first: int) -> Float64:
 
 
 def _marker(dictionary: cv2.aruco.Dictionary, number: int, side: int, border: int) -> UInt8:
-    """[side, side] a marker's modules. Raises `RigError` for a number that the dictionary does not have."""
-    if number >= len(dictionary.bytesList):
-        raise RigError(
-            f"board: expected at most {len(dictionary.bytesList)} markers of this dictionary, found more; use a larger "
-            "one, for example DICT_4X4_250"
-        )
+    """[side, side] a marker's modules."""
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, number, side, borderBits=border), np.uint8)

@@ -293,6 +293,18 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(number)
 
 
+def dictionary_of(board: CharucoBoard | AprilGrid) -> cv2.aruco.Dictionary:
+    """The dictionary of a board's markers. Raises `RigError` for an unknown one, and for one that has too few."""
+    dictionary, cells = marker_dictionary(board.dictionary), board.columns * board.rows
+    most, markers = len(dictionary.bytesList), cells // 2 if isinstance(board, CharucoBoard) else cells
+    if markers > most:
+        raise RigError(
+            f"board: expected at most {most} markers, as many as {board.dictionary} has, found {markers}; use a larger "
+            "dictionary, for example DICT_4X4_250"
+        )
+    return dictionary
+
+
 def _starts_dark(grey: UInt8, grid: Float64) -> bool:
     """Whether the outer square diagonally before the first corner of `grid` [R, C, 2] is a dark one.
 
