@@ -1,0 +1,103 @@
+"""What an arm's section may say: which arm, what it carries, what it may touch, room for obstacles."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from arm_cell import MODEL, READY, WORKSPACE, Cell, Timers
+from twin_logs import START
+
+from twin_node.errors import TwinError
+from twin_node.nodes.arm import ArmNode, make_arm_node
+from twin_node.nodes.arm_parameters import ArmParameters
+from twin_node.nodes.live.beside_twin import make_arm
+from twin_node.nodes.live.setup import Setup
+from twin_node.robot import forward_kinematics
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.parameters import fill
+from twin_node.scene import ObstacleKind
+
+
+def made(arm: dict[str, str], driver: dict[str, str]) -> ArmNode:
+    """The arm's node of a launch file with these sections."""
+    sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": arm, "ur_driver": driver}
+    bus, clock = LocalBus(), SteppedClock(START)
+    setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)  # type: ignore[arg-type]
+    return make_arm(setup)
+
+
+def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
+    """Their joints have the same names: nothing else would tell that distances are those of another arm."""
+    with pytest.raises(TwinError, match=r"cell.yaml: arm.model: expected the arm that is driven, ur5e, found ur10e"):
+        made({}, {"robot": "192.168.1.10"})
+    with pytest.raises(TwinError, match="expected the arm that is driven, ur3e, found ur5e"):
+        made({"model": "ur5e"}, {"robot": "192.168.1.10", "model": "ur3e"})
+    assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
+    assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
+    assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
+
+
+def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
+    """As many as 'obstacles: most_static' and the like may ask for: the error tells to raise it."""
+    cell = Cell(max_obstacles=9)
+    cell.joints()
+    assert cell.somebody(count=9).reason == "slow for MOVING"
+    with pytest.raises(TwinError, match="expected at most 9 of a shape, found 10; raise max_obstacles"):
+        cell.somebody(count=10)
+    with pytest.raises(TwinError, match="max_obstacles: expected a number of 1 or more, found 0"):
+        ArmParameters(max_obstacles=0)
+
+
+def test_a_tool_of_the_parameters_is_kept_away_too() -> None:
+    """A gripper that no parameter could tell of reached 16 cm farther than the law knew."""
+    gripper = {"start": [0.0, 0.0, 0.045], "end": [0.0, 0.0, 0.25], "radius": 0.045}
+    tip = forward_kinematics(MODEL, READY)[-1] @ np.array([0.0, 0.0, 0.25, 1.0])
+    distances = []
+    for tool in ([], [gripper]):
+        cell = Cell(tool=tool)
+        cell.joints()
+        distances.append(cell.somebody(at=tip[:3] + np.array([0.0, 0.3, 0.0])).distance)
+    assert distances[1] == pytest.approx(0.3 - 0.045 - 0.05, abs=0.1)
+    assert distances[1] < distances[0] - 0.05
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"radius": 0.0}, {"radius": math.inf}, {"end": [0.0, 0.0, math.inf]}, {"radius": 45.0}, {"start": [45.0, 0, 0]}],
+)
+def test_a_tool_that_is_none_is_refused(wrong: dict[str, Any]) -> None:
+    tool = {"start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.1], "radius": 0.05, **wrong}
+    with pytest.raises(TwinError, match="tool: expected ends and a radius in metres"):
+        fill(ArmParameters, {"tool": [tool]}, "arm")
+
+
+def test_what_stands_may_be_touched_where_it_is_allowed() -> None:
+    """An arm at its table had no parameter that let it near, and beside its own unseen shadow it stood for ever."""
+    tool = forward_kinematics(MODEL, READY)[-1, :3, 3]
+    box = {"lower": (tool - 0.2).tolist(), "upper": (tool + 0.2).tolist()}
+    for kind in (ObstacleKind.STATIC, ObstacleKind.UNSEEN, ObstacleKind.MOVING):
+        touched = []
+        for allowed in ([], [{**box, "links": ["forearm_link"]}], [box]):
+            cell = Cell(allowed=allowed)
+            cell.joints()
+            touched.append(cell.somebody(at=tool, kind=kind).distance <= 0)
+        assert touched == [True, True, kind == ObstacleKind.MOVING]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"lower": [1.0, 0.0, 0.0]}, "allowed: expected a lower corner below the upper one in metres"),
+        ({"upper": [500.0, 500.0, 500.0]}, "allowed: expected a lower corner below the upper one in metres"),
+        ({"links": ["wrist_9_link"]}, "allowed: expected links of shoulder_link, .*, found 'wrist_9_link'"),
+    ],
+)
+def test_a_region_that_is_none_is_refused(wrong: dict[str, Any], words: str) -> None:
+    box = {"lower": [0.0, 0.0, 0.0], "upper": [0.5, 0.5, 0.5], **wrong}
+    with pytest.raises(TwinError, match=words):
+        parameters = fill(ArmParameters, {"model": "ur5e", "allowed": [box]}, "arm")
+        make_arm_node(LocalBus(), SteppedClock(START), WORKSPACE, parameters)
