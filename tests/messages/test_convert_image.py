@@ -39,6 +39,13 @@ def image(encoding: str, data: np.ndarray, **fields: Any) -> Message:
     return replace(base, **{"encoding": encoding, "step": rows.shape[1], "data": rows.reshape(-1), **fields})
 
 
+def claiming(side: int) -> np.ndarray:
+    """A JPEG whose head says that it is `side` pixels wide and high, as one flipped bit makes of a sound one."""
+    data = compressed_image("cam", STAMP, gradient()).data.tobytes()
+    frame = data.index(b"\xff\xc0") + 5
+    return np.frombuffer(data[:frame] + 2 * side.to_bytes(2, "big") + data[frame + 4 :], dtype=np.uint8)
+
+
 def test_raw_image_is_exact_and_named_after_its_camera() -> None:
     message = sent(raw_image("front", STAMP, gradient()))
     assert message.header.frame_id == "front_optical_frame"
@@ -94,6 +101,9 @@ def test_yuv422_in_both_orders() -> None:
         (replace(raw_image("cam", STAMP, gradient()), data=np.zeros(5, dtype=np.uint8)), "damaged"),
         (replace(compressed_image("cam", STAMP, gradient()), data=np.arange(50, dtype=np.uint8)), "cannot be decoded"),
         (replace(compressed_image("cam", STAMP, gradient()), data=np.zeros(0, dtype=np.uint8)), "0 bytes"),
+        (replace(compressed_image("cam", STAMP, gradient()), data=claiming(65_500)), "cannot be decoded"),
+        (image("yuv422", np.zeros((4, 5, 2), dtype=np.uint8)), "in pairs, found rows of 5"),
+        (image("yuv422_yuy2", np.zeros((4, 5, 2), dtype=np.uint8)), "in pairs, found rows of 5"),
     ],
 )
 def test_images_that_cannot_be_are_refused_in_one_line(message: Message, words: str) -> None:

@@ -37,6 +37,9 @@ TO_RGB = {
 CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, "yuv422": 2, "yuv422_yuy2": 2}
 """Bytes per pixel where there is more than one."""
 
+PAIRED = ("yuv422", "yuv422_yuy2")
+"""Encodings in which two neighbours share their colour."""
+
 MM_PER_M = 1000.0
 PNG_SIGNATURE = b"\x89PNG"
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
@@ -87,6 +90,11 @@ def rgb_from_message(message: Message) -> UInt8:
     pixels = _rows(message, np.dtype(np.uint8), channels)
     if encoding == "rgb8":
         return pixels
+    if encoding in PAIRED and pixels.shape[1] % 2:
+        raise MessageError(
+            f"{_name(message)}: {encoding} holds its pixels in pairs, found rows of {pixels.shape[1]}; the frame is "
+            "damaged"
+        )
     return np.asarray(cv2.cvtColor(pixels, TO_RGB[encoding]), dtype=np.uint8)
 
 
@@ -165,7 +173,10 @@ def _checked(message: Message, depth: NDArray[np.floating]) -> Float32:
 
 
 def _decode(message: Message, data: UInt8, flags: int) -> UInt8:
-    decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) else None
+    try:
+        decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) else None
+    except cv2.error:  # what its head says of its size is beyond all images
+        decoded = None
     if decoded is None:
         raise MessageError(
             f"{_name(message)}: {len(data)} bytes of format {message.format!r} cannot be decoded as an image; the "
