@@ -98,6 +98,14 @@ def test_clouds_of_others_are_refused_by_what_they_lack() -> None:
         c.gaussians_from_pointcloud2(replace(message, is_bigendian=True))
 
 
+@pytest.mark.parametrize("change", [{"datatype": 0}, {"datatype": 9}, {"offset": 66}, {"offset": 2**32 - 1}])
+def test_clouds_whose_fields_cannot_be_are_refused(change: dict[str, int]) -> None:
+    message = c.gaussians_to_pointcloud2(cloud(3), STAMP)
+    fields = [replace(message.fields[0], **change), *message.fields[1:]]
+    with pytest.raises(MessageError, match="field x: expected one of the datatypes 1 to 8 within points of 68 bytes"):
+        c.gaussians_from_pointcloud2(replace(message, fields=fields))
+
+
 def layer(horizon_ns: int, indices: list[int]) -> OccupancyLayer:
     return OccupancyLayer(
         horizon_ns, np.array(indices, dtype=np.uint32), np.arange(len(indices), dtype=np.uint8) + np.uint8(200)
@@ -129,6 +137,18 @@ def test_occupancy_that_contradicts_itself_is_refused() -> None:
     with pytest.raises(MessageError, match="index 120 is outside"):
         indices = np.array([1, 5, 120], dtype=np.uint32)
         c.occupancy_from_message(replace(message, layers=[replace(first, indices=indices)]))
+
+
+@pytest.mark.parametrize("voxel_size", [0.0, -0.02, np.nan, np.inf])
+def test_occupancy_of_voxels_that_cannot_be_is_refused(voxel_size: float) -> None:
+    with pytest.raises(MessageError, match="expected a finite origin and voxels of more than 0 m"):
+        c.occupancy_from_message(replace(c.occupancy_to_message(occupancy()), voxel_size=voxel_size))
+
+
+def test_occupancy_nowhere_is_refused() -> None:
+    message = c.occupancy_to_message(occupancy())
+    with pytest.raises(MessageError, match="expected a finite origin"):
+        c.occupancy_from_message(replace(message, origin=replace(message.origin, y=np.nan)))
 
 
 @pytest.mark.parametrize("n", [0, 2])
@@ -290,6 +310,7 @@ def test_binning_and_region_of_interest_keep_every_ray() -> None:
     ("changes", "words"),
     [
         ({"k": np.zeros(9)}, "no calibration"),
+        ({"width": 0}, "images are 0x"),
         ({"distortion_model": "fisheye624"}, "distortion model 'fisheye624'"),
         ({"d": np.zeros(3)}, "plumb_bob needs 4 or 5 finite"),
         ({"d": np.full(5, np.nan)}, "plumb_bob needs 4 or 5 finite"),
@@ -326,6 +347,21 @@ def test_chains_are_composed_across_branches() -> None:
     assert "world" not in tree
 
 
+@pytest.mark.parametrize("change", [{"w": 0.0, "x": 0.0, "y": 0.0, "z": 0.0}, {"x": np.nan}, {"z": np.inf}])
+def test_transforms_that_are_none_are_refused(change: dict[str, float]) -> None:
+    """A node that fills in no rotation sends zeros: a pose of NaN would place a camera nowhere, without a word."""
+    stamped = c.transform_stamped("base_link", "cam", np.eye(4), 0)
+    stamped.transform.rotation = replace(stamped.transform.rotation, **change)
+    tree = c.TransformTree()
+    other = c.transform_stamped("base_link", "other", np.eye(4), 0)
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[stamped, other]))
+    with pytest.raises(MessageError, match="transform base_link to cam: expected finite numbers and a quaternion"):
+        tree.lookup("cam")
+    np.testing.assert_array_equal(tree.lookup("other"), np.eye(4))
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("base_link", "cam", np.eye(4), 0)]))
+    np.testing.assert_array_equal(tree.lookup("cam"), np.eye(4))
+
+
 def test_frames_that_nothing_joins_and_loops_are_named() -> None:
     tree = c.TransformTree()
     tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("a", "b", np.eye(4), 0)]))
@@ -334,3 +370,12 @@ def test_frames_that_nothing_joins_and_loops_are_named() -> None:
     tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("b", "a", np.eye(4), 0)]))
     with pytest.raises(MessageError, match="loop"):
         tree.lookup("b")
+
+
+def test_diagnoses_survive_and_levels_that_are_none_are_refused() -> None:
+    diagnosis = c.Diagnosis("cameras: left", c.Level.STALE, "gone", (c.Reading("rate_hz", "0"),), "left")
+    message = sent(c.diagnostics_to_message(STAMP, [diagnosis]))
+    assert c.diagnostics_from_message(message) == (diagnosis,)
+    message.status[0].level = 7
+    with pytest.raises(MessageError, match="'cameras: left': expected a level from 0 to 3, found 7"):
+        c.diagnostics_from_message(message)

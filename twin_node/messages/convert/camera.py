@@ -11,6 +11,9 @@ from twin_node.scene import Float64, Rig, RigCamera
 
 BASE_FRAME = "base_link"
 
+_LEAST_QUATERNION = 1e-3
+"""Quaternions whose numbers are all smaller are no rotation that was rounded, but none."""
+
 DISTORTION_SIZES = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 """Numbers of coefficients that each ROS distortion model may have (sensor_msgs/distortion_models.hpp)."""
 
@@ -44,9 +47,14 @@ def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0
     """Camera `name` from a CameraInfo and its pose [4, 4] in `base_link`.
 
     K is made to fit the image as sent: a region of interest shifts it, binning scales it (CameraInfo.msg).
-    Raises `MessageError` for an uncalibrated camera, an unknown distortion model or a wrong number of coefficients.
+    Raises `MessageError` for an uncalibrated camera, one without a size, an unknown distortion model or a wrong number
+    of coefficients.
     """
     K = np.array(info.k, dtype=np.float64).reshape(3, 3)
+    if not (info.width and info.height):
+        raise MessageError(
+            f"camera {name}: CameraInfo says that images are {info.width}x{info.height}; correct it, or give a rig file"
+        )
     if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
         raise MessageError(
             f"camera {name}: CameraInfo holds no calibration (fx = {K[0, 0]:g}, fy = {K[1, 1]:g}); calibrate the "
@@ -115,21 +123,32 @@ class TransformTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Float64]] = {}
+        self._faults: dict[str, str] = {}
 
     def add(self, message: Message) -> None:
-        """Takes every transform of a `tf2_msgs/msg/TFMessage`; a newer one replaces an older one of the same child."""
+        """Takes every transform of a `tf2_msgs/msg/TFMessage`; a newer one replaces an older one of the same child.
+
+        One that is none (not finite, a quaternion of length 0) is told when somebody asks for its child.
+        """
         for stamped in message.transforms:
             t, q = stamped.transform.translation, stamped.transform.rotation
-            rotation = rotation_from_quat(np.array([q.w, q.x, q.y, q.z]))
             parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
-            self._parents[child] = (parent, pose(rotation, np.array([t.x, t.y, t.z])))
+            place, turn = np.array([t.x, t.y, t.z]), np.array([q.w, q.x, q.y, q.z])
+            if np.isfinite(place).all() and np.isfinite(turn).all() and np.abs(turn).max() > _LEAST_QUATERNION:
+                self._parents[child] = (parent, pose(rotation_from_quat(turn), place))
+                self._faults.pop(child, None)
+            else:
+                self._faults[child] = (
+                    f"transform {parent} to {child}: expected finite numbers and a quaternion of length 1, found "
+                    f"{place.tolist()} m and w, x, y, z {turn.tolist()}; mend who publishes it, or give a rig file"
+                )
 
     def __contains__(self, frame: str) -> bool:
         """Whether a transform gives the frame a parent."""
         return frame in self._parents
 
     def lookup(self, frame: str, base: str = BASE_FRAME) -> Float64:
-        """[4, 4] maps coordinates of `frame` to `base`; raises `MessageError` where no transforms join them."""
+        """[4, 4] maps coordinates of `frame` to `base`; raises `MessageError` where no sound transforms join them."""
         root_of_frame, T_root_frame = self._to_root(frame)
         root_of_base, T_root_base = self._to_root(base)
         if root_of_frame != root_of_base:
@@ -144,6 +163,8 @@ class TransformTree:
     def _to_root(self, frame: str) -> tuple[str, Float64]:
         T = np.eye(4)
         for _ in range(len(self._parents) + 1):
+            if frame in self._faults:
+                raise MessageError(self._faults[frame])
             if frame not in self._parents:
                 return frame, T
             frame, T_parent = self._parents[frame]

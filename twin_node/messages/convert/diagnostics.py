@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from twin_node.messages.stamps import header
-from twin_node.messages.types import Message, message_type
+from twin_node.messages.types import Message, MessageError, message_type
 
 
 class Level(IntEnum):
@@ -62,7 +62,13 @@ def diagnostics_to_message(stamp: int, diagnoses: Sequence[Diagnosis]) -> Messag
 
 
 def diagnostics_from_message(message: Message) -> tuple[Diagnosis, ...]:
-    """The diagnoses of a `diagnostic_msgs/msg/DiagnosticArray`."""
+    """The diagnoses of a `diagnostic_msgs/msg/DiagnosticArray`. Raises `MessageError` for a level that is none."""
+    for status in message.status:
+        if status.level not in iter(Level):
+            raise MessageError(
+                f"diagnosis '{status.name}': expected a level from {Level.OK:d} to {Level.STALE:d}, found "
+                f"{status.level}; the sender is at fault"
+            )
     return tuple(
         Diagnosis(
             status.name,

@@ -49,11 +49,17 @@ def occupancy_to_message(occupancy: Occupancy) -> Message:
 def occupancy_from_message(message: Message) -> Occupancy:
     """Occupancy from a `twin_msgs/msg/OccupancyForecast`; arrays are views of the message.
 
-    Raises `MessageError` where indices and probabilities differ in number or an index is outside of the grid.
+    Raises `MessageError` where indices and probabilities differ in number, an index is outside of the grid, or the
+    grid's place or voxels cannot be.
     """
     dims = (int(message.dims[0]), int(message.dims[1]), int(message.dims[2]))
     origin = np.array([message.origin.x, message.origin.y, message.origin.z])
     grid = Grid(origin=origin, voxel_size=float(message.voxel_size), dims=dims)
+    if not (np.isfinite(origin).all() and 0 < grid.voxel_size < np.inf):
+        raise MessageError(
+            f"OccupancyForecast: expected a finite origin and voxels of more than 0 m, found {origin.tolist()} and "
+            f"{grid.voxel_size:g} m; the sender is at fault"
+        )
     runs = np.asarray(message.unknown_runs)
     if len(runs) % 2:
         raise MessageError(

@@ -95,6 +95,14 @@ def _points(message: Message) -> np.ndarray[tuple[int], np.dtype[np.void]]:
         )
     if message.is_bigendian:
         raise MessageError(f"PointCloud2 in {message.header.frame_id}: expected little-endian data, found big-endian")
+    for field in present.values():
+        size = np.dtype(DTYPES[field.datatype]).itemsize if field.datatype in DTYPES else None
+        if size is None or field.offset + size > message.point_step:
+            raise MessageError(
+                f"PointCloud2 field {field.name}: expected one of the datatypes {min(DTYPES)} to {max(DTYPES)} within "
+                f"points of {message.point_step} bytes, found datatype {field.datatype} at byte {field.offset}; the "
+                "sender is at fault"
+            )
     if present["rgb"].datatype not in (_UINT32, _FLOAT32):
         raise MessageError(f"PointCloud2 field rgb: expected 4 packed bytes, found datatype {present['rgb'].datatype}")
     count = int(message.height) * int(message.width)
