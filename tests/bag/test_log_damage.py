@@ -163,6 +163,7 @@ def test_missing_paths_and_folders_without_a_bag_are_refused(tmp_path: Path) -> 
     ("metadata", "words"),
     [
         ("{", "not the metadata of a rosbag2 folder"),
+        ("begun: 2020-13-45", NONE),
         ("something: else", "not the metadata of a rosbag2 folder"),
         *(
             (f"rosbag2_bagfile_information: {{relative_file_paths: {files}, topics_with_message_count: {rest}}}", NONE)

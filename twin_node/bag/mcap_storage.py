@@ -104,9 +104,9 @@ class McapStorage:
 
     def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
         """Messages of a part in log-time order; raises `DamageError` before the first of a damaged one."""
-        self._file.seek(part.offset)
-        data = self._file.read(part.size)
         try:
+            self._file.seek(part.offset)
+            data = self._file.read(part.size)
             messages = list(_messages(data))
             if not messages and part.topics:
                 raise ValueError("the index knows messages where there are none")
@@ -255,9 +255,15 @@ def _complete(summary: Summary, statistics: Statistics) -> bool:
     return (
         len(summary.chunk_indexes) == statistics.chunk_count
         and (statistics.chunk_count > 0 or statistics.message_count == 0)
+        and all(_tells_its_time(chunk) for chunk in summary.chunk_indexes)
         and all(channel in summary.channels for channel in statistics.channel_message_counts)
         and all(not channel.schema_id or channel.schema_id in summary.schemas for channel in summary.channels.values())
     )
+
+
+def _tells_its_time(chunk: ChunkIndex) -> bool:
+    """Whether a chunk's times are those of messages: of one without any they are 0 (MCAP format, Chunk)."""
+    return bool(chunk.message_start_time or chunk.message_end_time or chunk.message_index_offsets)
 
 
 def _reason(error: BaseException) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import heapq
 import json
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
@@ -37,7 +38,8 @@ class LogReader:
         self._metadata = {name: record for storage in storages for name, record in storage.metadata.items()}
         self._metadata.update(metadata)
         self._parts = tuple(part for storage in storages for part in storage.parts)
-        self._topics = _merge_topics(path, storages)
+        self._topics, self._left_out = _merge_topics(path, storages)
+        self._kinds = {topic.name: topic.msgtype for topic in self._topics}
         self._types = builtin_types().extended(
             {name: text for storage in storages for name, text in storage.definitions.items()}
         )
@@ -48,6 +50,11 @@ class LogReader:
     def topics(self) -> tuple[Topic, ...]:
         """All topics, by name."""
         return self._topics
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What the log holds that is not read, a line each: other encodings, a topic's messages of a second type."""
+        return self._left_out
 
     @property
     def types(self) -> MessageTypes:
@@ -102,8 +109,8 @@ class LogReader:
             streams = [self._until_damage(stream) for stream in streams]
         try:
             for entry in heapq.merge(*streams, key=_Entry.order):
-                if entry.record is not None:
-                    record = entry.record
+                record = entry.record
+                if record is not None and self._kinds.get(record.topic) == record.msgtype:
                     yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, self._types)
         except DamageError as damage:
             self._damage = str(damage)
@@ -224,7 +231,7 @@ def _bag_information(file: Path) -> _Information:
             compression=Compression.of(information, file),
             records=_custom_data(information),
         )
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"{file}: not the metadata of a rosbag2 folder ({reason}); run `ros2 bag reindex`") from None
 
@@ -272,15 +279,26 @@ def _open_file(path: Path) -> Storage:
     raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")
 
 
-def _merge_topics(path: Path, storages: Collection[Storage]) -> tuple[Topic, ...]:
+def _merge_topics(path: Path, storages: Collection[Storage]) -> tuple[tuple[Topic, ...], tuple[str, ...]]:
+    """The topics, each of the type that most of its messages have, and what is left out."""
     channels = [channel for storage in storages for channel in storage.channels]
     encodings = sorted({channel.encoding for channel in channels})
     if channels and "cdr" not in encodings:
         raise BagError(f"{path}: expected messages in cdr, found {', '.join(encodings)}; convert the log to ROS 2")
-    merged: dict[str, Topic] = {}
-    for channel in sorted(channels, key=lambda channel: channel.topic):
-        known = merged.get(channel.topic, Topic(channel.topic, channel.msgtype, 0))
-        merged[channel.topic] = Topic(
-            channel.topic, channel.msgtype, known.count + channel.count, known.latched or channel.latched
+    kinds: dict[tuple[str, str], Topic] = {}
+    others: Counter[tuple[str, str]] = Counter()
+    for channel in channels:
+        if channel.encoding != "cdr":
+            others[channel.topic, channel.encoding] += channel.count
+            continue
+        known = kinds.get((channel.topic, channel.msgtype), Topic(channel.topic, channel.msgtype, 0))
+        kinds[channel.topic, channel.msgtype] = replace(
+            known, count=known.count + channel.count, latched=known.latched or channel.latched
         )
-    return tuple(merged.values())
+    lines = [f"{topic}: {count} messages in {form}; expected cdr" for (topic, form), count in others.items()]
+    merged: dict[str, Topic] = {}
+    for kind in sorted(kinds.values(), key=lambda kind: (kind.name, -kind.count, kind.msgtype)):
+        first = merged.setdefault(kind.name, kind)
+        if first is not kind:
+            lines.append(f"{kind.name}: {kind.count} messages of {kind.msgtype}; {first.count} are of {first.msgtype}")
+    return tuple(merged.values()), tuple(sorted(lines))

@@ -19,7 +19,7 @@ class Repaired:
     damage: str | None
     """What was wrong with the log; None: nothing was."""
     left_out: tuple[str, ...]
-    """Topics whose type is defined nowhere: nobody could read them."""
+    """What nobody could read, a line each: topics whose type is defined nowhere, and `LogReader.left_out`."""
 
 
 def repair(source: Path, output: Path) -> Repaired:
@@ -41,5 +41,5 @@ def repair(source: Path, output: Path) -> Repaired:
         for message in log.messages([topic.name for topic in known], past_damage=True):
             writer.write_raw(message.topic, message.msgtype, message.data, message.stamp)
             messages += 1
-        left_out = tuple(topic.name for topic in log.topics if topic not in known)
-        return Repaired(messages, log.damage, left_out)
+        unknown = [f"{topic.name}, whose type is defined nowhere" for topic in log.topics if topic not in known]
+        return Repaired(messages, log.damage, (*unknown, *log.left_out))

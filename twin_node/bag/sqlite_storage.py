@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import cast
@@ -13,6 +15,10 @@ from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
 from twin_node.bag.qos import any_transient_local
 
 MAGIC = b"SQLite format 3\x00"
+ENDING = ".db3"
+"""By which rosbags knows such a file."""
+URI_SIGNS = frozenset("?#%")
+"""What means something else in an SQLite URI, as which rosbags takes a path."""
 
 
 class SqliteStorage:
@@ -21,9 +27,13 @@ class SqliteStorage:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._reader = Reader(path)
-            self._reader.open()
-        except (ReaderError, KeyError, TypeError) as error:
+            with _plainly_named(path) as plain:
+                self._reader = Reader(plain)
+                self._reader.open()
+            self._check()
+        except OSError:
+            raise
+        except Exception as error:  # names and policies that are none are met in rosbags, SQLite and the YAML parser
             reason = " ".join(str(error).split())
             raise BagError(f"{path}: not a readable rosbag2 SQLite file ({reason}); record it again") from None
 
@@ -60,8 +70,14 @@ class SqliteStorage:
 
     @property
     def damage(self) -> str | None:
-        """None: what is missing from a SQLite file shows when it is read."""
-        return None
+        """A write-ahead log beside the file, whose recorder was killed; other damage shows when the file is read."""
+        ahead = self._path.with_name(f"{self._path.name}-wal")
+        if not (ahead.is_file() and ahead.stat().st_size):
+            return None
+        return (
+            f"{ahead}: its recorder was killed, and the last messages, which are still in here, are not read; take "
+            f"them over with: sqlite3 '{self._path}' 'PRAGMA wal_checkpoint(TRUNCATE)'"
+        )
 
     def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
         """Messages of the file in log-time order; raises `DamageError` at the first page that SQLite cannot read."""
@@ -73,6 +89,8 @@ class SqliteStorage:
         while True:
             try:
                 connection, stamp, data = next(messages)
+                if not (isinstance(stamp, int) and isinstance(data, bytes)):
+                    raise ReaderError(f"a message on {connection.topic} without time or content")
             except StopIteration:
                 return
             except Exception as error:  # what was read stands; SQLite bindings raise classes of their own
@@ -85,3 +103,23 @@ class SqliteStorage:
     def close(self) -> None:
         """Releases the file."""
         self._reader.close()
+
+    def _check(self) -> None:
+        """Raises `ReaderError`, and closes the file, where what names the topics is no text."""
+        for connection in self._reader.connections:
+            named = (connection.topic, connection.msgtype, cast("ConnectionExtRosbag2", connection.ext))
+            if not all(isinstance(text, str) for text in (*named[:2], named[2].serialization_format)):
+                self._reader.close()
+                raise ReaderError(f"topic {connection.topic!r} of type {connection.msgtype!r}")
+
+
+@contextlib.contextmanager
+def _plainly_named(path: Path) -> Iterator[Path]:
+    """The path, or, where rosbags would take its name for something else, a link to it that goes when it is open."""
+    if path.suffix == ENDING and URI_SIGNS.isdisjoint(str(path)):
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="twin_node_") as folder:
+        link = Path(folder) / f"log{ENDING}"
+        link.symlink_to(path.absolute())
+        yield link

@@ -53,6 +53,7 @@ def _info(options: argparse.Namespace) -> None:
                         "messages": messages,
                         "topics": topics,
                         "metadata": {k: dict(v) for k, v in log.metadata.items()},
+                        "left_out": log.left_out,
                         "damage": log.damage,
                     }
                 )
@@ -66,6 +67,8 @@ def _info(options: argparse.Namespace) -> None:
             print(f"  {topic.name:{width}}  {topic.count:7d}  {topic.msgtype}{kept}")
         for name in log.metadata:
             print(f"  metadata: {name}")
+        for line in log.left_out:
+            print(f"  not read: {line}")
         if log.damage:
             print(f"damage: {log.damage}")
 
@@ -97,8 +100,8 @@ def _repair(source: Path, output: Path) -> None:
 
     found = repair(source, output)
     print(f"{output}: {found.messages} messages; {found.damage or 'the log was whole'}", file=sys.stderr)
-    for topic in found.left_out:
-        print(f"left out: {topic}, whose type is defined nowhere", file=sys.stderr)
+    for line in found.left_out:
+        print(f"left out: {line}", file=sys.stderr)
 
 
 def _without_nan(value: Any) -> Any:

@@ -84,6 +84,7 @@ def check_log(log: LogReader) -> LogCheck:
         faults += _unit_faults(topic.name, topic.msgtype, found.contents)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
+    whole += [f"not read: {line}" for line in log.left_out]
     whole += _camera_faults(log, {topic.name: seen[topic.name].stamps for topic in log.topics})
     return LogCheck(tuple(checks), tuple(whole))
 

@@ -1,0 +1,159 @@
+"""Logs that other programs make, and that are sound in parts: what is not read is told, the rest comes whole."""
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
+from rosbags.typesys import Stores, get_typestore
+
+from twin_node.bag import BagError, open_log
+from twin_node.bag.repair import repair
+from twin_node.messages import definition, message_type, serialize
+
+STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
+START = 1_700_000_000_000_000_000
+COUNT = 20
+
+
+def text(number: int) -> bytes:
+    return bytes(serialize(message_type(STRING)(data=f"number {number}")))
+
+
+def mcap_file(path: Path, fill: Callable[[Writer], None]) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "a test")
+        fill(writer)
+        writer.finish()
+    return path
+
+
+def add_strings(writer: Writer) -> None:
+    schema = writer.register_schema(STRING, "ros2msg", definition(STRING).encode())
+    channel = writer.register_channel("/text", "cdr", schema)
+    for number in range(COUNT):
+        writer.add_message(channel, START + number, text(number), START + number)
+
+
+def add_json(writer: Writer) -> None:
+    schema = writer.register_schema(STRING, "jsonschema", b'{"type": "object"}')
+    channel = writer.register_channel("/notes", "json", schema)
+    writer.add_message(channel, START, b'{"data": "no cdr"}', START)
+
+
+def add_another_type(writer: Writer) -> None:
+    schema = writer.register_schema(EMPTY, "ros2msg", definition(EMPTY).encode())
+    channel = writer.register_channel("/text", "cdr", schema)
+    writer.add_message(channel, START, bytes(serialize(message_type(EMPTY)(structure_needs_at_least_one_member=0))), 0)
+
+
+@pytest.mark.parametrize(
+    ("add", "line"),
+    [
+        (add_json, "/notes: 1 messages in json; expected cdr"),
+        (add_another_type, f"/text: 1 messages of {EMPTY}; {COUNT} are of {STRING}"),
+    ],
+)
+def test_what_cannot_be_read_beside_the_rest_is_left_out_and_told(
+    tmp_path: Path, add: Callable[[Writer], None], line: str
+) -> None:
+    """JSON bytes taken for CDR, or one type's bytes under another's name, are nonsense to whoever gets them."""
+
+    def fill(writer: Writer) -> None:
+        add(writer)
+        add_strings(writer)
+
+    path = mcap_file(tmp_path / "log.mcap", fill)
+    with open_log(path) as log:
+        assert [(topic.name, topic.msgtype, topic.count) for topic in log.topics] == [("/text", STRING, COUNT)]
+        assert [entry.message.data for entry in log.messages()] == [f"number {number}" for number in range(COUNT)]
+        assert log.left_out == (line,)
+    repaired = repair(path, tmp_path / "repaired.mcap")
+    assert (repaired.messages, repaired.left_out) == (COUNT, (line,))
+
+
+def test_a_chunk_without_messages_does_not_begin_the_log_in_1970(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        writer.register_schema(EMPTY, "ros2msg", definition(EMPTY).encode())
+        writer._Writer__chunk_builder.num_messages = 1  # or it would write none
+        writer._Writer__finalize_chunk()
+        add_strings(writer)
+
+    with open_log(mcap_file(tmp_path / "log.mcap", fill)) as log:
+        assert (log.start_ns, log.end_ns) == (START, START + COUNT - 1)
+
+
+@pytest.mark.parametrize(("offset", "length"), [(0, 2**62), (2**63, 100), (2**64 - 1, 2**64 - 1)])
+def test_an_index_that_leads_out_of_the_file_is_damage(tmp_path: Path, offset: int, length: int) -> None:
+    def fill(writer: Writer) -> None:
+        add_strings(writer)
+        writer._Writer__finalize_chunk()
+        chunk = writer._Writer__chunk_indices[0]
+        chunk.chunk_start_offset, chunk.chunk_length = offset, length
+
+    with open_log(mcap_file(tmp_path / "log.mcap", fill)) as log:
+        assert list(log.messages()) == []
+        assert log.damage is not None
+        assert f"damaged at byte {offset}" in log.damage
+
+
+def sqlite_bag(folder: Path) -> Path:
+    with FolderWriter(folder, version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        connection = bag.add_connection("/text", STRING, typestore=get_typestore(Stores.ROS2_JAZZY))
+        for number in range(COUNT):
+            bag.write(connection, START + number, text(number))
+    return next(folder.glob("*.db3"))
+
+
+@pytest.mark.parametrize("name", ["run #1.db3", "what?.db3", "a%20b.db3", "text.sqlite"])
+def test_sqlite_files_may_have_any_name(tmp_path: Path, name: str) -> None:
+    path = sqlite_bag(tmp_path / "bag").rename(tmp_path / name)
+    with open_log(path) as log:
+        assert [entry.message.data for entry in log.messages()] == [f"number {number}" for number in range(COUNT)]
+
+
+def test_messages_in_a_write_ahead_log_are_missed_aloud(tmp_path: Path) -> None:
+    """rosbag2's preset `resilient` leaves one when its recorder is killed."""
+    path = sqlite_bag(tmp_path / "bag")
+    recorder = sqlite3.connect(path)
+    recorder.execute("PRAGMA journal_mode=WAL")
+    recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", (START + COUNT, text(COUNT)))
+    recorder.commit()
+    with open_log(path) as log:
+        assert log.damage is not None
+        assert f"{path.name}-wal: its recorder was killed" in log.damage
+    recorder.close()
+    with open_log(path) as log:
+        assert log.damage is None
+        assert len(list(log.messages())) == COUNT + 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE topics SET serialization_format = x'80ff'",
+        "UPDATE topics SET name = CAST(x'80ff' AS TEXT)",
+        "UPDATE topics SET offered_qos_profiles = '- history: [1'",
+    ],
+)
+def test_sqlite_topics_that_cannot_be_are_refused_in_one_line(tmp_path: Path, change: str) -> None:
+    path = sqlite_bag(tmp_path / "bag")
+    with sqlite3.connect(path) as file:
+        file.execute(change)
+    with pytest.raises(BagError, match="not a readable rosbag2 SQLite file") as caught:
+        open_log(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_sqlite_messages_without_content_are_damage(tmp_path: Path) -> None:
+    path = sqlite_bag(tmp_path / "bag")
+    with sqlite3.connect(path) as file:
+        file.execute(f"UPDATE messages SET data = 'text' WHERE timestamp = {START + 5}")
+    with open_log(path) as log:
+        assert len(list(log.messages())) == 5
+        assert log.damage is not None
+        assert "without time or content" in log.damage
