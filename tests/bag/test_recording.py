@@ -192,6 +192,8 @@ def test_wrong_places_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(BagError, match=words):
             RecordingWriter(tmp_path / name, split)
+    with pytest.raises(BagError, match="split: max_size_mb: expected a number of 0 or more, found -1"):
+        SplitParameters(max_size_mb=-1)
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])

@@ -13,9 +13,9 @@ import pytest
 from twin_node.bag import BagError, RecordingWriter, open_log
 from twin_node.messages import convert
 from twin_node.messages.convert import Level
-from twin_node.nodes.live.recorder import LiveRecorderNode, RecordParameters
+from twin_node.nodes.live.recorder import LiveRecorderNode, RecordParameters, make_recorder
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, kind_of
+from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, GraphError, kind_of
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import Qos
@@ -119,3 +119,33 @@ def test_a_topic_of_an_unknown_type_is_not_recorded_and_told_once(
         studio.step()
     assert studio.said == ["not recorded: /odd, whose type odd_msgs/msg/Odd is not known here"]
     studio.end()
+
+
+def test_a_second_type_under_a_topic_s_name_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log has one type per topic; on the graph two nodes may well use one name for different things."""
+    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.0)
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), all=True)
+    kinds = ("std_msgs/msg/String", "std_msgs/msg/Empty")
+    nodes = (NodeIdentity("1", 1, "first"), NodeIdentity("2", 1, "second"))
+    studio.graph = tuple(
+        Endpoint(EntityKind.PUBLISHER, node, 1, "/note", kind, "RIHS01_0", Qos())
+        for node, kind in zip(nodes, kinds, strict=True)
+    )
+    for _ in range(3):
+        studio.step()
+    assert studio.said == [
+        "not recorded: /note of type std_msgs/msg/Empty, which second sends; a log has one type per topic, and "
+        "std_msgs/msg/String came first"
+    ]
+    studio.end()
+
+
+@pytest.mark.parametrize("topic", ["/twin/*", "/", "/a b", "", "joint_states"])
+def test_names_that_no_topic_has_are_refused(tmp_path: Path, topic: str) -> None:
+    bus = WireBus(LocalWire(), Executor(), "recorder", kind_of)
+    parameters = {"output": str(tmp_path / "run"), "topics": [topic]}
+    sections = {"recorder": parameters}
+    setup = Setup("recorder", bus, SystemClock(), Executor(), sections, "record", lambda: None, lambda: ())
+    with pytest.raises(GraphError, match="record: recorder: expected names of topics such as /joint_states, found"):
+        make_recorder(setup)
+    assert not (tmp_path / "run").exists()

@@ -15,6 +15,7 @@ from twin_node.bag.log import BagError
 from twin_node.bag.qos import is_latched, offered_qos_profiles
 from twin_node.bag.writer import BAG_VERSION, LIBRARY, PROFILE
 from twin_node.messages import MessageTypes
+from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
 METADATA_FILE = "metadata.yaml"
 FLUSH_S = 0.5
@@ -31,6 +32,10 @@ class SplitParameters:
     """Size of a file, MB; 0: no limit."""
     max_duration_s: float = 0.0
     """Time that a file spans, s; 0: no limit."""
+
+    def __post_init__(self) -> None:
+        """Raises `BagError` for a size or a time below 0."""
+        check_ranges(self, BagError, "split: ", max_size_mb=NOT_NEGATIVE, max_duration_s=NOT_NEGATIVE)
 
 
 @dataclass(frozen=True)

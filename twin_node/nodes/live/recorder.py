@@ -12,10 +12,10 @@ from twin_node.bag import BagError, RecordingWriter, SplitParameters
 from twin_node.bag.qos import is_latched
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import RECORDED, GraphError, kind_of
+from twin_node.nodes.topics import RECORDED, GraphError, is_topic_name, kind_of
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import EVERY, LATCHED, Qos, TopicKind
-from twin_node.runtime.rmw_zenoh import EntityKind
+from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
 from twin_node.runtime.wire import Encoded
 
 DISCOVERY_S = 0.2
@@ -46,6 +46,12 @@ def make_recorder(setup: Setup) -> Node:
     parameters = setup.parameters(RecordParameters)
     if not parameters.output:
         raise GraphError(f"{setup.where}: {setup.name}: expected 'output', the file or folder to write")
+    for topic in parameters.topics:
+        if not is_topic_name(topic):
+            raise GraphError(
+                f"{setup.where}: {setup.name}: expected names of topics such as /joint_states, found {topic!r}; there "
+                "are no patterns: name them one by one, or take all"
+            )
     return LiveRecorderNode(setup, parameters)
 
 
@@ -66,8 +72,8 @@ class LiveRecorderNode(Node):
         self._say = setup.say
         self._finish = setup.finish
         self._early: deque[tuple[str, Encoded]] = deque(maxlen=EARLY_KEPT)
-        self._added: set[str] = set()
-        self._unknown: set[str] = set()
+        self._added: dict[str, str | None] = {}
+        self._told: set[tuple[str, str]] = set()
         self._parameters = parameters
         self._writer: RecordingWriter | None = None
         self._error: BagError | None = None
@@ -94,7 +100,7 @@ class LiveRecorderNode(Node):
 
     def add(self, topic: str, kind: TopicKind) -> None:
         """Record a topic from now on."""
-        self._added.add(topic)
+        self._added[topic] = kind.msgtype
         qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos == LATCHED or kind.qos.latched else EVERY
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
         self._bus.subscribe_raw(topic, partial(self._write, self._bus.resolved(topic)))
@@ -105,14 +111,25 @@ class LiveRecorderNode(Node):
             return
         for endpoint in self._endpoints():
             is_wanted = self._is_all or endpoint.topic in self._topics
-            is_new = endpoint.kind is EntityKind.PUBLISHER and endpoint.topic not in self._added
-            if not (is_wanted and is_new):
+            if not is_wanted or endpoint.kind is not EntityKind.PUBLISHER:
                 continue
-            if endpoint.msgtype in builtin_types():
+            recorded = self._added.get(endpoint.topic)
+            if recorded is not None and recorded != endpoint.msgtype:
+                self._leave_out(
+                    endpoint,
+                    f" of type {endpoint.msgtype}, which {endpoint.node.name} sends; a log has one type per topic, and "
+                    f"{recorded} came first",
+                )
+            elif recorded is None and endpoint.msgtype in builtin_types():
                 self.add(endpoint.topic, TopicKind(endpoint.msgtype, endpoint.qos))
-            elif endpoint.topic not in self._unknown:
-                self._unknown.add(endpoint.topic)
-                self._say(f"not recorded: {endpoint.topic}, whose type {endpoint.msgtype} is not known here")
+            elif recorded is None:
+                self._leave_out(endpoint, f", whose type {endpoint.msgtype} is not known here")
+
+    def _leave_out(self, endpoint: Endpoint, why: str) -> None:
+        """Tells, once, of what cannot be recorded."""
+        if (endpoint.topic, endpoint.msgtype) not in self._told:
+            self._told.add((endpoint.topic, endpoint.msgtype))
+            self._say(f"not recorded: {endpoint.topic}{why}")
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How much was written, or why no more is."""
