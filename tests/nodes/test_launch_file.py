@@ -67,6 +67,11 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log:=a"], ["plaier.rate:=2"], "unknown node 'plaier'; did you mean 'player'"),
         (["log:=a", "rate:=["], [], r"rate:=\[: expected a float, found what is no YAML"),
         (["log:=a"], ["player.rate:=["], r"-p player.rate:=\[: expected a value, found what is no YAML"),
+        (["log:=a", "loop:=2020-13-45"], [], "loop:=2020-13-45: expected a bool, found what is no YAML"),
+        (["log:=a"], [f"player.rate:={'9' * 5000}"], "expected a value, found what is no YAML"),
+        (["log:=a"], [f"player.rate:={'[' * 3000}"], "expected a value, found what is no YAML"),
+        (["log:=a"], ["player.log:=2026-11-23"], r"player.log: expected text or numbers, found 2026-11-23 \(a date\)"),
+        (["log:=a"], ["player.topics:=[!!binary aGk=]"], r"player.topics: expected text or numbers, found b'hi'"),
         (["log:=a"], ["player.rate.x:=1"], "-p player.rate.x:=1: expected keys and values under 'rate', found 1.0"),
     ],
 )
@@ -96,6 +101,12 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("nodes: [arm]", "nodes: [player]", "node 'player' is in two processes, play and arm"),
         ("nodes: [player]", "nodes: [player, player]", "node 'player' is in process 'play' twice"),
         ("rate: {default: 1.0}", "rate: 1.0", "argument 'rate': expected 'default' and 'help', found 1.0"),
+        ("restart: false", 'restart: "false"', "process 'play': restart: expected true or false, without quotes"),
+        ("restart: false", "spare: 1", "process 'play': spare: expected true or false, without quotes, found 1"),
+        ("ends_launch: true", "ends_launch: twin", "process 'play': ends_launch: expected true or false"),
+        ("  processes:", '  use_sim_time: "false"\n  processes:', "launch: use_sim_time: expected true or false"),
+        ("  processes:", "  lockstep: maybe\n  processes:", "launch: lockstep: expected true or false"),
+        ("log: $(var log)", "2026-11-23: $(var log)", "player: a key: expected text or numbers, found 2026-11-23"),
         ("  processes:", "  zenoh: 5\n  processes:", "launch: zenoh: expected keys and values, found 5"),
     ],
 )
@@ -145,6 +156,11 @@ def test_topics_of_all_nodes_are_renamed(small: Path) -> None:
     [
         ("/joint_state:=/a", "no node has the topic /joint_state; did you mean /joint_states?"),
         ("/joint_states", "expected FROM:=TO"),
+        ("/joint_states:=/ur*", "--remap /joint_states:=/ur*: expected a topic's name"),
+        ("/joint_states:=/ur#1/q", "without blanks, empty parts and any of *$?#%, found '/ur#1/q'"),
+        ("/joint_states:=/a//b", "without blanks, empty parts and any of *$?#%, found '/a//b'"),
+        ("/joint_states:=/", "without blanks, empty parts and any of *$?#%, found '/'"),
+        ("/joint_states:=my joints", "without blanks, empty parts and any of *$?#%, found 'my joints'"),
     ],
 )
 def test_a_remap_that_changes_nothing_is_refused(small: Path, remap: str, words: str) -> None:

@@ -164,8 +164,34 @@ def test_a_topic_whose_type_nobody_knows_is_left_out_and_told(
     theatre.play()
     assert len(theatre.heard) == 20
     assert "not played: /odd, whose type odd_msgs/msg/Odd" in capsys.readouterr().out
-    with pytest.raises(GraphError, match="/odd is of odd_msgs/msg/Odd"):
+    with pytest.raises(GraphError, match="found /odd, whose type odd_msgs/msg/Odd is defined nowhere"):
         Theatre(odd, topics=("/odd",))
+
+
+def named(path: Path, *topics: str) -> Path:
+    """A log with a message on each topic, whatever its name."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data")
+        for topic in topics:
+            data = bytes(serialize(message_type(STRING)(data=topic)))
+            writer.add_message(writer.register_channel(topic, "cdr", schema), START, data, START)
+        writer.finish()
+    return path
+
+
+def test_topics_are_played_whose_names_can_be_on_the_graph(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Other programs than ROS name them as they like: without a slash at the front, with signs, not at all."""
+    log = named(tmp_path / "log.mcap", "a", "/b", "/gripper #1", "/a//b", "")
+    theatre = Theatre(log, remap=("/gripper #1:=/c",))
+    theatre.play()
+    assert sorted(theatre.heard) == [("/a", "a"), ("/b", "/b"), ("/c", "/gripper #1")]
+    told = capsys.readouterr().out
+    assert "not played: /a//b, which is no name of a topic" in told
+    assert "not played: /, which is no name of a topic" in told
+    with pytest.raises(GraphError, match="found /a//b, which is no name of a topic on the graph; leave it out"):
+        Theatre(log, topics=("/a//b",))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -80,6 +81,10 @@ _SUFFIXES = {
 """What the topics of cameras carry, by the end of their names (REP-104, image_transport)."""
 
 
+_NO_PART_OF_A_NAME = re.compile(r"[*$?#%\s]")
+"""What keys and tokens of the wire give a meaning of its own, and what no name of ROS has."""
+
+
 class GraphError(TwinError):
     """A log or a rig does not give the graph what it needs."""
 
@@ -97,14 +102,24 @@ class CameraTopics:
 
 
 def parse_remaps(remaps: list[str]) -> dict[str, str]:
-    """`from:=to` pairs as a mapping. Raises `GraphError` for anything else."""
+    """`from:=to` pairs as a mapping. Raises `GraphError` for anything else, and where `to` cannot be a topic's name."""
     pairs = {}
     for remap in remaps:
         source, separator, target = remap.partition(":=")
         if not (separator and source and target):
             raise GraphError(f"--remap {remap}: expected FROM:=TO, for example /front/rgb:=/front/image_raw")
-        pairs[_absolute(source)] = _absolute(target)
+        if not is_topic_name(absolute(target)):
+            raise GraphError(
+                f"--remap {remap}: expected a topic's name such as /front/image_raw, without blanks, empty parts and "
+                f"any of *$?#%, found {target!r}"
+            )
+        pairs[absolute(source)] = absolute(target)
     return pairs
+
+
+def is_topic_name(topic: str) -> bool:
+    """Whether an absolute name can be one of a topic on the graph."""
+    return topic.startswith("/") and all(topic[1:].split("/")) and not _NO_PART_OF_A_NAME.search(topic)
 
 
 def check_remaps(remaps: Mapping[str, str]) -> None:
@@ -172,5 +187,6 @@ def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:
     return next((t for t in candidates if types.get(t) == CAMERA_INFO and "depth" not in t), beside)
 
 
-def _absolute(topic: str) -> str:
+def absolute(topic: str) -> str:
+    """A topic's name with the slash that it may be written without."""
     return topic if topic.startswith("/") else f"/{topic}"

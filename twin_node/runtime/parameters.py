@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import sys
 import types
 import typing
 from collections.abc import Mapping
@@ -80,7 +81,7 @@ def _default_of(field: dataclasses.Field[Any], whole: Any) -> Any:
     return None if field.default is dataclasses.MISSING else field.default
 
 
-def _convert(  # noqa: PLR0911 (a case per kind of type)
+def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
     hint: Any, value: Any, where: str, default: Any = None
 ) -> Any:
     origin = typing.get_origin(hint)
@@ -106,6 +107,8 @@ def _convert(  # noqa: PLR0911 (a case per kind of type)
             raise ParameterError(f"{where}: expected one of {', '.join(members)}, found {value!r}")
         return members[str(value)]
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        if abs(value) > sys.float_info.max:
+            raise ParameterError(f"{where}: expected a number, found one beyond {sys.float_info.max:.2g}")
         return float(value)
     if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):
         raise ParameterError(f"{where}: expected {hint.__name__}, found {value!r}")

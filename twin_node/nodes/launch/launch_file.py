@@ -101,8 +101,8 @@ def read_launch_file(
         path,
         processes,
         sections,
-        follows_clock=bool(section.get("use_sim_time", False)),
-        is_lockstep=bool(section.get("lockstep", False)),
+        follows_clock=_flag(section, "use_sim_time", False, f"{path}: {LAUNCH}"),
+        is_lockstep=_flag(section, "lockstep", False, f"{path}: {LAUNCH}"),
         zenoh=fill(ZenohParameters, section.get("zenoh") or {}, f"{path}: {LAUNCH}: zenoh"),
     )
 
@@ -194,7 +194,7 @@ def _parsed(text: str, expected: str) -> Any:
     """A value as YAML has it; `expected` begins the error for one that is none."""
     try:
         return yaml.safe_load(text)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError, RecursionError):  # no syntax, no date, no number, no end
         raise GraphError(f"{expected}, found what is no YAML; quote it") from None
 
 
@@ -245,9 +245,17 @@ def _process(name: str, entry: Any, path: Path) -> ProcessPlan:
     if not nodes:
         raise GraphError(f"{where}: expected a list of nodes, found none")
     flags = (
-        bool(entry.get(key, default)) for key, default in (("restart", True), ("ends_launch", False), ("spare", False))
+        _flag(entry, key, default, where)
+        for key, default in (("restart", True), ("ends_launch", False), ("spare", False))
     )
     return ProcessPlan(name, nodes, *flags)
+
+
+def _flag(section: Mapping[str, Any], key: str, default: bool, where: str) -> bool:
+    value = section.get(key, default)
+    if not isinstance(value, bool):
+        raise GraphError(f"{where}: {key}: expected true or false, without quotes, found {value!r}")
+    return value
 
 
 def _check_nodes_once(processes: Sequence[ProcessPlan], path: Path) -> None:
@@ -290,6 +298,20 @@ def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _check_sections(sections: Sections, path: Path) -> None:
-    for name in sections:
+    for name, values in sections.items():
         if name not in (EVERY_NODE, *CHAIN_SECTIONS):
             check_kind(name, f"{path}: parameters")
+        _check_plain(values, f"{path}: {name}")
+
+
+def _check_plain(value: Any, where: str) -> None:
+    """Raises `GraphError` for what YAML makes of a text without quotes, and no parameter is: a date, for example."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _check_plain(key, f"{where}: a key")
+            _check_plain(inner, f"{where}.{key}")
+    elif isinstance(value, list):
+        for inner in value:
+            _check_plain(inner, where)
+    elif not isinstance(value, str | int | float | None):
+        raise GraphError(f"{where}: expected text or numbers, found {value} (a {type(value).__name__}); quote it")

@@ -13,7 +13,7 @@ from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.messages import convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
-from twin_node.nodes.topics import CLOCK, GraphError, parse_remaps
+from twin_node.nodes.topics import CLOCK, GraphError, absolute, is_topic_name, parse_remaps
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
 from twin_node.runtime.wire import Encoded
@@ -193,26 +193,32 @@ class _LogTime:
 
 
 def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None]) -> dict[str, str]:
-    """The log's topics to play -> the names they are published under.
+    """The log's topics to play -> the names they are published under, a slash before those that have none.
 
-    A topic whose type is defined nowhere cannot be told to others: it is left out, and said, unless it is asked for.
+    A topic whose type is defined nowhere, or whose name can be none on the graph, cannot be told to others: it is left
+    out, and said, unless it is asked for.
     """
-    held = {topic.name for topic in log.topics}
+    held = {absolute(topic.name): topic for topic in log.topics}
     remaps = parse_remaps(list(parameters.remap))
-    for topic in (*parameters.topics, *remaps):
-        if topic not in held:
-            raise GraphError(f"{log.path}: has no topic {topic}; it holds {', '.join(sorted(held))}")
-    unknown = {topic.name: topic.msgtype for topic in log.topics if topic.msgtype not in log.types}
-    for topic in parameters.topics:
-        if topic in unknown:
+    asked = [absolute(topic) for topic in parameters.topics]
+    for name in (*asked, *remaps):
+        if name not in held:
+            raise GraphError(f"{log.path}: has no topic {name}; it holds {', '.join(sorted(held))}")
+    unfit: dict[str, str] = {}
+    for name, topic in held.items():
+        if not is_topic_name(remaps.get(name, name)):
+            unfit[name] = "which is no name of a topic on the graph"
+        elif topic.msgtype not in log.types:
+            unfit[name] = f"whose type {topic.msgtype or '(none)'} is defined nowhere"
+    for name in asked:
+        if name in unfit:
             raise GraphError(
-                f"{log.path}: {topic} is of {unknown[topic] or 'no type'}, which is defined nowhere; leave it out"
+                f"{log.path}: expected topics that can be played, found {name}, {unfit[name]}; leave it out"
             )
-    held -= unknown.keys()
-    for topic, msgtype in sorted(unknown.items()) if not parameters.topics else ():
-        say(f"not played: {topic}, whose type {msgtype or '(none)'} is defined nowhere")
-    wanted = parameters.topics or tuple(sorted(held - {CLOCK} if parameters.clock else held))
-    return {topic: remaps.get(topic, topic) for topic in wanted}
+    for name in sorted(unfit) if not asked else ():
+        say(f"not played: {name}, {unfit[name]}")
+    free = held.keys() - unfit.keys() - ({CLOCK} if parameters.clock else set())
+    return {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
 
 
 def _read_ahead(messages: Iterator[LogMessage], size: int, stop: threading.Event) -> Iterator[LogMessage]:
