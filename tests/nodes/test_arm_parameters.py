@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from arm_cell import MODEL, READY, WORKSPACE, Cell, Timers
 from twin_logs import START
 
 from twin_node.errors import TwinError
 from twin_node.nodes.arm import ArmNode, make_arm_node
 from twin_node.nodes.arm_parameters import ArmParameters
+from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.live.beside_twin import make_arm
 from twin_node.nodes.live.setup import Setup
 from twin_node.robot import forward_kinematics
@@ -50,6 +53,21 @@ def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
         cell.somebody(count=10)
     with pytest.raises(TwinError, match="max_obstacles: expected a number of 1 or more, found 0"):
         ArmParameters(max_obstacles=0)
+
+
+@pytest.mark.parametrize("sections", [{"obstacles": {"most_static": 600}}, {"arm": {"max_obstacles": 703}}])
+def test_a_cover_that_the_arm_has_no_room_for_is_told_when_parameters_are_read(
+    tmp_path: Path, sections: dict[str, dict[str, int]]
+) -> None:
+    """At run time it would be told by the first crowded forecast: the arm stops then, in the middle of its work."""
+    file = tmp_path / "chain.yaml"
+    file.write_text(yaml.safe_dump({name: {"ros__parameters": values} for name, values in sections.items()}))
+    with pytest.raises(
+        TwinError, match=r"arm: max_obstacles: expected room for the \d+ obstacles .* raise it, or lower"
+    ):
+        load_parameters(file)
+    fits = {"obstacles": {"most_static": 600}, "arm": {"max_obstacles": 1048}}
+    assert fill(ChainParameters, fits, "test").obstacles.most == 1048
 
 
 def test_a_tool_of_the_parameters_is_kept_away_too() -> None:

@@ -17,6 +17,7 @@ from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
 from twin_node.ranges import Range, check_ranges
 from twin_node.scene import (
+    HORIZONS_NS,
     Float64,
     Grid,
     MotionExpert,
@@ -55,6 +56,11 @@ class CoverParameters:
             most_unknown=some,
             unknown_share=share,
         )
+
+    @property
+    def most(self) -> int:
+        """Largest number of obstacles in all: those that move once per interval, and once more where they were seen."""
+        return self.most_moving * len(HORIZONS_NS) + self.most_static + 2 * self.most_unknown
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,15 @@ class ChainParameters:
     arm: ArmParameters = field(default_factory=ArmParameters)
     size: SizeParameters = field(default_factory=SizeParameters)
 
+    def __post_init__(self) -> None:
+        """Raises `ParameterError` where the cover may have more obstacles than the arm has room for."""
+        if self.arm.max_obstacles < self.obstacles.most:
+            raise ParameterError(
+                f"arm: max_obstacles: expected room for the {self.obstacles.most} obstacles that most_moving, "
+                f"most_static and most_unknown of 'obstacles' allow, found {self.arm.max_obstacles}; raise it, or "
+                "lower those"
+            )
+
 
 def load_parameters(path: Path | None) -> ChainParameters:
     """Parameters from a ROS parameter file; None: the file that ships with the package.
