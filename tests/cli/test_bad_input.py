@@ -51,6 +51,17 @@ def test_rig_file_of_another_rig(refused: Callable[..., str], cell_log: Callable
     assert "cam_front" in line
 
 
+@pytest.mark.parametrize("frame", ["cam_front_optical_frame", "tool0"])
+def test_rig_file_that_is_not_tied_to_the_robot(
+    refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, frame: str
+) -> None:
+    """As a launch refuses it: the arm would be judged as if it stood in the camera."""
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(f"frame: {frame}\n" + RIG.format(name="cam_front"))
+    line = refused(cell_log(0.5), "--rig", rig, "--lockstep")
+    assert f"expected cameras' poses in the robot's base (frame: base_link), found them in '{frame}'" in line
+
+
 def test_rig_file_that_is_none(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: 3\n")

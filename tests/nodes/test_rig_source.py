@@ -21,6 +21,8 @@ def test_a_rig_that_is_not_tied_to_the_robot_drives_no_arm(tmp_path: Path, frame
     save_rig(RigFile(Rig((CAMERA,)), frame=frame), tmp_path / "rig.yaml")
     with pytest.raises(GraphError, match=f"found them in '{frame}'"):
         read_rig(RigParameters(file=str(tmp_path / "rig.yaml")))
+    with pytest.raises(GraphError, match=f"found them in '{frame}'"):  # and in place of a log's own calibration
+        read_rig(RigParameters(log=str(tmp_path / "run.mcap"), file=str(tmp_path / "rig.yaml")))
 
 
 @pytest.mark.parametrize("frame", ["base_link", "world"])

@@ -110,8 +110,11 @@ def _run(session: Any, parameters: Any, rate: float | None, output: Path | None,
 
 
 def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> Any:
+    from twin_node.nodes.calibration import load_base_rig
     from twin_node.nodes.log_source import LogSession
 
+    if options.rig is not None:
+        load_base_rig(options.rig)
     return LogSession(options.log, options.rig, remaps, options.start_offset, options.duration)
 
 

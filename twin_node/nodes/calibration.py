@@ -28,6 +28,21 @@ def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Ri
     return _rig_of_log(log, cameras)
 
 
+def load_base_rig(file: Path) -> Rig:
+    """The rig of a file for a twin that judges an arm. Raises `RigError` for a file that is none.
+
+    Raises `GraphError` for poses seen from a camera or the flange: the arm would be judged as if it stood there.
+    """
+    found = load_rig(file)
+    if found.frame.endswith("optical_frame") or found.frame in ("tool0", "flange"):
+        raise GraphError(
+            f"{file}: expected cameras' poses in the robot's base (frame: base_link), found them in {found.frame!r}; "
+            "tie the rig to it with `twin_node calibrate hand-eye --mount target --rig` or `calibrate rig "
+            "--board-is-base-at`"
+        )
+    return found.rig
+
+
 def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path) -> Rig:
     seen = {camera.name for camera in cameras}
     missing = [camera.name for camera in rig.cameras if camera.name not in seen]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from twin_node.nodes.calibration import load_base_rig
 from twin_node.nodes.chain_parameters import ChainParameters, sized
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
 from twin_node.nodes.live.player import PlayParameters
@@ -25,6 +26,8 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
     output = sections.get("recorder", {}).get("output", "")
     if output and Path(output).resolve() == Path(player.log).resolve():
         raise GraphError(f"{where}: recorder: output: expected another file than the log that is played, {output}")
+    if rig.file:
+        load_base_rig(Path(rig.file))
     session = LogSession(
         Path(player.log),
         Path(rig.file) if rig.file else None,

@@ -36,8 +36,11 @@ class RigSource:
 def read_rig(parameters: RigParameters) -> RigSource:
     """The rig and its topics. Raises `GraphError`, `RigError`, `BagError` or `CellError` for what is wrong with it."""
     if parameters.log:
+        from twin_node.nodes.calibration import load_base_rig
         from twin_node.nodes.log_source import LogSession
 
+        if parameters.file:
+            load_base_rig(Path(parameters.file))
         with LogSession(Path(parameters.log), Path(parameters.file) if parameters.file else None) as session:
             return RigSource(session.rig, session.cameras)
     if bool(parameters.file) == bool(parameters.scenario):
@@ -48,21 +51,10 @@ def read_rig(parameters: RigParameters) -> RigSource:
 
         rig = make_rig(load_scenario(parameters.scenario))
     else:
-        from twin_node.rig import load_rig
+        from twin_node.nodes.calibration import load_base_rig
 
-        rig_file = load_rig(parameters.file)
-        _check_frame(parameters.file, rig_file.frame)
-        rig = rig_file.rig
+        rig = load_base_rig(Path(parameters.file))
     return RigSource(rig, tuple(topics_of(camera.name, parameters) for camera in rig.cameras))
-
-
-def _check_frame(file: str, frame: str) -> None:
-    """Raises `GraphError` for poses seen from a camera or the flange: the arm would be judged as if it stood there."""
-    if frame.endswith("optical_frame") or frame in ("tool0", "flange"):
-        raise GraphError(
-            f"{file}: expected cameras' poses in the robot's base (frame: base_link), found them in {frame!r}; tie the "
-            "rig to it with `twin_node calibrate hand-eye --mount target --rig` or `calibrate rig --board-is-base-at`"
-        )
 
 
 def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
