@@ -30,7 +30,7 @@ LOG_START = 1_700_000_000_000_000_000
 class Studio:
     """A recorder, and a wire to speak on."""
 
-    def __init__(self, output: Path, clock: Clock, **more: Any) -> None:
+    def __init__(self, output: Path, clock: Clock, is_active: bool = True, **more: Any) -> None:
         self.said: list[str] = []
         self.graph: tuple[Endpoint, ...] = ()
         self.is_finished = False
@@ -41,7 +41,8 @@ class Studio:
         topics = {"topics": (DIAGNOSTICS, TF_STATIC), **more}
         self.node = LiveRecorderNode(setup, RecordParameters(str(output), **topics))
         self.node.configure()
-        self.node.activate()
+        if is_active:
+            self.node.activate()
 
     def _finish(self) -> None:
         self.is_finished = True
@@ -80,6 +81,16 @@ def test_a_disk_that_refuses_is_told_to_the_user_of_a_graph(tmp_path: Path, monk
     studio.end()
     with open_log(tmp_path / "run.mcap") as log:
         assert len(list(log.messages())) == 1
+
+
+@pytest.mark.parametrize("name", ["run", "run.mcap"])
+def test_nothing_stays_of_a_graph_that_never_began(tmp_path: Path, name: str) -> None:
+    """Of a launch that was refused: its next try would find the output's name taken, and record under another."""
+    studio = Studio(tmp_path / name, SystemClock(), is_active=False)
+    studio.hear_diagnostics()
+    assert list(tmp_path.iterdir()) == [tmp_path / name]
+    studio.node.cleanup()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recorder_by_itself_ends_with_the_disk_s_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

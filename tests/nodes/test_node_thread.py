@@ -186,6 +186,32 @@ def test_what_ends_a_node_that_had_begun_was_not_refused(
     graph.close()
 
 
+class Refusing(Node):
+    """Cannot be configured."""
+
+    def on_configure(self) -> None:
+        raise TwinError("no such log")
+
+
+def test_nodes_beside_one_that_is_refused_are_cleaned_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recorder beside a player without a log must not leave an empty recording behind."""
+    life: list[str] = []
+
+    def factory(name: str) -> Callable[[Setup], Node]:
+        if name == "counter":
+            return lambda setup: Counter(setup, life, threading.Semaphore(0))
+        return lambda setup: Refusing(setup.name, setup.bus, setup.clock)
+
+    monkeypatch.setattr(node_thread, "LateWire", LateLocalWire)
+    monkeypatch.setattr(node_thread, "find_factory", factory)
+    graph = Graph(Order(("refusing", "counter"), {}, False, False, {}, {}, "test"), print)
+    graph.make()
+    with pytest.raises(TwinError, match="no such log"):
+        graph.configure()
+    assert life == ["configure", "cleanup"]
+    graph.close()
+
+
 def test_no_process_but_the_twins_loads_torch() -> None:
     program = """
 import sys

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -147,6 +148,18 @@ class RecordingWriter:
                 self._write_metadata()
         except OSError as error:
             raise self._refused(error) from None
+
+    def discard(self) -> None:
+        """Ends the recording and takes it away: nobody wanted it."""
+        self._is_closed = True
+        for file in self._files:
+            with contextlib.suppress(OSError):  # what waits for the disk is not wanted either
+                file.stream.close()
+            file.path.unlink(missing_ok=True)
+        if self.path.suffix != ".mcap":
+            (self.path / METADATA_FILE).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # somebody else's files are in it by now
+                self.path.rmdir()
 
     def __enter__(self) -> RecordingWriter:
         return self

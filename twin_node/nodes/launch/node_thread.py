@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -87,6 +88,11 @@ class NodeThread:
     def start(self) -> None:
         """Lets the node's thread run; the node stays inactive."""
         self._thread.start()
+
+    def abandon(self) -> None:
+        """Cleans up a node whose thread is not to be started, for another one was refused."""
+        with contextlib.suppress(Exception):  # why the other was refused is what the user is to hear
+            self._end_node()
 
     def activate(self) -> None:
         """Activates the node, in its thread."""
@@ -178,13 +184,20 @@ class Graph:
     def configure(self) -> None:
         """Opens the wire and configures every node, the last first, so that nothing is missed of what the first say.
 
-        Raises `WireError` where zenoh cannot be used.
+        Raises `WireError` where zenoh cannot be used, and what a node raises; the others are cleaned up then.
         """
         self._wire.open()
         if isinstance(self._clock, FollowedClock):
             self._wire.subscribe("clock", self._clock_topic, kind_of(CLOCK), partial(_set_clock, self._clock))
-        for thread in reversed(self._threads):
-            thread.configure()
+        configured: list[NodeThread] = []
+        try:
+            for thread in reversed(self._threads):
+                thread.configure()
+                configured.append(thread)
+        except BaseException:
+            for thread in configured:
+                thread.abandon()
+            raise
         for thread in self._threads:
             thread.start()
 

@@ -76,6 +76,7 @@ class LiveRecorderNode(Node):
         self._told: set[tuple[str, str]] = set()
         self._parameters = parameters
         self._writer: RecordingWriter | None = None
+        self._has_begun = False
         self._error: BagError | None = None
 
     def on_configure(self) -> None:
@@ -92,8 +93,17 @@ class LiveRecorderNode(Node):
         self._timers.every(DISCOVERY_S, self._find_more)
         self._timers.every(FLUSH_TIMER_S, self._flush)
 
+    def on_activate(self) -> None:
+        self._has_begun = True
+
     def on_cleanup(self) -> None:
-        """Raises what has ended a recording that is to end with it."""
+        """Raises what has ended a recording that is to end with it.
+
+        Of a graph that was refused before it began nothing stays: the output's name is free for the next try.
+        """
+        if self._writer is not None and not self._has_begun:
+            self._writer.discard()
+            self._writer = None
         self._end()
         if self._error is not None and self._parameters.ends_when_refused:
             raise self._error
