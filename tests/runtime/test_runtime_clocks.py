@@ -39,6 +39,30 @@ def test_time_goes_on_at_the_pace_of_the_log_and_stands_with_it(steady: Steady) 
     assert clock.now() == 1_105 * MS  # and does not go back for a message that is late
 
 
+def test_a_message_that_was_held_up_does_not_make_time_run_ahead(steady: Steady) -> None:
+    """The pace between it and the next seems ten times the log's: time was a tenth of a second ahead, and all that
+    is stamped seemed older by that."""
+    clock = FollowedClock()
+    for k in range(20):
+        clock.set((1_000 + 10 * k) * MS)
+        steady.now += 10 * MS
+    steady.now += 9 * MS
+    clock.set(1_200 * MS)
+    steady.now += 1 * MS
+    clock.set(1_210 * MS)
+    steady.now += 8 * MS
+    assert 1_218 * MS <= clock.now() <= 1_221 * MS
+
+
+def test_a_pace_is_learnt_anew_where_the_log_goes_on_elsewhere(steady: Steady) -> None:
+    clock = FollowedClock()
+    for start in (1_000, 900_000):
+        for k in range(3):
+            clock.set((start + 10 * k) * MS)
+            steady.now += 10 * MS
+        assert clock.now() == (start + 30) * MS
+
+
 def test_a_log_that_begins_again_is_told(steady: Steady) -> None:
     jumps = []
     clock = FollowedClock(lambda: jumps.append(clock.now()))

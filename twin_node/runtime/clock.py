@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
@@ -83,12 +84,17 @@ class FollowedClock:
 
     LONGEST_STEP_NS = 100_000_000
     """Time stands when no message came for as long as this: a paused log is not carried on."""
+    KEPT = 9
+    """Messages that tell the pace: of two alone, one of which was held up, time would run ahead by as much as above."""
+    LEAST_JUMP_NS = 1_000_000_000
+    """What is told so much later than the pace lets expect is of another part of the log: its pace is learnt anew."""
 
     def __init__(self, on_jump_back: Callable[[], None] = lambda: None) -> None:
         """`on_jump_back()` is called when time goes back: a log has begun again."""
         self._on_jump_back = on_jump_back
         self._told_ns = 0
         self._told_at = time.monotonic_ns()
+        self._told: deque[tuple[int, int]] = deque(maxlen=self.KEPT)
         self._rate = 0.0
         self._shown = 0
 
@@ -96,9 +102,13 @@ class FollowedClock:
         """Takes what `/clock` says, ns."""
         at = time.monotonic_ns()
         is_back = stamp < self._told_ns
-        passed = at - self._told_at
-        if not is_back and self._told_ns and passed > 0:
-            self._rate = (stamp - self._told_ns) / passed
+        expected = self._told_ns + (at - self._told_at) * self._rate
+        if is_back or (self._rate and stamp > expected + self.LEAST_JUMP_NS):
+            self._told.clear()
+        self._told.append((stamp, at))
+        first_stamp, first_at = self._told[0]
+        if at > first_at:
+            self._rate = (stamp - first_stamp) / (at - first_at)
         self._told_ns, self._told_at = stamp, at
         if is_back:
             self._shown = stamp
