@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from twin_node.nodes.live.doctor import graph_faults
-from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, RAW
-from twin_node.runtime.qos import RELIABLE
+from dataclasses import replace
+
+import pytest
+
+from twin_node.nodes.live import doctor
+from twin_node.nodes.live.doctor import examine, graph_faults
+from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, JOINT_STATES, RAW, SEPARATION
+from twin_node.runtime.qos import RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind, NodeIdentity
+from twin_node.runtime.wire import Encoded, LocalWire
 
 
 def end(kind: EntityKind, node: str, topic: str, msgtype: str, type_hash: str = "RIHS01_aa") -> Endpoint:
     return Endpoint(kind, NodeIdentity("ab", 0, node), 1, topic, msgtype, type_hash, RELIABLE)
+
+
+def of_another_session(endpoint: Endpoint) -> Endpoint:
+    return replace(endpoint, node=replace(endpoint.node, session="cd"))
 
 
 def publisher(node: str, topic: str, msgtype: str = RAW, type_hash: str = "RIHS01_aa") -> Endpoint:
@@ -47,3 +57,38 @@ def test_ends_that_cannot_hear_each_other_are_told_what_to_set() -> None:
     assert "ros_distro differs" in graph_faults([humble, subscriber("synchronizer", "/a/image_raw")])[0]
     other = publisher("driver", "/a/image_raw", COMPRESSED)
     assert "their types differ" in graph_faults([other, subscriber("synchronizer", "/a/image_raw")])[0]
+
+
+@pytest.mark.parametrize(
+    ("topic", "msgtype", "is_fault"),
+    [
+        (CLOCK, "rosgraph_msgs/msg/Clock", True),
+        (SEPARATION, "twin_msgs/msg/SeparationState", True),
+        ("/front/image_raw", RAW, True),
+        (DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray", False),
+        (JOINT_STATES, "sensor_msgs/msg/JointState", False),
+    ],
+)
+def test_two_who_say_what_one_is_to_say_are_named(topic: str, msgtype: str, is_fault: bool) -> None:
+    """Two players' clocks jump to and fro, two arms' decisions are obeyed in turn; who listens cannot tell."""
+    first = publisher("first", topic, msgtype)
+    for second in (of_another_session(first), of_another_session(publisher("second", topic, msgtype))):
+        told = [f"{topic}: first and {second.node.name} publish it, and contradict each other; end all but one"]
+        assert graph_faults([first, second, subscriber("listener", topic, msgtype)]) == (told if is_fault else [])
+    assert graph_faults([first, subscriber("listener", topic, msgtype)]) == []
+
+
+class DamagedCamera(LocalWire):
+    """A graph with one publisher, which sends half of an image as soon as somebody listens."""
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        self.publisher("cameras", "/a/image_raw", TopicKind(RAW))(Encoded(RAW, b"\0\1\0\0\7"))
+        return (publisher("cameras", "/a/image_raw"),)
+
+
+def test_messages_that_cannot_be_read_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    found = examine(DamagedCamera(), 0.05)
+    assert any(
+        "/a/image_raw: 1 messages cannot be read, the last: sensor_msgs/msg/Image: 5 bytes" in f for f in found.faults
+    )

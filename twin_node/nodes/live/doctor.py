@@ -13,15 +13,16 @@ import numpy as np
 
 from twin_node.messages import builtin_types, convert, header_stamp
 from twin_node.nodes.stream_statistics import FEWEST, faults_of, statistics_of
-from twin_node.nodes.topics import COMPRESSED, DIAGNOSTICS, RAW, kind_of
+from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, RAW, RECORDED, TRAJECTORY, kind_of
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind
-from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.runtime.zenoh_wire import ZenohWire
 
 REGULAR_TYPES = (COMPRESSED, RAW, "sensor_msgs/msg/JointState")
+OF_ONE = (CLOCK, TRAJECTORY, *(topic for topic in RECORDED if topic != DIAGNOSTICS))
+"""Topics of which a graph has one publisher: of two, who listens would follow now one and now the other."""
 CLOCK_TOLERANCE_NS = 20_000_000
 """Stamps that lie so far ahead of their arrival were made by another clock."""
 LATE_NS = 1_000_000_000
@@ -38,7 +39,7 @@ class Findings:
     faults: tuple[str, ...]
 
 
-def examine(wire: ZenohWire, seconds: float) -> Findings:
+def examine(wire: Wire, seconds: float) -> Findings:
     """Listens to every topic of the graph for `seconds`."""
     executor = Executor()
     bus = WireBus(wire, executor, "doctor", kind_of)
@@ -61,6 +62,7 @@ def examine(wire: ZenohWire, seconds: float) -> Findings:
     _spin(executor, wire, DISCOVERY_S)
     endpoints = [endpoint for endpoint in wire.endpoints() if endpoint.node.name != "doctor"]
     published = {e.topic: e for e in endpoints if e.kind is EntityKind.PUBLISHER}
+    nodes = {topic: " and ".join(_publishers(topic, endpoints)) for topic in published}
     for topic, endpoint in published.items():
         if endpoint.msgtype in builtin_types():
             bus.declare(topic, TopicKind(endpoint.msgtype, endpoint.qos))
@@ -74,19 +76,19 @@ def examine(wire: ZenohWire, seconds: float) -> Findings:
         statistics = statistics_of(stamps[topic])
         rate = f"{statistics.rate_hz:8.2f} Hz" if statistics.count >= FEWEST else ""
         lag = f"  {np.median(delays[topic]) / 1e6:6.1f} ms old" if delays[topic] else ""
-        lines.append(
-            f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {endpoint.msgtype} of {endpoint.node.name}"
-        )
+        lines.append(f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {endpoint.msgtype} of {nodes[topic]}")
         if endpoint.msgtype in REGULAR_TYPES:
             faults += [f"{topic}: {fault}" for fault in faults_of(statistics)]
             faults += _clock_faults(topic, delays[topic])
+    unreadable = [t for t in bus.traffic if t.unreadable]
+    faults += [f"{t.topic}: {t.unreadable} messages cannot be read, the last: {t.last_error}" for t in unreadable]
     bad = [d for d in newest.values() if d.level is not convert.Level.OK]
     faults += [f"{d.name}: {d.level.name}: {d.message}" for d in bad]
     bus.close()
     return Findings(tuple(lines), tuple(faults))
 
 
-def _spin(executor: Executor, wire: ZenohWire, seconds: float) -> None:
+def _spin(executor: Executor, wire: Wire, seconds: float) -> None:
     wire.endpoints()
     until = time.monotonic() + seconds
     while time.monotonic() < until:
@@ -94,7 +96,7 @@ def _spin(executor: Executor, wire: ZenohWire, seconds: float) -> None:
 
 
 def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
-    """Topics whose ends cannot hear each other, and those that somebody waits for in vain."""
+    """Topics whose ends cannot hear each other, that somebody waits for in vain, or that two say who must agree."""
     faults = []
     for topic in sorted({endpoint.topic for endpoint in endpoints}):
         ends = [endpoint for endpoint in endpoints if endpoint.topic == topic]
@@ -107,7 +109,18 @@ def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
             faults.append(f"{topic}: {why}, so they do not hear each other ({names}); {advice}")
         elif _is_needed(ends[0].msgtype) and not any(end.kind is EntityKind.PUBLISHER for end in ends):
             faults.append(_waited_for(ends, endpoints))
+        said_by = _publishers(topic, endpoints)
+        if len(said_by) > 1 and (topic in OF_ONE or ends[0].msgtype in (COMPRESSED, RAW)):
+            faults.append(f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one")
     return faults
+
+
+def _publishers(topic: str, endpoints: Sequence[Endpoint]) -> list[str]:
+    """Names of a topic's publishers; two nodes of one name stand there twice."""
+    ends = {
+        (e.node.session, e.node.number): e for e in endpoints if e.topic == topic and e.kind is EntityKind.PUBLISHER
+    }
+    return sorted(end.node.name for end in ends.values())
 
 
 def _is_needed(msgtype: str) -> bool:
