@@ -50,6 +50,29 @@ def test_a_folder_is_split_by_time_and_each_file_stands_alone(tmp_path: Path) ->
         assert sum(1 for _ in bag.messages()) == 29 + 3
 
 
+def test_every_file_has_the_transforms_of_all_their_publishers(tmp_path: Path) -> None:
+    """Cameras and robot say theirs each by itself; one that says the same again adds nothing."""
+    types = builtin_types()
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        for said in ("cameras", "robot", "cameras"):
+            writer.write("/tf_static", STRING, text(said), STEP, types)
+        fill(writer, 15)
+    with open_log(tmp_path / "run" / "run_1.mcap") as log:
+        assert [m.message.data for m in log.messages(["/tf_static"])] == ["robot", "cameras", "where things are"]
+
+
+def test_topics_of_any_name_may_be_latched(tmp_path: Path) -> None:
+    """As their publisher on the graph says: a map is said once, and who joins late must be given it."""
+    types = builtin_types()
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        writer.write("/map", STRING, text("where walls are"), STEP, types, latched=True)
+        fill(writer, 15)
+    with open_log(tmp_path / "run") as log:
+        assert [topic.name for topic in log.topics if topic.latched] == ["/map", "/tf_static"]
+    with open_log(tmp_path / "run" / "run_1.mcap") as log:
+        assert [m.message.data for m in log.messages(["/map"])] == ["where walls are"]
+
+
 def test_a_folder_is_split_by_size(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "run", SplitParameters(max_size_mb=0.01)) as writer:
         fill(writer, 30, size=1000)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from twin_node.bag import BagError, RecordingWriter, open_log
-from twin_node.messages import convert
+from twin_node.messages import convert, message_type
 from twin_node.messages.convert import Level
 from twin_node.nodes.live.recorder import LiveRecorderNode, RecordParameters, make_recorder
 from twin_node.nodes.live.setup import Setup
@@ -81,6 +81,22 @@ def test_a_disk_that_refuses_is_told_to_the_user_of_a_graph(tmp_path: Path, monk
     studio.end()
     with open_log(tmp_path / "run.mcap") as log:
         assert len(list(log.messages())) == 1
+
+
+@pytest.mark.parametrize("is_latched", [True, False])
+def test_what_its_publisher_keeps_for_late_listeners_is_recorded_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_latched: bool
+) -> None:
+    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.001)
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), all=True)
+    kind = "std_msgs/msg/String"
+    qos = Qos(latched=is_latched)
+    studio.graph = (Endpoint(EntityKind.PUBLISHER, NodeIdentity("1", 1, "map"), 1, "/map", kind, "RIHS01_0", qos),)
+    studio.step()
+    studio.hear("/map", message_type(kind)(data="where walls are"))
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [(topic.name, topic.latched) for topic in log.topics] == [("/map", is_latched)]
 
 
 @pytest.mark.parametrize("name", ["run", "run.mcap"])

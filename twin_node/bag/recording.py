@@ -19,6 +19,10 @@ from twin_node.messages import MessageTypes
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
 METADATA_FILE = "metadata.yaml"
+OF_SEVERAL = ("/tf_static",)
+"""Latched topics whose last message is not all: each publisher of transforms tells of its own."""
+SEVERAL = 100
+"""Messages of such a topic that are kept, the newest."""
 FLUSH_S = 0.5
 """How long messages wait for their chunk, s: what a killed recorder loses."""
 CHUNK_BYTES = 4 << 20
@@ -78,7 +82,7 @@ class RecordingWriter:
         self._split = split or SplitParameters()
         self._compression = CompressionType[compression.upper()]
         self._channels: dict[str, _Channel] = {}
-        self._kept: dict[str, tuple[bytes, int]] = {}
+        self._kept: dict[str, list[bytes]] = {}
         self._files: list[_File] = []
         self._flushed_at = time.monotonic()
         self._is_closed = False
@@ -100,27 +104,46 @@ class RecordingWriter:
         """Files begun so far."""
         return tuple(file.path for file in self._files)
 
-    def write(self, topic: str, msgtype: str, data: bytes | memoryview, stamp: int, types: MessageTypes) -> None:
-        """Writes CDR bytes at a log time in ns; `types` defines their type."""
+    def write(
+        self,
+        topic: str,
+        msgtype: str,
+        data: bytes | memoryview,
+        stamp: int,
+        types: MessageTypes,
+        latched: bool | None = None,
+    ) -> None:
+        """Writes CDR bytes at a log time in ns; `types` defines their type.
+
+        `latched`: whether the topic's publishers keep their last message for who joins late; None follows
+        `qos.is_latched`. What the topic's first message says of it stands.
+        """
         try:
             channel = self._channels.get(topic)
             if channel is None:
                 definition, type_hash = types.definition(msgtype), types.type_hash(msgtype)
-                channel = _Channel(topic, msgtype, definition, type_hash, is_latched(topic))
+                latched = is_latched(topic) if latched is None else latched
+                channel = _Channel(topic, msgtype, definition, type_hash, latched)
                 self._channels[topic] = channel
             elif channel.msgtype != msgtype:
                 raise BagError(f"{self.path}: topic {topic} holds {channel.msgtype}, found a message of {msgtype}")
             if self._is_full(stamp):
                 self._end_file()
                 self._begin_file()
-                for name, (kept, _) in self._kept.items():
-                    self._put(self._channels[name], kept, stamp)
+                for name, messages in self._kept.items():
+                    for kept in messages:
+                        self._put(self._channels[name], kept, stamp)
             self._put(channel, data, stamp)
             if channel.is_latched:
-                self._kept[topic] = (bytes(data), stamp)
+                self._keep(topic, bytes(data))
             self.flush_if_due()
         except OSError as error:
             raise self._refused(error) from None
+
+    def _keep(self, topic: str, data: bytes) -> None:
+        """For the next file: the last message; of topics that several publish parts of, each that is not the same."""
+        kept = [] if topic not in OF_SEVERAL else [one for one in self._kept.get(topic, ()) if one != data]
+        self._kept[topic] = [*kept, data][-SEVERAL:]
 
     def flush_if_due(self) -> None:
         """Closes the chunk in progress when it has waited long enough; to be called when no message comes, too."""

@@ -9,12 +9,11 @@ from functools import partial
 from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter, SplitParameters
-from twin_node.bag.qos import is_latched
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import RECORDED, GraphError, is_topic_name, kind_of
 from twin_node.runtime.node import Node
-from twin_node.runtime.qos import EVERY, LATCHED, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, Qos, TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
 from twin_node.runtime.wire import Encoded
 
@@ -111,9 +110,9 @@ class LiveRecorderNode(Node):
     def add(self, topic: str, kind: TopicKind) -> None:
         """Record a topic from now on."""
         self._added[topic] = kind.msgtype
-        qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos == LATCHED or kind.qos.latched else EVERY
+        qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos.latched else EVERY
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
-        self._bus.subscribe_raw(topic, partial(self._write, self._bus.resolved(topic)))
+        self._bus.subscribe_raw(topic, partial(self._write, self._bus.resolved(topic), qos.latched))
 
     def _find_more(self) -> None:
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
@@ -149,21 +148,21 @@ class LiveRecorderNode(Node):
         readings = (convert.Reading("messages", str(count)),)
         return (convert.Diagnosis(f"{self.name}: log", convert.Level.OK, "recording", readings),)
 
-    def _write(self, topic: str, message: Encoded) -> None:
+    def _write(self, topic: str, latched: bool, message: Encoded) -> None:
         now = self.clock.now()
         if now <= 0:
-            if is_latched(topic):
+            if latched:
                 self._early.append((topic, message))
             return
         while self._early:
-            self._put(*self._early.popleft(), now)
-        self._put(topic, message, now)
+            self._put(*self._early.popleft(), now, latched=True)
+        self._put(topic, message, now, latched)
 
-    def _put(self, topic: str, message: Encoded, stamp: int) -> None:
+    def _put(self, topic: str, message: Encoded, stamp: int, latched: bool) -> None:
         if self._writer is None:
             return
         try:
-            self._writer.write(topic, message.msgtype, message.data, stamp, message.types)
+            self._writer.write(topic, message.msgtype, message.data, stamp, message.types, latched)
         except BagError as error:
             self._fail(error)
 
