@@ -191,7 +191,7 @@ def test_logs_that_have_no_place_are_refused(tmp_path: Path) -> None:
 def test_an_address_that_something_else_has_is_refused(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         plan = on_loopback(arm_alone(tmp_path, "true"), f"tcp/127.0.0.1:{taken.getsockname()[1]}")
-        with pytest.raises(TwinError, match="something listens there that is no zenoh router"):
+        with pytest.raises(TwinError, match="what listens is no zenoh router, or the address is wrong"):
             Launcher(replace(plan, zenoh=replace(plan.zenoh, router="auto")), tmp_path, print).run()
 
 

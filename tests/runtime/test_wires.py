@@ -226,8 +226,10 @@ def test_wrong_settings_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any
     with pytest.raises(WireError, match="expected auto, builtin or external, found 'none'"):
         ZenohParameters(router="none")
     monkeypatch.setenv("ROS_DOMAIN_ID", "233")
-    with pytest.raises(WireError, match="from 0 to 232, found '233'"):
+    with pytest.raises(WireError, match="from 0 to 232, found '233'; correct ROS_DOMAIN_ID"):
         _ = ZenohParameters().domain_id
+    with pytest.raises(WireError, match=r"from 0 to 232, found '-1'; correct launch: zenoh: \{domain\}"):
+        _ = ZenohParameters(domain=-1).domain_id
     (tmp_path / "bad.json5").write_text("{mode: 'starship'}")
     with pytest.raises(WireError, match=r"expected addresses such as tcp/127\.0\.0\.1:7447, found .*nonsense"):
         open_session(ZenohParameters(endpoint="nonsense"))

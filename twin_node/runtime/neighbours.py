@@ -18,7 +18,7 @@ TELL_S = 1.0
 def node_names(parameters: ZenohParameters) -> frozenset[str]:
     """Nodes of the domain that are alive, as the router at `parameters.endpoint` knows them.
 
-    Raises `WireError` where what listens there is no router.
+    Raises `WireError` where no router answers: something else listens there, or nothing can.
     """
     session = open_session(parameters)
     try:
@@ -26,8 +26,9 @@ def node_names(parameters: ZenohParameters) -> frozenset[str]:
         while not session.info.routers_zid():
             if time.monotonic() > until:
                 raise WireError(
-                    f"{parameters.endpoint}: something listens there that is no zenoh router; end it, or give another "
-                    "address (launch: zenoh: {endpoint})"
+                    f"{parameters.endpoint}: expected a zenoh router there, or a place where one can be started, found "
+                    "neither: what listens is no zenoh router, or the address is wrong; end it, or correct the address "
+                    "(launch: zenoh: {endpoint})"
                 )
             time.sleep(LOOK_S)
         until = time.monotonic() + TELL_S

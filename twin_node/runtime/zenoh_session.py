@@ -55,10 +55,12 @@ class ZenohParameters:
 
     @property
     def domain_id(self) -> int:
-        """The ROS domain. Raises `WireError` where `ROS_DOMAIN_ID` is no number from 0 to 232."""
-        text = os.environ.get("ROS_DOMAIN_ID") or "0" if self.domain is None else str(self.domain)
+        """The ROS domain. Raises `WireError` where it, or `ROS_DOMAIN_ID` in its place, is no number from 0 to 232."""
+        text, source = str(self.domain), "launch: zenoh: {domain}"
+        if self.domain is None:
+            text, source = os.environ.get("ROS_DOMAIN_ID") or "0", "ROS_DOMAIN_ID"
         if not text.isdecimal() or int(text) > 232:
-            raise WireError(f"ROS domain: expected a number from 0 to 232, found '{text}'; correct ROS_DOMAIN_ID")
+            raise WireError(f"ROS domain: expected a number from 0 to 232, found '{text}'; correct {source}")
         return int(text)
 
 

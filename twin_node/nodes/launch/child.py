@@ -17,6 +17,11 @@ GRACE_S = 5.0
 """How long a process may take to deactivate and clean up its nodes before it is killed."""
 
 
+LAST_WORDS_S = 1.0
+"""How long a process that has ended is listened to, s; what it has said takes no time, unless somebody else holds its
+pipe open."""
+
+
 class Child:
     """A spawned process: its orders go down a pipe, its events come up one, its output goes to a log."""
 
@@ -47,7 +52,8 @@ class Child:
             )
         os.close(write_fd)
         self._say(order.to_json())
-        threading.Thread(target=self._listen, args=(read_fd,), name=f"{name} events", daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, args=(read_fd,), name=f"{name} events", daemon=True)
+        self._listener.start()
 
     @property
     def pid(self) -> int:
@@ -58,6 +64,10 @@ class Child:
     def status(self) -> int | None:
         """Exit status; None while it runs."""
         return self._process.poll()
+
+    def hear_out(self) -> None:
+        """Waits until all is heard that a process has said which has ended: its end may be known before its reason."""
+        self._listener.join(LAST_WORDS_S)
 
     def configure(self) -> None:
         """Lets it make its nodes."""

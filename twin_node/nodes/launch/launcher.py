@@ -132,6 +132,7 @@ class Launcher:
                 child = self._children[process.name]
                 if child.status is None:
                     continue
+                child.hear_out()
                 if child.status == REFUSED and (self._plan.is_lockstep or process.name not in self._failures):
                     raise GraphError(child.error or f"process '{process.name}' refused what it was given")
                 if child.status == 0:

@@ -1,0 +1,36 @@
+"""A process of a launch as its launcher sees it: that its end is known before its last words."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from twin_node.nodes.launch import child as child_module
+from twin_node.nodes.launch.child import Child
+from twin_node.nodes.launch.host import REFUSED, Order
+
+WAIT_S = 60.0
+
+
+def test_why_a_process_has_ended_is_heard_before_it_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy computer the listening thread may come to its turn after the end is known: an error without words."""
+    its_turn, ended = threading.Event(), threading.Event()
+
+    def loads(line: str) -> Any:
+        assert its_turn.wait(WAIT_S)
+        return json.loads(line)
+
+    monkeypatch.setattr(child_module, "json", SimpleNamespace(loads=loads))
+    order = Order(("recorder",), {"recorder": {"otput": "run"}}, False, False, {}, {}, "test.yaml")
+    child = Child("write", order, tmp_path / "write.log", ended.set, lambda line: None)
+    child._process.wait(WAIT_S)
+    assert (child.status, child.error) == (REFUSED, None)
+    its_turn.set()
+    child.hear_out()
+    assert child.error is not None
+    assert "unknown parameter 'otput'; did you mean 'output'?" in child.error
