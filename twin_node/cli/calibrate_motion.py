@@ -260,12 +260,17 @@ class _Timed:
 
 def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> _Timed:
     """The clocks of a session's cameras, which stand as its rig says."""
+    from twin_node.nodes.clock_steps import camera_clock_steps
     from twin_node.nodes.log_source import LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
     from twin_node.rig.calibrate.clocks import ClockParameters, calibrate_clocks
     from twin_node.rig.evidence import CameraEvidence
     from twin_node.robot import arm_model
 
+    images = {camera.image: camera.name for camera in session.cameras}
+    topics = {topic: images[name] for topic, name in session.topics.items() if name in images}
+    for camera, step in camera_clock_steps(session.log, topics, session.span).items():
+        print(f"twin_node: warning: camera {camera}: {step.told(session.span.start_ns)}", file=sys.stderr)
     source = LogSource(session, SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate))
     sets = tqdm(source, unit="set", desc="time", disable=None)
     arm = arm_model(options.arm) if options.arm else None

@@ -12,6 +12,7 @@ from twin_node.bag import LogMessage, LogReader
 from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
 
@@ -81,6 +82,9 @@ def check_log(log: LogReader) -> LogCheck:
             faults += faults_of(statistics)
         if found.delays and abs(float(np.median(found.delays))) > DELAY_NS:
             faults.append(f"stamped {np.median(found.delays) / 1e9:+.1f} s from the time of recording: another clock")
+        step = clock_step(found.stamps, found.delays) if topic.msgtype in REGULAR_TYPES else None
+        if step is not None:
+            faults.append(step.told(log.start_ns))
         faults += _unit_faults(topic.name, topic.msgtype, found.contents)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []

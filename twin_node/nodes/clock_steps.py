@@ -1,0 +1,69 @@
+"""Clocks that were set within a recording: from then on their stamps lie otherwise by the log's time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin_node.bag import LogReader
+from twin_node.messages import header_stamp
+from twin_node.nodes.player import Span
+
+WINDOW = 15
+"""Messages before and after a step that it is told from: half a second at 30 Hz."""
+LEAST_STEP_NS = 50_000_000
+"""Less may be a computer that has got more to do."""
+STEADINESS = 0.25
+"""Share of a step that delays on either side may differ by: where they grow and shrink, a disk or a link is slow."""
+
+
+@dataclass(frozen=True)
+class ClockStep:
+    """Where a clock was set anew."""
+
+    stamp: int
+    """Of the last message before it, ns."""
+    step_ns: int
+    """How far stamps went ahead, ns; below 0: back."""
+
+    def told(self, start: int) -> str:
+        """In words; `start`: of the log, ns."""
+        return (
+            f"stamps jump by {self.step_ns / 1e6:+.0f} ms against the time of recording, "
+            f"{(self.stamp - start) / 1e9:.1f} s after the start, and stay so: its clock was set, or its way has changed; "
+            "use what lies before or after it"
+        )
+
+
+def clock_step(stamps: Sequence[int], delays: Sequence[int]) -> ClockStep | None:
+    """The largest step of a stream's clock; None where it has none, or too few messages.
+
+    `stamps`: of its messages, ns; `delays`: from each stamp until the message was recorded, ns.
+    """
+    if len(delays) < 2 * WINDOW:
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(np.array(delays, dtype=np.float64), WINDOW)
+    middles = np.median(windows, axis=1)
+    spreads = np.quantile(windows, 0.9, axis=1) - np.quantile(windows, 0.1, axis=1)
+    steps = middles[:-WINDOW] - middles[WINDOW:]
+    sizes = np.abs(steps)
+    is_step = (sizes >= LEAST_STEP_NS) & (np.maximum(spreads[:-WINDOW], spreads[WINDOW:]) <= STEADINESS * sizes)
+    if not is_step.any():
+        return None
+    spread = np.where(is_step, np.maximum(spreads[:-WINDOW], spreads[WINDOW:]), np.inf)
+    row = int(np.argmin(spread))
+    return ClockStep(int(stamps[row + WINDOW - 1]), round(steps[row]))
+
+
+def camera_clock_steps(log: LogReader, images: Mapping[str, str], span: Span) -> dict[str, ClockStep]:
+    """Steps of cameras' clocks by camera; `images`: topic -> camera."""
+    stamps: dict[str, list[int]] = {camera: [] for camera in images.values()}
+    delays: dict[str, list[int]] = {camera: [] for camera in images.values()}
+    for entry in log.messages(list(images), span.start_ns, span.stop_ns):
+        stamp = header_stamp(entry.message)
+        stamps[images[entry.topic]].append(stamp)
+        delays[images[entry.topic]].append(entry.stamp - stamp)
+    found = {camera: clock_step(stamps[camera], delays[camera]) for camera in stamps}
+    return {camera: step for camera, step in found.items() if step is not None}
