@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
 from twin_node.bag import BagError, LogWriter, open_log
-from twin_node.messages import Message, MessageError, message_type
+from twin_node.messages import Message, MessageError, definition, message_type, type_hash
 
 STRING = "std_msgs/msg/String"
 
@@ -136,3 +137,17 @@ def test_a_full_disk_is_one_error_and_leaves_nothing(
             log.write("/a", text(32 * long), 2)
             log.write("/a", text(32 * long), 3)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_hash_of_a_topic_is_that_of_the_definition_it_is_given(tmp_path: Path) -> None:
+    """Of a repaired older log; ROS would take the messages for ones of today's type."""
+    path, older = tmp_path / "log.mcap", "std_msgs/Header header\nstring note\n"
+    with LogWriter(path) as log:
+        log.add_topic("/twin/status", "twin_msgs/msg/TwinStatus", definition=older)
+        log.add_topic("/text", STRING, definition=definition(STRING))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    hashes = {channel.topic: channel.metadata["topic_type_hash"] for channel in summary.channels.values()}
+    assert hashes["/text"] == type_hash(STRING)
+    assert hashes["/twin/status"] != type_hash("twin_msgs/msg/TwinStatus")

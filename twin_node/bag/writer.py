@@ -85,7 +85,7 @@ class LogWriter:
         if self._topics.setdefault(name, msgtype) != msgtype:
             raise BagError(f"{self.path}: topic {name} holds {self._topics[name]}, found a message of {msgtype}")
         types = builtin_types()
-        if definition is not None and msgtype not in types:
+        if definition is not None:
             types = types.extended({msgtype: definition})
         text = types.definition(msgtype) if definition is None else definition
         latched = is_latched(name) if latched is None else latched

@@ -32,8 +32,8 @@ class ClockStep:
         """In words; `start`: of the log, ns."""
         return (
             f"stamps jump by {self.step_ns / 1e6:+.0f} ms against the time of recording, "
-            f"{(self.stamp - start) / 1e9:.1f} s after the start, and stay so: its clock was set, or its way has changed; "
-            "use what lies before or after it"
+            f"{(self.stamp - start) / 1e9:.1f} s after the start, and stay so: its clock was set, or its way has "
+            "changed; use what lies before or after it"
         )
 
 
