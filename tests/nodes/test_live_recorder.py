@@ -52,6 +52,11 @@ class Studio:
         while self._executor.step(0.0):
             pass
 
+    def hear_at_once(self, *messages: Any) -> None:
+        """Diagnostics that come while the recorder waits for its disk."""
+        for message in messages:
+            self._wire.publisher("somebody", DIAGNOSTICS, kind_of(DIAGNOSTICS))(message)
+
     def step(self) -> None:
         self._executor.step(60.0)
 
@@ -97,6 +102,20 @@ def test_what_its_publisher_keeps_for_late_listeners_is_recorded_so(
     studio.end()
     with open_log(tmp_path / "run.mcap") as log:
         assert [(topic.name, topic.latched) for topic in log.topics] == [("/map", is_latched)]
+
+
+def test_what_a_slow_disk_has_cost_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twin_node.nodes.live.recorder.FLUSH_TIMER_S", 0.001)
+    monkeypatch.setattr("twin_node.nodes.live.recorder.EVERY", Qos(depth=2))
+    studio = Studio(tmp_path / "run.mcap", SystemClock())
+    studio.hear_at_once(*(convert.diagnostics_to_message(k, []) for k in range(5)))
+    for _ in range(3):
+        studio.step()
+    told = "the disk is too slow: 3 messages were lost; record fewer topics, or to another disk"
+    assert studio.said == [told]
+    (diagnosis,) = studio.node.diagnoses()
+    assert (diagnosis.level, diagnosis.message) == (Level.WARN, told)
+    studio.end()
 
 
 @pytest.mark.parametrize("name", ["run", "run.mcap"])

@@ -7,6 +7,7 @@ import threading
 import pytest
 
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.wire import Encoded
 
 
 def run_all(executor: Executor) -> None:
@@ -35,6 +36,24 @@ def test_an_inbox_keeps_its_newest_and_counts_the_rest() -> None:
     inbox.offer(5)
     run_all(executor)
     assert seen == [3, 4, 5]
+
+
+def test_an_inbox_keeps_no_more_bytes_than_it_may() -> None:
+    """However many messages it has room for: raw images fill any memory while a disk stands still."""
+    executor, seen = Executor(), []
+    inbox = executor.inbox(lambda message: seen.append(len(message.data)), 100, most_bytes=1000)
+    for size in (300, 301, 302, 303, 700, 10):
+        inbox.offer(Encoded("std_msgs/msg/String", bytes(size)))
+    run_all(executor)
+    assert seen == [700, 10]
+    assert inbox.dropped == 4
+    inbox.offer(Encoded("std_msgs/msg/String", bytes(5000)))  # the newest is kept, whatever its size
+    run_all(executor)
+    assert seen == [700, 10, 5000]
+    for size in (400, 401):
+        inbox.offer(Encoded("std_msgs/msg/String", bytes(size)))
+    run_all(executor)
+    assert seen[3:] == [400, 401]
 
 
 def test_a_message_wakes_an_executor_that_waits() -> None:

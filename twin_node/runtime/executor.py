@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -90,14 +91,23 @@ class _ExecutorAlarm:
 
 
 class Inbox:
-    """The newest messages for one callback; when `depth` of them wait already, the oldest is dropped."""
+    """The newest messages for one callback; when `depth` of them wait already, or too many bytes, the oldest go."""
 
-    def __init__(self, executor: Executor, callback: Callable[[Any], None], depth: int, patience: float = 0.0) -> None:
-        """`patience`: how long a message is left for the next one, see `runtime.arrivals`."""
+    def __init__(
+        self,
+        executor: Executor,
+        callback: Callable[[Any], None],
+        depth: int,
+        patience: float = 0.0,
+        most_bytes: float = math.inf,
+    ) -> None:
+        """`patience`: how long a message is left for the next one, see `runtime.arrivals`; `most_bytes`: see `Qos`."""
         self._executor = executor
         self._callback = callback
-        self._waiting: deque[Any] = deque()
+        self._waiting: deque[tuple[Any, int]] = deque()
+        self._bytes = 0
         self._depth = depth
+        self._most_bytes = most_bytes
         self._arrivals = Arrivals(patience)
         self.dropped = 0
         """Messages that newer ones have replaced."""
@@ -107,14 +117,15 @@ class Inbox:
         self._executor.enqueue(self, message)
 
     def push(self, message: Any) -> bool:
-        """Takes a message under the executor's lock; False where it replaced one that still waits."""
+        """Takes a message under the executor's lock; False where it replaced one that still waits, or several."""
         self._arrivals.add(time.monotonic())
-        replaced = len(self._waiting) >= self._depth
-        if replaced:
-            self._waiting.popleft()
+        size, before = _bytes_of(message), self.dropped
+        while self._waiting and (len(self._waiting) >= self._depth or self._bytes + size > self._most_bytes):
+            self._bytes -= self._waiting.popleft()[1]
             self.dropped += 1
-        self._waiting.append(message)
-        return not replaced
+        self._waiting.append((message, size))
+        self._bytes += size
+        return self.dropped == before
 
     @property
     def is_waiting(self) -> bool:
@@ -127,7 +138,18 @@ class Inbox:
 
     def run(self) -> None:
         """Hands the oldest waiting message to the callback, in the executor's thread."""
-        self._callback(self._waiting.popleft())
+        with self._executor.lock:
+            if not self._waiting:
+                return  # a larger one has taken the place of several
+            message, size = self._waiting.popleft()
+            self._bytes -= size
+        self._callback(message)
+
+
+def _bytes_of(message: Any) -> int:
+    """What a message carries in its field `data`, encoded or not: of others, size does not matter."""
+    data = getattr(message, "data", None)
+    return len(data) if isinstance(data, Sized) else 0
 
 
 class Executor:
@@ -135,17 +157,21 @@ class Executor:
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
+        self.lock = self._condition
+        """Held while inboxes take and give messages."""
         self._ready: deque[Inbox] = deque()
         self._timers: list[_Timer] = []
         self._order = itertools.count()
         self._stopped = False
 
-    def inbox(self, callback: Callable[[Any], None], depth: int, patience: float = 0.0) -> Inbox:
-        """A queue of at most `depth` messages whose `callback(message)` this executor runs.
+    def inbox(
+        self, callback: Callable[[Any], None], depth: int, patience: float = 0.0, most_bytes: float = math.inf
+    ) -> Inbox:
+        """A queue of at most `depth` messages, and `most_bytes` of those, whose `callback(message)` this executor runs.
 
         `patience`: how long a message is left for the next one, see `runtime.arrivals`; 0: not at all.
         """
-        return Inbox(self, callback, depth, patience)
+        return Inbox(self, callback, depth, patience, most_bytes)
 
     def enqueue(self, inbox: Inbox, message: Any) -> None:
         """Puts a message into one of this executor's inboxes; from any thread."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ class Qos:
     """Transient-local: a late subscriber is given the last message."""
     repeats: bool = False
     """A latched message soon comes anew: a reader without room waits for the next one, and holds nobody up."""
+    most_bytes: float = math.inf
+    """Bytes of messages kept for a subscriber that is busy; older ones are dropped, and counted, but for the newest."""
     patience: float = 0.0
     """How long a subscriber leaves a message for the next one, see `runtime.arrivals`; 0: not at all."""
 
@@ -32,8 +35,9 @@ NEWEST = Qos(depth=1)
 """Only the newest counts: what it replaces is dropped, and counted."""
 FRESH = Qos(depth=1, patience=PATIENCE)
 """Only the newest counts, and an old one is left where a newer one is due: for what takes long to work on."""
-EVERY = Qos(depth=100_000)
-"""Nothing is to be lost within a process: about an hour of 30 Hz."""
+EVERY = Qos(depth=100_000, most_bytes=256e6)
+"""Nothing is to be lost within a process: about an hour of 30 Hz, or ten seconds of a camera's raw images while a disk
+stands still; a reader that is slower for longer must not take all memory there is."""
 
 
 @dataclass(frozen=True)

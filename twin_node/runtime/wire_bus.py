@@ -132,7 +132,7 @@ class WireBus:
     def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
         kind = self._kind(topic)
         subscription = _Subscription(topic, callback, raw)
-        inbox = self._executor.inbox(subscription, kind.qos.depth, kind.qos.patience)
+        inbox = self._executor.inbox(subscription, kind.qos.depth, kind.qos.patience, kind.qos.most_bytes)
         self._subscriptions.append((subscription, inbox))
         self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, inbox.offer))
 

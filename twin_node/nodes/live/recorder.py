@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import RECORDED, GraphError, is_topic_name, kind_of
 from twin_node.runtime.node import Node
-from twin_node.runtime.qos import EVERY, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
 from twin_node.runtime.wire import Encoded
 
@@ -76,6 +76,7 @@ class LiveRecorderNode(Node):
         self._parameters = parameters
         self._writer: RecordingWriter | None = None
         self._has_begun = False
+        self._has_told_of_loss = False
         self._error: BagError | None = None
 
     def on_configure(self) -> None:
@@ -110,7 +111,7 @@ class LiveRecorderNode(Node):
     def add(self, topic: str, kind: TopicKind) -> None:
         """Record a topic from now on."""
         self._added[topic] = kind.msgtype
-        qos = Qos(EVERY.depth, reliable=True, latched=True) if kind.qos.latched else EVERY
+        qos = replace(EVERY, latched=kind.qos.latched)
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
         self._bus.subscribe_raw(topic, partial(self._write, self._bus.resolved(topic), qos.latched))
 
@@ -145,8 +146,19 @@ class LiveRecorderNode(Node):
         if self._error is not None:
             return (convert.Diagnosis(f"{self.name}: log", convert.Level.ERROR, str(self._error)),)
         count = 0 if self._writer is None else self._writer.messages
-        readings = (convert.Reading("messages", str(count)),)
-        return (convert.Diagnosis(f"{self.name}: log", convert.Level.OK, "recording", readings),)
+        readings = (convert.Reading("messages", str(count)), convert.Reading("lost", str(self._lost)))
+        level, message = convert.Level.OK, "recording"
+        if self._lost:
+            level, message = convert.Level.WARN, self._too_slow()
+        return (convert.Diagnosis(f"{self.name}: log", level, message, readings),)
+
+    @property
+    def _lost(self) -> int:
+        """Messages that waited for the disk until there was no room for them."""
+        return sum(traffic.dropped for traffic in self._bus.traffic)
+
+    def _too_slow(self) -> str:
+        return f"the disk is too slow: {self._lost} messages were lost; record fewer topics, or to another disk"
 
     def _write(self, topic: str, latched: bool, message: Encoded) -> None:
         now = self.clock.now()
@@ -169,6 +181,9 @@ class LiveRecorderNode(Node):
     def _flush(self) -> None:
         if self._writer is None:
             return
+        if self._lost and not self._has_told_of_loss:
+            self._has_told_of_loss = True
+            self._say(self._too_slow())
         try:
             self._writer.flush_if_due()
         except BagError as error:
