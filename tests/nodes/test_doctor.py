@@ -78,6 +78,14 @@ def test_two_who_say_what_one_is_to_say_are_named(topic: str, msgtype: str, is_f
     assert graph_faults([first, subscriber("listener", topic, msgtype)]) == []
 
 
+def test_a_graph_whose_time_stands_is_told() -> None:
+    follower = subscriber("clock", "/player/clock", "rosgraph_msgs/msg/Clock")  # renamed, perhaps
+    [fault] = graph_faults([follower])
+    assert fault.startswith("/player/clock: nodes take their time from it (use_sim_time), nobody publishes it")
+    assert graph_faults([follower, publisher("player", "/player/clock", "rosgraph_msgs/msg/Clock")]) == []
+    assert graph_faults([subscriber("viewer", CLOCK, "rosgraph_msgs/msg/Clock")]) == []  # it has a time of its own
+
+
 class DamagedCamera(LocalWire):
     """A graph with one publisher, which sends half of an image as soon as somebody listens."""
 

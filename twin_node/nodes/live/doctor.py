@@ -13,7 +13,7 @@ import numpy as np
 
 from twin_node.messages import builtin_types, convert, header_stamp
 from twin_node.nodes.stream_statistics import FEWEST, faults_of, statistics_of
-from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, RAW, RECORDED, TRAJECTORY, kind_of
+from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, COMPRESSED, DIAGNOSTICS, RAW, RECORDED, TRAJECTORY, kind_of
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind
@@ -107,8 +107,14 @@ def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
             why = "ros_distro differs" if is_humble else "their types differ"
             advice = "set launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
             faults.append(f"{topic}: {why}, so they do not hear each other ({names}); {advice}")
-        elif _is_needed(ends[0].msgtype) and not any(end.kind is EntityKind.PUBLISHER for end in ends):
-            faults.append(_waited_for(ends, endpoints))
+        elif not any(end.kind is EntityKind.PUBLISHER for end in ends):
+            if _is_needed(ends[0].msgtype):
+                faults.append(_waited_for(ends, endpoints))
+            elif any(end.node.name == CLOCK_FOLLOWER for end in ends):
+                faults.append(
+                    f"{topic}: nodes take their time from it (use_sim_time), nobody publishes it, so time stands; play "
+                    "a log with --clock, or launch without use_sim_time"
+                )
         said_by = _publishers(topic, endpoints)
         if len(said_by) > 1 and (topic in OF_ONE or ends[0].msgtype in (COMPRESSED, RAW)):
             faults.append(f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one")
