@@ -65,6 +65,7 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log=a"], [], "expected NAME:=VALUE"),
         (["log:=a"], ["rate:=2"], "expected NODE.KEY:=VALUE"),
         (["log:=a"], ["plaier.rate:=2"], "unknown node 'plaier'; did you mean 'player'"),
+        (["log:=a"], ["cell.duration:=5"], "-p cell.duration:=5: .* has no node 'cell'; it has arm, player, recorder"),
         (["log:=a", "rate:=["], [], r"rate:=\[: expected a float, found what is no YAML"),
         (["log:=a"], ["player.rate:=["], r"-p player.rate:=\[: expected a value, found what is no YAML"),
         (["log:=a", "loop:=2020-13-45"], [], "loop:=2020-13-45: expected a bool, found what is no YAML"),

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from twin_node import resources
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_kind, is_foreign, nearest
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, check_kind, is_foreign, nearest
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
@@ -96,6 +96,7 @@ def read_launch_file(
         _check_sections(given_here, file)
         sections = _merged(sections, given_here)
     _set_parameters(sections, parameters)
+    _check_takes_part(parameters, entries, path)
     _check_sections(sections, path)
     return LaunchPlan(
         path,
@@ -286,6 +287,15 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
             if not isinstance(inner, dict):
                 raise GraphError(f"-p {text}: expected keys and values under '{key}', found {inner!r}")
         inner[last] = _parsed(value, f"-p {text}: expected a value")
+
+
+def _check_takes_part(given: Sequence[str], entries: Mapping[str, Any], path: Path) -> None:
+    """Raises `GraphError` for a parameter of a node that the file has in no process: it would change nothing."""
+    nodes = {node for entry in entries.values() for node in map(str, entry.get("nodes") or ())}
+    for text in given:
+        node = text.partition(".")[0]
+        if node in KINDS and node not in {*CHAIN_SECTIONS, *nodes}:
+            raise GraphError(f"-p {text}: {path} has no node '{node}'; it has {', '.join(sorted(nodes))}")
 
 
 def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
