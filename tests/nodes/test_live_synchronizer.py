@@ -251,3 +251,12 @@ def test_images_stamped_after_their_arrival_are_named_before_they_are_refused(ce
     for level, message in cell.said().values():
         assert level is Level.WARN
         assert message.startswith("ahead: images are stamped 55 ms after their arrival; let chrony or PTP keep")
+
+
+def test_cameras_whose_clocks_are_all_behind_are_named(cell: Cell) -> None:
+    """Of one computer without time service: they are in step with each other, and the arm stands for old evidence."""
+    behind = {name: Fault(stamp_shift=-3_600_000 * MS) for name in NAMES}
+    cell.run(SECOND, SECOND, **behind)
+    for level, message in cell.said().values():
+        assert level is Level.WARN
+        assert "old: images are stamped 3600.0 s before their arrival; let chrony or PTP keep" in message

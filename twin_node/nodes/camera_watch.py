@@ -1,4 +1,4 @@
-"""Tells cameras that do not send as the others do: silent, slow, late, or with a clock that steps or is ahead."""
+"""Tells cameras that do not send as they should: silent, slow, late, or with a clock that steps, is ahead or behind."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ SLOW_SHARE = 0.75
 """A camera at less than this share of the fastest one's rate is named: a missed image in four is no jitter."""
 LATE_NS = 20_000_000
 """A camera whose images arrive so much later after their stamps than another's is named: half a period at 30 Hz."""
+OLD_NS = 1_000_000_000
+"""Images this old when they arrive are of no use, though all cameras' be: their forecasts count as late long before."""
 AHEAD_NS = 5_000_000
 """Images that are stamped so long after their arrival come of a clock that is ahead: latency and forecasts seem shorter
 by that. Less may be what a calibrated offset is wrong by."""
@@ -63,6 +65,11 @@ class CameraWatch:
             name = totals.name
             lag = lags.get(name, 0.0)
             faults = self._faults(totals, counts[name], most, lag - least_lag)
+            if lag > OLD_NS:
+                faults.append(
+                    f"old: images are stamped {lag / 1e9:.1f} s before their arrival; let chrony or PTP keep the "
+                    "clocks together, or look for what holds them up"
+                )
             if lag < -AHEAD_NS:
                 faults.append(
                     f"ahead: images are stamped {-lag / 1e6:.0f} ms after their arrival; let chrony or PTP keep the "

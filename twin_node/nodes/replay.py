@@ -226,5 +226,5 @@ def _no_sets(session: LogSession) -> GraphError:
     names = ", ".join(camera.name for camera in session.rig.cameras)
     return GraphError(
         f"{session.log.path}: no set of images of {names} within {session.span.seconds:.2f} s; the cameras' stamps lie "
-        "too far apart, or the span is too short: see their times with 'ros2 bag info', or give a longer --duration"
+        "too far apart, or the span is too short: see their times with 'twin_node check', or give a longer --duration"
     )
