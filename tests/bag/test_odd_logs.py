@@ -87,7 +87,7 @@ def test_a_chunk_without_messages_does_not_begin_the_log_in_1970(tmp_path: Path)
         assert (log.start_ns, log.end_ns) == (START, START + COUNT - 1)
 
 
-@pytest.mark.parametrize(("offset", "length"), [(0, 2**62), (2**63, 100), (2**64 - 1, 2**64 - 1)])
+@pytest.mark.parametrize(("offset", "length"), [(0, 2**62), (2**62, 100), (2**63, 100), (2**64 - 1, 2**64 - 1)])
 def test_an_index_that_leads_out_of_the_file_is_damage(tmp_path: Path, offset: int, length: int) -> None:
     def fill(writer: Writer) -> None:
         add_strings(writer)

@@ -111,7 +111,7 @@ class McapStorage:
             if not messages and part.topics:
                 raise ValueError("the index knows messages where there are none")
             records = [self._record(message) for message in messages if start <= message.log_time < stop]
-        except DAMAGED as error:
+        except (*DAMAGED, OSError) as error:
             raise DamageError(
                 f"{self._path}: damaged at byte {part.offset} ({_reason(error)}); read up to it"
             ) from None
