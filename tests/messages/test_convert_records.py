@@ -379,3 +379,19 @@ def test_diagnoses_survive_and_levels_that_are_none_are_refused() -> None:
     message.status[0].level = 7
     with pytest.raises(MessageError, match="'cameras: left': expected a level from 0 to 3, found 7"):
         c.diagnostics_from_message(message)
+
+
+@pytest.mark.parametrize(("name", "value"), [("kinds", 60), ("shapes", 2)])
+def test_obstacles_of_kinds_that_nobody_knows_are_refused(name: str, value: int) -> None:
+    """Viewers, exporters and markers have no picture of them: their processes failed of the first."""
+    one = Obstacles(
+        STAMP,
+        *(np.array([value], np.uint8) for value in (7, ObstacleKind.STATIC, ObstacleShape.BOX)),
+        *(np.ones((1, width)) for width in (3, 4, 3, 3)),
+        np.ones(1),
+        *(np.full(1, STAMP) for _ in range(2)),
+    )
+    message = sent(c.obstacles_to_message(replace(one, **{name: np.array([value], np.uint8)})))
+    for sender in (message, replace(message, obstacles=list(message.obstacles))):
+        with pytest.raises(MessageError, match=f"expected known shapes and kinds, found {name} {value}; check the ver"):
+            c.obstacles_from_message(sender)

@@ -13,6 +13,7 @@ from rosbags.typesys.store import Typestore
 from twin_node.messages import MessageError, builtin_types, convert, deserialize, message_type, serialize
 from twin_node.messages.convert.forecast import OBSTACLE_ARRAY
 from twin_node.messages.rows import RowCodec, Rows
+from twin_node.scene import ObstacleKind, ObstacleShape
 
 FLAT = "twin_msgs/msg/ObstacleArray"
 
@@ -74,6 +75,8 @@ def test_rows_are_a_sequence_of_messages() -> None:
 
 def test_obstacles_of_both_ways_are_the_same() -> None:
     message = some(7, 2)
+    message.obstacles.array["kind"] %= len(ObstacleKind)
+    message.obstacles.array["shape"] %= len(ObstacleShape)
     fast, slow = convert.obstacles_from_message(message), convert.obstacles_from_message(plain(message))
     for name in ("ids", "kinds", "shapes", "positions", "quats", "sizes", "velocities", "bounds", "experts"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(slow, name))

@@ -19,7 +19,7 @@ from twin_node.messages.stamps import (
     to_time,
 )
 from twin_node.messages.types import Message, MessageError, builtin_types, message_type
-from twin_node.scene import Grid, MotionExpert, Obstacles, Occupancy, OccupancyLayer
+from twin_node.scene import Grid, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Occupancy, OccupancyLayer
 
 OBSTACLE_ARRAY = "twin_msgs/msg/ObstacleArray"
 POSITION = ("pose.position.x", "pose.position.y", "pose.position.z")
@@ -100,9 +100,22 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
 
 
 def obstacles_from_message(message: Message) -> Obstacles:
-    """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts."""
-    if not isinstance(message.obstacles, Rows):
-        return _obstacles_one_by_one(message)
+    """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts.
+
+    Raises `MessageError` for kinds and shapes that are not known here.
+    """
+    found = _obstacles_of_rows(message) if isinstance(message.obstacles, Rows) else _obstacles_one_by_one(message)
+    for name, values, known in (("kinds", found.kinds, ObstacleKind), ("shapes", found.shapes, ObstacleShape)):
+        unknown = set(values.tolist()) - {int(value) for value in known}
+        if unknown:
+            raise MessageError(
+                f"ObstacleArray: expected known shapes and kinds, found {name} {', '.join(map(str, sorted(unknown)))}; "
+                "check the versions of the messages"
+            )
+    return found
+
+
+def _obstacles_of_rows(message: Message) -> Obstacles:
     rows = message.obstacles.array
 
     def table(names: Sequence[str]) -> NDArray[np.float64]:
