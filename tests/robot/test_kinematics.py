@@ -97,6 +97,8 @@ def test_wrong_joint_values_are_refused() -> None:
         forward_kinematics(model, np.zeros(5))
     with pytest.raises(RobotError, match="finite"):
         forward_kinematics(model, np.array([0, 0, np.nan, 0, 0, 0]))
+    with pytest.raises(RobotError, match="finite angles of at most 1e\\+06 rad"):
+        model.order(model.joint_names, np.array([0, 0, -1e300, 0, 0, 0]))
     with pytest.raises(RobotError, match="publish elbow_joint too"):
         model.order(tuple(name for name in model.joint_names if name != "elbow_joint"), np.zeros(5))
     with pytest.raises(RobotError, match="expected one of ur3e, ur5e, ur10e, ur16e"):

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from twin_node.errors import TwinError
 from twin_node.scene import Float64, JointSample
 
+FARTHEST_RAD = 1e6
+"""No joint has ever turned so far, nor turns so fast in a second: with angles beyond it times and places are infinite."""
+
 
 class RobotError(TwinError):
     """An arm's model, joint values or kinematics file is wrong."""
@@ -74,7 +77,7 @@ class ArmModel:
     def order(self, names: Sequence[str], values: NDArray[np.floating]) -> Float64:
         """Values [..., n] given under `names` as [..., J] in the model's own order: drivers publish joints in any.
 
-        Raises `RobotError` where a joint is missing, or a value is not finite.
+        Raises `RobotError` where a joint is missing, or a value is not finite or beyond `FARTHEST_RAD`.
         """
         missing = [name for name in self.joint_names if name not in names]
         if missing:
@@ -83,8 +86,7 @@ class ArmModel:
                 f"publish {', '.join(missing)} too, or choose another arm than {self.name}"
             )
         ordered = np.asarray(values, dtype=np.float64)[..., [list(names).index(name) for name in self.joint_names]]
-        if not np.isfinite(ordered).all():
-            raise RobotError(f"joint values: expected finite angles, found {ordered.tolist()}; check the arm's driver")
+        _refuse_wild(ordered)
         return ordered
 
     def ordered_positions(self, sample: JointSample) -> Float64:
@@ -92,10 +94,17 @@ class ArmModel:
         return self.order(sample.names, sample.positions)
 
     def check_positions(self, q: NDArray[np.floating]) -> Float64:
-        """Angles [..., J] as float64; raises `RobotError` for a wrong count or a value that is not finite."""
+        """Angles [..., J] as float64; raises `RobotError` for a wrong count, or a value that no joint has."""
         angles = np.asarray(q, dtype=np.float64)
         if angles.ndim == 0 or angles.shape[-1] != self.joints:
             raise RobotError(f"joint values: expected {self.joints} angles for {self.name}, found shape {angles.shape}")
-        if not np.isfinite(angles).all():
-            raise RobotError(f"joint values: expected finite angles, found {angles.tolist()}; check the arm's driver")
+        _refuse_wild(angles)
         return angles
+
+
+def _refuse_wild(values: Float64) -> None:
+    if not (np.abs(values) <= FARTHEST_RAD).all():
+        raise RobotError(
+            f"joint values: expected finite angles of at most {FARTHEST_RAD:g} rad, found {values.tolist()}; check the "
+            "arm's driver"
+        )
