@@ -311,6 +311,7 @@ def test_binning_and_region_of_interest_keep_every_ray() -> None:
     [
         ({"k": np.zeros(9)}, "no calibration"),
         ({"width": 0}, "images are 0x"),
+        ({"height": 2**32 - 1}, "x4294967295; correct it, or give a rig file"),
         ({"distortion_model": "fisheye624"}, "distortion model 'fisheye624'"),
         ({"d": np.zeros(3)}, "plumb_bob needs 4 or 5 finite"),
         ({"d": np.full(5, np.nan)}, "plumb_bob needs 4 or 5 finite"),

@@ -12,7 +12,7 @@ from twin_node.errors import TwinError
 from twin_node.scene import Float64, JointSample
 
 FARTHEST_RAD = 1e6
-"""No joint has ever turned so far, nor turns so fast in a second: with angles beyond it times and places are infinite."""
+"""No joint turns so far, nor so fast in a second: with angles beyond it times and places become infinite."""
 
 
 class RobotError(TwinError):

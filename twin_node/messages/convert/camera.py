@@ -11,6 +11,8 @@ from twin_node.scene import Float64, Rig, RigCamera
 
 BASE_FRAME = "base_link"
 
+MOST_PIXELS = 65_535
+"""Along a side of any image: what is more would take all memory there is."""
 _LEAST_QUATERNION = 1e-3
 """Quaternions whose numbers are all smaller are no rotation that was rounded, but none."""
 
@@ -51,7 +53,7 @@ def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0
     of coefficients.
     """
     K = np.array(info.k, dtype=np.float64).reshape(3, 3)
-    if not (info.width and info.height):
+    if not (0 < info.width <= MOST_PIXELS and 0 < info.height <= MOST_PIXELS):
         raise MessageError(
             f"camera {name}: CameraInfo says that images are {info.width}x{info.height}; correct it, or give a rig file"
         )
