@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from twin_node.cli import main
-from twin_node.model.sequence import load_baked, load_checkpoint
+from twin_node.model.sequence import Trainer, load_baked, load_checkpoint
 
 
 @pytest.fixture
@@ -51,6 +52,31 @@ def test_a_resumed_run_takes_the_missing_steps(checkpoint: Path, cell_log: Calla
     log = str(cell_log(0.5))
     assert main(["train", log, "-o", str(out), "--resume", str(checkpoint), "--steps", "6", "--width", "48"]) == 0
     assert load_checkpoint(out).header.step == load_checkpoint(checkpoint).header.step + 2
+
+
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
+    checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "model.safetensors"
+    started = ["train", str(cell_log(0.5)), "-o", str(out), "--width", "48"]
+    follow = Trainer._apply
+
+    def interrupted(trainer: Trainer) -> None:
+        if trainer.step == 2:
+            signal.raise_signal(signal.SIGINT)
+        follow(trainer)
+
+    handler = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "_apply", interrupted)
+        assert main([*started, "--steps", "4", "--gaussians", "800"]) == 130
+    assert signal.getsignal(signal.SIGINT) is handler
+    assert load_checkpoint(out).header.step == 3
+    assert main([*started, "--resume", str(out)]) == 0
+    whole, mended = load_checkpoint(checkpoint).tensors, load_checkpoint(out).tensors
+    assert whole.keys() == mended.keys()
+    for name, value in whole.items():
+        np.testing.assert_array_equal(value.numpy(), mended[name].numpy(), name)
 
 
 def test_a_log_is_followed_and_baked(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,19 +70,39 @@ def _train(options: argparse.Namespace) -> None:
         f"{len(recording.held_out)} held out"
     )
     trainer = _trainer(recording, options)
-    with tqdm(total=trainer.parameters.all_steps, initial=trainer.step, unit="step", disable=None) as bar:
-        try:
-            while not trainer.finished:
-                loss = trainer.advance()
-                bar.update()
-                bar.set_postfix(loss=f"{loss:.4f}", gaussians=len(trainer.model.gaussians), refresh=False)
-                if trainer.step % SAVE_EVERY == 0:
-                    save_checkpoint(trainer, options.output)
-        except KeyboardInterrupt:
-            save_checkpoint(trainer, options.output)
-            raise
-    save_checkpoint(trainer, options.output)
+    with (
+        _interrupted_between_steps() as is_interrupted,
+        tqdm(total=trainer.parameters.all_steps, initial=trainer.step, unit="step", disable=None) as bar,
+    ):
+        while not trainer.finished and not is_interrupted():
+            loss = trainer.advance()
+            bar.update()
+            bar.set_postfix(loss=f"{loss:.4f}", gaussians=len(trainer.model.gaussians), refresh=False)
+            if trainer.step % SAVE_EVERY == 0:
+                save_checkpoint(trainer, options.output)
+        save_checkpoint(trainer, options.output)
+        if is_interrupted():
+            raise KeyboardInterrupt
     _report(trainer, options.output)
+
+
+@contextlib.contextmanager
+def _interrupted_between_steps() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C waits for the end of a step: what is saved in the middle of one would not go on as if nothing had been.
+
+    Gives what tells whether it came; a second one waits for nothing, and leaves the last checkpoint as it is.
+    """
+    came = threading.Event()
+
+    def wait(*_: object) -> None:
+        came.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, wait)
+    try:
+        yield came.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from twin_node.model.sequence import (
     save_baked,
     save_checkpoint,
 )
+from twin_node.rig import Narrower
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +66,22 @@ def test_a_checkpoint_knows_its_cameras_and_times(trained: Trainer, checkpoint: 
 def test_another_recording_is_refused(checkpoint: Path) -> None:
     with pytest.raises(ModelError, match=r"18 images at 6 times.*found 9 at 3"):
         load_checkpoint(checkpoint).resume(block_recording(3))
+
+
+def test_other_cameras_are_refused(checkpoint: Path, tmp_path: Path) -> None:
+    hidden = block_recording(hold_out=("cam0",))
+    path = tmp_path / "hidden.safetensors"
+    save_checkpoint(Trainer(hidden, with_method("static")), path)
+    assert load_checkpoint(path).resume(hidden).step == 0
+    with pytest.raises(ModelError, match=r"images of cam1, cam2, as it was trained on, found cam0, cam2.*--hold-out"):
+        load_checkpoint(path).resume(block_recording(hold_out=("cam1",)))
+    whole = block_recording()
+    with pytest.raises(ModelError, match=r"40x30 of cam0.*found 20x15.*--width"):
+        load_checkpoint(checkpoint).resume(replace(whole, train=tuple(Narrower(20).view(one) for one in whole.train)))
+    moved = [replace(one.camera, T_base_cam=one.camera.T_base_cam + 1e-3 * np.eye(4, k=3)) for one in whole.train]
+    views = tuple(replace(one, camera=camera) for one, camera in zip(whole.train, moved, strict=True))
+    with pytest.raises(ModelError, match=r"cam0 calibrated as it was.*--rig"):
+        load_checkpoint(checkpoint).resume(replace(whole, train=views))
 
 
 def test_more_steps_can_be_asked_for(trained: Trainer, checkpoint: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,6 +95,7 @@ class Checkpoint:
                 f"{len(header.stamps)} times), found {len(recording.train)} at {len(found)} in {recording.name}; "
                 "give the same data, --hold-out and --frames"
             )
+        self._check_cameras(recording)
         parameters = header.parameters
         if steps is not None:
             share = parameters.coarse_steps / steps  # the static stage stays as long as it was
@@ -110,6 +111,27 @@ class Checkpoint:
             _load_field(trainer.model.field, self._part("field."))
             _restore_adam(trainer.field_optimizer, self._part("field_adam."))
         return trainer
+
+    def _check_cameras(self, recording: Recording) -> None:
+        """Raises `ModelError` where the recording's images are of other cameras than those that were trained on."""
+        expected, found = ({camera.name: camera for camera in one.cameras} for one in (self.header, recording))
+        for name in (*expected, *found):
+            if name not in expected or name not in found:
+                raise ModelError(
+                    f"{self.path}: expected images of {_some(expected)}, as it was trained on, found {_some(found)} in "
+                    f"{recording.name}; give the same data and --hold-out"
+                )
+            one, other = expected[name], found[name]
+            if (one.width, one.height) != (other.width, other.height):
+                raise ModelError(
+                    f"{self.path}: expected images of {one.width}x{one.height} of {name}, as it was trained on, found "
+                    f"{other.width}x{other.height}; give the same --width"
+                )
+            if camera_record(one) != camera_record(other):
+                raise ModelError(
+                    f"{self.path}: expected {name} calibrated as it was trained on, found another pose or lens in "
+                    f"{recording.name}; give the same data and --rig"
+                )
 
     def _part(self, prefix: str) -> dict[str, Tensor]:
         return {name.removeprefix(prefix): value for name, value in self.tensors.items() if name.startswith(prefix)}
@@ -165,6 +187,12 @@ def load_checkpoint(path: Path) -> Checkpoint:
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the checkpoint's header is damaged ({error}); train again") from None
     return Checkpoint(path, parsed, file.tensors)
+
+
+def _some(names: Iterable[str]) -> str:
+    """The first names of many."""
+    first = sorted(names)
+    return ", ".join(first[:4]) + (", ..." if len(first) > 4 else "")
 
 
 def _load_field(field: nn.Module, tensors: Mapping[str, Tensor]) -> None:

@@ -25,8 +25,9 @@ def write_tensors(tensors: Mapping[str, Tensor], metadata: dict[str, str], path:
         )
         partial.replace(path)
     except (OSError, SafetensorError) as error:
+        raise ModelError(f"{path}: cannot be written ({error}); choose a folder that exists, with room") from None
+    finally:
         partial.unlink(missing_ok=True)
-        raise ModelError(f"{path}: cannot be written ({error}); choose a folder that exists") from None
 
 
 @dataclass(frozen=True)
