@@ -156,6 +156,10 @@ def test_dnerf_with_intrinsics_of_other_tools(copied: Callable[[str], Path]) -> 
     path.write_text(json.dumps(content))
     K = read_folder(folder, ReadOptions()).train[0].camera.K
     np.testing.assert_allclose(K - CAMERAS[0].K, [[0, 0, 1], [0, 0, 0], [0, 0, 0]], atol=1e-9)
+    content["frames"][0] |= {"fl_x": 3 * CAMERAS[0].K[0, 0], "k1": 0.0}
+    path.write_text(json.dumps(content))
+    first, second = (view.camera.K for view in read_folder(folder, ReadOptions()).train[:2])
+    np.testing.assert_allclose((first[0, 0], second[0, 0]), (1.5 * CAMERAS[0].K[0, 0], CAMERAS[0].K[0, 0]))
 
 
 def test_colmap(folders: dict[str, Path]) -> None:
@@ -169,6 +173,44 @@ def test_colmap(folders: dict[str, Path]) -> None:
         index, step = int(view.camera.name[-1]), round(view.stamp / 33.3e6)
         assert_camera(view.camera, CAMERAS[index])
         np.testing.assert_array_equal(view.rgb, scene()[step].views[index].rgb)
+
+
+def test_dnerf_is_not_scored_later_than_it_is_learnt(copied: Callable[[str], Path]) -> None:
+    folder = copied("dnerf")
+    path = folder / "transforms_test.json"
+    content = json.loads(path.read_text())
+    content["frames"] = content["frames"][::-1]
+    path.write_text(json.dumps(content))
+    twice = folder / "transforms_train.json"
+    content = json.loads(twice.read_text())
+    content["frames"] += content["frames"]  # two cameras at each time
+    twice.write_text(json.dumps(content))
+    recording = read_folder(folder, ReadOptions(frames=2))
+    assert [view.stamp for view in recording.train] == [0, 0, 333_333_333, 333_333_333] and recording.steps == 2
+    assert [view.stamp for view in recording.held_out] == [0, 333_333_333]
+
+
+def test_colmap_images_are_ordered_by_their_numbers(copied: Callable[[str], Path]) -> None:
+    folder = copied("colmap")
+    for file in sorted((folder / "images").rglob("*.png")):
+        file.rename(file.with_name(f"{8 + int(file.stem)}.png"))
+    views = [view for view in read_folder(folder, ReadOptions()).train if view.camera.name == "cam1"]
+    for view, one in zip(views, scene(), strict=True):
+        np.testing.assert_array_equal(view.rgb, one.views[1].rgb)
+
+
+def test_a_video_that_ends_early_does_not_cut_all_others(copied: Callable[[str], Path]) -> None:
+    folder = copied("neural_video")
+    path = folder / "cam01.avi"  # readers go by what a file holds, not by its name
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (WIDTH, HEIGHT))
+    for one in 3 * scene():
+        writer.write(cv2.cvtColor(one.views[1].rgb, cv2.COLOR_RGB2BGR))
+    writer.release()
+    data = path.read_bytes()
+    (folder / "cam01.mp4").write_bytes(data[: len(data) // 2])
+    with pytest.raises(ModelError, match=r"cam01\.mp4: expected 12 frames, as it says, only the first [3-8] can"):
+        read_folder(folder, ReadOptions())
+    assert read_folder(folder, ReadOptions(frames=2)).steps == 2
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -229,6 +271,11 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("dnerf", _change("transforms_train.json", _in_frame(file_path=None)), "file_path"),
     ("colmap", lambda f: (f / "sparse" / "0" / "cameras.txt").unlink(), "model of COLMAP"),
     ("dnerf", _change("transforms_train.json", lambda content: content | {"fl_x": -1}), "above 0"),
+    (
+        "dnerf",
+        _change("transforms_train.json", lambda content: content | {"k1": 0.1, "p2": 0}),
+        "found k1 other than 0",
+    ),
     ("colmap", lambda f: shutil.rmtree(f / "images" / "cam1"), "camera 'cam1'"),
     ("colmap", lambda f: (f / "images" / "cam1" / "0003.png").unlink(), "as many images"),
     ("colmap", lambda f: write_image(f / "images" / "cam1" / "0001.png", np.zeros((9, 9, 3), np.uint8)), "0001.png"),

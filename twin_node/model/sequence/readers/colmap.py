@@ -1,11 +1,13 @@
 """COLMAP and images per time: a model in `sparse/` of one image per camera, and one folder of images per camera.
 
 The registered image of a camera is called `<camera>.<ext>` or lies in `<camera>/`; the camera's images over time lie in
-`<camera>/` or `images/<camera>/`, in order of their names, 30 per second. Cameras must be undistorted.
+`<camera>/` or `images/<camera>/`, in order of their names (numbers in them by value), 30 per second. Cameras must be
+undistorted.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +68,7 @@ def _load_model(folder: Path) -> Any:
     path = _model_folders(folder)[0]
     try:
         return pycolmap.Reconstruction(path)
-    except (ValueError, RuntimeError, IndexError) as error:
+    except (ValueError, RuntimeError, IndexError, MemoryError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "damaged"
         raise ModelError(f"{path}: expected a model of COLMAP, found none that can be read ({reason})") from None
 
@@ -85,7 +87,7 @@ def _read_camera(folder: Path, name: str, image: Any, options: ReadOptions) -> l
         )
     places = [folder / "images" / name, folder / name]
     place = next((place for place in places if place.is_dir()), None)
-    files = sorted(path for path in place.iterdir() if path.suffix.lower() in IMAGES) if place else []
+    files = sorted((path for path in place.iterdir() if path.suffix.lower() in IMAGES), key=_in_time) if place else []
     if not files:
         raise ModelError(f"{folder}: expected images of camera '{name}' in {places[0]} or {places[1]}, found none")
     camera: Camera | None = None
@@ -105,6 +107,12 @@ def _read_camera(folder: Path, name: str, image: Any, options: ReadOptions) -> l
             camera = Camera(name, rgb.shape[1], rgb.shape[0], K, _pose(image))
         views.append(View(camera, round(index * FRAME_NS), rgb))
     return views
+
+
+def _in_time(file: Path) -> list[tuple[bool, int, str]]:
+    """What images of one camera are ordered by: `frame_2.png` comes before `frame_10.png`."""
+    parts = re.split(r"([0-9]+)", file.name)
+    return [(part[:1].isdigit(), int(part) if part[:1].isdigit() else 0, part) for part in parts]
 
 
 def _pose(image: Any) -> Float64:

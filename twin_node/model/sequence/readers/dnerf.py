@@ -1,13 +1,15 @@
 """D-NeRF (Pumarola et al., CVPR 2021): `transforms_train.json` and, to be scored on, `transforms_test.json`.
 
 Every image has its own camera and a `time` from 0 to 1, which becomes one second. Transparent pixels are white, as
-published. Fields of other tools that write this layout (`fl_x`, `cx`, ...) are taken where they are.
+published. Fields of other tools that write this layout (`fl_x`, `cx`, ...) are taken where they are, of the file or of
+a frame. Images must be undistorted.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ from twin_node.scene import Camera, Float64, UInt8, View
 
 TRAIN, TEST = "transforms_train.json", "transforms_test.json"
 WHITE = (1.0, 1.0, 1.0)
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+"""What other tools call coefficients of a lens."""
 DURATION_NS = 1_000_000_000
 """What the times 0 to 1 are taken for."""
 
@@ -34,41 +38,70 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
     Raises `ModelError` for a file that is not JSON, lacks fields, or names images that are not there.
     """
-    train = _read_split(folder, TRAIN, "train", options)
-    test = _read_split(folder, TEST, "test", options) if (folder / TEST).is_file() else []
-    recording = Recording(str(folder), in_order(train), in_order(test), background=WHITE, camera_moves=True)
+    train = _load_split(folder / TRAIN, "train")
+    test = _load_split(folder / TEST, "test") if (folder / TEST).is_file() else None
+    last = None
+    if options.frames is not None:
+        last = sorted({frame.stamp for frame in train.frames})[: options.frames][-1]
+    held_out = () if test is None else test.read(options.width, last)
+    recording = Recording(str(folder), train.read(options.width, last), held_out, background=WHITE, camera_moves=True)
     return split(recording, options.hold_out or ())
 
 
-def _read_split(folder: Path, name: str, prefix: str, options: ReadOptions) -> list[View]:
-    path = folder / name
+@dataclass(frozen=True)
+class _Frame:
+    """An entry of a file's `frames`."""
+
+    index: int
+    stamp: int
+    fields: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Split:
+    """A file of the layout, its images not yet read."""
+
+    path: Path
+    prefix: str
+    """What its cameras' names begin with."""
+    root: dict[str, Any]
+    frames: tuple[_Frame, ...]
+
+    def read(self, width: int | None, last: int | None) -> tuple[View, ...]:
+        """The images up to the stamp `last`, in rising order of stamps: of later ones a model learns nothing."""
+        chosen = [frame for frame in self.frames if last is None or frame.stamp <= last]
+        return in_order(_read_frame(self, frame, width) for frame in chosen)
+
+
+def _load_split(path: Path, prefix: str) -> _Split:
     try:
         root: Any = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ModelError(f"{path}: expected JSON, found something else ({error}); copy the data set again") from None
-    frames = root.get("frames") if isinstance(root, dict) else None
-    if not isinstance(frames, list) or not frames:
+    entries = root.get("frames") if isinstance(root, dict) else None
+    if not isinstance(entries, list) or not entries:
         raise ModelError(f"{path}: expected a list 'frames' with entries, found none; copy the data set again")
-    chosen = sorted(enumerate(frames), key=lambda item: _number(item[1], "time", path, item[0]))[: options.frames]
-    return [_read_frame(folder, root, index, frame, path, prefix, options.width) for index, frame in chosen]
+    frames = (
+        _Frame(index, round(_number(fields, "time", path, index) * DURATION_NS), fields)
+        for index, fields in enumerate(entries)
+    )
+    return _Split(path, prefix, root, tuple(frames))
 
 
-def _read_frame(
-    folder: Path, root: dict[str, Any], index: int, frame: dict[str, Any], path: Path, prefix: str, width: int | None
-) -> View:
-    file = frame.get("file_path")
+def _read_frame(of: _Split, frame: _Frame, width: int | None) -> View:
+    path, index = of.path, frame.index
+    file = frame.fields.get("file_path")
     if not isinstance(file, str):
         raise ModelError(f"{path}: expected a 'file_path' in frame {index}, found none; copy the data set again")
-    image_path = folder / file
+    image_path = path.parent / file
     image = load_image(image_path if image_path.suffix else image_path.with_suffix(".png"))
-    K = _intrinsics(root, (image.shape[0], image.shape[1]), path)
+    K = _intrinsics(of.root | frame.fields, (image.shape[0], image.shape[1]), path)
     rgb = shrunk(_on_white(image), width)
     K = scaled_intrinsics(K, (image.shape[1], image.shape[0]), (rgb.shape[0], rgb.shape[1]))
-    T_base_cam = _matrix(frame, path, index)
+    T_base_cam = _matrix(frame.fields, path, index)
     T_base_cam[:, 1:3] *= -1
-    time = _number(frame, "time", path, index)
-    camera = Camera(f"{prefix}_{index:03d}", rgb.shape[1], rgb.shape[0], K, T_base_cam)
-    return View(camera, round(time * DURATION_NS), rgb)
+    camera = Camera(f"{of.prefix}_{index:03d}", rgb.shape[1], rgb.shape[0], K, T_base_cam)
+    return View(camera, frame.stamp, rgb)
 
 
 def _on_white(image: UInt8) -> UInt8:
@@ -81,6 +114,9 @@ def _on_white(image: UInt8) -> UInt8:
 
 def _intrinsics(root: dict[str, Any], shape: tuple[int, int], path: Path) -> Float64:
     height, width = shape
+    bent = [name for name in DISTORTION if _number({name: root.get(name, 0)}, name, path)]
+    if bent:
+        raise ModelError(f"{path}: expected undistorted images, found {', '.join(bent)} other than 0; undistort them")
     if "fl_x" in root:
 
         def given(name: str, default: float) -> float:

@@ -18,6 +18,8 @@ from twin_node.model.sequence.recording import Recording, in_order, split
 from twin_node.scene import Camera, Float64, View
 
 POSES = "poses_bounds.npy"
+SPARE_FRAMES = 1
+"""Frames that a video may announce and not have: containers round its length."""
 
 
 def recognises(folder: Path) -> bool:
@@ -29,7 +31,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     """Reads all videos of a scene.
 
     Raises `ModelError` for poses that are not [cameras, 17], that are as many as the videos are not, or that are no
-    poses, and for videos that cannot be decoded.
+    poses, and for videos that cannot be decoded to their end.
     """
     videos = sorted(folder.glob("cam*.mp4"))
     rows = _load_poses(folder / POSES)
@@ -69,7 +71,7 @@ def _read_video(path: Path, row: Float64, options: ReadOptions) -> list[View]:
     height, width, focal = matrix[:, 4]
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     capture = cv2.VideoCapture(str(path))
-    rate = capture.get(cv2.CAP_PROP_FPS)
+    rate, claimed = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     camera: Camera | None = None
     views: list[View] = []
     try:
@@ -87,5 +89,11 @@ def _read_video(path: Path, row: Float64, options: ReadOptions) -> list[View]:
     if not views or not math.isfinite(rate) or rate <= 0:
         raise ModelError(
             f"{path}: expected frames at a known rate, found {len(views)} at {rate} Hz; copy the video again"
+        )
+    wanted = claimed if options.frames is None else min(claimed, options.frames)
+    if len(views) < wanted - SPARE_FRAMES:  # or all other videos would be cut down to it
+        raise ModelError(
+            f"{path}: expected {claimed} frames, as it says, only the first {len(views)} can be decoded; copy it "
+            "again, or take fewer with --frames"
         )
     return views
