@@ -107,6 +107,8 @@ def test_wrong_training_input(
     assert "safetensors" in refused("train", log, "-o", out, "--resume", log, "--frames", 2, "--width", 48)
     (tmp_path / "empty").mkdir()
     assert "poses_bounds.npy" in refused("train", tmp_path / "empty", "-o", out)
+    assert "its own cameras" in refused("train", tmp_path / "empty", "-o", out, "--rig", "rig.yaml")
+    assert "seed: expected 0 to" in refused("train", log, "-o", out, "--seed", -1, "--width", 48)
     assert not out.exists() and not list(tmp_path.glob("*.partial"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from twin_node.model import ModelError
 from twin_node.model.sequence import ReadOptions, Recording, read_folder, recording_of
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
@@ -21,9 +22,12 @@ def read_recording(
 ) -> Recording:
     """All images of a log or a folder; `parameters` and the rig file `rig` are for logs alone.
 
-    Raises `ModelError` for a folder of no known layout or data that is incomplete, and a log's own errors.
+    Raises `ModelError` for a folder of no known layout, data that is incomplete or a rig file beside a folder, and a
+    log's own errors.
     """
     if not is_log(path):
+        if rig is not None:
+            raise ModelError(f"--rig {rig}: expected with a log; {path} is a data set, which has its own cameras")
         return read_folder(path, options)
     with LogSession(path, rig) as session:
         source = LogSource(session, parameters or SynchronizerParameters())

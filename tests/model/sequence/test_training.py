@@ -262,3 +262,8 @@ def test_a_gradient_that_is_not_finite_is_not_followed(monkeypatch: pytest.Monke
         np.testing.assert_array_equal(value, vars(before)[name])
     assert np.isfinite(trainer.advance()) and bool(torch.isfinite(trainer.gradients.sums).all())
     assert trainer.refused == 1
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_fewest_gaussians_are_one(count: int) -> None:
+    assert 1 <= len(start_gaussians(block_recording(1), count, 0, 0).means) <= count

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.hash_mlp import HashParameters
 from twin_node.model.sequence.hex_plane import HexPlaneParameters
+from twin_node.ranges import Range, check_ranges
 
+SEEDS, COUNTS = Range(0, 2**63 - 1), Range(1)
 METHODS = ("hexplane", "hash", "static")
 """Fields: planes, a hash grid, or none at all (a static model of the mean over time)."""
 
@@ -94,6 +96,7 @@ class TrainParameters:
                 "training: expected steps and batch of 1 or more and a degree from 0 to 3, "
                 f"found {self.steps}, {self.batch} and {self.degree}"
             )
+        check_ranges(self, ModelError, "training: ", seed=SEEDS, start_gaussians=COUNTS, most_gaussians=COUNTS)
 
     @property
     def coarse_steps(self) -> int:

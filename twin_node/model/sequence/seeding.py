@@ -27,12 +27,14 @@ BOX_SHARE, BOX_MARGIN = 0.01, 0.1
 
 
 def start_gaussians(recording: Recording, count: int, degree: int, random_seed: int) -> StoredGaussians:
-    """At most `count` Gaussians with harmonics of `degree`, all but the constant zero."""
+    """At most `count` Gaussians, and at least one, with harmonics of `degree`, all but the constant zero."""
     first = recording.sets()[0].views
     if recording.points is not None:
         return _from_points(recording.points, count, degree, random_seed)
     if len(first) > 1 or first[0].depth is not None:
-        return _from_images(_spread(first), count, degree)
+        found = _from_images(_spread(first), count, degree)
+        if len(found.means):
+            return found
     return _from_points(_random_points(recording, count, random_seed), count, degree, random_seed)
 
 
