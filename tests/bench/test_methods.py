@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from twin_node.bench.errors import BenchError
+from twin_node.bench.methods import chart
 from twin_node.bench.methods.chart import draw_chart, text
 from twin_node.bench.methods.following import Population, follow_populations, no_motion, stand_still
 from twin_node.bench.methods.made_up import MadeUp, MadeUpParameters, make_up
@@ -152,6 +155,47 @@ def test_scores_are_those_of_the_pixels(scene: MadeUp) -> None:
     assert scores.psnr_db == pytest.approx(20, abs=0.01)
     assert scores.psnr_moving_db == pytest.approx(20, abs=0.01)
     assert scores.psnr_unchanged_db == pytest.approx(20, abs=0.01)
+
+
+def test_the_previous_image_is_no_rival_where_there_is_none(scene: MadeUp) -> None:
+    """A camera's first image in its own place would be 100 dB."""
+    recording = scene.recording
+    fitted = METHODS["previous"].fit(recording, BUDGET, lambda share: None)
+    views = [view for view in recording.train if view.camera.name == "train_1"]
+    assert fitted.render(views[0].camera, views[0].stamp) is None
+    first = {"train_1": unit(views[0])}
+    scores = score_images(fitted, tuple(views), first)
+    errors = [float(np.mean((unit(a) - unit(b)) ** 2)) for a, b in itertools.pairwise(views)]
+    assert scores.psnr_db == pytest.approx(np.mean(-10 * np.log10(errors)), abs=1e-3)
+    assert scores.ssim == pytest.approx(
+        np.mean([structural_similarity(unit(a), unit(b)) for a, b in itertools.pairwise(views)]), abs=1e-6
+    )
+    alone = score_images(fitted, tuple(views[:1]), first)
+    assert alone.psnr_db is None and alone.ssim is None and alone.draw_ms is None
+
+
+def test_pixels_that_are_not_valid_are_not_scored(scene: MadeUp) -> None:
+    view = scene.recording.held_out[1]
+    valid = np.ones(view.rgb.shape[:2], bool)
+    valid[:, :12] = False
+    other = unit(view).copy()
+    other[~valid] = 1
+    fitted = Fitted(lambda camera, stamp: other, no_motion, None, None)
+    scores = score_images(fitted, (dataclasses.replace(view, valid=valid),), {view.camera.name: other})
+    assert scores.psnr_db == 100 and scores.ssim == pytest.approx(1, abs=1e-6)
+
+
+def test_the_chart_has_no_bar_for_what_no_image_gave(
+    bench: MethodsBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = {name: bench.rows[name] for name in ("frozen", "ours")}
+    nothing = dataclasses.replace(rows["ours"].scores, psnr_moving_db=None)
+    rows["ours"] = dataclasses.replace(rows["ours"], scores=nothing)
+    drawn: list[Figure] = []
+    monkeypatch.setattr(chart, "save_chart", lambda figure, folder, name: drawn.append(figure))
+    draw_chart(dataclasses.replace(bench, rows=rows), tmp_path)
+    labels = [text.get_text() for text in drawn[0].axes[0].texts]
+    assert len(labels) == 4 and labels[-1] == "" and "0.0" not in labels
 
 
 def _image_of(scene: MadeUp, stamp: int) -> np.ndarray:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +17,11 @@ import torch
 from twin_node.bench.errors import BenchError
 from twin_node.bench.methods.made_up import MadeUpParameters, make_up
 from twin_node.bench.methods.protocol import QUICK as QUICK_BUDGET
-from twin_node.bench.pareto import ablations, costs
+from twin_node.bench.pareto import ablations, costs, suite
 from twin_node.bench.pareto.chart import draw
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane, said
-from twin_node.bench.pareto.measure import Job, Point, measure
+from twin_node.bench.pareto.measure import Job, Point, begun_mb, measure, peak_mb
 from twin_node.bench.pareto.suite import Pareto, ParetoParameters, run
 from twin_node.bench.pareto.tables import markdown, text
 from twin_node.model import ModelParameters, SeedParameters
@@ -150,6 +152,41 @@ def test_a_method_that_is_none_is_named_before_anything_is_run() -> None:
         run(ParetoParameters(made_up=TINY, rivals=("magic",)))
 
 
+@pytest.mark.parametrize("name", ["frozen:5", f"{HEXPLANE}:", f"{HEXPLANE}:0", f"{HEXPLANE}:²", "dynamic_nerf:40"])
+def test_steps_are_given_to_what_takes_them(name: str) -> None:
+    with pytest.raises(BenchError, match=f"with 4dgs_hexplane, 4dgs_hash, static_3dgs alone, found '{name}'"):
+        run(ParetoParameters(made_up=TINY, rivals=(name,)))
+
+
+def test_two_logs_of_one_name_are_refused(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    log = cell_log(0.5)
+    other = tmp_path / log.name
+    other.write_bytes(log.read_bytes())
+    with pytest.raises(BenchError, match=f"{log.stem}: expected logs with names of their own"):
+        run(ParetoParameters((log, other), made_up=None, rivals=(), width=48, frames=2))
+    with pytest.raises(BenchError, match=f"{log.stem}: expected logs with names of their own"):
+        ablations.run(ablations.AblationParameters((log, other)))
+
+
+def test_after_an_error_nothing_more_is_begun() -> None:
+    wrong, waiting = Future[int](), Future[int]()
+    wrong.set_exception(BenchError("too short"))
+    with pytest.raises(BenchError, match="too short"):
+        list(suite._as_done(["a", "b"], [wrong, waiting]))
+    assert waiting.cancelled()
+
+
+def test_memory_is_that_of_the_learning_alone() -> None:
+    """The peak of what was done before is not that of what comes after."""
+    if not os.access("/proc/self/clear_refs", os.W_OK):
+        pytest.skip("this system does not let a process forget its peak")
+    before = begun_mb()
+    np.ones(8 << 20).sum()
+    assert peak_mb() - before > 60
+    before = begun_mb()
+    assert peak_mb() - before < 20
+
+
 def test_ablations_leave_out_one_part_each(tmp_path: Path) -> None:
     chain = ablations.load_parameters(None)
     changed = {name: change(chain) for name, change in ablations.ABLATIONS.items()}
@@ -168,6 +205,12 @@ def test_an_ablation_is_followed_and_told_of(cell_log: Callable[..., Path]) -> N
     assert figures["no_mapper"]["parameters"] > 0
     assert ablations.text(rows).count("\n") == 2
     assert f"| {log.stem} | one rate |" in ablations.markdown(rows)
+
+
+def test_one_set_is_no_run(cell_log: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "set_num_threads", lambda count: None)
+    with pytest.raises(BenchError, match="expected two sets of images or more, found 1"):
+        ablations._follow(ablations._Job(cell_log(0.5), "whole", ablations.AblationParameters((), 1, width=48)))
 
 
 def test_an_ablation_that_is_none_is_named(tmp_path: Path) -> None:

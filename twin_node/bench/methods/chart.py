@@ -47,10 +47,12 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
     axes = figure.add_subplot()
     titles = [row.title for row in bench.rows.values()]
     for offset, name in ((-0.2, "PSNR"), (0.2, "moving")):
-        values = [COLUMNS[name](row) or 0.0 for row in bench.rows.values()]
+        found = [COLUMNS[name](row) for row in bench.rows.values()]
         label = "all pixels" if name == "PSNR" else "moving pixels"
-        bars = axes.barh([index + offset for index in range(len(titles))], values, 0.38, label=label)
-        axes.bar_label(bars, fmt="%.1f", padding=2, fontsize=8)
+        lengths = [value or 0.0 for value in found]
+        bars = axes.barh([index + offset for index in range(len(titles))], lengths, 0.38, label=label)
+        told = ["" if value is None else f"{value:.1f}" for value in found]
+        axes.bar_label(bars, told, padding=2, fontsize=8)
     axes.set_yticks(range(len(titles)), titles)
     axes.invert_yaxis()
     axes.set_axisbelow(True)

@@ -69,8 +69,8 @@ Progress = Callable[[float], None]
 class Fitted:
     """A scene as a method has learnt it."""
 
-    render: Callable[[Camera, int], Float32]
-    """[H, W, 3] 0 to 1: what a camera sees at a stamp (ns) of the recording."""
+    render: Callable[[Camera, int], Float32 | None]
+    """[H, W, 3] 0 to 1: what a camera sees at a stamp (ns) of the recording; None where there is nothing to show."""
     follow: Follow
     parameters: int | None
     """Learned numbers that describe the whole sequence; None where nothing is learnt."""
@@ -88,3 +88,5 @@ class Method:
     fit: Callable[[Recording, Budget, Progress], Fitted]
     online: bool
     """Whether it knows, at each time, the images up to then alone."""
+    takes_steps: bool = False
+    """Whether the budget's `offline_steps` say how long it learns."""

@@ -28,9 +28,9 @@ METHODS: Mapping[str, Method] = {
     "per_frame_3dgs": Method("3DGS per frame", fit_per_frame, True),
     "dynamic_nerf": Method("dynamic NeRF on planes", fit_nerf, False),
     "streaming": Method("3DGStream-style", fit_streaming, True),
-    "4dgs_hexplane": Method("4DGS, HexPlane", fit_hexplane, False),
-    "4dgs_hash": Method("4DGS, hash grid", fit_hash, False),
-    "static_3dgs": Method("3DGS of all frames, no field", fit_plain, False),
+    "4dgs_hexplane": Method("4DGS, HexPlane", fit_hexplane, False, True),
+    "4dgs_hash": Method("4DGS, hash grid", fit_hash, False, True),
+    "static_3dgs": Method("3DGS of all frames, no field", fit_plain, False, True),
     "ours": Method("ours, online", fit_online, True),
 }
 """By the names that `--json` prints."""

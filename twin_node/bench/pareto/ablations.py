@@ -14,6 +14,7 @@ import torch
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import OURS, Follower, settled_ms
+from twin_node.bench.pareto.suite import check_names
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, score
@@ -140,8 +141,9 @@ class _Job:
 def run(parameters: AblationParameters, progress: Progress = lambda rows, total: rows) -> list[Ablated]:
     """Follows every log once per ablation, each in a process and on a core of its own.
 
-    Raises `BenchError` for an ablation that is none, and the logs' errors.
+    Raises `BenchError` for an ablation that is none and two logs of one name, and the logs' errors.
     """
+    check_names([log.stem for log in parameters.logs])
     load_parameters(parameters.params)
     for name in parameters.names:
         if name not in ABLATIONS:
@@ -181,6 +183,9 @@ def _follow(job: _Job) -> Ablated:
         follower = Follower(chain, arm, source.workspace, truth)
         ticks = follower.follow(islice(source, parameters.frames))
         quality = score(clouds_against_images(ticks, lambda camera: follower.model.render_frozen(camera).rgb))
+    sets = len(follower.laps.model)
+    if sets < 2:
+        raise BenchError(f"{job.log}: expected two sets of images or more, found {sets}; give more --frames")
     ours, coverage = follower.scores.get(OURS), follower.quality.coverage
     model_ms, mapper_ms = settled_ms(follower.laps.model), settled_ms(follower.laps.mapper)
     if job.name == ONE_RATE:

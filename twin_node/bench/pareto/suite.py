@@ -119,12 +119,14 @@ class Pareto:
 def run(parameters: ParetoParameters | None = None, progress: Progress = lambda names, total: names) -> Pareto:
     """Measures every method on every data set.
 
-    Raises `BenchError` for a method or size that is none and a log of fewer than three cameras, and a log's errors.
+    Raises `BenchError` for a method or size that is none, two data sets of one name and a log of fewer than three
+    cameras, and a log's errors.
     """
     parameters = parameters or ParetoParameters()
     _check(parameters)
     names = (*parameters.rivals, *(f"{OURS}_{size}" for size in parameters.sizes))
     data = list(_data(parameters))
+    check_names([one.recording.name for one in data])
     budget = replace(parameters.budget, online=parameters.chain.model)
     jobs = [Job(name, one.recording, one.truth, budget, parameters.images) for one in data for name in names]
     forecasts = [
@@ -156,17 +158,34 @@ def run(parameters: ParetoParameters | None = None, progress: Progress = lambda 
 
 
 def _check(parameters: ParetoParameters) -> None:
-    for what, given, known in (("--methods", parameters.rivals, METHODS), ("sizes", parameters.sizes, SIZES)):
-        for name in given:
-            base, _, steps = name.partition(":")
-            if base not in known or not (steps.isdigit() or steps == ""):
-                raise BenchError(f"{what}: expected some of {', '.join(known)}, found '{name}'")
+    for name in parameters.rivals:
+        base, colon, steps = name.partition(":")
+        if base not in METHODS:
+            raise BenchError(f"--methods: expected some of {', '.join(METHODS)}, found '{name}'")
+        if colon and not (METHODS[base].takes_steps and steps.isdecimal() and int(steps) > 0):
+            trained = ", ".join(key for key, method in METHODS.items() if method.takes_steps)
+            raise BenchError(f"--methods: expected steps, 1 or more, with {trained} alone, found '{name}'")
+    for name in parameters.sizes:
+        if name not in SIZES:
+            raise BenchError(f"sizes: expected some of {', '.join(SIZES)}, found '{name}'")
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raises `BenchError` where two data sets have one name: their figures would be taken for those of one."""
+    for name in names:
+        if names.count(name) > 1:
+            raise BenchError(f"{name}: expected logs with names of their own, found two of this; rename one")
 
 
 def _as_done(labels: Sequence[str], futures: Sequence[Future[Any]]) -> Iterator[str]:
-    for label, future in zip(labels, futures, strict=True):
-        future.result()
-        yield label
+    """The labels one by one, as what they stand for is done; after an error nothing more is begun."""
+    try:
+        for label, future in zip(labels, futures, strict=True):
+            future.result()
+            yield label
+    finally:
+        for future in futures:
+            future.cancel()
 
 
 @dataclass(frozen=True)
