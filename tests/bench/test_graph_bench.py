@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import select
 import sys
 from pathlib import Path
@@ -10,11 +12,15 @@ import pytest
 
 pytest.importorskip("zenoh")
 
+from twin_node.bag import BagError
+from twin_node.bench import graph_recorder
 from twin_node.bench.errors import BenchError
 from twin_node.bench.graph_link import Link, Machine
 from twin_node.bench.graph_machine import Told
 from twin_node.bench.graph_network import Cut, figures_of
 from twin_node.bench.graph_recorder import HEIGHT, WIDTH, images, killed
+from twin_node.bench.graph_run import percentiles
+from twin_node.json_text import json_text
 from twin_node.messages import convert
 
 SEND = (
@@ -66,6 +72,32 @@ def test_silence_counts_from_the_last_message_that_arrived() -> None:
     assert (found.slow_after_s, found.stopped_after_s) == (pytest.approx(0.095), pytest.approx(0.195))
     assert found.resumes_after_s == pytest.approx(0.533)
     assert (found.out_of_order, found.slow_share) == (0, 0.0)
+
+
+def test_an_arm_that_is_never_stopped_is_not_hidden_by_one_that_is() -> None:
+    heard = [told(33 * i, 1.0, 1 + i) for i in range(30)]
+    heard += [told(1100, 0.2, 30), told(1200, 0.0, 30), told(3000, 0.5, 31), told(3033, 1.0, 32)]
+    heard += [told(4100, 1.0, 33), told(4900, 1.0, 34)]
+    cuts = [Cut(0.0, 0.96, 2.9), Cut(3.0, 3.5, 4.8)]
+    for ordered in (cuts, cuts[::-1]):
+        found = figures_of(heard, ordered, 0.02, 0.01)
+        assert found.stopped_after_s == found.slow_after_s == math.inf
+    assert '"stopped_after_s": null' in json_text(dataclasses.asdict(found))
+
+
+def test_silence_is_no_latency() -> None:
+    with pytest.raises(BenchError, match="heard none"):
+        percentiles([])
+    assert percentiles([1.0]).p99 == 1.0
+
+
+def test_a_recorders_file_that_does_not_open_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def damaged(path: Path) -> None:
+        raise BagError(f"{path}: damaged")
+
+    monkeypatch.setattr(graph_recorder, "open_log", damaged)
+    with pytest.raises(BenchError, match="files that open, found none of 1"):
+        killed(1, tmp_path)
 
 
 def test_the_images_that_are_recorded_are_images() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import sys
 import threading
 import time
@@ -39,7 +40,7 @@ class NetworkFigures:
     cut_s: float
     cuts: int
     slow_after_s: float
-    """From the last message until the arm was told to be slow, the longest of all cuts, s."""
+    """From the last message until the arm was told to be slow, the longest of all cuts, s; infinite: never in one."""
     stopped_after_s: float
     """The same until it was told to stand."""
     slow_after_s_median: float
@@ -157,6 +158,6 @@ def _news(told: list[Told]) -> list[Told]:
 
 
 def _silence_s(told: list[Told], cut: Cut, fraction: float) -> float:
-    """From the last message before or during a cut until the arm was told no more than a fraction; NaN: never."""
+    """From the last message before or during a cut until the arm was told no more than a fraction; infinite: never."""
     last = max(t.at for t in _news([t for t in told if t.at < cut.mended]))
-    return next((t.at - last for t in told if last <= t.at < cut.mended and t.fraction <= fraction), float("nan"))
+    return next((t.at - last for t in told if last <= t.at < cut.mended and t.fraction <= fraction), math.inf)

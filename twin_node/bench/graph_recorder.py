@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twin_node.bag import RecordingWriter, open_log
+from twin_node.bag import BagError, RecordingWriter, open_log
+from twin_node.bench.errors import BenchError
 from twin_node.bench.graph_run import cpu_s, running
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.launch.launch_file import read_launch_file
@@ -42,7 +43,7 @@ class KilledFigures:
     opened: int
     """Files that could be opened."""
     lost_s_max: float
-    """Longest time before the kill that a file lacks, s."""
+    """Longest time before the kill that a file lacks, of those that could be opened, s."""
 
 
 def images(seed: int = 0) -> list[tuple[str, Encoded]]:
@@ -74,7 +75,10 @@ def record_until_killed(path: str) -> None:
 
 
 def killed(times: int, folder: Path) -> KilledFigures:
-    """Kills `times` recorders after a random 0.8 to 3 s, and opens what they leave."""
+    """Kills `times` recorders after a random 0.8 to 3 s, and opens what they leave.
+
+    Raises `BenchError` where a recorder ends by itself, or none leaves anything.
+    """
     rng = np.random.default_rng(1)
     lost, opened = [], 0
     for i in range(times):
@@ -82,14 +86,21 @@ def killed(times: int, folder: Path) -> KilledFigures:
         process = multiprocessing.get_context("spawn").Process(target=record_until_killed, args=(str(path),))
         process.start()
         while not (path.exists() and path.stat().st_size > 1000):
+            if not process.is_alive():
+                raise BenchError(f"{path}: expected a recorder to write it, found that it ended; is there room?")
             time.sleep(0.01)
         time.sleep(float(rng.uniform(0.8, 3.0)))
         at = time.time_ns()
         os.kill(process.pid or 0, signal.SIGKILL)
         process.join()
-        with open_log(path) as log:
-            opened += sum(1 for _ in log.messages()) > 0
-            lost.append((at - log.end_ns) / 1e9)
+        try:
+            with open_log(path) as log:
+                opened += any(True for _ in log.messages())
+                lost.append((at - log.end_ns) / 1e9)
+        except BagError:  # it is not counted as opened
+            continue
+    if not lost:
+        raise BenchError(f"{folder}: expected killed recorders to leave files that open, found none of {times}")
     return KilledFigures(times, opened, max(lost))
 
 

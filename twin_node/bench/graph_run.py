@@ -37,7 +37,7 @@ def free_endpoint() -> str:
 
 @dataclass(frozen=True)
 class Percentiles:
-    """Of a sample of latencies, ms; NaN without samples."""
+    """Of a sample of latencies, ms."""
 
     count: int
     p50: float
@@ -55,8 +55,12 @@ class GraphRun:
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="launcher", daemon=True)
         self._thread.start()
-        self.wait_until(lambda: self.launcher.is_active, "the launch did not become active")
-        self._wire = ZenohWire(replace(zenoh, router="external"))
+        try:
+            self.wait_until(lambda: self.launcher.is_active, "the launch did not become active")
+            self._wire = ZenohWire(replace(zenoh, router="external"))
+        except BaseException:  # raised again: the launch's processes would run on
+            self._end()
+            raise
         self.executor = Executor()
         self.bus = WireBus(self._wire, self.executor, "bench", kind_of)
 
@@ -87,6 +91,9 @@ class GraphRun:
     def close(self) -> None:
         """Brings the launch down."""
         self._wire.close()
+        self._end()
+
+    def _end(self) -> None:
         self.launcher.interrupt()
         self._thread.join()
 
@@ -115,9 +122,9 @@ def cpu_s(pid: int) -> float:
 
 
 def percentiles(samples: Sequence[float]) -> Percentiles:
-    """Of latencies in ms."""
+    """Of latencies in ms. Raises `BenchError` without any."""
     if not samples:
-        return Percentiles(0, float("nan"), float("nan"), float("nan"))
+        raise BenchError("bench graph: expected messages to time, heard none; is the machine overloaded?")
     return Percentiles(
         len(samples), float(np.percentile(samples, 50)), float(np.percentile(samples, 99)), float(min(samples))
     )

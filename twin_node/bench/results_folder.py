@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin_node.bench.errors import BenchError
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +41,7 @@ def save_chart(figure: Figure, folder: Path, name: str) -> Path:
 def save_figures(folder: Path, name: str, figures: Mapping[str, object], markdown: str) -> None:
     """Writes figures as NAME.json and a table of them as NAME.md. Raises `BenchError` where it cannot."""
     try:
-        (folder / f"{name}.json").write_text(json.dumps(figures, indent=2) + "\n")
+        (folder / f"{name}.json").write_text(json_text(figures, 2) + "\n")
         (folder / f"{name}.md").write_text(markdown)
     except OSError as error:
         raise BenchError(f"--out {folder}: cannot write {name} ({error.strerror}); choose another folder") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, check_output, whole, with_source_options
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.model.sequence import Baked
@@ -53,7 +53,7 @@ def _bake(options: argparse.Namespace) -> None:
     if options.measure and model is not None:
         figures |= measure(model, baked).as_json()
     if options.json:
-        print(json.dumps(figures))
+        print(json_text(figures))
         return
     print(f"{options.output}: " + ", ".join(f"{name} {_shown(value)}" for name, value in figures.items()))
 

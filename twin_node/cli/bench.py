@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from twin_node.cli.bench_stability import add_bench_stability
 from twin_node.cli.bench_ur import add_bench_ur
 from twin_node.cli.bench_viewer import add_bench_viewer
 from twin_node.cli.methods import add_methods
+from twin_node.json_text import json_text
 
 
 def add_bench(commands: Any) -> None:
@@ -79,11 +79,11 @@ def _bench_track(options: argparse.Namespace) -> None:
             bar.refresh()
 
         figures = run(options.log, parameters, show).as_json()
-    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
 
 
 def _bench_raster(options: argparse.Namespace) -> None:
     from twin_node.bench import raster
 
     report = raster.run()
-    print(json.dumps(report) if options.json else raster.table(report))
+    print(json_text(report) if options.json else raster.table(report))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any
 
 from tqdm import tqdm
 
 from twin_node.cli.arguments import whole
+from twin_node.json_text import json_text
 
 
 def add_bench_calibration(benches: Any) -> None:
@@ -30,4 +30,4 @@ def _bench_calibration(options: argparse.Namespace) -> None:
         options.workers,
         lambda rigs: tqdm(rigs, total=options.rigs, unit="rig", desc="calibrate", disable=None),
     )
-    print(json.dumps(bench.as_json()) if options.json else bench.table())
+    print(json_text(bench.as_json()) if options.json else bench.table())

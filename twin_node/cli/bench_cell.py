@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative, whole
+from twin_node.json_text import json_text
 
 REFERENCE = Path("../shared/data/ur10e_model")
 """Where the UR10e's meshes are looked for: they are other people's, and not part of the project."""
@@ -91,7 +91,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
     figures = cell.summary(results)
     if options.out is not None:
         print(f"drawn: {draw(results, parameters, options.out)}", file=sys.stderr)
-    print(json.dumps(figures) if options.json else cell.table(figures))
+    print(json_text(figures) if options.json else cell.table(figures))
 
 
 def _bench_rig(options: argparse.Namespace) -> None:
@@ -100,7 +100,7 @@ def _bench_rig(options: argparse.Namespace) -> None:
 
     name = "demo" if options.scenarios[0] == "all" else options.scenarios[0]
     figures = asdict(measure(load_scenario(name), options.processes))
-    print(json.dumps(figures) if options.json else "\n".join(f"{key}: {value}" for key, value in figures.items()))
+    print(json_text(figures) if options.json else "\n".join(f"{key}: {value}" for key, value in figures.items()))
 
 
 def _bench_collision(options: argparse.Namespace) -> None:
@@ -112,4 +112,4 @@ def _bench_collision(options: argparse.Namespace) -> None:
         print(f"twin_node: warning: no {REFERENCE} here: clearances are not compared", file=sys.stderr)
     reference = None if folder is None else ArmReference(folder)
     figures = collision.run(reference, progress=lambda poses: tqdm(poses, unit="pose", disable=None))
-    print(json.dumps(figures) if options.json else collision.table(figures))
+    print(json_text(figures) if options.json else collision.table(figures))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from twin_node.cli.arguments import positive, whole
+from twin_node.json_text import json_text
 
 
 def add_bench_forecast(benches: Any) -> None:
@@ -53,4 +53,4 @@ def _bench_forecast(options: argparse.Namespace) -> None:
             seed=options.seed,
         )
         figures = forecast.run(options.file, parameters).as_json()
-    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import sys
 import tempfile
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.cli.arguments import positive, whole
+from twin_node.json_text import json_text
 
 PARTS = ("latency", "hops", "idle", "kills", "recorder", "killed", "network", "cameras")
 
@@ -42,7 +42,7 @@ def add_bench_graph(benches: Any) -> None:
 
 def _graph(options: argparse.Namespace) -> int:
     from twin_node.bench import graph, graph_cameras, graph_hops, graph_network, graph_recorder
-    from twin_node.bench.errors import BenchError
+    from twin_node.errors import TwinError
 
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="twin_node_") as name:
@@ -60,10 +60,10 @@ def _graph(options: argparse.Namespace) -> int:
         for part in options.only:
             try:
                 figures[part] = dataclasses.asdict(measure[part]())
-            except BenchError as error:  # the other parts can be measured nevertheless
+            except TwinError as error:  # the other parts can be measured nevertheless
                 figures[part] = {"error": str(error)}
             line = f"{part}: " + ", ".join(f"{key} {value}" for key, value in figures[part].items())
             print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
     if options.json:
-        print(json.dumps(figures))
+        print(json_text(figures))
     return 1 if any("error" in found for found in figures.values()) else 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import yaml
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, whole, with_source_options
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.bench.occupancy import OccupancyBenchParameters
@@ -86,10 +86,10 @@ def _bench_seeds(scenario: str, seeds: int, parameters: OccupancyBenchParameters
     if not as_json:
         print(table(benches))
     elif scenario == ALL:
-        print(json.dumps({"scenarios": [bench.as_json() for bench in benches]}))
+        print(json_text({"scenarios": [bench.as_json() for bench in benches]}))
     else:
-        print(json.dumps(benches[0].as_json()))
+        print(json_text(benches[0].as_json()))
 
 
 def _show(figures: dict[str, object], as_json: bool) -> None:
-    print(json.dumps(figures) if as_json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print(json_text(figures) if as_json else yaml.safe_dump(figures, sort_keys=False).rstrip())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import not_negative, positive, whole, width
+from twin_node.json_text import json_text
 
 
 def add_bench_pareto(benches: Any) -> None:
@@ -56,7 +56,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         draw(found, options.out)
         save_figures(options.out, "pareto", figures, markdown(found))
         (options.out / "sizes.yaml").write_text(front_text(found.points))
-    print(json.dumps(figures) if options.json else text(found))
+    print(json_text(figures) if options.json else text(found))
     if options.check:
         found.check()
 
@@ -106,7 +106,7 @@ def _bench_length(options: argparse.Namespace) -> None:
     if options.out is not None:
         length.draw(found, options.out)
         save_figures(options.out, "length", found.as_json(), length.markdown(found))
-    print(json.dumps(found.as_json()) if options.json else length.text(found))
+    print(json_text(found.as_json()) if options.json else length.text(found))
 
 
 def _bench_ablations(options: argparse.Namespace) -> None:
@@ -128,7 +128,7 @@ def _bench_ablations(options: argparse.Namespace) -> None:
     rows = ablations.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
     if options.out is not None:
         save_figures(options.out, "ablations", ablations.as_json(rows), ablations.markdown(rows))
-    print(json.dumps(ablations.as_json(rows)) if options.json else ablations.text(rows))
+    print(json_text(ablations.as_json(rows)) if options.json else ablations.text(rows))
 
 
 def _bench_costs(options: argparse.Namespace) -> None:
@@ -136,4 +136,4 @@ def _bench_costs(options: argparse.Namespace) -> None:
 
     parameters = costs.CostParameters(processes=options.processes)
     found = costs.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
-    print(json.dumps(costs.as_json(found)) if options.json else costs.text(found))
+    print(json_text(costs.as_json(found)) if options.json else costs.text(found))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from twin_node.cli.arguments import width
+from twin_node.json_text import json_text
 
 
 def add_bench_refined(benches: Any) -> None:
@@ -31,7 +31,7 @@ def _bench_refined(options: argparse.Namespace) -> None:
     with tqdm(total=2 * len(before.cameras), unit="model", disable=None) as bar:
         bench = run(options.log, before, after, RefinedParameters(options.width), bar.update)
     if options.json:
-        print(json.dumps(bench.as_json()))
+        print(json_text(bench.as_json()))
         return
     for name, score in bench.before.items():
         later = bench.after[name]

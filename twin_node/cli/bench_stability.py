@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import whole
+from twin_node.json_text import json_text
 
 
 def add_bench_stability(benches: Any) -> None:
@@ -43,6 +43,6 @@ def _bench_stability(options: argparse.Namespace) -> None:
     if options.out is not None:
         chart.draw(found, options.out)
         save_figures(options.out, "stability", figures, chart.markdown(found))
-    print(json.dumps(figures) if options.json else chart.text(found))
+    print(json_text(figures) if options.json else chart.text(found))
     if options.check:
         found.check()

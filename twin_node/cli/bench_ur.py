@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any
 
 from tqdm import tqdm
 
 from twin_node.cli.arguments import whole
+from twin_node.json_text import json_text
 
 
 def add_bench_ur(benches: Any) -> None:
@@ -31,7 +31,7 @@ def _bench_ur(options: argparse.Namespace) -> None:
     names = options.fault or ur.FAULT_NAMES
     bench = ur.run(options.repeats, names, lambda faults: tqdm(list(faults), unit="fault", disable=None))
     if options.json:
-        print(json.dumps(bench.as_json()))
+        print(json_text(bench.as_json()))
         return
     print(f"{'fault':22}{'p50 ms':>8}{'p99 ms':>8}{'max ms':>8}  reason")
     for name, score in bench.faults.items():

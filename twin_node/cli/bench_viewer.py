@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from twin_node.cli.arguments import whole
+from twin_node.json_text import json_text
 
 
 def add_bench_viewer(benches: Any) -> None:
@@ -36,4 +36,4 @@ def _bench_viewer(options: argparse.Namespace) -> None:
         from twin_node.bench.viewer import run
 
         figures = run(options.log).as_json()
-    print(json.dumps(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())

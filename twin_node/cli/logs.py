@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from twin_node.json_text import json_text
 
 
 def add_info(commands: Any) -> None:
@@ -46,7 +47,7 @@ def _info(options: argparse.Namespace) -> None:
         if options.json:
             topics = [dataclasses.asdict(topic) for topic in log.topics]
             print(
-                json.dumps(
+                json_text(
                     {
                         "start_ns": log.start_ns,
                         "seconds": seconds,
@@ -82,7 +83,7 @@ def _check(options: argparse.Namespace) -> int:
     with open_log(options.repair or options.log) as log:
         found = check_log(log)
     if options.json:
-        print(json.dumps(_without_nan({"sound": found.is_sound, **dataclasses.asdict(found)})))
+        print(json_text({"sound": found.is_sound, **dataclasses.asdict(found)}))
     else:
         width = max(len(topic.name) for topic in found.topics)
         for topic in found.topics:
@@ -102,12 +103,3 @@ def _repair(source: Path, output: Path) -> None:
     print(f"{output}: {found.messages} messages; {found.damage or 'the log was whole'}", file=sys.stderr)
     for line in found.left_out:
         print(f"left out: {line}", file=sys.stderr)
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON knows no NaN and no infinity: null stands for what is not known."""
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import whole, width
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.bench.methods.protocol import Budget
@@ -62,8 +62,8 @@ def _bench_methods(options: argparse.Namespace) -> None:
     figures = bench.as_json()
     if options.out is not None:
         chart = draw_chart(bench, options.out)
-        chart.with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
-    print(json.dumps(figures) if options.json else text(bench))
+        chart.with_suffix(".json").write_text(json_text(figures, 2) + "\n")
+    print(json_text(figures) if options.json else text(bench))
 
 
 def _made_up(options: argparse.Namespace, budget: Budget, report: Report) -> MethodsBench:
