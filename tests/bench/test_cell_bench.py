@@ -99,7 +99,8 @@ def test_contacts_count_where_the_arm_moves(short: FilePath) -> None:
     assert moving.min_distance_m <= 0
     assert (standing.contacts, standing.standing_contacts) == (0, 1)
     unseen = score(touched, held(touched, phase_ns, 0.3), first_seen_s=1.5)
-    assert unseen.contacts == 0
+    assert (unseen.contacts, unseen.unwarned_contacts) == (0, 1)
+    assert moving.unwarned_contacts == 0
 
 
 def test_slow_downs_are_timed_from_the_entry(short: FilePath) -> None:
@@ -124,6 +125,28 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
     assert "latency_ms: expected 0 to 10000, found 33000000" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["bench", "cell", str(short), "--seeds", "0"])
+    (short.parent / "file").write_text("")
+    assert main(["bench", "cell", str(short), "--out", str(short.parent / "file")]) == 2  # before anything is run
+    assert "choose another folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["demo"], "--rig: expected one scenario, whose cameras are measured, found SHORT demo"),
+        (["--twin", "--latency", "20"], "leave out --twin and --latency"),
+        ([], "scenario brief: expected more than a second to measure, found 0.5 s"),
+    ],
+)
+def test_the_speed_of_one_rig_is_measured(
+    short: FilePath, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
+    brief = short.with_name("brief.yaml")
+    brief.write_text("extends: short\nname: brief\nduration_s: 0.5\nsensing: {width: 32, height: 24}\n")
+    assert main(["bench", "cell", str(brief), *arguments, "--rig"]) == 2
+    assert says.replace("SHORT", str(brief)) in capsys.readouterr().err
+    assert main(["bench", "cell", "all", "--rig"]) == 2
+    assert "found all; give one" in capsys.readouterr().err
 
 
 def test_scenarios_of_one_name_are_refused(short: FilePath, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from twin_node.forecast import Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.nodes import sizing
-from twin_node.nodes.chain_parameters import ChainParameters, sized
+from twin_node.nodes.chain_parameters import ChainParameters, load_parameters, sized
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms
@@ -115,6 +116,14 @@ def test_a_size_beside_what_it_decides_is_refused() -> None:
         sized(mixed, "here")
     with pytest.raises(ParameterError, match=r"expected one of given, auto, tiny.*found 'huge'"):
         fill(ChainParameters, {"size": {"name": "huge"}}, "here")
+
+
+@pytest.mark.parametrize("budget", ["0", "-5.0"])
+def test_a_budget_that_nothing_keeps_is_refused(budget: str, tmp_path: Path) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text(f"size: {{ros__parameters: {{name: auto, budget_ms: {budget}}}}}\n")
+    with pytest.raises(ParameterError, match=r"params.yaml.*size.*budget_ms: expected a number above 0, found"):
+        load_parameters(path)
 
 
 def test_every_size_can_be_named() -> None:

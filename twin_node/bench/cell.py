@@ -88,6 +88,9 @@ class PolicyFigures:
     """How one policy did over many runs."""
 
     contacts: int
+    """Of the moving arm, with somebody who had been seen for long enough."""
+    unwarned_contacts: int
+    """The others: with somebody seen too late, or never."""
     work: float
     """Mean share of the unobstructed cycle."""
     min_distance_m: float | None
@@ -219,6 +222,7 @@ def _policy_figures(results: Sequence[CaseResult], policy: str) -> PolicyFigures
     nearest = min(outcome.min_distance_m for outcome in outcomes)
     return PolicyFigures(
         contacts=sum(outcome.contacts for outcome in outcomes),
+        unwarned_contacts=sum(outcome.unwarned_contacts for outcome in outcomes),
         work=float(np.mean([result.work[policy] for result in results])),
         min_distance_m=nearest if np.isfinite(nearest) else None,
         standing_contacts=sum(outcome.standing_contacts for outcome in outcomes),

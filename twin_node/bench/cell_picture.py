@@ -26,6 +26,8 @@ COLOURS = {"present_only": "#b9b9b9", "worst_case": "#c8553d", "ours": "#2a6f97"
 def draw(results: Sequence[CaseResult], parameters: CellBenchParameters, folder: Path) -> Path:
     """Writes `cell.png` into a folder, which is made where it is missing; the first result's scenario is run again.
 
+    That is with perfect perception: a twin in the loop is not run again.
+
     Raises `BenchError` where the folder cannot be written.
     """
     figure = Figure(figsize=(12, 9), layout="constrained")
@@ -34,8 +36,8 @@ def draw(results: Sequence[CaseResult], parameters: CellBenchParameters, folder:
     first = results[0]
     scenario = next(s for s in map(load_scenario, parameters.scenarios) if s.name == first.scenario)
     case = CellCase(scenario.with_seed(first.seed), parameters.latency_ms, parameters.loop)
-    for policy, colour in ((PERFECT, COLOURS["ours"]), (WORST_CASE, COLOURS["worst_case"])):
-        _draw_run(rows[1], rows[2], case, policy, colour)
+    _draw_run(rows[1], rows[2], case, PERFECT, "perfect perception" if parameters.twin else "ours")
+    _draw_run(rows[1], rows[2], case, WORST_CASE, WORST_CASE.name)
     rows[1].set_title(f"{first.scenario}, seed {first.seed}", loc="left")
     return save_chart(figure, folder, "cell")
 
@@ -59,11 +61,11 @@ def _draw_work(axes: Axes, results: Sequence[CaseResult]) -> None:
     axes.legend(ncols=len(BARS), loc="upper right", frameon=False)
 
 
-def _draw_run(distance: Axes, speed: Axes, case: CellCase, policy: Policy, colour: str) -> None:
+def _draw_run(distance: Axes, speed: Axes, case: CellCase, policy: Policy, label: str) -> None:
     """Distance to the nearest person and the arm's speed over time."""
     record = case.run(policy)
     seconds = (record.stamps - case.scenario.start_ns) * 1e-9
-    label = "ours" if policy is PERFECT else policy.name
+    colour = COLOURS["ours" if policy is PERFECT else policy.name]
     distance.plot(seconds, distances_to_people(case, record, case.joints(record)), color=colour, label=label)
     speed.plot(seconds, record.shares, color=colour, label=label)
     distance.axhline(0, color="black", linewidth=0.8)

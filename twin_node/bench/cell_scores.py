@@ -33,6 +33,8 @@ class Outcome:
 
     contacts: int
     """Contacts of arm and person while the arm moved, first sight at least reaction and stopping time before."""
+    unwarned_contacts: int
+    """Those that came sooner after the first sight, or without any."""
     standing_contacts: int
     """Times that a person touched the arm while it stood."""
     progress_s: float
@@ -64,6 +66,7 @@ def score(case: CellCase, record: LoopRecord, first_seen_s: float = 0.0, with_de
     delays = _delays(case, record) if with_delays else np.empty(0)
     return Outcome(
         contacts=_episodes(touching & moves & warned),
+        unwarned_contacts=_episodes(touching & moves & ~warned),
         standing_contacts=_episodes(touching & ~moves),
         progress_s=record.progress_s,
         min_distance_m=float(distances[moves].min(initial=np.inf)),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin_node.bench.errors import BenchError
 from twin_node.cell import CellSource, Scenario
 
 
@@ -30,7 +31,10 @@ class RigSpeed:
 
 
 def measure(scenario: Scenario, threads: int = 2, most_sets: int = 300) -> RigSpeed:
-    """Renders a scenario's sets as fast as they come, RGB-D with noise, one second of scenario time at a time."""
+    """Renders a scenario's sets as fast as they come, RGB-D with noise, one second of scenario time at a time.
+
+    Raises `BenchError` for a scenario that lasts no second and one set more.
+    """
     source = CellSource(scenario, threads)
     per_second = max(round(scenario.sensing.rate_hz), 1)
     rates, costs, sets = [], [], iter(source)
@@ -42,11 +46,16 @@ def measure(scenario: Scenario, threads: int = 2, most_sets: int = 300) -> RigSp
             break
         rates.append(count / (time.perf_counter() - begun))
         costs.append((time.process_time() - begun_cpu) / count)
+    if not rates:
+        raise BenchError(
+            f"scenario {scenario.name}: expected more than a second to measure, found {scenario.duration_s:g} s; give "
+            "it a longer duration_s"
+        )
     sensing = scenario.sensing
     return RigSpeed(
-        rig_hz=float(np.median(rates)) if rates else float("nan"),
-        rig_hz_best=max(rates, default=float("nan")),
-        cpu_ms_per_set=1e3 * min(costs, default=float("nan")),
+        rig_hz=float(np.median(rates)),
+        rig_hz_best=max(rates),
+        cpu_ms_per_set=1e3 * min(costs),
         target_hz=sensing.rate_hz,
         cameras=len(scenario.cameras),
         width=sensing.width,

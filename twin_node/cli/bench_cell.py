@@ -55,7 +55,7 @@ def add_bench_cell(benches: Any) -> None:
         help="what may come out of space that no camera sees (default law: anything, at 1.6 m/s)",
     )
     cell.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
-    cell.add_argument("--rig", action="store_true", help="measure how fast the scenario's cameras are rendered instead")
+    cell.add_argument("--rig", action="store_true", help="measure how fast the one scenario's cameras are rendered")
     cell.add_argument("--out", type=Path, metavar="DIR", help="draw cell.png: work, and the first run's distances")
     cell.add_argument("--json", action="store_true", help="print one JSON object")
     cell.set_defaults(run=_bench_cell)
@@ -69,6 +69,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
     from twin_node.bench import cell
     from twin_node.bench.cell_picture import draw
     from twin_node.bench.errors import BenchError
+    from twin_node.bench.results_folder import prepared
     from twin_node.cell.closed_loop import LoopParameters
 
     if options.same_eyes and not options.twin:
@@ -87,6 +88,8 @@ def _bench_cell(options: argparse.Namespace) -> None:
     )
     if options.latency is not None:
         parameters = replace(parameters, latency_ms=options.latency)
+    if options.out is not None:
+        prepared(options.out)
     results = cell.run(parameters, lambda runs, total: tqdm(runs, total=total, unit="run", disable=None))
     figures = cell.summary(results)
     if options.out is not None:
@@ -95,11 +98,24 @@ def _bench_cell(options: argparse.Namespace) -> None:
 
 
 def _bench_rig(options: argparse.Namespace) -> None:
+    from twin_node.bench.errors import BenchError
     from twin_node.bench.rig_speed import measure
     from twin_node.cell import load_scenario
 
-    name = "demo" if options.scenarios[0] == "all" else options.scenarios[0]
-    figures = asdict(measure(load_scenario(name), options.processes))
+    if len(options.scenarios) > 1 or options.scenarios == ["all"]:
+        raise BenchError(
+            f"--rig: expected one scenario, whose cameras are measured, found {' '.join(options.scenarios)}; give one"
+        )
+    given = {
+        "--twin": options.twin,
+        "--same-eyes": options.same_eyes,
+        "--latency": options.latency is not None,
+        "--out": options.out is not None,
+    }
+    names = [name for name, is_given in given.items() if is_given]
+    if names:
+        raise BenchError(f"--rig: cameras are measured without arm and twin; leave out {' and '.join(names)}")
+    figures = asdict(measure(load_scenario(options.scenarios[0]), options.processes))
     print(json_text(figures) if options.json else "\n".join(f"{key}: {value}" for key, value in figures.items()))
 
 

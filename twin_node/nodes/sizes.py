@@ -8,6 +8,8 @@ from enum import Enum
 
 from twin_node.model import ModelParameters
 from twin_node.nodes.log_source import DEFAULT_WIDTH
+from twin_node.ranges import POSITIVE, check_ranges
+from twin_node.runtime.parameters import ParameterError
 
 
 @dataclass(frozen=True)
@@ -74,3 +76,7 @@ class SizeParameters:
     name: SizeChoice = SizeChoice.GIVEN
     budget_ms: float = 100.0
     """What model and forecast may take of a set where the size is measured, ms: half of the time that is foreseen."""
+
+    def __post_init__(self) -> None:
+        """Raises `ParameterError` for a budget that nothing keeps."""
+        check_ranges(self, ParameterError, "", budget_ms=POSITIVE)
