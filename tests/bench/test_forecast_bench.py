@@ -108,6 +108,27 @@ def test_the_command_prints_json_and_refuses_what_it_cannot_read(
     assert "expected a .bvh, .trc or .csv" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--made-up", "--noise", "-1"], "expected 0 or more"),
+        (["--made-up", "--noise", "nan"], "expected a finite number"),
+        (["--made-up", "--fps", "9"], "--fps: expected 10 or more"),
+        (["--made-up", "--seed", "-1"], "expected a whole number, 0 or more"),
+        (["--made-up", "--joints", "hand"], "--joints: expected with a file"),
+        (["--speed", "--height", "2"], "--height: expected with a file"),
+    ],
+)
+def test_wrong_numbers_and_what_would_be_ignored_are_refused(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = main(["bench", "forecast", *arguments])
+    except SystemExit as refused:
+        status = int(str(refused.code))
+    assert status == 2 and says in capsys.readouterr().err
+
+
 def test_real_motion_is_forecast_better_than_by_any_simple_rule(recordings: Path) -> None:
     bench = forecast.run(recordings / "mocap" / "01_01.bvh")
     errors, radii = bench.score.error_mm, bench.score.radius_m

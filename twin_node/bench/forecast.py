@@ -23,7 +23,7 @@ class ForecastBenchParameters:
     """How trajectories are sampled, spoilt and scored."""
 
     fps: float = 30.0
-    """Samples per second that the forecaster is given; at most the file's own rate."""
+    """Samples per second that the forecaster is given, as nearly as every so many of the file's are."""
     noise_m: float = 0.005
     """1 sigma of the noise added to every coordinate, m: what a tracker leaves."""
     horizon_s: float = AHEAD_S
@@ -104,6 +104,8 @@ class ForecastBench:
     score: ForecastScore
     by_joint: Mapping[str, ForecastScore]
     target: float
+    rate_hz: float
+    """Samples per second that the forecaster was given."""
     samples: int
     """Forecasts scored."""
     update_ms: float
@@ -112,7 +114,7 @@ class ForecastBench:
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints."""
         by_joint = {name: asdict(score) for name, score in self.by_joint.items()}
-        own = {"target": self.target, "samples": self.samples, "update_ms": self.update_ms}
+        own = {"target": self.target, "rate_hz": self.rate_hz, "samples": self.samples, "update_ms": self.update_ms}
         return {**asdict(self.score), **own, "by_joint": by_joint}
 
 
@@ -142,6 +144,7 @@ def run(path: Path, parameters: ForecastBenchParameters | None = None) -> Foreca
             if foretold.known[scored, joint].any()
         },
         target=parameters.bound.coverage,
+        rate_hz=trajectories.rate_hz / stride,
         samples=int(foretold.known[scored][:, chosen].sum()),
         update_ms=foretold.update_s * 1e3,
     )

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from twin_node.bench.errors import BenchError
 from twin_node.bench.forecast import Foretold, foretell
 from twin_node.forecast.baselines import AHEAD_S
 from twin_node.forecast.bound import BoundParameters
@@ -73,7 +74,12 @@ class MadeUpBench:
 
 
 def run(fps: float = 30.0, noise_m: float = 0.005, seed: int = 0, seeds: int = 10) -> MadeUpBench:
-    """Forecasts `seeds` limbs per kind of event, each with its own direction, speed and noise."""
+    """Forecasts `seeds` limbs per kind of event, each with its own direction, speed and noise.
+
+    Raises `BenchError` for so few samples per second that none need lie between an event and `SETTLED_S` after it.
+    """
+    if fps * SETTLED_S < 1:
+        raise BenchError(f"--fps: expected {1 / SETTLED_S:g} or more beside --made-up, found {fps:g}")
     events = {}
     for number, (name, make) in enumerate(KINDS.items()):
         foretold = [_observed(make, fps, noise_m, np.random.default_rng([seed, number, n])) for n in range(seeds)]

@@ -53,6 +53,14 @@ def whole(text: str) -> int:
     return int(value)
 
 
+def seed(text: str) -> int:
+    """What random numbers begin from."""
+    value = _number(text)
+    if value != int(value) or not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number, 0 or more")
+    return int(text) if text.isdecimal() else int(value)
+
+
 def port(text: str) -> int:
     """A TCP port that can be listened on."""
     value = _number(text)

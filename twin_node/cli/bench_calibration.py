@@ -7,7 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import whole
+from twin_node.cli.arguments import seed, whole
 from twin_node.json_text import json_text
 
 
@@ -15,7 +15,7 @@ def add_bench_calibration(benches: Any) -> None:
     """Adds `bench calibration`."""
     parser = benches.add_parser("calibration", help="errors of made-up rigs calibrated from a board, against the truth")
     parser.add_argument("--rigs", type=whole, default=50, metavar="N", help="how many (default 50)")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="number of the first (default 0)")
+    parser.add_argument("--seed", type=seed, default=0, metavar="S", help="number of the first (default 0)")
     parser.add_argument("--workers", type=whole, default=2, metavar="N", help="worked on at once (default 2)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_bench_calibration)

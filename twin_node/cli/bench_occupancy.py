@@ -21,7 +21,7 @@ def add_bench_occupancy(benches: Any) -> None:
     occupancy = benches.add_parser("occupancy", help="score a log's forecasts, beside the baselines")
     occupancy.add_argument("log", type=Path, metavar="LOG", help="a log; with --seeds the name of a scenario")
     occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
-    occupancy.add_argument("--hue", type=int, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
+    occupancy.add_argument("--hue", type=_hue, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
     occupancy.add_argument(
         "--seeds",
         type=whole,
@@ -56,6 +56,13 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
     _show(bench.as_json(), options.json)
+
+
+def _hue(text: str) -> int:
+    """A hue as OpenCV counts them."""
+    if not text.isdecimal() or int(text) > 179:
+        raise argparse.ArgumentTypeError(f"{text}: expected a hue in OpenCV's half degrees, 0 to 179")
+    return int(text)
 
 
 def _require_no_log_options(options: argparse.Namespace) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import check_output, whole, width
+from twin_node.cli.arguments import check_output, seed, whole, width
 
 if TYPE_CHECKING:
     from twin_node.model.sequence import Recording, Trainer
@@ -52,7 +52,7 @@ def add_train(commands: Any) -> None:
     train.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint, exactly")
     train.add_argument("--device", metavar="NAME", help="torch device, cuda for one (default cpu)")
-    train.add_argument("--seed", type=int, metavar="N", help="seed of all that is drawn (default 0)")
+    train.add_argument("--seed", type=seed, metavar="N", help="seed of all that is drawn (default 0)")
     train.set_defaults(run=_train)
 
 
