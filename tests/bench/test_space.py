@@ -63,6 +63,17 @@ def test_the_time_until_vacated_space_is_free_is_measured() -> None:
     score = tally.score()
     assert score.vacated_voxels == len(BLOCK)
     assert score.vacated_free_ms_p95 == 110.0
+    assert score.vacated_waiting == 0
+
+
+def test_space_that_never_gets_free_is_told() -> None:
+    tally, nobody, half = SpaceTally(GRID), np.zeros((0, 3)), BLOCK[BLOCK[:, 0] > 0]
+    tally.add(state(0), occupancy(0, BLOCK), BLOCK)
+    for stamp, still in ((50_000_000, BLOCK), (100_000_000, half), (150_000_000, half)):
+        tally.add(state(stamp), occupancy(stamp, still), nobody)
+    score = tally.score()
+    assert score.vacated_free_ms_p95 == 60.0
+    assert (score.vacated_voxels, score.vacated_waiting) == (len(BLOCK) - len(half), len(half))
 
 
 def test_space_that_no_camera_sees_to_be_empty_is_not_waited_for() -> None:

@@ -27,9 +27,12 @@ class SpaceScore:
     """What became of vacated and of unseen space; None where there was none."""
 
     vacated_free_ms_p95: float | None
-    """95 % of the voxels that a thing left by `CLEAR_VOXELS`, and that a camera sees to be empty, were reported free
-    within this time."""
+    """95 % of the voxels that a thing left by `CLEAR_VOXELS`, that a camera sees to be empty, and that were reported
+    free before the run ended, were so within this time."""
     vacated_voxels: int
+    """Those that were."""
+    vacated_waiting: int
+    """The others that had waited for longer than that when the run ended."""
     unseen_not_free: float | None
     """Share of the voxels hidden from every camera that were reported unknown or occupied."""
 
@@ -43,6 +46,7 @@ class SpaceTally:
         self._was_occupied = np.zeros(grid.size, np.bool_)
         self._since = np.zeros(grid.size, np.int64)
         self._latencies: list[NDArray[np.int64]] = []
+        self._published = 0
         self._unseen = self._unseen_blocked = 0
         self._sets = 0
 
@@ -66,9 +70,12 @@ class SpaceTally:
     def score(self) -> SpaceScore:
         """The score so far."""
         latencies = np.concatenate(self._latencies) if self._latencies else np.zeros(0, np.int64)
+        p95 = float(np.quantile(latencies, 0.95)) if len(latencies) else None
+        waited = self._published - self._since[self._since > 0]
         return SpaceScore(
-            float(np.quantile(latencies, 0.95)) * 1e-6 if len(latencies) else None,
+            None if p95 is None else p95 * 1e-6,
             len(latencies),
+            int(np.count_nonzero(waited > (p95 or 0))),
             self._unseen_blocked / self._unseen if self._unseen else None,
         )
 
@@ -86,6 +93,7 @@ class SpaceTally:
         near = grown(self._grid, occupied, CLEAR_VOXELS)
         left = np.flatnonzero(self._was_occupied & ~near & (self._since == 0))
         self._since[left[_seen_empty(state, self._grid, left)]] = state.stamp
+        self._published = forecast.publish_stamp
         free = np.flatnonzero((self._since > 0) & ~blocked)
         self._latencies.append(forecast.publish_stamp - self._since[free])
         self._since[free] = 0
