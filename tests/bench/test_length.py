@@ -40,6 +40,14 @@ def test_what_grows_is_told() -> None:
     assert json.loads(json.dumps(found.as_json()))["growth_mb_per_hour"] == pytest.approx(6.0)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_short_run_does_not_say_that_nothing_grows(count: int) -> None:
+    found = drifting(count)
+    assert found.last_over_first is found.growth_mb is found.growth_mb_per_hour is None
+    assert "too short to tell" in text(found)
+    assert drifting(3).growth_mb == pytest.approx(0.1)
+
+
 def test_a_long_run_is_told_in_a_dozen_lines(tmp_path: Path) -> None:
     found = drifting(61)
     assert text(found).count("\n") <= 13

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("viser")
 
 from twin_node.bench.viewer import ViewerBenchParameters, run
+from twin_node.cli import main
 
 
 def test_every_visitor_sees_what_moves() -> None:
@@ -23,3 +24,16 @@ def test_every_visitor_sees_what_moves() -> None:
         "show_ms",
         "send",
     }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["twin.mcap", "--latency", "cell.mcap"], "--latency: expected instead of a log, found twin.mcap too"),
+        (["--rounds", "2"], "expected with --latency"),
+        (["-p", "twin.width:=64"], "expected with --latency"),
+    ],
+)
+def test_what_would_be_ignored_is_refused(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "viewer", *arguments]) == 2
+    assert says in capsys.readouterr().err

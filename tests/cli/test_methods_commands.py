@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin_node.bench.methods import playback
 from twin_node.cli import main
-from twin_node.model.sequence import Trainer, load_baked, load_checkpoint
+from twin_node.model.sequence import Baked, SequenceModel, Trainer, bake_model, load_baked, load_checkpoint
+from twin_node.scene import Camera
 
 
 @pytest.fixture
@@ -45,6 +47,23 @@ def test_a_log_is_learnt_and_baked(checkpoint: Path, tmp_path: Path, capfd: pyte
     assert figures["steps"] == 3 and figures["largest_difference"] == 0
     assert {"live_ms", "baked_ms", "static_ms", "share_of_static_rate", "bytes", "gaussians"} <= set(figures)
     assert load_baked(baked).stamps[0] == header.span.first
+
+
+def test_playback_is_measured_on_so_many_images_at_most(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = load_checkpoint(checkpoint)
+    model, stamps = read.model, read.header.stamps[:6]
+    baked = bake_model(model, stamps, read.header.cameras)
+    still: list[int] = []
+
+    def counted(model: SequenceModel, steps: list[int], cameras: tuple[Camera, ...]) -> Baked:
+        still.extend(steps)
+        return bake_model(model, steps, cameras)
+
+    monkeypatch.setattr(playback, "bake_model", counted)
+    monkeypatch.setattr(playback, "IMAGES", 4)
+    monkeypatch.setattr(playback, "ROUNDS", 1)
+    assert playback.measure(model, baked).largest_difference == 0
+    assert still == [stamps[0], stamps[2], stamps[4]]
 
 
 def test_a_resumed_run_takes_the_missing_steps(checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path) -> None:

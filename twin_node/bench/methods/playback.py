@@ -43,7 +43,7 @@ def measure(model: SequenceModel, baked: Baked) -> Playback:
     Static models are those of the same steps, as images differ in cost, and are drawn once before they are timed.
     """
     camera = baked.cameras[0]
-    stride = max(len(baked.stamps) // IMAGES, 1)
+    stride = -(-len(baked.stamps) // IMAGES)
     steps = range(0, len(baked.stamps), stride)
     still = {step: bake_model(model, [baked.stamps[step]], baked.cameras) for step in steps}
     ways: tuple[Callable[[int], object], ...] = (

@@ -57,6 +57,11 @@ class LengthParameters:
         """Every so many sets of the rig are taken."""
         return round(RATE_HZ / self.rate_hz)
 
+    @property
+    def sets(self) -> int:
+        """Of the whole run."""
+        return int(self.seconds * self.rate_hz + 1e-6)
+
 
 @dataclass(frozen=True)
 class Span:
@@ -89,23 +94,25 @@ class Length:
         return self.spans[SETTLED_SPANS:] or self.spans
 
     @property
-    def last_over_first(self) -> float:
-        """Time per set in the last tenth of the run over that in the first, the start left out."""
+    def last_over_first(self) -> float | None:
+        """Time per set in the last tenth of the run over that in the first, the start left out; None of one span."""
+        if len(self.settled) < 2:
+            return None
         tenth = max(1, len(self.settled) // 10)
         first, last = ([span.ms_p50 for span in spans] for spans in (self.settled[:tenth], self.settled[-tenth:]))
         return float(np.median(last) / np.median(first))
 
     @property
-    def growth_mb(self) -> float:
-        """What memory has grown by since the start was over."""
-        return self.settled[-1].resident_mb - self.settled[0].resident_mb
+    def growth_mb(self) -> float | None:
+        """What memory has grown by since the start was over; None of one span."""
+        return self.settled[-1].resident_mb - self.settled[0].resident_mb if len(self.settled) > 1 else None
 
     @property
-    def growth_mb_per_hour(self) -> float:
-        """Slope of the straight line through the memory of the second half of the run."""
+    def growth_mb_per_hour(self) -> float | None:
+        """Slope of the straight line through the memory of the second half of the run; None of one span."""
         later = self.settled[len(self.settled) // 2 :]
         if len(later) < 2:
-            return 0.0
+            return None
         hours = [span.until_s / 3600 for span in later]
         return float(np.polyfit(hours, [span.resident_mb for span in later], 1)[0])
 
@@ -115,7 +122,7 @@ class Length:
             "last_over_first": self.last_over_first,
             "growth_mb": self.growth_mb,
             "growth_mb_per_hour": self.growth_mb_per_hour,
-            "sets": int(self.parameters.seconds * self.parameters.rate_hz),
+            "sets": self.parameters.sets,
             "settings": asdict(self.parameters),
             "spans": [asdict(span) for span in self.spans],
         }
@@ -133,7 +140,7 @@ def run(
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        total = -(-int(parameters.seconds * parameters.rate_hz) // _sets_per_span(parameters))
+        total = -(-parameters.sets // _sets_per_span(parameters))
         return Length(tuple(progress(_spans(parameters, seed_steps), total)), parameters)
     finally:
         torch.set_num_threads(threads)
@@ -144,7 +151,7 @@ def _check(parameters: LengthParameters) -> None:
         raise BenchError(f"--size: expected one of {', '.join(SIZES)}, found '{parameters.size}'")
     if parameters.stride < 1 or not np.isclose(parameters.stride * parameters.rate_hz, RATE_HZ):
         raise BenchError(f"--rate: expected {RATE_HZ:g} divided by a whole number, found {parameters.rate_hz:g}")
-    if parameters.seconds * parameters.rate_hz < 2:
+    if parameters.sets < 2:
         raise BenchError(f"--seconds: expected time for two sets at least, found {parameters.seconds:g}")
 
 
@@ -156,7 +163,7 @@ def _spans(parameters: LengthParameters, seed_steps: int) -> Iterator[Span]:
     scenario, narrower = one_box(circling(SPEED), CLIP_S), Narrower(SIZES[parameters.size].width)
     sets = [narrower.narrowed(one) for one in CellSource(scenario) if one.sequence % parameters.stride == 0]
     followed = _Followed(scenario, parameters, seed_steps)
-    whole, per_span = int(parameters.seconds * parameters.rate_hz), _sets_per_span(parameters)
+    whole, per_span = parameters.sets, _sets_per_span(parameters)
     laps: list[float] = []
     for index, frames in enumerate(_endless(sets)):
         if index == whole:
@@ -240,10 +247,12 @@ def _rows(found: Length) -> Iterator[tuple[str, ...]]:
 
 
 def _verdict(found: Length) -> str:
-    return (
-        f"last tenth over first: {found.last_over_first:.2f} times; memory {found.growth_mb:+.1f} MB, "
-        f"at the end {found.growth_mb_per_hour:+.1f} MB per hour"
-    )
+    if found.last_over_first is None or found.growth_mb is None:
+        span_s = found.parameters.span_s
+        return f"too short to tell what grows: {len(found.spans)} spans of {span_s:g} s, the first of them the start"
+    verdict = f"last tenth over first: {found.last_over_first:.2f} times; memory {found.growth_mb:+.1f} MB"
+    per_hour = found.growth_mb_per_hour
+    return verdict if per_hour is None else f"{verdict}, at the end {per_hour:+.1f} MB per hour"
 
 
 def draw(found: Length, folder: Path) -> Path:
