@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from twin_node.bench.track_runs import to_and_fro
 from twin_node.bench.track_scores import score_renderings
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.chain_parameters import ChainParameters
-from twin_node.nodes.report.quality import Renderings
+from twin_node.nodes.report.quality import Renderings, score
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.scene import Camera, FrameSet, View
 
@@ -59,6 +59,28 @@ def test_kinds_of_pixels_and_flicker_are_told_apart() -> None:
     still = score_renderings([shown(0.5, 0.5, 0.5, 0), shown(0.52, 0.5, 0.5, 1)])
     assert still.flicker == pytest.approx(2.0, rel=1e-4)
     assert still.images_flicker == 0
+
+
+def spoilt(one: Renderings) -> Renderings:
+    """Where undistortion found nothing, images are black, whatever the model shows there."""
+    valid = np.ones((12, 16), np.bool_)
+    valid[:, :4] = False
+
+    def black(plane: np.ndarray, level: float = 0.0) -> np.ndarray:
+        return np.where(valid[..., None], plane, np.float32(level))
+
+    view, ours = replace(one.view, valid=valid), black(one.ours, 1.0)
+    return replace(one, view=view, image=black(one.image), first=black(one.first), frozen=black(one.frozen), ours=ours)
+
+
+@pytest.mark.parametrize("first", [0.1, 0.5])
+def test_pixels_without_an_image_are_not_scored(first: float) -> None:
+    renderings = [shown(0.5, 0.5, first, 0), shown(0.52, 0.55, first, 1)]
+    mine, whole = score_renderings(map(spoilt, renderings)), score_renderings(renderings)
+    for name, method in whole.methods.items():
+        assert asdict(mine.methods[name]) == pytest.approx(asdict(method))
+    assert (mine.flicker, mine.images_flicker) == pytest.approx((whole.flicker, whole.images_flicker))
+    assert asdict(score(map(spoilt, renderings))) == pytest.approx(asdict(score(renderings)))
 
 
 def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Path]) -> None:

@@ -11,12 +11,12 @@ import numpy as np
 
 from twin_node.model import WindowModel
 from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, squared_error
-from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Renderings, render_cloud, unit
+from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Renderings, render_cloud, unit, valid_pixels
 from twin_node.nodes.spool import Tick
 from twin_node.scene import HORIZONS_NS, Bool, FrameSet, GaussianCloud, View
 
 KINDS = ("all", "moving", "unchanged")
-"""Kinds of pixels: all; those that differ from the camera's first image; the others."""
+"""Kinds of valid pixels: all; those that differ from the camera's first image; the others."""
 
 
 @dataclass
@@ -53,9 +53,9 @@ class _Psnr:
     def __init__(self) -> None:
         self._means = {kind: Mean() for kind in KINDS}
 
-    def add(self, rendered: Image, image: Image, moving: Bool) -> None:
+    def add(self, rendered: Image, image: Image, moving: Bool, valid: Bool) -> None:
         error = squared_error(rendered, image)
-        for kind, chosen in zip(KINDS, (np.ones_like(moving), moving, ~moving), strict=True):
+        for kind, chosen in zip(KINDS, (valid, moving & valid, ~moving & valid), strict=True):
             if chosen.sum() >= FEWEST_PIXELS:
                 self._means[kind].add(psnr(float(error[chosen].mean())))
 
@@ -95,16 +95,16 @@ def score_renderings(renderings: Iterable[Renderings]) -> TrackScores:
     ours, images = _Flicker(), _Flicker()
     still: dict[str, Bool] = {}
     for shown in renderings:
-        moving = moving_pixels(shown.image, shown.first)
-        methods["ours"].add(shown.ours, shown.image, moving)
-        methods["frozen"].add(shown.frozen, shown.image, moving)
+        moving, valid = moving_pixels(shown.image, shown.first), shown.valid
+        methods["ours"].add(shown.ours, shown.image, moving, valid)
+        methods["frozen"].add(shown.frozen, shown.image, moving, valid)
         if shown.previous is not None:
-            methods["previous"].add(shown.previous, shown.image, moving)
-        camera = shown.view.camera.name
-        both = ~moving & still.get(camera, ~moving)
+            methods["previous"].add(shown.previous, shown.image, moving, valid)
+        camera, unchanged = shown.view.camera.name, ~moving & valid
+        both = unchanged & still.get(camera, unchanged)
         ours.add(camera, shown.ours, both)
         images.add(camera, shown.image, both)
-        still[camera] = ~moving
+        still[camera] = unchanged
     return TrackScores({name: one.score() for name, one in methods.items()}, ours.mean.value, images.mean.value)
 
 
@@ -144,7 +144,7 @@ def _pairs(then: FrameSet, now: FrameSet) -> Iterator[tuple[View, View]]:
 
 def _score_pair(cloud: GaussianCloud, stamp: int, then: View, now: View, forecast: Mean, present: Mean) -> None:
     image = unit(now)
-    changed = np.abs(image - unit(then)).max(-1) > MOVING_THRESHOLD
+    changed = (np.abs(image - unit(then)).max(-1) > MOVING_THRESHOLD) & valid_pixels(now) & valid_pixels(then)
     if changed.sum() < FEWEST_PIXELS:
         return
     for mean, seconds in ((forecast, (now.stamp - stamp) * 1e-9), (present, 0.0)):
@@ -178,4 +178,5 @@ class LookingBack:
 
 def _shown_db(model: WindowModel, view: View) -> float:
     """PSNR of what the model shows of a view's time."""
-    return psnr(float(squared_error(model.render(view.camera, view.stamp).rgb, unit(view)).mean()))
+    error = squared_error(model.render(view.camera, view.stamp).rgb, unit(view))
+    return psnr(float(error[valid_pixels(view)].mean()))

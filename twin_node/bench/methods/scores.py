@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
 from twin_node.bench.methods.protocol import Fitted
 from twin_node.bench.track_scores import Mean
 from twin_node.model.quality import moving_pixels, psnr, squared_error
-from twin_node.nodes.report.quality import FEWEST_PIXELS, unit
+from twin_node.nodes.report.quality import FEWEST_PIXELS, unit, valid_pixels
 from twin_node.scene import Bool, Float32, View
 from twin_node.splat import image_loss
 
@@ -43,7 +42,7 @@ def score_images(fitted: Fitted, views: tuple[View, ...], first: dict[str, Float
             continue
         spent.append(1e3 * (time.perf_counter() - begun))
         image = unit(view)
-        valid = np.ones(image.shape[:2], bool) if view.valid is None else view.valid
+        valid = valid_pixels(view)
         error = squared_error(rendered, image)
         moving = moving_pixels(image, first[view.camera.name])
         for mean, chosen in ((whole, valid), (moved, moving & valid), (still, ~moving & valid)):

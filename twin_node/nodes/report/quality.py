@@ -71,6 +71,11 @@ class Renderings:
     state: TwinState | None = None
     """What a model that never saw this camera made of the set; None where it did."""
 
+    @property
+    def valid(self) -> Bool:
+        """[H, W] pixels that the camera has an image of."""
+        return valid_pixels(self.view)
+
 
 def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Image]) -> Iterator[Renderings]:
     """Every image beside the newest cloud published by then; a dropped set is shown the cloud before it."""
@@ -100,6 +105,11 @@ def unit(view: View) -> Image:
     return view.rgb.astype(np.float32) / np.float32(255)
 
 
+def valid_pixels(view: View) -> Bool:
+    """[H, W] pixels that undistortion found in the camera's own image."""
+    return np.ones(view.rgb.shape[:2], np.bool_) if view.valid is None else view.valid
+
+
 def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> Image:
     """[H, W, 3] what `camera` sees of a cloud, moved on along its velocities by some seconds."""
     means = torch.from_numpy(cloud.means + cloud.velocities * np.float32(seconds))
@@ -116,14 +126,19 @@ def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> 
 
 
 def score(renderings: Iterable[Renderings]) -> Quality:
-    """Mean PSNR over all images, for all pixels, moving ones, unchanged ones and the arm's."""
+    """Mean PSNR over all images, for all valid pixels, moving ones, unchanged ones and the arm's."""
     totals = {field.name: _Mean() for field in dataclasses.fields(Quality)}
     for shown in renderings:
         error = squared_error(shown.ours, shown.image)
         frozen_error = squared_error(shown.frozen, shown.image)
-        moving = moving_pixels(shown.image, shown.first)
-        kinds = {"moving": moving, "unchanged": ~moving, "arm": shown.arm}
-        totals["psnr_db"].add(psnr(float(error.mean())))
+        moving, valid = moving_pixels(shown.image, shown.first) & shown.valid, shown.valid
+        kinds = {
+            "moving": moving,
+            "unchanged": ~moving & valid,
+            "arm": None if shown.arm is None else shown.arm & valid,
+        }
+        if valid.any():
+            totals["psnr_db"].add(psnr(float(error[valid].mean())))
         for kind, pixels in kinds.items():
             if pixels is not None and pixels.sum() >= FEWEST_PIXELS:
                 totals[f"psnr_{kind}_db"].add(psnr(float(error[pixels].mean())))
