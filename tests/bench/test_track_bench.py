@@ -86,7 +86,9 @@ def test_pixels_without_an_image_are_not_scored(first: float) -> None:
 def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Path]) -> None:
     log = cell_log(1.2)
     names = ("all", "moving", "unchanged")
-    live = run(log, TrackBenchParameters(rate=1.0, chain=SMALL)).as_json()
+    bench = run(log, TrackBenchParameters(rate=1.0, chain=SMALL))
+    live, followed = bench.as_json(), bench.followed
+    assert len(followed.updates_ms) == followed.sets == len(followed.tiers)
     assert json.loads(json.dumps(live))["mode"] == "real time"
     latency = live["latency_ms"]
     assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"]  # type: ignore[index]
@@ -95,6 +97,14 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
     bounced = run(log, TrackBenchParameters(bounce=3, duration_s=0.3, leave_out="all", chain=SMALL)).as_json()
     assert set(bounced["last_less_second_db"]) == set(names)  # type: ignore[call-overload]
     assert len(bounced["left_out"]) == 3  # type: ignore[arg-type]
+    assert bounced["growth_mb"] is not None
+
+
+@pytest.mark.parametrize("asked", [{"bounce": 2, "duration_s": 0.05}, {"duration_s": 0.1}])
+def test_a_short_run_does_not_say_that_memory_does_not_grow(
+    cell_log: Callable[..., Path], asked: dict[str, float]
+) -> None:
+    assert run(cell_log(0.5), TrackBenchParameters(chain=SMALL, **asked)).as_json()["growth_mb"] is None  # type: ignore[arg-type]
 
 
 def test_wrong_requests_are_named(cell_log: Callable[..., Path]) -> None:

@@ -125,7 +125,8 @@ def run(
         bench = score_states(states if tally is None else tally.watch(states), grid, truth, parameters)
         bench = replace(bench, body=None if tally is None else tally.score())
     if not bench.scores:
-        raise BenchError(f"{log}: expected more than {parameters.warm_up_s + 0.2} s of images, found {bench.sets} sets")
+        least_s = parameters.warm_up_s + parameters.latency_ms * 1e-3 + HORIZONS_NS[-1] * 1e-9
+        raise BenchError(f"{log}: expected more than {least_s:.2f} s of images, found {bench.sets} sets")
     return bench
 
 

@@ -63,8 +63,9 @@ class TrackBench:
     """Per camera that the model did not see."""
     passes: Sequence[TrackScores]
     """Per pass to and fro."""
-    growth_bytes: int
-    """What memory has grown by since the second pass, or after the first fifth of the run."""
+    growth_bytes: int | None
+    """What memory has grown by since the second pass, or after the first fifth of the run; None without a third pass,
+    or without a fifth."""
     afterwards_db: float | None = None
     """PSNR of sets half a window back as the model renders them now, less what they had live; in lockstep only."""
     hulls: Mapping[str, HullScore] = field(default_factory=dict)
@@ -110,7 +111,7 @@ class TrackBench:
             "nodes": model.nodes_count,
             "parameters": model.parameters_count,
             "bytes_per_frame": float(np.mean(run.bytes_per_frame[1:])) if run.sets > 1 else None,
-            "growth_mb": self.growth_bytes / 2**20,
+            "growth_mb": None if self.growth_bytes is None else self.growth_bytes / 2**20,
             "passes": [{**asdict(one.methods["ours"]), "gain_db": gains(one)} for one in self.passes],
             "last_less_second_db": last_less_second(self.passes),
             "warnings": run.warnings,
@@ -166,7 +167,8 @@ def _once(
             raise _no_sets(log)
         scores, foresight = _scores(spool, followed)
     memory = followed.memory_bytes
-    growth = memory[-1] - memory[int(WARM_UP * len(memory))]
+    start_sets = int(WARM_UP * len(memory))
+    growth = memory[-1] - memory[start_sets] if start_sets else None
     mode = "lockstep" if parameters.rate is None else "real time"
     return TrackBench(mode, followed, scores, foresight, {}, (), growth, looking_back.mean.value)
 
@@ -181,7 +183,7 @@ def _bounce(sets: list[FrameSet], parameters: TrackBenchParameters, log: Path, p
         ticks = _reporting(follow(followed, sets_of_pass), begin, progress)
         passes.append(score_renderings(clouds_against_images(ticks, lambda c: followed.model.render_frozen(c).rgb)))
         ends.append(followed.memory_bytes[-1])
-    growth = ends[-1] - ends[min(1, len(ends) - 1)]
+    growth = ends[-1] - ends[1] if len(ends) > 2 else None
     return TrackBench("to and fro", followed, passes[-1], ForesightScore(None, None), {}, passes, growth)
 
 

@@ -61,6 +61,7 @@ class Followed:
     waits_ms: list[float] = field(default_factory=list)
     """From the newest image's stamp to the model's having the set."""
     updates_ms: list[float] = field(default_factory=list)
+    """Set by set; the first builds the model."""
     tiers: list[tuple[int, ...]] = field(default_factory=list)
     """Living Gaussians per tier, in the order of `Tier`."""
     bytes_per_frame: list[int] = field(default_factory=list)
@@ -151,7 +152,10 @@ def follow_live(
     first = next(iter(LogSource(session, chain.synchronizer)), None)
     if first is None:
         return
+    begun = time.perf_counter()
+    followed.watch.begin()
     working.publish(TRUSTED_FRAMES, first)
+    followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
     followed.count(states[-1])
     _keep(spool, Tick(first, states[-1]))
 
