@@ -32,7 +32,7 @@ def add_bake(commands: Any) -> None:
 def _bake(options: argparse.Namespace) -> None:
     from twin_node.bench.methods.playback import measure
     from twin_node.errors import TwinError
-    from twin_node.model.sequence import bake_model, load_checkpoint, save_baked
+    from twin_node.model.sequence import bake_model, check_size, load_checkpoint, save_baked
 
     check_output(options.output)
     if options.output.resolve() == options.source.resolve():
@@ -42,6 +42,7 @@ def _bake(options: argparse.Namespace) -> None:
         _refuse_log_options(options)
         checkpoint = load_checkpoint(options.source)
         model, header = checkpoint.model, checkpoint.header
+        check_size(model, options.steps or len(header.stamps))
         stamps = header.stamps if options.steps is None else _evenly(header.span.first, header.span.last, options.steps)
         baked = bake_model(model, stamps, header.cameras)
     else:

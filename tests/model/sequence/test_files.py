@@ -24,6 +24,7 @@ from twin_node.model.sequence import (
     Trainer,
     bake_clouds,
     bake_model,
+    baking,
     load_baked,
     load_checkpoint,
     save_baked,
@@ -202,6 +203,22 @@ def test_a_time_step_goes_out_as_ply(trained: Trainer, tmp_path: Path) -> None:
     back = read_ply(tmp_path / "last.ply")
     np.testing.assert_array_equal(back.means, baked.means[0].numpy())
     np.testing.assert_allclose(np.exp(back.log_scales), baked.scales[0].numpy(), rtol=1e-5)
+
+
+def test_more_than_fits_is_not_baked(trained: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras = rig(40, 30)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=1)))
+    states = [model.update(one) for one in sliding(3, cameras, still=1)]
+    size = bake_clouds(states[:2]).bytes
+    moving = bake_model(trained.model, [0, 1], ())
+    monkeypatch.setattr(baking, "MOST_BYTES", size)
+    bake_clouds(states[:2])
+    with pytest.raises(ModelError, match=r"bake: expected buffers of at most .* GiB.*3 steps of \d+ Gaussians"):
+        bake_clouds(states)
+    monkeypatch.setattr(baking, "MOST_BYTES", sum(one.nbytes for one in (moving.means, moving.quats, moving.scales)))
+    bake_model(trained.model, [0, 1], ())
+    with pytest.raises(ModelError, match="3 steps"):
+        bake_model(trained.model, [0, 1, 2], ())
 
 
 def test_nothing_to_bake_is_said(trained: Trainer) -> None:

@@ -135,7 +135,14 @@ def test_invalid_pixels_are_not_learnt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"), [({"method": "magic"}, "magic"), ({"steps": 0}, "steps"), ({"degree": 4}, "degree")]
+    ("changes", "says"),
+    [
+        ({"method": "magic"}, "magic"),
+        ({"steps": 0}, "steps"),
+        ({"degree": 4}, "degree"),
+        ({"seed": -1}, "seed: expected 0 to"),
+        ({"most_gaussians": 0}, "most_gaussians: expected a number of 1 or more"),
+    ],
 )
 def test_impossible_parameters_are_named(changes: dict[str, object], says: str) -> None:
     with pytest.raises(ModelError, match=says):

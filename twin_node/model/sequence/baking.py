@@ -30,6 +30,10 @@ FORMAT = "twin_node baked"
 VERSION = 1
 BATCH = 16
 """Time steps evaluated at once: what bounds the memory that baking takes beside its result."""
+CLOUD_BYTES = 4 * (3 + 4 + 3 + 1 + 3)
+"""Of a Gaussian of a published cloud: mean, quaternion, scale, opacity, colour."""
+MOST_BYTES = 8 * 2**30
+"""Of buffers: baking holds them twice while it joins them."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +113,10 @@ class Baked:
 
 
 def bake_model(model: SequenceModel, stamps: Sequence[int], cameras: tuple[Camera, ...]) -> Baked:
-    """Evaluates a sequence model at stamps (ns, rising). Raises `ModelError` without stamps."""
+    """Evaluates a sequence model at stamps (ns, rising). Raises `ModelError` without stamps, or with too many."""
     if not stamps:
         raise ModelError("bake: expected one time step or more, found none")
+    check_size(model, len(stamps))
     parts = []
     with torch.no_grad():
         for begin in range(0, len(stamps), BATCH):
@@ -135,14 +140,34 @@ def bake_model(model: SequenceModel, stamps: Sequence[int], cameras: tuple[Camer
     )
 
 
+def check_size(model: SequenceModel, steps: int) -> None:
+    """Raises `ModelError` where so many steps of a model that moves are more than `MOST_BYTES`."""
+    moved = (model.gaussians.means, model.gaussians.quats, model.gaussians.log_scales)
+    _check_bytes(steps if model.field is not None else 1, len(model.gaussians), sum(one[0].nbytes for one in moved))
+
+
+def _check_bytes(steps: int, gaussians: int, per_gaussian: int) -> None:
+    if steps * gaussians * per_gaussian > MOST_BYTES:
+        raise ModelError(
+            f"bake: expected buffers of at most {MOST_BYTES / 2**30:g} GiB, found more with {steps} steps of "
+            f"{gaussians} Gaussians; take fewer steps"
+        )
+
+
 def bake_clouds(states: Iterable[TwinState]) -> Baked:
-    """The clouds that a live model published, one time step each. Raises `ModelError` without states."""
+    """The clouds that a live model published, one time step each.
+
+    Raises `ModelError` without states, and as soon as there are too many.
+    """
     stamps: list[int] = []
     steps: list[MovedGaussians] = []
     cameras: dict[str, Camera] = {}
+    most = 0
     for state in states:
         stamps.append(state.stamp)
         steps.append(moved_from_cloud(state.gaussians))
+        most = max(most, len(state.gaussians.means))
+        _check_bytes(len(steps), most, CLOUD_BYTES)
         for view in state.frames.views:
             cameras.setdefault(view.camera.name, view.camera)
     return bake_steps(stamps, steps, (0.0, 0.0, 0.0), tuple(cameras.values()))
