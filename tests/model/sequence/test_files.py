@@ -127,6 +127,23 @@ def test_damaged_files_are_named(
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "name", ["gaussians.means", "gaussians.sh", "box.lower", "gradients.sums", "field.planes.time.0"]
+)
+def test_a_checkpoint_without_a_tensor_is_named(checkpoint: Path, tmp_path: Path, name: str) -> None:
+    from safetensors import safe_open
+
+    path = tmp_path / "file.safetensors"
+    with safe_open(checkpoint, framework="pt") as file:
+        metadata = file.metadata()
+    tensors = load_file(checkpoint)
+    for wrong in (None, torch.zeros(2, 2, 2)):
+        spoilt = {key: value for key, value in tensors.items() if key != name}
+        save_file(spoilt if wrong is None else {**spoilt, name: wrong}, path, metadata)
+        with pytest.raises(ModelError, match=rf"{path}: the checkpoint's tensors are not those of its header"):
+            load_checkpoint(path)
+
+
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     key=st.sampled_from(["parameters", "step", "span", "stamps", "steps", "background", "cameras", "images"]),

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from twin_node.model.parameters import ModelError
 from twin_node.model.ply import StoredGaussians
-from twin_node.model.sequence.canonical import CanonicalGaussians
+from twin_node.model.sequence.canonical import MOMENTS, CanonicalGaussians
 from twin_node.model.sequence.densify import PositionGradients
 from twin_node.model.sequence.field import Box
 from twin_node.model.sequence.parameters import TrainParameters
@@ -70,6 +70,22 @@ class Checkpoint:
             _load_field(field, self._part("field."))
         gaussians = CanonicalGaussians(self.stored, header.parameters.rates, 1.0, torch.device("cpu"))
         return SequenceModel(gaussians, field, header.span, header.background)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all tensors are there, and of the shapes that belong together."""
+        count, harmonics = len(self.tensors.get("gaussians.means", ())), (self.header.parameters.degree + 1) ** 2
+        own = {"means": (count, 3), "quats": (count, 4), "log_scales": (count, 3), "logits": (count,)}
+        learnt = own | {"colours": (count, 1, 3), "harmonics": (count, harmonics - 1, 3)}
+        needed = {f"gaussians.{name}": shape for name, shape in (own | {"sh": (count, harmonics, 3)}).items()}
+        needed |= {"gradients.sums": (count,), "gradients.counts": (count,), "box.lower": (3,), "box.upper": (3,)}
+        moments = {f"adam.{name}.{moment}": shape for name, shape in learnt.items() for moment in MOMENTS}
+        needed |= {name: shape for name, shape in moments.items() if name in self.tensors}  # none before the first step
+        if any(name not in self.tensors or self.tensors[name].shape != shape for name, shape in needed.items()):
+            return False
+        field = make_field(self.box, self.header.steps, self.header.parameters)
+        expected: Mapping[str, Tensor] = field.state_dict() if isinstance(field, nn.Module) else {}
+        return _shapes(expected) == _shapes(self._part("field."))
 
     @property
     def stored(self) -> StoredGaussians:
@@ -174,6 +190,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise ModelError(f"{path}: expected a checkpoint of twin_node train, version {VERSION}, found {found}")
     try:
         header = json.loads(metadata["header"])
+        if int(header["steps"]) < 1:
+            raise ValueError(f"steps: {header['steps']}")
         parsed = CheckpointHeader(
             fill(TrainParameters, header["parameters"], str(path)),
             int(header["step"]),
@@ -186,13 +204,20 @@ def load_checkpoint(path: Path) -> Checkpoint:
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the checkpoint's header is damaged ({error}); train again") from None
-    return Checkpoint(path, parsed, file.tensors)
+    checkpoint = Checkpoint(path, parsed, file.tensors)
+    if not checkpoint.is_whole:
+        raise ModelError(f"{path}: the checkpoint's tensors are not those of its header; train again")
+    return checkpoint
 
 
 def _some(names: Iterable[str]) -> str:
     """The first names of many."""
     first = sorted(names)
     return ", ".join(first[:4]) + (", ..." if len(first) > 4 else "")
+
+
+def _shapes(tensors: Mapping[str, Tensor]) -> dict[str, torch.Size]:
+    return {name: value.shape for name, value in tensors.items()}
 
 
 def _load_field(field: nn.Module, tensors: Mapping[str, Tensor]) -> None:
