@@ -20,6 +20,7 @@ from twin_node.bench.stability.scenes import (
     MIDDLE,
     ONSET_S,
     RADIUS_M,
+    RATE_HZ,
     blinking_box,
     circling,
     one_box,
@@ -29,7 +30,7 @@ from twin_node.bench.stability.scenes import (
 from twin_node.bench.stability.scores import Held, TickScore, held, silent_failures
 from twin_node.bench.stability.shapes import Ghosts, Isometry
 from twin_node.bench.stability.shots import Shot, Stage
-from twin_node.bench.stability.suite import QUICK, Stability, chosen_levels, run
+from twin_node.bench.stability.suite import QUICK, Stability, StabilityParameters, chosen_levels, run
 from twin_node.cell import CellTruth
 from twin_node.cell.simulator import SimulatedRig
 from twin_node.forecast.grid import encode_runs
@@ -42,7 +43,12 @@ GRID = Grid(np.zeros(3), 0.1, (10, 10, 10))
 def shots() -> list[Shot]:
     """Three shots of a box at its place, one of them after the onset of what goes wrong."""
     shots = list(Stage(one_box(circling(0.5), 0.1)))
-    return [shots[0], shots[1], replace(shots[2], seconds=ONSET_S + 0.2)]
+    return [shots[0], shots[1], at(shots[2], round((ONSET_S + 0.2) * RATE_HZ))]
+
+
+def at(shot: Shot, number: int) -> Shot:
+    """The shot as a later set of a run; its stamp is its last camera's, most of a period after its turn."""
+    return replace(shot, seconds=(number + 0.8) / RATE_HZ, frames=replace(shot.frames, sequence=number))
 
 
 def rng() -> np.random.Generator:
@@ -75,6 +81,24 @@ def test_a_perturbation_is_a_function_of_shot_level_and_seed(name: str, shots: l
     assert not same(hardest, shots[2].frames)
     for view, was in zip(shots[2].frames.views, before, strict=True):
         np.testing.assert_array_equal(view.rgb, was)
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_every_level_of_a_perturbation_changes_some_set_of_a_run(name: str, shots: list[Shot]) -> None:
+    settings, failure = StabilityParameters(), FAILURES[name]
+    for level in failure.levels:
+        run_s = failure.seconds(level, settings.seconds)
+        numbers = range(0, int(run_s * RATE_HZ), settings.stride)
+        made = (failure.perturb(at(shots[0], n), level, np.random.default_rng([5, n])) for n in numbers)
+        assert any(not same(one, shots[0].frames) for one in made), level
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_so_many_sets_of_the_rig_are_black(stride: int, shots: list[Shot]) -> None:
+    for level in FAILURES["black_frames"].levels:
+        made = (wrong.black_frames(at(shots[0], number), level, rng()) for number in range(0, 72, stride))
+        black = [one is not None and not any(view.rgb.any() for view in one.views) for one in made]
+        assert sum(black) == -(-level // stride)
 
 
 @pytest.mark.parametrize(

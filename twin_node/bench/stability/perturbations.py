@@ -116,8 +116,9 @@ def noise_only(shot: Shot, level: float, rng: np.random.Generator) -> FrameSet |
 
 
 def black_frames(shot: Shot, level: float, rng: np.random.Generator) -> FrameSet | None:
-    """`level` sets in a row are black in all cameras, depth and all, from the onset on."""
-    if not ONSET_S <= shot.seconds < ONSET_S + (level - 0.5) / RATE_HZ:
+    """`level` of the rig's sets in a row are black in all cameras, depth and all, from the onset on."""
+    first = round(ONSET_S * RATE_HZ)  # by their number: a set's stamp is that of its last camera, up to a period later
+    if not first <= shot.frames.sequence < first + level:
         return shot.frames
 
     def change(view: View) -> View:
