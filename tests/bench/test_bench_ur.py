@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 
@@ -24,6 +25,45 @@ def test_a_fault_is_injected_answered_and_scored(capsys: pytest.CaptureFixture[s
     assert (told["unanswered"], told["not_latched"]) == (0, 0)
     assert "not finite" in score["reason"]
     assert told["worst_ms"] == score["answered"]["max_ms"] > 0
+
+
+class NoNewDriver:
+    """A rig whose driver never comes back."""
+
+    is_at_work = True
+
+    def __init__(self, mode: object) -> None:
+        pass
+
+    def __enter__(self) -> NoNewDriver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def prepare(self) -> None:
+        pass
+
+    def inject(self, *_: object) -> None:
+        pass
+
+    def nobody(self, *_: object) -> None:
+        return None
+
+    halted_again = reason = nobody
+
+    def is_latched(self) -> bool:
+        return True
+
+
+def test_a_driver_that_does_not_come_back_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur, "UrRig", NoNewDriver)
+    monkeypatch.setattr(ur, "realtime", lambda priority: contextlib.nullcontext())
+    monkeypatch.setattr(ur, "_LATCH_S", 0.0)
+    fault = ur.Fault("driver_killed", NoNewDriver.inject, NoNewDriver.inject, NoNewDriver.nobody)
+    score = ur._score(fault, 2)
+    assert (score.driver_back, score.not_back, score.unanswered) == (None, 2, 2)
+    assert ur.UrBench({"driver_killed": score}).as_json()["not_back"] == 2
 
 
 def test_faults_that_are_not_known_are_refused() -> None:

@@ -105,6 +105,8 @@ class FaultScore:
     """The last one given."""
     driver_back: Spread | None = None
     """Time until a new driver process had a connection; where the driver's process was ended."""
+    not_back: int = 0
+    """How often none had within `_RESTART_S`."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class UrBench:
             "worst_ms": max(worst, default=None),
             "unanswered": sum(score.unanswered for score in self.faults.values()),
             "not_latched": sum(score.not_latched for score in self.faults.values()),
+            "not_back": sum(score.not_back for score in self.faults.values()),
             "false_halts": sum(score.false_halts for score in self.faults.values()),
         }
 
@@ -147,7 +150,7 @@ def _score(fault: Fault, repeats: int) -> FaultScore:
     """One fault, again and again on one rig."""
     answers: list[float] = []
     backs: list[float] = []
-    reason, unanswered, not_latched, false_halts = "", 0, 0, 0
+    reason, unanswered, not_latched, false_halts, not_back = "", 0, 0, 0, 0
     with realtime(_PRIORITY), UrRig(fault.mode) as rig:  # the time of an injection is taken, then it is made
         while len(answers) + unanswered < repeats:
             rig.prepare()
@@ -161,13 +164,14 @@ def _score(fault: Fault, repeats: int) -> FaultScore:
             if fault.name.startswith("driver_"):
                 back = rig.halted_again(injected, _RESTART_S)
                 backs += [] if back is None else [(back.stamp - injected) * 1e-6]
+                not_back += back is None
             answers += [] if answer is None else [(answer.stamp - injected) * 1e-6]
             unanswered += answer is None
             fault.end(rig)
             time.sleep(_LATCH_S)
             reason = rig.reason(injected) or (reason if answer is None else answer.reason)
             not_latched += fault.mode is DriverMode.SLIDER and not rig.is_latched()
-    return FaultScore(_spread(answers), unanswered, not_latched, false_halts, reason, _spread(backs))
+    return FaultScore(_spread(answers), unanswered, not_latched, false_halts, reason, _spread(backs), not_back)
 
 
 def _spread(samples: list[float]) -> Spread | None:

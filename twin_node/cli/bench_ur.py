@@ -39,6 +39,7 @@ def _bench_ur(options: argparse.Namespace) -> None:
         figures = f"{'never':>24}" if told is None else f"{told.p50_ms:8.1f}{told.p99_ms:8.1f}{told.max_ms:8.1f}"
         back = "" if score.driver_back is None else f" (driver back: {score.driver_back.max_ms:.0f} ms at most)"
         print(f"{name:22}{figures}  {score.reason}{back}")
-        for count, what in ((score.unanswered, "unanswered"), (score.not_latched, "not latched")):
+        told_of = ((score.unanswered, "unanswered"), (score.not_latched, "not latched"), (score.not_back, "not back"))
+        for count, what in told_of:
             if count:
                 print(f"{'':22}{count} of {options.repeats} {what}")

@@ -63,7 +63,7 @@ class Score:
     """Mean overlap (intersection over union) with the true pixels at its time of the projected voxels that are
     occupied more likely than not: the forecast without its bound."""
     error_mm: float | None
-    """Mean distance from the true points to the forecast, 0 inside it, mm."""
+    """Mean distance from the true points to the forecast, 0 inside it, mm; without those of forecasts of no voxel."""
 
 
 class Comparison:
