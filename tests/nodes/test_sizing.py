@@ -122,7 +122,7 @@ def test_a_size_beside_what_it_decides_is_refused() -> None:
 def test_a_budget_that_nothing_keeps_is_refused(budget: str, tmp_path: Path) -> None:
     path = tmp_path / "params.yaml"
     path.write_text(f"size: {{ros__parameters: {{name: auto, budget_ms: {budget}}}}}\n")
-    with pytest.raises(ParameterError, match=r"params.yaml.*size.*budget_ms: expected a number above 0, found"):
+    with pytest.raises(ParameterError, match=r"size: budget_ms: expected a number above 0, found"):
         load_parameters(path)
 
 

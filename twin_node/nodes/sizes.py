@@ -79,4 +79,4 @@ class SizeParameters:
 
     def __post_init__(self) -> None:
         """Raises `ParameterError` for a budget that nothing keeps."""
-        check_ranges(self, ParameterError, "", budget_ms=POSITIVE)
+        check_ranges(self, ParameterError, "size: ", budget_ms=POSITIVE)
