@@ -146,10 +146,10 @@ def run(parameters: ParetoParameters | None = None, progress: Progress = lambda 
         "spawn"
     )  # nothing may fork after OpenMP has started; peaks need fresh processes
     with ProcessPoolExecutor(parameters.processes, mp_context=spawn, max_tasks_per_child=1) as pool:
+        foreseen = [pool.submit(foresee, job) for job in forecasts]  # first: of a log too short, they tell so at once
         measured = [pool.submit(measure, job) for job in jobs]
-        foreseen = [pool.submit(foresee, job) for job in forecasts]
-        labels = [f"{job.name}, {job.recording.name}" for job in jobs] + [f"forecast, {job.size}" for job in forecasts]
-        for _ in progress(_as_done(labels, [*measured, *foreseen]), len(labels)):
+        labels = [f"forecast, {job.size}" for job in forecasts] + [f"{job.name}, {job.recording.name}" for job in jobs]
+        for _ in progress(_as_done(labels, [*foreseen, *measured]), len(labels)):
             pass
         points = [one.result() for one in measured]
         for job, one in zip(forecasts, foreseen, strict=True):
