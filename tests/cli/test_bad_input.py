@@ -177,7 +177,7 @@ def test_a_picture_below_a_file(
     (tmp_path / "file").touch()
     for name in ("picture.png", "film.mp4"):
         assert main(["render", str(cell_log(0.5)), "--view", "orbit", "-o", str(tmp_path / "file" / name)]) == 2
-        assert "cannot be written (Not a directory)" in capfd.readouterr().err
+        assert "expected the name of a file in a folder that exists" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--start-offset", "--duration"])

@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 from twin_logs import START, cloud_at, obstacles_at
 
+from twin_node.bag import LogWriter
+from twin_node.bag.rig import write_rig
 from twin_node.cli import main
+from twin_node.messages import convert
+from twin_node.nodes.film import FilmError, write_film
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
+from twin_node.rig import RigFile, save_rig
+from twin_node.scene import Rig, RigCamera
 
 pytest.importorskip("av")
 
@@ -73,8 +79,10 @@ def test_the_orbit_looks_at_the_cell_and_boxes_fall_on_what_they_hold(twin_log: 
         (["-o", "a.png", "--view", "beside"], "expected images, found none"),
         (["-o", "a.png", "--view", "above"], "expected one of beside, cameras, forecast, orbit"),
         (["-o", "a.png", "--camera", "left"], "--camera left: expected one of none"),
-        (["-o", "missing/a.mp4"], "cannot be written"),
         (["-o", "a.png", "--at", "7"], "expected a span inside the log's"),
+        (["-o", "a.png", "--start", "0.5", "--rate", "10"], "--start, --rate: expected with a film"),
+        (["-o", "a.mp4", "--at", "0.5"], "--at: expected with a picture"),
+        (["-o", "a.png", "--rig", "missing.yaml"], "missing.yaml: expected images to calibrate, found none in"),
     ],
 )
 def test_wrong_wishes_are_one_line(
@@ -89,3 +97,77 @@ def test_wrong_wishes_are_one_line(
     assert render(twin_log, *arguments) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["missing/a.mp4", "missing/a.png", "folder.png", "file/a.mp4"])
+def test_a_place_that_takes_no_file_is_told_before_anything_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """A film may take an hour: there is not even a log here that could be read."""
+    monkeypatch.chdir(tmp_path)
+    Path("folder.png").mkdir()
+    Path("file").touch()
+    assert render("no.mcap", "-o", name) == 2
+    assert f"-o {name}: expected the name of a file in a folder that exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--width", "1e9", "expected a whole number of pixels, 16 to 8192"),
+        ("--rate", "0.0004", "expected 0.001 to 1000 per second"),
+        ("--rate", "1e9", "expected 0.001 to 1000 per second"),
+    ],
+)
+def test_numbers_beyond_all_films(option: str, value: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        render("no.mcap", "-o", "a.mp4", option, value)
+    assert exit_.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_pictures_wider_than_a_film_can_be_are_one_error(tmp_path: Path) -> None:
+    with pytest.raises(FilmError, match=r"found 20000x16 .*give a smaller --width"):
+        write_film(iter([np.zeros((16, 20000, 3), np.uint8)]), 30, tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_camera_without_images_of_its_own_shape_has_its_place(tmp_path: Path) -> None:
+    """Three cameras, of which one has narrower images: side by side, each as high as its images are."""
+    log = write_images(tmp_path / "images.mcap", {"left": (64, 48), "right": (64, 24)})
+    for view in ("cameras", "forecast", "beside"):
+        assert render(log, "--view", view, "--width", 64, "-o", tmp_path / f"{view}.png") == 0
+    picture = cv2.imread(str(tmp_path / "forecast.png"))[22:]
+    assert picture.shape == (48, 128, 3)
+    assert (picture[:24] > 0).all() and (picture[24:, :64] > 0).all() and not picture[24:, 64:].any()
+
+
+def test_a_rig_file_of_some_of_the_cameras_shows_those(tmp_path: Path) -> None:
+    log = write_images(tmp_path / "images.mcap", {"left": (64, 48), "right": (64, 24)})
+    save_rig(RigFile(Rig((camera_of("right", (64, 24)),))), tmp_path / "rig.yaml")
+    out = tmp_path / "a.png"
+    assert render(log, "--view", "forecast", "--width", 64, "--rig", tmp_path / "rig.yaml", "-o", out) == 0
+    assert cv2.imread(str(out)).shape == (22 + 24, 64, 3)
+
+
+def test_an_orbit_has_no_camera_of_the_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_images(tmp_path / "images.mcap", {"left": (64, 48)})
+    assert render(log, "--view", "orbit", "--camera", "left", "-o", tmp_path / "a.png") == 2
+    assert "leave it out with --view orbit" in capsys.readouterr().err
+
+
+def camera_of(name: str, size: tuple[int, int]) -> RigCamera:
+    width, height = size
+    return RigCamera(name, width, height, np.array([[50.0, 0, width / 2], [0, 50, height / 2], [0, 0, 1]]), np.eye(4))
+
+
+def write_images(path: Path, sizes: dict[str, tuple[int, int]]) -> Path:
+    """A log of one grey image per camera, of sizes (width, height), with their calibration."""
+    rig = Rig(tuple(camera_of(name, size) for name, size in sizes.items()))
+    with LogWriter(path) as log:
+        write_rig(log, rig, START)
+        for camera in rig.cameras:
+            image = np.full((camera.height, camera.width, 3), 128, np.uint8)
+            log.write(f"/{camera.name}/image_raw", convert.raw_image(camera.name, START, image), START)
+            log.write(f"/{camera.name}/camera_info", convert.camera_info(camera, START), START)
+    return path

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from twin_node.errors import TwinError
+from twin_node.ranges import Range
+
+WIDTHS = Range(16, 8192)
+"""Of images, px: the widest cameras have less, and a picture of twice the width is four times the memory."""
+RATES = Range(0.001, 1000)
+"""Of films and exports, Hz: the fastest of what they show, the arm's joints, come at 500 Hz."""
 
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
@@ -87,14 +95,32 @@ _WRITABLE = "expected the name of a file in a folder that exists"
 
 
 def _is_writable(path: Path) -> bool:
-    return not path.is_dir() and path.parent.is_dir()
+    return not path.is_dir() and path.parent.is_dir() and os.access(path.parent, os.W_OK)
+
+
+def refuse_given(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
+    """Raises `TwinError` that names those of some options that were given (are not None), where they would be ignored.
+
+    `why`: when they are expected, and what to do.
+    """
+    given = ", ".join(f"--{name}" for name in names if getattr(options, name) is not None)
+    if given:
+        raise TwinError(f"{given}: {why}")
+
+
+def rate(text: str) -> float:
+    """Moments or pictures per second."""
+    value = _number(text)
+    if not RATES.holds(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected {RATES} per second")
+    return value
 
 
 def width(text: str) -> int:
     """A width in pixels."""
     value = _number(text)
-    if value != int(value) or value < 16:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of pixels, 16 or more")
+    if value != int(value) or not WIDTHS.holds(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of pixels, {WIDTHS}")
     return int(value)
 
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import not_negative, positive, width
+from twin_node.cli.arguments import check_output, not_negative, rate, refuse_given, width
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
+
+if TYPE_CHECKING:
+    from twin_node.nodes.export import ExportSpan
 
 FILM = ".mp4"
 
@@ -31,10 +34,10 @@ def add_render(commands: Any) -> None:
         help="beside (image, twin, error, forecast), cameras, forecast or orbit; default what the log allows",
     )
     render.add_argument("--camera", metavar="NAME", help="only this camera")
-    render.add_argument("--at", type=not_negative, default=0.0, metavar="S", help="time of a picture (default 0)")
-    render.add_argument("--start", type=not_negative, default=0.0, metavar="S", help="film: from here (default 0)")
+    render.add_argument("--at", type=not_negative, metavar="S", help="time of a picture (default 0)")
+    render.add_argument("--start", type=not_negative, metavar="S", help="film: from here (default 0)")
     render.add_argument("--stop", type=not_negative, metavar="S", help="film: up to here (default the log's end)")
-    render.add_argument("--rate", type=positive, default=30.0, metavar="HZ", help="pictures per second (default 30)")
+    render.add_argument("--rate", type=rate, metavar="HZ", help="film: pictures per second (default 30)")
     render.add_argument("--width", type=width, default=480, metavar="PX", help="of one camera's picture (default 480)")
     render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     render.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
@@ -42,17 +45,17 @@ def add_render(commands: Any) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
-    from twin_node.nodes.export import ExportSpan
     from twin_node.nodes.film import PICTURES, Film, write_film, write_picture
     from twin_node.robot import arm_model
 
     if options.output.suffix not in (FILM, *PICTURES):
         raise TwinError(f"-o {options.output}: expected a name that ends in {', '.join((FILM, *PICTURES))}")
+    check_output(options.output)
     is_film = options.output.suffix == FILM
+    span = _span_of(options, is_film)
     with open_playback(options.log, options.width, options.rig) as playback:
         view = options.view or ("beside" if playback.cameras else "orbit")
         film = Film(playback, view, options.width, arm_model(options.arm), options.camera)
-        span = ExportSpan(options.start, options.stop, options.rate) if is_film else ExportSpan.one(options.at)
         stamps = span.stamps(playback.start_ns, playback.end_ns)
         if not is_film:
             write_picture(film.picture(playback.at(stamps[0])), options.output)
@@ -62,5 +65,16 @@ def _render(options: argparse.Namespace) -> None:
                 for stamp in tqdm(stamps, unit="picture", desc="render", disable=None):
                     yield film.picture(playback.at(stamp))
 
-            write_film(pictures(), options.rate, options.output)
+            write_film(pictures(), span.rate_hz, options.output)
     print(f"{options.output}: {len(stamps)} pictures, {view}")
+
+
+def _span_of(options: argparse.Namespace, is_film: bool) -> ExportSpan:
+    """The times to draw. Raises `TwinError` for options of a film with a picture, and the other way round."""
+    from twin_node.nodes.export import ExportSpan
+
+    if not is_film:
+        refuse_given(options, ("start", "stop", "rate"), "expected with a film (.mp4); a picture has one time, --at")
+        return ExportSpan.one(options.at or 0.0)
+    refuse_given(options, ("at",), "expected with a picture (.png or .jpg); a film goes from --start to --stop")
+    return ExportSpan(options.start or 0.0, options.stop, options.rate or 30.0)

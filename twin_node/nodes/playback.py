@@ -251,7 +251,14 @@ class Playback:
             if any(kind in IMAGE_TYPES for kind in types.values()):
                 cameras = find_cameras(types, str(log.path))
                 rig = rig_for(log, cameras, rig_file)
-                return {camera.name: camera for camera in cameras}, FrameAssembler(rig.cameras, width)
+                calibrated = {camera.name for camera in rig.cameras}
+                known = {camera.name: camera for camera in cameras if camera.name in calibrated}
+                return known, FrameAssembler(rig.cameras, width)
+        if rig_file is not None:
+            raise GraphError(
+                f"{rig_file}: expected images to calibrate, found none in {self.name}; give the log that the twin's "
+                "was made from too, or no rig file"
+            )
         return {}, None
 
     def _look_back(self, stamp: int) -> dict[str, LogMessage]:

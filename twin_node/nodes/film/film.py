@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import cv2
@@ -43,6 +43,8 @@ class Film:
             )
         if camera is not None and camera not in names:
             raise FilmError(f"--camera {camera}: expected one of {', '.join(names) or 'none'}")
+        if camera is not None and view == "orbit":
+            raise FilmError(f"--camera {camera}: expected with a view of the cameras; leave it out with --view orbit")
         self._cameras = [c for c in playback.cameras if camera in (None, c.name)]
         self._width = width
         self._arm = arm
@@ -61,12 +63,12 @@ class Film:
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
         """The twin as the cameras see it, side by side."""
-        return np.hstack([_pixels(self._rendering(camera, snapshot)) for camera in self._cameras])
+        return _side_by_side([_pixels(self._rendering(camera, snapshot)) for camera in self._cameras])
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
         views = {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
-        return np.hstack([self._foreseen(camera, views.get(camera.name), snapshot) for camera in self._cameras])
+        return _side_by_side([self._foreseen(camera, views.get(camera.name), snapshot) for camera in self._cameras])
 
     def orbit(self, snapshot: Snapshot) -> UInt8:
         """The twin from a camera that goes around it, with boxes about what moves."""
@@ -120,6 +122,12 @@ VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
     "forecast": Film.forecast,
     "orbit": Film.orbit,
 }
+
+
+def _side_by_side(pictures: Sequence[UInt8]) -> UInt8:
+    """Pictures of one width, their tops in line: cameras need not have the same shape of image."""
+    height = max(picture.shape[0] for picture in pictures)
+    return np.hstack([np.pad(picture, ((0, height - picture.shape[0]), (0, 0), (0, 0))) for picture in pictures])
 
 
 def _blank(camera: Camera) -> UInt8:

@@ -28,13 +28,17 @@ class FilmError(TwinError):
 
 
 def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
-    """Writes pictures [H, W, 3], all of one size, as a film; returns how many. Raises `FilmError` where it cannot."""
+    """Writes pictures [H, W, 3], all of one size, as a film; returns how many. Raises `FilmError` where it cannot.
+
+    `rate_hz`: pictures per second, 0.001 to 1000, to three digits of a fraction.
+    """
     try:
         import av
+        from av.error import FFmpegError
     except ImportError:
         raise FilmError("render: expected the package av; install it with pip install 'twin-node[render]'") from None
     partial = path.with_name(f".{path.name}.partial")
-    count = 0
+    count, size = 0, "none"
     try:
         with av.open(str(partial), "w", format="mp4") as container:
             stream = container.add_stream("libx264", rate=Fraction(rate_hz).limit_denominator(1000))
@@ -44,12 +48,18 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
                 even = _even(picture)
                 if not count:
                     stream.height, stream.width = even.shape[:2]
+                    size = f"{stream.width}x{stream.height}"
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
                 count += 1
             container.mux(stream.encode())
         partial.replace(path)
     except OSError as error:
-        raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+        raise _refused(path, error) from None
+    except FFmpegError as error:
+        raise FilmError(
+            f"-o {path}: expected pictures that H.264 takes, found {size} ({error.strerror}); give a smaller --width, "
+            "or one --camera"
+        ) from None
     finally:
         _remove(partial)
     return count
@@ -62,9 +72,13 @@ def write_picture(picture: UInt8, path: Path) -> None:
         partial.write_bytes(cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
         partial.replace(path)
     except OSError as error:
-        raise FilmError(f"-o {path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+        raise _refused(path, error) from None
     finally:
         _remove(partial)
+
+
+def _refused(path: Path, error: OSError) -> FilmError:
+    return FilmError(f"-o {path}: cannot be written ({error.strerror}); free space or choose another place")
 
 
 def _remove(partial: Path) -> None:
