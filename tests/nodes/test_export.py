@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import weakref
 from collections.abc import Callable, Iterator, Sequence
@@ -17,16 +18,17 @@ from plyfile import PlyData
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
 from twin_node.arm import ArmCollisionChecker
-from twin_node.bag import RecordingWriter, open_log
+from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
+from twin_node.messages import convert
 from twin_node.model.ply import StoredGaussians, read_ply, stored_from_cloud, write_ply
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
-from twin_node.nodes.export import ExportSpan, Moment, export
-from twin_node.nodes.playback import in_force
+from twin_node.nodes.export import ExportSpan, LogSource, Moment, export
+from twin_node.nodes.playback import Playback, in_force
 from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import JOINT_STATES
+from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES
 from twin_node.robot import ArmModel, ur_model
-from twin_node.scene import Camera, GaussianCloud, View
+from twin_node.scene import Camera, GaussianCloud, JointSample, View
 
 SH_C0 = 0.28209479177387814
 
@@ -206,6 +208,59 @@ def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path:
     )
 
 
+def test_colours_of_a_stage_are_linear(twin_log: Path, tmp_path: Path) -> None:
+    """As USD takes them where nothing else is said; USD's own conversion gives those of the log."""
+    pytest.importorskip("pxr")
+    from pxr import Gf, Usd, UsdGeom
+
+    assert run(twin_log, "--to", "usd", "--rate", 10, "--stop", 0.5, "-o", tmp_path / "cell.usda") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "cell.usda"))
+    moving = UsdGeom.Points(stage.GetPrimAtPath("/World/Gaussians/Moving"))
+    shown = [as_on_screen(Gf, colour) for colour in moving.GetDisplayColorAttr().Get(3)]
+    assert np.allclose(shown, cloud_at(3, False).rgb, atol=1e-3)
+    box = UsdGeom.Gprim(stage.GetPrimAtPath("/World/Obstacles/MOVING_7"))
+    assert np.allclose(as_on_screen(Gf, box.GetDisplayColorAttr().Get()[0]), [0.85, 0.19, 0.15], atol=1e-3)
+
+
+def as_on_screen(gf: Any, colour: Any) -> list[float]:
+    """A colour of a stage, in USD's default space, in that of screens."""
+    names = gf.ColorSpaceNames
+    there = gf.Color(gf.Vec3f(colour), gf.ColorSpace(names.LinearRec709))
+    return list(gf.Color(there, gf.ColorSpace(names.SRGBRec709)).GetRGB())
+
+
+def test_links_may_be_called_what_usd_and_xml_do_not_take(twin_log: Path, tmp_path: Path) -> None:
+    """As those of arms in other people's files are: with slashes, ampersands, quotes and dashes."""
+    pytest.importorskip("pxr")
+    from pxr import Usd
+
+    plain = ur_model("ur5e")
+    strange = tuple(f'r&d/"{name}-<{k}>' for k, name in enumerate(plain.link_names))
+    arm = replace(plain, name="tom & jerry", link_names=strange)
+    with Playback([twin_log]) as playback:
+        for form, name in (("mjcf", "a.xml"), ("usd", "a.usda")):
+            export(LogSource(playback), form, ExportSpan.one(1.0), arm, tmp_path / name, lambda *_: None)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
+    assert [model.body(k).name for k in range(1, 8)] == list(strange)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    assert len(stage.GetPrimAtPath("/World/Arm").GetChildren()) == 7
+
+
+def test_links_that_usd_would_call_alike_stay_apart() -> None:
+    pytest.importorskip("pxr")
+    from twin_node.nodes.export.usd import _prim_names
+
+    assert len(set(_prim_names(["a-b", "a b", "a_b", "1"]))) == 4
+
+
+def test_a_player_plays_a_model_of_any_name(twin_log: Path, tmp_path: Path) -> None:
+    name = 'it\'s "here" \\ now.xml'
+    assert run(twin_log, "--to", "mjcf", "--stop", 0.1, "-o", tmp_path / name) == 0
+    tree = ast.parse((tmp_path / f"{name[:-4]}_play.py").read_text(encoding="utf-8"))
+    named = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    assert name in named
+
+
 def test_tables_hold_every_obstacle_in_force(twin_log: Path, tmp_path: Path) -> None:
     assert run(twin_log, "--to", "csv", "--rate", 10, "-o", tmp_path / "tables") == 0
     with (tmp_path / "tables" / "obstacles.csv").open() as file:
@@ -224,6 +279,7 @@ def test_tables_hold_every_obstacle_in_force(twin_log: Path, tmp_path: Path) -> 
         (["--to", "ply", "-o", "a.ply", "--at", "99"], "expected a span inside the log's 0 to 1.400 s"),
         (["--to", "ply", "-o", "missing/a.ply", "--at", "1"], "cannot be written"),
         (["--to", "mjcf", "-o", "a.xml", "--start", "1", "--stop", "0.5"], "expected a span inside"),
+        (["--to", "ply", "-o", "a.ply", "--at", "1", "--stop", "2"], "--stop: expected with a range"),
     ],
 )
 def test_wrong_wishes_are_one_line(
@@ -259,6 +315,33 @@ def test_a_folder_that_exists_is_left_alone(
     (Path(name) / "thesis.txt").write_text("mine")
     assert run(twin_log, "--to", form, "--stop", 0.5, "-o", name) == 2
     assert [path.name for path in Path(name).iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize(("form", "name"), [("csv", "mine.txt"), ("ply", "mine.ply")])
+def test_a_file_where_a_folder_should_go_is_told_before_anything_is_read(
+    twin_log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    form: str,
+    name: str,
+) -> None:
+    (tmp_path / name).write_text("mine")
+    monkeypatch.setattr(LogSource, "moments", lambda *_: pytest.fail("it was read"))
+    assert run(twin_log, "--to", form, "--stop", 0.5, "-o", tmp_path / name) == 2
+    assert "expected the name of a new folder, found a file" in capsys.readouterr().err
+    assert (tmp_path / name).read_text() == "mine"
+
+
+@pytest.mark.parametrize("form", ["ply", "npz"])
+def test_gaussians_are_exported_whatever_arm_the_log_has(form: str, tmp_path: Path) -> None:
+    """Nothing of the arm goes into them: its name need not be known, nor be one of ours."""
+    stamp, path = START, tmp_path / "other.mcap"
+    with LogWriter(path) as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), stamp), stamp)
+        sample = JointSample(stamp, ("panda_joint1", "panda_joint2"), np.zeros(2), np.zeros(2))
+        log.write(JOINT_STATES, convert.joint_sample_to_message(sample), stamp)
+    assert run(path, "--to", form, "--at", 0, "-o", tmp_path / f"a.{form}") == 0
 
 
 def test_a_log_without_obstacles_is_refused(

@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import not_negative, positive
+from twin_node.cli.arguments import not_negative, rate, refuse_given
 from twin_node.cli.playback import open_playback
 
 
@@ -25,9 +25,9 @@ def add_export(commands: Any) -> None:
         "-o", "--output", type=Path, required=True, metavar="FILE", help="csv, and ranges of ply: a folder"
     )
     export.add_argument("--at", type=not_negative, metavar="S", help="one time, seconds after the log's start")
-    export.add_argument("--start", type=not_negative, default=0.0, metavar="S", help="range: from here (default 0)")
+    export.add_argument("--start", type=not_negative, metavar="S", help="range: from here (default 0)")
     export.add_argument("--stop", type=not_negative, metavar="S", help="range: up to here (default the log's end)")
-    export.add_argument("--rate", type=positive, default=30.0, metavar="HZ", help="moments per second (default 30)")
+    export.add_argument("--rate", type=rate, metavar="HZ", help="range: moments per second (default 30)")
     export.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
     export.set_defaults(run=_export)
 
@@ -36,7 +36,11 @@ def _export(options: argparse.Namespace) -> None:
     from twin_node.nodes.export import ExportSpan, export
     from twin_node.robot import arm_model
 
-    span = ExportSpan(options.start, options.stop, options.rate) if options.at is None else ExportSpan.one(options.at)
+    if options.at is not None:
+        refuse_given(options, ("start", "stop", "rate"), "expected with a range; leave --at out, or them")
+        span = ExportSpan.one(options.at)
+    else:
+        span = ExportSpan(options.start or 0.0, options.stop, options.rate or 30.0)
     arm = arm_model(options.arm)
     with _open(options.log) as source, tqdm(unit="moment", desc="export", disable=None) as bar:
 

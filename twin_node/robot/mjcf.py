@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
@@ -30,7 +31,7 @@ _ROUND_POINTS = 24
 def write_mjcf(model: ArmModel) -> str:
     """MJCF text of an arm: one body per link, hinges about z, capsules and spheres as geoms named after their link."""
     lines = [
-        f'<mujoco model="{model.name}">',
+        f"<mujoco model={quoteattr(model.name)}>",
         "  <!-- Made by twin_node.robot.mjcf.write_mjcf from the arm's DH parameters and capsules. -->",
         '  <compiler angle="radian" autolimits="true"/>',
         "  <default>",
@@ -39,7 +40,7 @@ def write_mjcf(model: ArmModel) -> str:
         "    </default>",
         "  </default>",
         "  <worldbody>",
-        f'    <body name="{model.link_names[0]}" childclass="arm">',
+        f'    <body name={quoteattr(model.link_names[0])} childclass="arm">',
         *_geom_lines(model, 0),
     ]
     for j, (link, joint) in enumerate(zip(model.link_names[1:], model.joint_names, strict=True)):
@@ -47,8 +48,8 @@ def write_mjcf(model: ArmModel) -> str:
         place = f'pos="{_text(model.origins[j, :3, 3])}" quat="{_text(quat_from_rotation(model.origins[j, :3, :3]))}"'
         limits = np.array([model.lower[j], model.upper[j]])
         ends = f' range="{_text(limits)}"' if np.isfinite(limits).all() else ""
-        lines.append(f'{indent}<body name="{link}" {place}>')
-        lines.append(f'{indent}  <joint name="{joint}" axis="0 0 1"{ends}/>')
+        lines.append(f"{indent}<body name={quoteattr(link)} {place}>")
+        lines.append(f'{indent}  <joint name={quoteattr(joint)} axis="0 0 1"{ends}/>')
         lines.extend(_geom_lines(model, j + 1))
     for j in range(model.joints, -1, -1):
         lines.append("  " * (j + 2) + "</body>")
@@ -108,7 +109,7 @@ def _geom_lines(model: ArmModel, link: int) -> list[str]:
     names = geom_names(model)
     for row in np.flatnonzero(model.capsules.links == link):
         start, end = model.capsules.ends[row]
-        name = f'name="{names[row]}" size="{_text(model.capsules.radii[row : row + 1])}"'
+        name = f'name={quoteattr(names[row])} size="{_text(model.capsules.radii[row : row + 1])}"'
         if np.allclose(start, end):
             lines.append(f'{indent}<geom {name} type="sphere" pos="{_text(start)}"/>')
         else:

@@ -38,7 +38,7 @@ class CheckpointSource:
                 "npz, or give a log that 'twin_node replay LOG -o FILE' has written"
             )
 
-    def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+    def moments(self, stamps: Sequence[int], arm: ArmModel | None, with_clouds: bool) -> Iterator[Moment]:
         """The moments at rising `stamps` (ns)."""
         for stamp in stamps:
             with torch.no_grad():

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +61,15 @@ class Format:
     """What it is made of, and cannot do without."""
     with_clouds: bool
     """Whether Gaussians go into it."""
+    with_arm: bool
+    """Whether the arm goes into it: whose joints the log has is asked only then."""
     write: Write
+    is_split: bool = False
+    """Whether each moment is a file of its own: more than one are a folder."""
+
+    def is_folder(self, moments: int) -> bool:
+        """Whether so many moments are a folder."""
+        return not self.suffixes or (self.is_split and moments > 1)
 
 
 def export(
@@ -74,8 +83,16 @@ def export(
     chosen = _format(form, output)
     source.require(chosen.topic, f"an export to {form}")
     stamps = span.stamps(source.start_ns, source.end_ns)
-    moments = Moments(source, stamps, arm, span.rate_hz, chosen.with_clouds, lambda count: progress(count, len(stamps)))
-    with _whole(output) as unfinished:
+    moments = Moments(
+        source,
+        stamps,
+        arm,
+        span.rate_hz,
+        chosen.with_clouds,
+        chosen.with_arm,
+        lambda count: progress(count, len(stamps)),
+    )
+    with _whole(output, chosen.is_folder(len(stamps))) as unfinished:
         chosen.write(moments, unfinished)
     return len(stamps)
 
@@ -90,13 +107,15 @@ def _format(form: str, output: Path) -> Format:
 
 
 @contextlib.contextmanager
-def _whole(output: Path) -> Iterator[Path]:
+def _whole(output: Path, is_folder: bool) -> Iterator[Path]:
     """A path to write to under `output`'s name, and beside it; all of it moves to `output`'s folder at the end.
 
-    A file of the name is replaced, a folder is not: there may be more in it than an earlier export.
+    A file is replaced by a file; a folder is not, there may be more in it than an earlier export.
     """
     if not output.name or output.is_dir():
         raise ExportError(f"-o {output}: expected a new name, found a folder that exists; choose another, or delete it")
+    if is_folder and output.exists():
+        raise ExportError(f"-o {output}: expected the name of a new folder, found a file; choose another, or delete it")
     folder = output.with_name(f".{output.name}.partial")
     try:
         shutil.rmtree(folder, ignore_errors=True)
@@ -105,16 +124,18 @@ def _whole(output: Path) -> Iterator[Path]:
         for made in folder.iterdir():
             made.replace(output.with_name(made.name))
     except OSError as error:
-        raise ExportError(f"-o {output}: cannot be written ({error.strerror}); choose a folder that exists") from None
+        raise ExportError(
+            f"-o {output}: cannot be written ({error.strerror}); free space or choose another place"
+        ) from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 FORMATS: Mapping[str, Format] = {
-    "ply": Format((".ply",), GAUSSIANS, True, lambda moments, path: write_clouds(moments, path, write_ply)),
-    "spz": Format((".spz",), GAUSSIANS, True, lambda moments, path: write_clouds(moments, path, write_spz)),
-    "npz": Format((".npz",), GAUSSIANS, True, write_arrays),
-    "mjcf": Format((".xml",), OBSTACLES, False, write_collision_scene),
-    "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, True, write_stage),
-    "csv": Format((), OBSTACLES, False, write_tables),
+    "ply": Format((".ply",), GAUSSIANS, True, False, partial(write_clouds, write=write_ply), is_split=True),
+    "spz": Format((".spz",), GAUSSIANS, True, False, partial(write_clouds, write=write_spz), is_split=True),
+    "npz": Format((".npz",), GAUSSIANS, True, False, write_arrays),
+    "mjcf": Format((".xml",), OBSTACLES, False, True, write_collision_scene),
+    "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, True, True, write_stage),
+    "csv": Format((), OBSTACLES, False, True, write_tables),
 }

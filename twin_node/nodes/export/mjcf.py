@@ -24,7 +24,7 @@ COLOURS = {
     ObstacleKind.UNSEEN: "0.98 0.86 0.47 0.3",
 }
 
-PLAYER = '''"""Plays {model} in MuJoCo's viewer at its own pace, over and over."""
+PLAYER = '''"""Plays the model beside this file in MuJoCo's viewer at its own pace, over and over."""
 
 import time
 from pathlib import Path
@@ -32,7 +32,7 @@ from pathlib import Path
 import mujoco
 import mujoco.viewer
 
-model = mujoco.MjModel.from_xml_path(str(Path(__file__).with_name("{model}")))
+model = mujoco.MjModel.from_xml_path(str(Path(__file__).with_name({model!r})))
 data = mujoco.MjData(model)
 with mujoco.viewer.launch_passive(model, data) as viewer:
     while viewer.is_running():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from twin_node.errors import TwinError
-from twin_node.nodes.playback import Playback, in_force
+from twin_node.nodes.playback import Playback, Snapshot, in_force
 from twin_node.robot import ArmModel
 from twin_node.scene import Float32, Float64, GaussianCloud, Obstacles
 
@@ -27,7 +27,7 @@ class Moment:
     obstacles: Obstacles
     """Those in force at `stamp`: of a forecast, the interval that holds it."""
     q: Float64 | None
-    """[J] the arm's joints, rad; None where the log does not say."""
+    """[J] the arm's joints, rad; None where the log does not say, or they are not wanted."""
     cloud: GaussianCloud | None
     """All Gaussians; None where the log has none, or none are wanted."""
     harmonics: Float32 | None = None
@@ -48,8 +48,8 @@ class Source(Protocol):
     def require(self, topic: str, purpose: str) -> None:
         """Raises `TwinError` where it lacks a topic that is needed for `purpose`."""
 
-    def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
-        """The moments at rising `stamps` (ns)."""
+    def moments(self, stamps: Sequence[int], arm: ArmModel | None, with_clouds: bool) -> Iterator[Moment]:
+        """The moments at rising `stamps` (ns), with the joints of `arm` where it has them (None: none are wanted)."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,7 @@ class Moments:
     """Whose joints the source has."""
     rate_hz: float
     with_clouds: bool
+    with_arm: bool
     on_read: Callable[[int], None]
     """Told how many have been read."""
 
@@ -70,7 +71,8 @@ class Moments:
         return len(self.stamps)
 
     def __iter__(self) -> Iterator[Moment]:
-        for count, moment in enumerate(self.source.moments(self.stamps, self.arm, self.with_clouds), 1):
+        arm = self.arm if self.with_arm else None
+        for count, moment in enumerate(self.source.moments(self.stamps, arm, self.with_clouds), 1):
             yield moment
             self.on_read(count)
 
@@ -86,11 +88,16 @@ class LogSource:
         """Raises `GraphError` where no log has a topic."""
         self._playback.require(topic, purpose)
 
-    def moments(self, stamps: Sequence[int], arm: ArmModel, with_clouds: bool) -> Iterator[Moment]:
+    def moments(self, stamps: Sequence[int], arm: ArmModel | None, with_clouds: bool) -> Iterator[Moment]:
         """The moments at rising `stamps` (ns). Raises `RobotError` where the log's joints are not those of `arm`."""
         for stamp in stamps:
             said = self._playback.at(stamp)
-            joints = said.joints_of(arm.joint_names)
-            q = None if joints is None else arm.ordered_positions(joints)
+            q = None if arm is None else _angles(said, arm)
             cloud = said.cloud if with_clouds else None
             yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)
+
+
+def _angles(said: Snapshot, arm: ArmModel) -> Float64 | None:
+    """[J] the arm's joints, rad; None before the first were said."""
+    joints = said.joints_of(arm.joint_names)
+    return None if joints is None else arm.ordered_positions(joints)

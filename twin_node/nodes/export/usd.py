@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.geometry import quat_from_rotation
 from twin_node.nodes.export.moments import ExportError, Moment, Moments
 from twin_node.robot import ArmModel, Capsules, forward_kinematics
-from twin_node.scene import Float64, GaussianCloud, ObstacleKind, ObstacleShape, Tier
+from twin_node.scene import Float32, Float64, GaussianCloud, ObstacleKind, ObstacleShape, Tier
 
 COLOURS = {
     ObstacleKind.MOVING: (0.85, 0.19, 0.15),
@@ -19,6 +21,7 @@ COLOURS = {
     ObstacleKind.UNSEEN: (0.98, 0.86, 0.47),
 }
 ARM_COLOUR = (0.62, 0.68, 0.74)
+"""Of obstacles and arm, as a screen has them (sRGB), like those of Gaussians; a stage holds all of them `linear`."""
 SIGMAS_SHOWN = 2.0
 """A point is drawn as wide as so many standard deviations of its Gaussian, either side."""
 
@@ -26,10 +29,10 @@ SIGMAS_SHOWN = 2.0
 def write_stage(moments: Moments, path: Path) -> None:
     """Writes a stage whose time codes are frames at the export's rate.
 
-    /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are boxes and spheres with collision,
-    kinematic where they move, invisible and without collision while they are not in force; /World/Arm are capsules with
-    collision, where the log has the joints; until it first has them they stand as then. Raises `ExportError` where
-    usd-core is not installed or cannot write.
+    /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are kinematic boxes and spheres with
+    collision, invisible and without collision while they are not in force; /World/Arm are capsules with collision,
+    where the log has the joints; until it first has them they stand as then. Colours are linear. Raises `ExportError`
+    where usd-core is not installed or cannot write.
     """
     try:
         from pxr import Tf
@@ -67,6 +70,18 @@ def _write_stage(moments: Moments, path: Path) -> None:
         if arm is not None:
             arm.place(frame, moment)
     stage.Save()
+
+
+def linear(rgb: NDArray[np.floating]) -> Float32:
+    """Colours [..., 3] of sRGB, 0 to 1, in linear Rec. 709: what a stage's colours are unless they say otherwise."""
+    low, high = rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4
+    return np.where(rgb <= 0.04045, low, high).astype(np.float32)
+
+
+def _display_colour(rgb: tuple[float, float, float]) -> Any:
+    from pxr import Vt
+
+    return Vt.Vec3fArray.FromNumpy(linear(np.array([rgb])))
 
 
 class _Gaussians:
@@ -109,7 +124,7 @@ def _set_points(points: Any, cloud: GaussianCloud, frame: int) -> None:
         corners = np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
         points.GetExtentAttr().Set(Vt.Vec3fArray.FromNumpy(corners), frame)
     colour = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    colour.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(cloud.rgb, np.float32)), frame)
+    colour.Set(Vt.Vec3fArray.FromNumpy(linear(cloud.rgb)), frame)
     opacity = points.CreateDisplayOpacityPrimvar(UsdGeom.Tokens.vertex)
     opacity.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(cloud.opacities, np.float32)), frame)
 
@@ -152,7 +167,7 @@ class _Collider:
             geom = UsdGeom.Cube.Define(stage, path)
             geom.CreateSizeAttr(2.0)
         geom.CreateExtentAttr([Gf.Vec3f(-1), Gf.Vec3f(1)])
-        geom.CreateDisplayColorAttr([COLOURS[kind]])
+        geom.CreateDisplayColorAttr(_display_colour(COLOURS[kind]))
         geom.CreateDisplayOpacityAttr([0.6 if kind == ObstacleKind.MOVING else 0.3])
         self._move, self._turn, self._scale = geom.AddTranslateOp(), geom.AddOrientOp(), geom.AddScaleOp()
         self._visibility = geom.CreateVisibilityAttr()
@@ -196,7 +211,7 @@ class _Arm:
         self._arm = arm
         self._links = []
         UsdGeom.Xform.Define(stage, "/World/Arm")
-        for link, name in enumerate(arm.link_names):
+        for link, name in enumerate(_prim_names(arm.link_names)):
             xform = UsdGeom.Xform.Define(stage, f"/World/Arm/{name}")
             UsdPhysics.RigidBodyAPI.Apply(xform.GetPrim()).CreateKinematicEnabledAttr(True)
             self._links.append((xform.AddTranslateOp(), xform.AddOrientOp()))
@@ -214,6 +229,17 @@ class _Arm:
             turn.Set(Gf.Quatf(*quat_from_rotation(pose[:3, :3]).tolist()), frame)
 
 
+def _prim_names(names: Sequence[str]) -> list[str]:
+    """Names of links as USD allows them: letters, digits and underscores, each once."""
+    from pxr import Tf
+
+    valid: list[str] = []
+    for number, name in enumerate(names):
+        made = Tf.MakeValidIdentifier(name)
+        valid.append(f"{made}_{number}" if made in valid else made)
+    return valid
+
+
 def _add_capsule(stage: Any, path: str, capsules: Capsules, row: int) -> None:
     from pxr import Gf, UsdGeom, UsdPhysics
 
@@ -226,7 +252,7 @@ def _add_capsule(stage: Any, path: str, capsules: Capsules, row: int) -> None:
     geom.CreateHeightAttr(length)
     corner = Gf.Vec3f(radius, radius, radius + length / 2)
     geom.CreateExtentAttr([-corner, corner])
-    geom.CreateDisplayColorAttr([ARM_COLOUR])
+    geom.CreateDisplayColorAttr(_display_colour(ARM_COLOUR))
     geom.AddTranslateOp().Set(Gf.Vec3d(*((start + end) / 2).tolist()))
     if length > 0:
         turn = Gf.Rotation(Gf.Vec3d(0, 0, 1), Gf.Vec3d(*(end - start).tolist()))
