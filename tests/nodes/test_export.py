@@ -306,6 +306,21 @@ def test_a_log_that_breaks_off_is_told_and_read_as_far_as_it_goes(
     assert "twin_node: warning: " in said and "broken.mcap: damaged at byte" in said
 
 
+def test_damage_that_only_reading_tells_is_told(
+    twin_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A chunk in the middle is not what it was: what comes of its time is older, and nobody would know."""
+    log = tmp_path / "twin.mcap"
+    data = bytearray(twin_log.read_bytes())
+    data[2000:2100] = bytes(100)
+    log.write_bytes(data)
+    with open_log(log) as opened:
+        assert opened.damage is None
+    assert run(log, "--to", "npz", "--rate", 10, "-o", tmp_path / "a.npz") in (0, 2)
+    said = capsys.readouterr().err
+    assert said.count("twin_node: warning: ") == 1 and "twin.mcap: damaged at byte" in said
+
+
 @pytest.mark.parametrize(("form", "name"), [("csv", "mine"), ("csv", "."), ("ply", "mine.ply")])
 def test_a_folder_that_exists_is_left_alone(
     twin_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, name: str

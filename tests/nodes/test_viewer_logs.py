@@ -16,10 +16,10 @@ from twin_logs import PERIOD, START, cloud_at
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
-from twin_node.messages import convert
+from twin_node.messages import MessageError, convert
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, OCCUPANCY
-from twin_node.nodes.viewer import CellPage
+from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.robot import RobotError, ur_model
 from twin_node.scene import GaussianCloud, Grid, JointSample, Occupancy, OccupancyLayer
 
@@ -170,6 +170,34 @@ def test_joints_of_another_arm_are_an_error_that_names_them(page: CellPage, tmp_
         log.write(JOINT_STATES, convert.joint_sample_to_message(sample), START)
     with pytest.raises(RobotError, match="axis_1"):
         shown(page, tmp_path / "a.mcap", seconds=0)
+
+
+def test_a_message_that_cannot_be_shown_is_told_and_others_are_shown(
+    page: CellPage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arm's joints are no angles from 0.1 to 0.2 s: somebody who plays the log is not thrown out there."""
+    arm = ur_model("ur5e")
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for k, angle in enumerate((0.1, np.nan, 0.1)):
+            sample = JointSample(START + k * PERIOD, arm.joint_names, np.full(6, angle), np.zeros(6))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(sample), sample.stamp)
+    told: list[str | None] = []
+    monkeypatch.setattr(page, "tell", told.append)
+    with Playback([tmp_path / "a.mcap"]) as playback:
+        viewer, times = LogViewer(playback, page), iter((0.0, 0.1, 0.2))
+
+        def is_over() -> bool:
+            time = next(times, None)
+            viewer.seek(time or 0.0)
+            return time is None
+
+        viewer.run(is_over)
+        assert told[0] is None and told[2] is None
+        assert told[1] is not None and "is not finite" in told[1]
+        viewer, rounds = LogViewer(playback, page), iter((False,))
+        viewer.seek(0.1)
+        with pytest.raises(MessageError, match="is not finite"):
+            viewer.run(lambda: next(rounds, True))
 
 
 def test_time_before_the_first_word_is_an_empty_page(page: CellPage, twin_log: Path) -> None:
