@@ -17,13 +17,24 @@ from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
 from twin_node.messages import MessageError, convert
+from twin_node.nodes.overlays import moving_mask
 from twin_node.nodes.playback import Playback
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, OCCUPANCY
+from twin_node.nodes.topics import (
+    GAUSSIANS,
+    GAUSSIANS_MOVING,
+    JOINT_STATES,
+    OBSTACLES,
+    OCCUPANCY,
+    SEPARATION,
+    TRAJECTORY,
+)
 from twin_node.nodes.viewer import CellPage, LogViewer
-from twin_node.robot import RobotError, ur_model
-from twin_node.scene import GaussianCloud, Grid, JointSample, Occupancy, OccupancyLayer
+from twin_node.robot import RobotError, forward_kinematics, ur_model
+from twin_node.scene import GaussianCloud, Grid, JointPath, JointSample, Occupancy, OccupancyLayer, Separation
 
 pytest.importorskip("viser")
+
+NO_RUNS = np.empty((0, 2), np.uint32)
 
 
 @pytest.mark.parametrize("swallows", ["set_cameras", "show"])
@@ -112,6 +123,53 @@ def test_layers_of_the_forecast_are_points_where_the_voxels_are(page: CellPage, 
     assert np.allclose(find("/occupancy/moving").points, grid.centers(np.array([3, 11])), atol=1e-3)
     assert np.allclose(find("/occupancy/unknown").points, grid.centers(np.array([40, 41, 42])), atol=1e-3)
     assert find("/occupancy/static") is None
+
+
+@pytest.mark.parametrize(("seconds", "is_seen"), [(0.2, True), (0.3, False)])
+def test_moving_space_goes_with_its_forecast(
+    page: CellPage, cell_log: Callable[..., Path], tmp_path: Path, seconds: float, is_seen: bool
+) -> None:
+    """Its last horizon is over 200 ms after it was published; what stands goes on standing."""
+    grid = Grid(np.array([0.0, 0.0, 0.0]), 0.1, (4, 4, 4))
+    certain = np.full(1, 255, np.uint8)
+    layers = tuple(OccupancyLayer(50_000_000 * k, np.array([k], np.uint32), certain) for k in range(5))
+    said = Occupancy(START, START, grid, layers, OccupancyLayer(0, np.array([20], np.uint32), certain), NO_RUNS)
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(OCCUPANCY, convert.occupancy_to_message(said), START)
+    page.voxels.horizon, page.voxels.is_static_shown = 0, True
+    find = shown(page, tmp_path / "a.mcap", cell_log(0.5), seconds=seconds)
+    assert (find("/occupancy/moving") is not None) == is_seen
+    assert find("/occupancy/static") is not None
+    with Playback([tmp_path / "a.mcap", cell_log(0.5)], 80) as playback:
+        snapshot = playback.at(START + round(seconds * 1e9))
+        assert (moving_mask(snapshot, playback.cameras[0], 0) is not None) == is_seen
+
+
+def test_a_path_that_is_over_no_longer_leads_the_arm(page: CellPage, tmp_path: Path) -> None:
+    """Somebody moves the arm by hand since: where it will be follows from its joints."""
+    arm = ur_model("ur5e")
+    with LogWriter(tmp_path / "a.mcap") as log:
+        path = JointPath(arm.joint_names, START + np.array([0, PERIOD]), np.array([np.zeros(6), np.full(6, 0.5)]))
+        log.write(TRAJECTORY, convert.joint_path_to_message(path), START)
+        for k in range(10):
+            turned = np.array([0.1 * k, -1.2, 1.4, -1.8, -1.5, 0.0])
+            sample = JointSample(START + k * PERIOD, arm.joint_names, turned, np.array([1.0, 0, 0, 0, 0, 0]))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(sample), sample.stamp)
+    for seconds, ahead in ((0.1, np.full(6, 0.5)), (0.5, np.array([0.7, -1.2, 1.4, -1.8, -1.5, 0.0]))):
+        ghost = shown(page, tmp_path / "a.mcap", seconds=seconds)("/arm_ahead/forearm_link")
+        assert np.allclose(ghost.position, forward_kinematics(arm, ahead)[3, :3, 3], atol=1e-6)
+
+
+def test_a_decision_that_is_old_says_so(page: CellPage, tmp_path: Path) -> None:
+    """An arm's node that has died leaves its last words: full speed may be among them."""
+    decided = Separation(START, START, 1.0, 0.5, *np.zeros(5).tolist(), "forearm_link", 7, 1.0, "nothing near")
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(SEPARATION, convert.separation_to_message(decided), START)
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START + 9 * 10**9), START + 9 * 10**9)
+    shown(page, tmp_path / "a.mcap", seconds=2)
+    assert page._arm_words.content.startswith("### Speed 100%")
+    shown(page, tmp_path / "a.mcap", seconds=6)
+    assert page._arm_words.content.startswith("**There has been no decision about the arm for 6 s.**")
 
 
 def test_images_of_one_camera_are_in_its_frustum(

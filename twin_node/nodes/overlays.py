@@ -23,11 +23,11 @@ def arm_mask(snapshot: Snapshot, camera: Camera, arm: ArmModel) -> Bool | None:
 
 
 def moving_mask(snapshot: Snapshot, camera: Camera, layer: int) -> Bool | None:
-    """[H, W] True where space shows that moves at one layer of the forecast (-1: the last); None without a forecast."""
+    """[H, W] True where space shows that moves at one layer of the forecast (-1: the last); None where none holds."""
     from twin_node.forecast.score import projected  # loads torch: a page without masks is there a second sooner
 
-    occupancy = snapshot.occupancy
-    if occupancy is None or not occupancy.layers:
+    occupancy = snapshot.foreseen
+    if occupancy is None:
         return None
     return projected(camera, occupancy.grid, occupancy.layers[layer].indices)
 

@@ -42,6 +42,8 @@ from twin_node.scene import (
 
 LOOK_BACK_NS = 2_000_000_000
 """How far back a first look goes: twice the period of what is published once a second."""
+SILENT_S = 2.5
+"""Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
 JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
 """How far back an arm's joints are looked for where others have come since: one that works tells at 10 Hz or more."""
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -101,6 +103,14 @@ class Snapshot:
         said = self.said.get(OCCUPANCY)
         return None if said is None else convert.occupancy_from_message(said.message)
 
+    @property
+    def foreseen(self) -> Occupancy | None:
+        """The newest forecast while it lasts: after its last horizon nobody says any more what moves where."""
+        newest = self.occupancy
+        if newest is None or not newest.layers:
+            return None
+        return newest if self.stamp <= newest.publish_stamp + newest.layers[-1].horizon_ns else None
+
     @cached_property
     def obstacles(self) -> Obstacles | None:
         """The newest obstacles, of every interval of their validity."""
@@ -142,9 +152,15 @@ class Snapshot:
 
     @cached_property
     def path(self) -> JointPath | None:
-        """Where the arm means to be."""
+        """Where the arm means to be, while that lasts: a path that has not begun or is over tells nothing of it."""
         said = self.said.get(TRAJECTORY)
-        return None if said is None else convert.joint_path_from_message(said.message, said.stamp)
+        path = None if said is None else convert.joint_path_from_message(said.message, said.stamp)
+        return path if path is not None and path.stamps[0] <= self.stamp <= path.stamps[-1] else None
+
+    def silent_s(self, topics: Sequence[str]) -> float:
+        """For how long nothing was said on any of some topics, s; 0 where nothing ever was."""
+        stamps = [self.said[topic].stamp for topic in topics if topic in self.said]
+        return (self.stamp - max(stamps)) / 1e9 if stamps else 0.0
 
     @cached_property
     def frames(self) -> FrameSet | None:

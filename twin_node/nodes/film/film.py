@@ -11,9 +11,10 @@ import numpy as np
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.film.writer import FilmError
 from twin_node.nodes.overlays import arm_mask, moving_mask
-from twin_node.nodes.playback import Playback, Snapshot, in_force
+from twin_node.nodes.playback import SILENT_S, Playback, Snapshot, in_force
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
+from twin_node.nodes.topics import SEPARATION
 from twin_node.robot import ArmModel
 from twin_node.scene import Camera, Float32, ObstacleKind, UInt8, View
 
@@ -107,8 +108,10 @@ class Film:
 
     def _caption(self, snapshot: Snapshot, width: int) -> UInt8:
         words = f"{(snapshot.stamp - self._start) / 1e9:6.2f} s"
-        said = snapshot.separation
-        if said is not None:
+        said, silent_s = snapshot.separation, snapshot.silent_s((SEPARATION,))
+        if silent_s > SILENT_S:
+            words += f"   no decision about the arm for {silent_s:.0f} s"
+        elif said is not None:
             distance = f"{said.distance:.2f} m" if np.isfinite(said.distance) else "nothing near"
             words += f"   speed {said.speed_fraction:.0%}   {distance}   {said.reason}"
         strip = np.full((CAPTION_PX, width, 3), 255, np.uint8)

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from twin_node.messages.convert import Status
-from twin_node.nodes.playback import Snapshot
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, STATUS
+from twin_node.nodes.playback import SILENT_S, Snapshot
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
 from twin_node.scene import Separation, Tier
 
 OF_THE_TWIN = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, STATUS)
 """What the twin itself says; the arm's node and all others speak on without it."""
-SILENT_S = 2.5
-"""Longer than this a twin is not silent, s: its status comes once a second."""
 
 
 def arm_text(snapshot: Snapshot) -> str:
-    """Markdown: the arm's distance and speed, with the reason."""
-    return "No decision about the arm's speed was heard." if snapshot.separation is None else _arm(snapshot.separation)
+    """Markdown: the arm's distance and speed, with the reason, and for how long nobody has decided on it."""
+    if snapshot.separation is None:
+        return "No decision about the arm's speed was heard."
+    return _silence(snapshot, (SEPARATION,), "There has been no decision about the arm") + _arm(snapshot.separation)
 
 
 def twin_text(snapshot: Snapshot) -> str:
     """Markdown: how the twin does, or for how long it has been silent."""
-    said = [snapshot.said[topic].stamp for topic in OF_THE_TWIN if topic in snapshot.said]
-    silent_s = (snapshot.stamp - max(said)) / 1e9 if said else 0.0
-    silence = f"**The twin has said nothing for {silent_s:.0f} s.**\n\n" if silent_s > SILENT_S else ""
+    silence = _silence(snapshot, OF_THE_TWIN, "The twin has said nothing")
     return silence + ("The twin has not said how it does." if snapshot.status is None else _twin(snapshot.status))
+
+
+def _silence(snapshot: Snapshot, topics: Sequence[str], what: str) -> str:
+    """Markdown: `what` has lasted so long, where it has lasted too long; nothing where nobody ever spoke."""
+    silent_s = snapshot.silent_s(topics)
+    return f"**{what} for {silent_s:.0f} s.**\n\n" if silent_s > SILENT_S else ""
 
 
 def _arm(separation: Separation) -> str:

@@ -177,7 +177,7 @@ class Voxels:
         self.is_unknown_shown = False
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draws the chosen layers; a layer that nobody looks at is not even decoded."""
+        """Draws the chosen layers, moving space while its forecast lasts; what nobody looks at is not even decoded."""
         for handle in self._handles.values():
             handle.visible = False
         if self.horizon is None and not self.is_static_shown and not self.is_unknown_shown:
@@ -185,8 +185,9 @@ class Voxels:
         occupancy = snapshot.occupancy
         if occupancy is None:
             return
-        if self.horizon is not None and self.horizon < len(occupancy.layers):
-            self._draw("moving", occupancy.grid, occupancy.layers[self.horizon].indices, MOVING_VOXELS)
+        foreseen = snapshot.foreseen
+        if self.horizon is not None and foreseen is not None and self.horizon < len(foreseen.layers):
+            self._draw("moving", foreseen.grid, foreseen.layers[self.horizon].indices, MOVING_VOXELS)
         if self.is_static_shown:
             self._draw("static", occupancy.grid, occupancy.static.indices, STATIC_VOXELS)
         if self.is_unknown_shown:
