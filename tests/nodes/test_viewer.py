@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import socket
+import threading
+import urllib.request
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,6 +132,63 @@ def test_playing_runs_to_the_end_and_seeking_shows_that_time(twin_log: Path, pag
         viewer.run()
     assert shown[0] == 0 and shown[1] == 7 * PERIOD
     assert shown[1:] == sorted(shown[1:]) and shown[-1] == 14 * PERIOD
+
+
+def test_what_a_visitor_asks_for_while_it_is_asked_is_not_forgotten(page: CellPage) -> None:
+    """The event is asked, and then forgotten; a click between the two is one that nobody has seen."""
+
+    class Late(threading.Event):
+        """Somebody clicks right after it was asked."""
+
+        def is_set(self) -> bool:
+            asked = super().is_set()
+            self.set()
+            return asked
+
+    page._changed = Late()
+    assert not page.take_change()
+    assert page.take_change()
+
+
+def test_a_click_that_comes_while_another_is_answered_is_answered(
+    twin_log: Path, page: CellPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = Ray(np.zeros(3), np.array([0.0, 0, 1])), Ray(np.ones(3), np.array([0.0, 0, 1]))
+    answered: list[Ray] = []
+
+    def slowly(_snapshot: Snapshot, ray: Ray, *_: object) -> None:
+        answered.append(ray)
+        if ray is first:
+            page._clicks.append(second)
+
+    monkeypatch.setattr("twin_node.nodes.viewer.page.pick", slowly)
+    page._clicks.append(first)
+    with Playback([twin_log]) as playback:
+        for _ in range(2):
+            page.show(playback.at(START))
+    assert answered == [first, second]
+
+
+def test_words_from_elsewhere_are_shown_as_they_are(page: CellPage) -> None:
+    """A camera's name in angle brackets is no tag, a file that is named no picture of it."""
+    page.tell("no image on /<camera>/image_raw: ![x](/etc/hostname) & so\non")
+    shown = re.sub(r"\\(.)", r"\1", page._problem.content)
+    assert shown == "**no image on /<camera>/image_raw: ![x](/etc/hostname) & so on**"
+    assert r"\<camera\>/image\_raw" in page._problem.content and "![" not in page._problem.content
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="needs IPv6")
+def test_an_address_of_ipv6_is_one(twin_log: Path) -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("needs an IPv6 loopback")
+    made = CellPage(ur_model("ur5e"), (), "::1", free_port())
+    try:
+        with urllib.request.urlopen(made.url) as answer:
+            assert made.url.startswith("http://[::1]:") and answer.status == 200
+    finally:
+        made.close()
 
 
 def test_a_port_in_use_is_one_line(twin_log: Path, page: CellPage, capsys: pytest.CaptureFixture[str]) -> None:

@@ -274,6 +274,9 @@ def test_time_before_the_first_word_is_an_empty_page(page: CellPage, twin_log: P
         (["LOG", "--arm", "ur99"], "ur99"),
         (["LOG", "--host", "198.51.100.7"], "cannot be opened"),
         (["LOG", "--rig", "missing.yaml"], "missing.yaml"),
+        (["LOG", "--host", ""], "--host: expected an address, found none"),
+        (["LOG", "--at", "7"], "--at 7: expected a time inside the log's 0 to 1.400 s"),
+        (["--live", "--at", "7"], "--at: expected with a LOG"),
         (["--live", "--endpoint", "nonsense"], "expected addresses such as tcp/127.0.0.1:7447"),
     ],
 )

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, port, width
+from twin_node.cli.arguments import not_negative, port, refuse_given, width
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
 
@@ -29,7 +29,7 @@ def add_view(commands: Any) -> None:
     view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
     view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints (default ur10e)")
     view.add_argument("--width", type=width, metavar="PX", help="of the images (default 320 of logs, 160 live)")
-    view.add_argument("--at", type=not_negative, default=0.0, metavar="S", help="begin so many seconds into the log")
+    view.add_argument("--at", type=not_negative, metavar="S", help="begin so many seconds into the log (default 0)")
     view.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     view.add_argument("--port", type=port, default=8080, help="port to listen on (default 8080)")
     view.set_defaults(run=_view)
@@ -39,11 +39,12 @@ def _view(options: argparse.Namespace) -> None:
     if options.live == bool(options.log):
         raise TwinError("view: expected a LOG, or --live for the running graph; give one of them")
     if options.live:
+        refuse_given(options, ("at",), "expected with a LOG; the running graph has no other time than now")
         _view_graph(options)
         return
     if options.endpoint:
         raise TwinError("view: --endpoint is for --live; leave it out to look at a log")
-    view_log(options.log, options.rig, options.arm, options.width or 320, options.at, options.host, options.port)
+    view_log(options.log, options.rig, options.arm, options.width or 320, options.at or 0.0, options.host, options.port)
 
 
 def view_log(
@@ -62,6 +63,9 @@ def view_log(
 
         model = arm_model(arm)
         with open_playback(logs, images_px, rig) as playback:
+            length_s = (playback.end_ns - playback.start_ns) / 1e9
+            if at_s > length_s:
+                raise TwinError(f"--at {at_s:g}: expected a time inside the log's 0 to {length_s:.3f} s")
             page = CellPage(model, playback.cameras, host, port)
             viewer = LogViewer(playback, page)
             viewer.seek(at_s)

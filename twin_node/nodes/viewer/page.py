@@ -14,7 +14,7 @@ import numpy as np
 from twin_node.errors import TwinError
 from twin_node.nodes.playback import Snapshot
 from twin_node.nodes.viewer.frusta import Frusta
-from twin_node.nodes.viewer.panel import arm_text, twin_text
+from twin_node.nodes.viewer.panel import arm_text, plain, twin_text
 from twin_node.nodes.viewer.picked import PickedThing
 from twin_node.nodes.viewer.picking import Ray, pick
 from twin_node.nodes.viewer.priority import go_last
@@ -45,7 +45,7 @@ class CellPage:
     ) -> None:
         """`cameras`: those that are known already. Raises `ViewerError` where viser is missing or the port is taken."""
         self.server = _open_server(host, port)
-        self.url = f"http://{host}:{self.server.get_port()}"
+        self.url = _url(host, self.server.get_port())
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_frame("/base_link", axes_length=0.2, axes_radius=0.004)
         self._splats = SplatLayers(self.server)
@@ -78,7 +78,8 @@ class CellPage:
     def take_change(self) -> bool:
         """Whether a visitor has asked for something that `show` must draw anew; asked once, it is forgotten."""
         changed = self._changed.is_set()
-        self._changed.clear()
+        if changed:  # else what a visitor asks for between the two would be forgotten
+            self._changed.clear()
         return changed
 
     def show(self, snapshot: Snapshot) -> None:
@@ -105,7 +106,7 @@ class CellPage:
 
     def tell(self, problem: str | None) -> None:
         """Shows what cannot be shown, in words; None: nothing is wrong any more."""
-        _write(self._problem, f"**{problem}**" if problem else "")
+        _write(self._problem, f"**{plain(problem)}**" if problem else "")
         self._problem.visible = problem is not None
 
     def close(self) -> None:
@@ -145,9 +146,9 @@ class CellPage:
         self._changed.set()
 
     def _answer_click(self, snapshot: Snapshot) -> None:
-        if self._clicks:
-            hit = pick(snapshot, self._clicks[-1], self._obstacles.shown, self._splats.is_shown)
-            self._clicks.clear()
+        clicks, self._clicks = self._clicks, []  # more may come while this one is answered
+        if clicks:
+            hit = pick(snapshot, clicks[-1], self._obstacles.shown, self._splats.is_shown)
             self._picked = None if hit is None else PickedThing(hit)
             if hit is None:
                 _write(self._picked_words, "Nothing there.")
@@ -162,19 +163,23 @@ def _write(place: Any, words: str) -> None:
         place.content = words
 
 
+def _url(host: str, port: int) -> str:
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
 def _open_server(host: str, port: int) -> Any:
+    if not host:  # what an unset variable gives: all the network could look in
+        raise ViewerError(f"--host: expected an address, found none; {LOOPBACK} is for this machine only")
     try:
         import viser
     except ImportError:
         raise ViewerError("view: expected the package viser; install it with pip install 'twin-node[viewer]'") from None
     try:
-        with socket.create_server((host, port)):
+        with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
             pass
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ViewerError(
-            f"http://{host}:{port}: cannot be opened ({reason}); give another --port, or --host"
-        ) from None
+        raise ViewerError(f"{_url(host, port)}: cannot be opened ({reason}); give another --port, or --host") from None
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # an error to it: browsers that connect ahead
     with ThreadPoolExecutor(1, initializer=go_last) as starter, contextlib.redirect_stdout(None):  # it prints a banner
         return starter.submit(viser.ViserServer, host=host, port=port, label="twin_node", verbose=False).result()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from twin_node.messages.convert import Status
@@ -12,6 +13,13 @@ from twin_node.scene import Separation, Tier
 
 OF_THE_TWIN = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, STATUS)
 """What the twin itself says; the arm's node and all others speak on without it."""
+MARKDOWN = re.compile(r"([\\`*_\[\]<>&!#|~+-])")
+"""What Markdown takes for more than itself; the page takes HTML in it too."""
+
+
+def plain(words: str) -> str:
+    """Markdown of words from elsewhere, as they are: of '/<camera>/image' the page would make a tag that none sees."""
+    return MARKDOWN.sub(r"\\\1", " ".join(words.split()))
 
 
 def arm_text(snapshot: Snapshot) -> str:
@@ -37,15 +45,15 @@ def _arm(separation: Separation) -> str:
     distance = f"{separation.distance:.2f} m" if math.isfinite(separation.distance) else "nothing near"
     lines = [
         f"### Speed {separation.speed_fraction:.0%}",
-        separation.reason,
+        plain(separation.reason),
         "",
         "| distance | required at full speed |",
         "| --- | --- |",
         f"| {distance} | {separation.required:.2f} m |",
         "",
-        f"{separation.link or 'no link'}; person {separation.term_human:.2f}, reaction {separation.term_reaction:.2f}, "
-        f"stopping {separation.term_stopping:.2f}, intrusion {separation.term_intrusion:.2f}, "
-        f"uncertainty {separation.term_uncertainty:.2f} m",
+        f"{plain(separation.link) or 'no link'}; person {separation.term_human:.2f}, "
+        f"reaction {separation.term_reaction:.2f}, stopping {separation.term_stopping:.2f}, "
+        f"intrusion {separation.term_intrusion:.2f}, uncertainty {separation.term_uncertainty:.2f} m",
     ]
     return "\n".join(lines)
 
@@ -61,7 +69,7 @@ def _twin(status: Status) -> str:
         "",
         "| tier | Gaussians |\n| --- | --- |\n" + tiers,
     ]
-    warnings = [f"- **{warning}**" for warning in status.warnings]
+    warnings = [f"- **{plain(warning)}**" for warning in status.warnings]
     return "\n".join([*lines, *warnings])
 
 

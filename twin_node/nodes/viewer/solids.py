@@ -61,11 +61,8 @@ class ArmBody:
         self._pose(self._ghost, ahead)
 
     def set_visible(self, is_shown: bool) -> None:
-        """Shows or hides arm and ghost."""
+        """Shows or hides arm and ghost from the next picture on."""
         self._is_shown = is_shown
-        if not is_shown:
-            self._pose(self._solid, None)
-            self._pose(self._ghost, None)
 
     def _add(self, server: Any, group: str, link: int, opacity: float | None) -> Any | None:
         meshes = []

@@ -28,6 +28,8 @@ class SplatLayers:
 
     def show(self, snapshot: Snapshot) -> None:
         """Brings both layers up to date."""
+        for layer in self._layers.values():
+            layer.visible = self.is_shown
         cloud = snapshot.cloud
         if cloud is None:
             return
@@ -38,10 +40,8 @@ class SplatLayers:
         self._send(MOVING, cloud.only(~still))
 
     def set_visible(self, is_shown: bool) -> None:
-        """Shows or hides both layers."""
+        """Shows or hides both layers from the next picture on."""
         self.is_shown = is_shown
-        for layer in self._layers.values():
-            layer.visible = is_shown
 
     def _send(self, name: str, cloud: GaussianCloud) -> None:
         if not len(cloud.means):
