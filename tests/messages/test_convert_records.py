@@ -106,6 +106,15 @@ def test_clouds_whose_fields_cannot_be_are_refused(change: dict[str, int]) -> No
         c.gaussians_from_pointcloud2(replace(message, fields=fields))
 
 
+@pytest.mark.parametrize("field", ["means", "quats", "scales", "opacities", "velocities"])
+def test_gaussians_that_are_not_finite_are_refused(field: str) -> None:
+    """What draws them would end with an error that names no sender, or leave a hole in the page."""
+    values = getattr(cloud(4), field).copy()
+    values[2] = np.nan
+    with pytest.raises(MessageError, match="in 1 of 4 Gaussians, the first at 2"):
+        c.gaussians_from_pointcloud2(c.gaussians_to_pointcloud2(replace(cloud(4), **{field: values}), STAMP))
+
+
 def layer(horizon_ns: int, indices: list[int]) -> OccupancyLayer:
     return OccupancyLayer(
         horizon_ns, np.array(indices, dtype=np.uint32), np.arange(len(indices), dtype=np.uint8) + np.uint8(200)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import csv
+import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from twin_node.arm import ArmCollisionChecker
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
 from twin_node.messages import convert
-from twin_node.model.ply import StoredGaussians, read_ply, stored_from_cloud, write_ply
+from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
 from twin_node.nodes.export import ExportSpan, LogSource, Moment, export
 from twin_node.nodes.playback import Playback, in_force
@@ -377,6 +378,32 @@ def test_an_edited_scene_comes_back(twin_log: Path, tmp_path: Path) -> None:
     again = read_ply(tmp_path / "again.ply")
     for name, values in vars(edited).items():
         assert np.allclose(getattr(again, name), values, atol=1e-5 if name != "sh" else 0.5 / 255 / SH_C0), name
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("means", np.nan), ("means", np.inf), ("quats", np.nan), ("log_scales", 200), ("logits", np.nan), ("sh", np.nan)],
+)
+def test_a_scene_with_numbers_that_are_none_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], field: str, value: float
+) -> None:
+    """As training that went astray leaves them: what reads the log would draw nothing, or end."""
+    stored = stored_from_cloud(cloud_at(0, True))
+    values = getattr(stored, field).copy()
+    values[3] = value
+    write_ply(replace(stored, **{field: values}), tmp_path / "scene.ply")
+    assert main(["import", "ply", str(tmp_path / "scene.ply"), "-o", str(tmp_path / "scene.mcap")]) == 2
+    assert "in 1 of 50 Gaussians, the first at 3; take them out" in capsys.readouterr().err
+    assert not (tmp_path / "scene.mcap").exists()
+
+
+def test_opacities_beyond_all_logits_are_those_of_solid_and_clear() -> None:
+    stored = stored_from_cloud(cloud_at(0, True))
+    logits = stored.logits.copy()
+    logits[:3] = np.inf, -np.inf, -1000
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert cloud_from_stored(replace(stored, logits=logits)).opacities[:3].tolist() == [1, 0, 0]
 
 
 def test_a_trained_model_is_a_source_of_gaussians(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,14 +56,20 @@ def stored_from_cloud(cloud: GaussianCloud) -> StoredGaussians:
 
 
 def cloud_from_stored(stored: StoredGaussians) -> GaussianCloud:
-    """Stored Gaussians as a cloud that stands still, in the mean colour of all sides."""
+    """Stored Gaussians as a cloud that stands still, in the mean colour of all sides.
+
+    Values that are not finite stay so, and scales beyond float32 become infinite.
+    """
     count = len(stored)
     lengths = np.linalg.norm(stored.quats, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        scales = np.exp(stored.log_scales)
+        opacities = (1 / (1 + np.exp(-stored.logits.astype(np.float64)))).astype(np.float32)
     return GaussianCloud(
         means=stored.means,
         quats=(stored.quats / np.where(lengths > 0, lengths, 1)).astype(np.float32),
-        scales=np.exp(stored.log_scales),
-        opacities=(1 / (1 + np.exp(-stored.logits.astype(np.float64)))).astype(np.float32),
+        scales=scales,
+        opacities=opacities,
         rgb=np.clip(stored.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0, 1),
         velocities=np.zeros((count, 3), np.float32),
         tiers=np.full(count, Tier.STATIC, np.uint8),

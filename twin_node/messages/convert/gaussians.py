@@ -53,13 +53,20 @@ def gaussians_to_pointcloud2(cloud: GaussianCloud, stamp: int) -> Message:
 def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
     """Cloud from a PointCloud2 of `gaussians_to_pointcloud2`; `nodes` are -1.
 
-    Fields are found by name, wherever they stand. Raises `MessageError` if one is missing or the sizes disagree.
+    Fields are found by name, wherever they stand. Raises `MessageError` if one is missing, the sizes disagree or a
+    number is not finite.
     """
     points = _points(message)
 
     def columns(*names: str) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
         return np.stack([points[name] for name in names], axis=1).astype(np.float32, copy=False)
 
+    finite = np.isfinite(columns(*(name for name in FLOAT_FIELDS if name != "rgb"))).all(axis=1)
+    if not finite.all():
+        raise MessageError(
+            f"PointCloud2 in {message.header.frame_id}: expected finite numbers, found others in {np.sum(~finite)} of "
+            f"{len(points)} Gaussians, the first at {int(finite.argmin())}; the sender is at fault"
+        )
     packed = np.ascontiguousarray(points["rgb"]).view(np.uint32)
     rgb = np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=1).astype(np.float32) / np.float32(255)
     return GaussianCloud(
