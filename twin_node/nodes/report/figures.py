@@ -108,6 +108,8 @@ def _plain(value: Any) -> Any:
     """The value with non-finite numbers as None: JSON knows neither."""
     if isinstance(value, dict):
         return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_plain(inner) for inner in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

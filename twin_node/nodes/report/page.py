@@ -247,7 +247,8 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
         for name in files:
             (folder / f"{name}.partial").replace(folder / name)
     except OSError as error:
-        for name in files:
-            with contextlib.suppress(OSError):
-                (folder / f"{name}.partial").unlink(missing_ok=True)
         raise ReportError(f"--report {folder}: cannot be written ({error.strerror}); give another folder") from None
+    finally:
+        for name in files:
+            with contextlib.suppress(OSError):  # its folder is none: why nothing was written is told already
+                (folder / f"{name}.partial").unlink(missing_ok=True)
