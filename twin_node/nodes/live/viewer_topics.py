@@ -58,5 +58,7 @@ class ViewerTopicsNode(Node):
         if not self._bus.is_heard(TF):
             return
         sample = convert.joint_sample_from_message(message)
+        if not set(sample.names) & set(self._arm.joint_names):
+            return  # a gripper's, or an axis': they come on the same topic
         poses = forward_kinematics(self._arm, self._arm.ordered_positions(sample))
         self.bus.publish(TF, convert.links_to_tf(self._arm.link_names, poses, sample.stamp))
