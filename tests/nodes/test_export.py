@@ -187,6 +187,19 @@ def test_a_stage_that_the_disk_refuses_is_one_error(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_gaussians_that_the_disk_refuses_are_one_error_that_names_the_file(
+    twin_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(_path: Path, _data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    out = tmp_path / "a.ply"
+    assert run(twin_log, "--to", "ply", "--at", 0, "-o", out) == 2
+    assert f"-o {out}: cannot be written (No space left on device); free space" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation

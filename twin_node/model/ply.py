@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,12 +79,8 @@ def cloud_from_stored(stored: StoredGaussians) -> GaussianCloud:
     )
 
 
-def write_ply(gaussians: StoredGaussians, path: Path) -> None:
-    """Writes binary PLY: x y z, normals of zero, f_dc, f_rest by channel, opacity, scale, rot; all float32.
-
-    The file is written under a partial name and gets its own when it is whole. Raises `ModelError` where it cannot be
-    written.
-    """
+def ply_bytes(gaussians: StoredGaussians) -> bytes:
+    """Binary PLY: x y z, normals of zero, f_dc, f_rest by channel, opacity, scale, rot; all float32."""
     names = _names(gaussians.sh.shape[1])
     table = np.zeros((len(gaussians), len(names)), "<f4")
     table[:, :3] = gaussians.means
@@ -95,15 +92,25 @@ def write_ply(gaussians: StoredGaussians, path: Path) -> None:
     table[:, -4:] = gaussians.quats
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]
     header = "\n".join([*lines, *(f"property float {name}" for name in names), "end_header\n"])
+    return header.encode("ascii") + table.tobytes()
+
+
+def write_ply(gaussians: StoredGaussians, path: Path) -> None:
+    """Writes binary PLY, see `ply_bytes`, under a partial name; the file gets its own when it is whole.
+
+    Raises `ModelError` where it cannot be written.
+    """
     partial = path.with_name(path.name + ".partial")
     try:
-        with partial.open("wb") as file:
-            file.write(header.encode("ascii"))
-            file.write(table.tobytes())
+        partial.write_bytes(ply_bytes(gaussians))
         partial.replace(path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ModelError(f"{path}: cannot write Gaussians ({error.strerror}); choose a folder that exists") from None
+        raise ModelError(
+            f"{path}: cannot write Gaussians ({error.strerror}); free space or choose another place"
+        ) from None
+    finally:
+        with contextlib.suppress(OSError):  # its folder is none: why nothing was written is told already
+            partial.unlink(missing_ok=True)
 
 
 def read_ply(path: Path) -> StoredGaussians:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from twin_node.model.ply import StoredGaussians, stored_from_cloud
+from twin_node.model.ply import StoredGaussians, ply_bytes, stored_from_cloud
 from twin_node.nodes.export.moments import ExportError, Moments
 
 WriteCloud = Callable[[StoredGaussians, Path], None]
@@ -29,6 +29,11 @@ def write_clouds(moments: Moments, path: Path, write: WriteCloud) -> None:
         if moment.harmonics is not None:
             stored = replace(stored, sh=moment.harmonics)
         write(stored, path / f"{number:05d}{path.suffix}" if len(moments) > 1 else path)
+
+
+def write_ply(stored: StoredGaussians, path: Path) -> None:
+    """PLY in the layout of 3DGS. Raises `OSError` where it cannot be written."""
+    path.write_bytes(ply_bytes(stored))
 
 
 def write_spz(stored: StoredGaussians, path: Path) -> None:

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twin_node.model.ply import write_ply
 from twin_node.nodes.export.arrays import write_arrays
-from twin_node.nodes.export.clouds import write_clouds, write_spz
+from twin_node.nodes.export.clouds import write_clouds, write_ply, write_spz
 from twin_node.nodes.export.mjcf import write_collision_scene
 from twin_node.nodes.export.moments import ExportError, Moments, Source
 from twin_node.nodes.export.tables import write_tables
