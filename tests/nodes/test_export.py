@@ -320,6 +320,19 @@ def test_a_log_that_breaks_off_is_told_and_read_as_far_as_it_goes(
     assert "twin_node: warning: " in said and "broken.mcap: damaged at byte" in said
 
 
+@pytest.mark.parametrize(("seconds", "is_told"), [(-100, True), (0, False), (100, True)])
+def test_logs_of_different_runs_are_told(
+    twin_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: int, is_told: bool
+) -> None:
+    """Yesterday's images beside today's twin: the last of them would stand for all of its time."""
+    with LogWriter(tmp_path / "other.mcap") as log:
+        stamp = START + seconds * 10**9
+        sample = JointSample(stamp, ur_model("ur5e").joint_names, np.zeros(6), np.zeros(6))
+        log.write("/other/joint_states", convert.joint_sample_to_message(sample), stamp)
+    assert run(twin_log, tmp_path / "other.mcap", "--to", "ply", "--at", 0, "-o", tmp_path / "a.ply") == 0
+    assert ("other.mcap: it ends before the twin's log begins" in capsys.readouterr().err) == is_told
+
+
 def test_damage_that_only_reading_tells_is_told(
     twin_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,19 +16,20 @@ if TYPE_CHECKING:
 def open_playback(logs: Sequence[Path], width: int | None = None, rig: Path | None = None) -> Iterator[Playback]:
     """The logs of a run, open; says what of them cannot be read: at once, or at the end where only reading told.
 
+    Says too which of them are of another time: the last images before it would be shown as if they were of it.
     `width`: of the images, px; `rig`: a rig file.
     """
     from twin_node.nodes.playback import Playback
 
     with Playback(logs, width, rig) as playback:
         known = playback.damage
-        _warn(known)
+        _warn((*known, *playback.apart))
         try:
             yield playback
         finally:
             _warn([damage for damage in playback.damage if damage not in known])
 
 
-def _warn(damages: Sequence[str]) -> None:
-    for damage in damages:
-        print(f"twin_node: warning: {damage}", file=sys.stderr)
+def _warn(lines: Sequence[str]) -> None:
+    for line in lines:
+        print(f"twin_node: warning: {line}", file=sys.stderr)

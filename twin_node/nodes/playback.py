@@ -205,6 +205,15 @@ class Playback:
         return tuple(log.damage for log in self._logs if log.damage)
 
     @property
+    def apart(self) -> tuple[str, ...]:
+        """Logs that say nothing of the time that is shown, a line each: those of another run, most likely."""
+        return tuple(
+            f"{log.path}: it ends before the twin's log begins, or begins after its end; is it of another run?"
+            for log in self._logs
+            if log.end_ns < self.start_ns or log.start_ns > self.end_ns
+        )
+
+    @property
     def cameras(self) -> tuple[Camera, ...]:
         """The pinhole cameras of the images; none where no log has images."""
         return () if self._assembler is None else self._assembler.cameras
