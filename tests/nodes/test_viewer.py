@@ -53,6 +53,26 @@ def test_a_ray_at_an_obstacle_picks_it(twin_log: Path, target: int) -> None:
     assert pick(snapshot, Ray(origin, direction), {ObstacleKind.UNKNOWN}, False) is None
 
 
+def test_of_a_sphere_the_near_side_counts() -> None:
+    """A ball before a box's face, its middle behind it: who clicks there sees the ball. So from inside the ball."""
+    o = obstacles_at(0, START)
+    positions = np.array([[3.0, 0, 0], [2.1, 0, 0], [9, 9, 9.0]])
+    sizes = np.array([[2.0, 2, 2], [0.8, 0.8, 0.8], [1, 1, 1]])
+    ball_and_box = replace(
+        o,
+        positions=np.tile(positions, (2, 1)),
+        sizes=np.tile(sizes, (2, 1)),
+        quats=np.tile([1.0, 0, 0, 0], (6, 1)),
+    )
+    said = {OBSTACLES: Heard(START, encoded(convert.obstacles_to_message(ball_and_box)))}
+    snapshot = Snapshot(START, said, {}, None)
+    for x in (0.0, 1.8):
+        ray = Ray(np.array([x, 0.0, 0.0]), np.array([1.0, 0, 0]))
+        assert pick(snapshot, ray, {ObstacleKind.MOVING}, False) == Pick(8, ObstacleKind.MOVING)
+    away = Ray(np.array([1.5, 0.0, 0.0]), np.array([-1.0, 0, 0]))
+    assert pick(snapshot, away, {ObstacleKind.MOVING}, False) is None
+
+
 def test_a_ray_at_a_gaussian_picks_the_nearest_solid_one(twin_log: Path) -> None:
     with Playback([twin_log]) as playback:
         snapshot = playback.at(START)

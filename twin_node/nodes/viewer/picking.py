@@ -76,18 +76,22 @@ def _to_obstacles(obstacles: Obstacles, ray: Ray) -> Float64:
     )
     out = np.where((enter <= leave) & (leave >= 0), np.maximum(enter, 0), np.inf)
     round_ = obstacles.shapes == ObstacleShape.SPHERE
-    out[round_] = _to_spheres(obstacles.positions[round_], half[round_, 0], ray)
+    centers, radii = obstacles.positions[round_], half[round_, 0]
+    along, beside = _along_and_beside(centers, ray)
+    into = np.sqrt(np.maximum(radii**2 - beside**2, 0))
+    out[round_] = np.where((beside <= radii) & (along + into >= 0), np.maximum(along - into, 0), np.inf)
     return out
 
 
-def _to_spheres(centers: Float64, radii: Float64, ray: Ray) -> Float64:
+def _along_and_beside(centers: Float64, ray: Ray) -> tuple[Float64, Float64]:
+    """[n] m along the ray to where it is nearest to each centre [n, 3], and [n] m from there to the centre."""
     along = (centers - ray.origin) @ ray.direction
-    beside = np.linalg.norm(centers - ray.origin - along[:, None] * ray.direction, axis=1)
-    return np.where((beside <= radii) & (along > 0), along, np.inf)
+    return along, np.linalg.norm(centers - ray.origin - along[:, None] * ray.direction, axis=1)
 
 
 def _to_gaussians(cloud: GaussianCloud, ray: Ray) -> Float64:
-    """[N] m along the ray to each solid Gaussian that it passes through; infinite for a miss."""
+    """[N] m along the ray to the middle of each solid Gaussian that it passes through; infinite for a miss."""
     centers: NDArray[np.float64] = cloud.means.astype(np.float64)
     reach = REACH_SIGMAS * cloud.scales.astype(np.float64).mean(axis=1)
-    return np.where(cloud.opacities >= SOLID, _to_spheres(centers, reach, ray), np.inf)
+    along, beside = _along_and_beside(centers, ray)
+    return np.where((cloud.opacities >= SOLID) & (beside <= reach) & (along > 0), along, np.inf)
