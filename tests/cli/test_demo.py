@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from twin_node import cell
+from twin_node.bench.visitors import free_port
 from twin_node.cli import main, replay
 
 WIDTH = 64
@@ -47,5 +49,15 @@ def test_it_is_shown_where_asked(short_demo: None, tmp_path: Path, monkeypatch: 
     pytest.importorskip("viser")
     shown: list[Any] = []
     monkeypatch.setattr(replay, "view_log", lambda logs, arm, port: shown.append((logs, arm, port)))
-    assert main(["demo", "--out", str(tmp_path), "--viewer", "--port", "9001"]) == 0
-    assert shown == [([tmp_path / "twin.mcap", tmp_path / "demo.mcap"], "ur5e", 9001)]
+    port = free_port()
+    assert main(["demo", "--out", str(tmp_path), "--viewer", "--port", str(port)]) == 0
+    assert shown == [([tmp_path / "twin.mcap", tmp_path / "demo.mcap"], "ur5e", port)]
+
+
+def test_a_port_in_use_is_told_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(["demo", "--out", str(tmp_path / "demo"), "--viewer", "--port", str(port)]) == 2
+    assert f"http://127.0.0.1:{port}: cannot be opened" in capsys.readouterr().err
+    assert not (tmp_path / "demo").exists()

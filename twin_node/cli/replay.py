@@ -60,6 +60,11 @@ def _demo(options: argparse.Namespace) -> None:
     from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.log_source import LogSession
 
+    has_viser = find_spec("viser") is not None
+    if options.viewer and has_viser:
+        from twin_node.nodes.viewer import LOOPBACK, check_address
+
+        check_address(LOOPBACK, options.port)  # a port that is taken is told now, not after the run
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -75,7 +80,7 @@ def _demo(options: argparse.Namespace) -> None:
     parameters = load_parameters(Path("launch/demo.yaml"))
     twin = options.out / "twin.mcap"
     _run(LogSession(log), parameters, 1.0, twin, options.out / "report")
-    if find_spec("viser") is None:
+    if not has_viser:
         print("viewer: expected the package viser; install it with pip install 'twin-node[viewer]'")
     elif options.viewer:
         view_log([twin, log], arm=parameters.arm.model, port=options.port)

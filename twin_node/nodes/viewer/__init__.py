@@ -2,6 +2,15 @@
 
 from twin_node.nodes.viewer.live import LiveCameras, ViewerNode, ViewerParameters
 from twin_node.nodes.viewer.log_viewer import LogViewer
-from twin_node.nodes.viewer.page import CellPage, ViewerError
+from twin_node.nodes.viewer.page import LOOPBACK, CellPage, ViewerError, check_address
 
-__all__ = ["CellPage", "LiveCameras", "LogViewer", "ViewerError", "ViewerNode", "ViewerParameters"]
+__all__ = [
+    "LOOPBACK",
+    "CellPage",
+    "LiveCameras",
+    "LogViewer",
+    "ViewerError",
+    "ViewerNode",
+    "ViewerParameters",
+    "check_address",
+]

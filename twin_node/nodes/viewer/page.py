@@ -7,6 +7,7 @@ import logging
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -167,19 +168,24 @@ def _url(host: str, port: int) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def _open_server(host: str, port: int) -> Any:
+def check_address(host: str, port: int) -> None:
+    """Raises `ViewerError` where no page can be opened there: viser is missing, the address is none, the port taken."""
+    if find_spec("viser") is None:
+        raise ViewerError("view: expected the package viser; install it with pip install 'twin-node[viewer]'")
     if not host:  # what an unset variable gives: all the network could look in
         raise ViewerError(f"--host: expected an address, found none; {LOOPBACK} is for this machine only")
-    try:
-        import viser
-    except ImportError:
-        raise ViewerError("view: expected the package viser; install it with pip install 'twin-node[viewer]'") from None
     try:
         with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
             pass
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ViewerError(f"{_url(host, port)}: cannot be opened ({reason}); give another --port, or --host") from None
+
+
+def _open_server(host: str, port: int) -> Any:
+    check_address(host, port)
+    import viser
+
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # an error to it: browsers that connect ahead
     with ThreadPoolExecutor(1, initializer=go_last) as starter, contextlib.redirect_stdout(None):  # it prints a banner
         return starter.submit(viser.ViserServer, host=host, port=port, label="twin_node", verbose=False).result()
