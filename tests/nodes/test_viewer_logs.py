@@ -214,6 +214,19 @@ def test_splats_that_are_gone_are_taken_away(page: CellPage, twin_log: Path, tmp
     assert find("/gaussians/static") is not None and find("/gaussians/moving") is None
 
 
+def test_what_began_to_move_stands_again_when_time_goes_back(page: CellPage, tmp_path: Path) -> None:
+    """Five of what stood move from 0.3 s on, before the next whole cloud; somebody seeks to before that."""
+    cloud = cloud_at(0, True)
+    moved = replace(cloud, tiers=np.where(cloud.ids < 35, cloud.tiers, 2).astype(np.uint8))
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, START), START)
+        stamp = START + 3 * PERIOD
+        log.write(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moved.only(moved.tiers > 0), stamp), stamp)
+    assert len(shown(page, tmp_path / "a.mcap", seconds=0.3)("/gaussians/static").centers) == 35
+    find = shown(page, tmp_path / "a.mcap", seconds=0.1)
+    assert len(find("/gaussians/static").centers) == 40 and len(find("/gaussians/moving").centers) == 10
+
+
 def test_two_hundred_thousand_gaussians_are_shown(page: CellPage, tmp_path: Path) -> None:
     cloud = cloud_at(0, True).only(np.arange(200_000) % 50)
     find = shown(

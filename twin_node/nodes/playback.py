@@ -93,7 +93,7 @@ class Snapshot:
 
     @cached_property
     def whole_stamp(self) -> int | None:
-        """Evidence stamp of the last whole cloud, ns: while it stays, the STATIC Gaussians stay."""
+        """Evidence stamp of the last whole cloud, ns: while it stays no STATIC Gaussians come, though some may move."""
         said = self.said.get(GAUSSIANS)
         return None if said is None else header_stamp(said.message)
 

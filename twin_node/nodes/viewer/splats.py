@@ -1,4 +1,4 @@
-"""Gaussians in the browser: those that stand are sent when they change, those that move at every picture."""
+"""Gaussians in the browser: those that stand are sent with each whole cloud, those that move at every picture."""
 
 from __future__ import annotations
 
@@ -18,12 +18,17 @@ STILL, MOVING = "/gaussians/static", "/gaussians/moving"
 
 
 class SplatLayers:
-    """Two layers of native splats, standing and moving."""
+    """Two layers of native splats, standing and moving.
+
+    What begins to move between two whole clouds is in both until the next: sent anew, all that stands would be sent
+    several times per second for a few Gaussians.
+    """
 
     def __init__(self, server: Any) -> None:
         self._server = server
         self._layers: dict[str, Any] = {}
         self._still_stamp: int | None = None
+        self._shown_at = 0
         self.is_shown = True
 
     def show(self, snapshot: Snapshot) -> None:
@@ -34,7 +39,9 @@ class SplatLayers:
         if cloud is None:
             return
         still = cloud.tiers == Tier.STATIC
-        if snapshot.whole_stamp != self._still_stamp:
+        is_back = snapshot.stamp < self._shown_at  # what began to move since then stands again
+        self._shown_at = snapshot.stamp
+        if snapshot.whole_stamp != self._still_stamp or is_back:
             self._send(STILL, cloud.only(still))
             self._still_stamp = snapshot.whole_stamp
         self._send(MOVING, cloud.only(~still))
