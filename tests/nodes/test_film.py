@@ -14,7 +14,7 @@ from twin_node.bag import LogWriter
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
 from twin_node.messages import convert
-from twin_node.nodes.film import FilmError, write_film
+from twin_node.nodes.film import FilmError, write_film, write_picture
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
@@ -115,7 +115,7 @@ def test_a_place_that_takes_no_file_is_told_before_anything_is_read(
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("--width", "1e9", "expected a whole number of pixels, 16 to 8192"),
+        ("--width", "1e9", "expected a whole number of pixels, 16 to 16384"),
         ("--rate", "0.0004", "expected 0.001 to 1000 per second"),
         ("--rate", "1e9", "expected 0.001 to 1000 per second"),
     ],
@@ -130,6 +130,13 @@ def test_numbers_beyond_all_films(option: str, value: str, message: str, capsys:
 def test_pictures_wider_than_a_film_can_be_are_one_error(tmp_path: Path) -> None:
     with pytest.raises(FilmError, match=r"found 20000x16 .*give a smaller --width"):
         write_film(iter([np.zeros((16, 20000, 3), np.uint8)]), 30, tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_wider_than_its_format_is_one_error(tmp_path: Path) -> None:
+    """OpenCV gives no bytes and no exception: an empty file took the picture's name."""
+    with pytest.raises(FilmError, match=r"found 70000x4; give a smaller --width"):
+        write_picture(np.zeros((4, 70000, 3), np.uint8), tmp_path / "a.jpg")
     assert not list(tmp_path.iterdir())
 
 

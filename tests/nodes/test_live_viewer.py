@@ -223,3 +223,10 @@ def test_a_port_in_use_is_an_error(graph: Graph) -> None:
     port = int(graph.page.url.rpartition(":")[2])
     with pytest.raises(ViewerError, match="give another --port"):
         Graph({"viewer": {"port": port}})
+
+
+@pytest.mark.parametrize(("name", "value"), [("width", 0), ("width", -160), ("width", 10**6), ("port", -1)])
+def test_numbers_that_no_page_has_are_an_error_at_the_start(name: str, value: int) -> None:
+    """A width of 0 was found out when the first camera came, in a timer: the node ended, and was started again."""
+    with pytest.raises(ViewerError, match=f"viewer: {name}: expected .*, found {value}"):
+        Graph({"viewer": {"port": free_port(), name: value}})

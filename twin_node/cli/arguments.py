@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.errors import TwinError
-from twin_node.ranges import Range
+from twin_node.ranges import WIDTHS_PX, Range
 
-WIDTHS = Range(16, 8192)
-"""Of images, px: the widest cameras have less, and a picture of twice the width is four times the memory."""
 RATES = Range(0.001, 1000)
 """Of films and exports, Hz: the fastest of what they show, the arm's joints, come at 500 Hz."""
 
@@ -119,8 +117,8 @@ def rate(text: str) -> float:
 def width(text: str) -> int:
     """A width in pixels."""
     value = _number(text)
-    if value != int(value) or not WIDTHS.holds(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of pixels, {WIDTHS}")
+    if value != int(value) or not WIDTHS_PX.holds(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of pixels, {WIDTHS_PX}")
     return int(value)
 
 

@@ -12,6 +12,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
+from twin_node.ranges import WIDTHS_PX
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
 from twin_node.rig.approximate_time import Stamped
 from twin_node.runtime.bus import Bus
@@ -22,8 +23,6 @@ from twin_node.scene import Camera, Rig, View
 
 DEPTHS_KEPT = 8
 """Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
-LEAST_WIDTH_PX, MOST_WIDTH_PX = 16, 16_384
-"""Widths that images can be worked on with: below nothing shows, above no camera is."""
 MOST_TOLERANCE_MS = 10_000.0
 """Depth images are not kept for so long."""
 
@@ -42,10 +41,10 @@ class SynchronizerParameters:
 
     def __post_init__(self) -> None:
         """Raises `GraphError` for a width, a rate or a time that is none."""
-        if self.width is not None and not LEAST_WIDTH_PX <= self.width <= MOST_WIDTH_PX:
+        if self.width is not None and not WIDTHS_PX.holds(self.width):
             raise GraphError(
-                f"synchronizer: width: expected {LEAST_WIDTH_PX} to {MOST_WIDTH_PX} pixels, found {self.width}; leave "
-                "it out to take the cameras' own"
+                f"synchronizer: width: expected {WIDTHS_PX} pixels, found {self.width}; leave it out to take the "
+                "cameras' own"
             )
         if self.max_rate_hz is not None and not self.max_rate_hz > 0:
             raise GraphError(

@@ -68,8 +68,14 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
 def write_picture(picture: UInt8, path: Path) -> None:
     """Writes a picture [H, W, 3] as its name says, PNG or JPEG. Raises `FilmError` where it cannot."""
     partial = path.with_name(f".{path.name}.partial")
+    is_made, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    if not is_made:
+        size = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise FilmError(
+            f"-o {path}: expected a picture that {path.suffix} can hold, found {size}; give a smaller --width"
+        )
     try:
-        partial.write_bytes(cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes())
+        partial.write_bytes(data.tobytes())
         partial.replace(path)
     except OSError as error:
         raise _refused(path, error) from None

@@ -13,10 +13,11 @@ from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
 from twin_node.nodes.playback import Said, Snapshot
 from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY, CameraTopics
-from twin_node.nodes.viewer.page import CellPage
+from twin_node.nodes.viewer.page import CellPage, ViewerError
 from twin_node.nodes.viewer.panel import OF_THE_TWIN
 from twin_node.nodes.viewer.picked import HISTORY_NS
 from twin_node.nodes.viewer.priority import go_last
+from twin_node.ranges import WIDTHS_PX, Range, check_ranges
 from twin_node.rig import FrameAssembler
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
@@ -58,6 +59,10 @@ class ViewerParameters:
     """Of the cameras' images, px."""
     rig_file: str = ""
     """Calibration in place of what the graph says of its cameras; not looked at where a launch file has a rig."""
+
+    def __post_init__(self) -> None:
+        """Raises `ViewerError` for a port or a width that is none: no page, or no image, could be made with it."""
+        check_ranges(self, ViewerError, "viewer: ", port=Range(1, 65535), width=WIDTHS_PX)
 
 
 @dataclass(frozen=True)
