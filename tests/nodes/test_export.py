@@ -386,6 +386,18 @@ def test_gaussians_are_exported_whatever_arm_the_log_has(form: str, tmp_path: Pa
     assert run(path, "--to", form, "--at", 0, "-o", tmp_path / f"a.{form}") == 0
 
 
+def test_images_without_calibration_do_not_keep_from_an_export(
+    twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A recording that was replayed with --rig has none of its own, and no image goes into any export."""
+    bare = tmp_path / "bare.mcap"
+    with open_log(cell_log(0.5)) as whole, RecordingWriter(bare) as part:
+        kept = [topic.name for topic in whole.topics if not topic.name.endswith("/camera_info")]
+        for message in whole.messages(kept):
+            part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, whole.types)
+    assert run(twin_log, bare, "--to", "csv", "--at", 0, "-o", tmp_path / "tables") == 0
+
+
 def test_a_log_without_obstacles_is_refused(
     cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,5 +61,5 @@ def _open(paths: list[Path]) -> Iterator[Any]:
     if len(paths) == 1 and paths[0].suffix == SUFFIX:
         yield CheckpointSource(paths[0])
         return
-    with open_playback(paths) as playback:
+    with open_playback(paths, with_images=False) as playback:
         yield LogSource(playback)

@@ -13,15 +13,17 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def open_playback(logs: Sequence[Path], width: int | None = None, rig: Path | None = None) -> Iterator[Playback]:
+def open_playback(
+    logs: Sequence[Path], width: int | None = None, rig: Path | None = None, with_images: bool = True
+) -> Iterator[Playback]:
     """The logs of a run, open; says what of them cannot be read: at once, or at the end where only reading told.
 
     Says too which of them are of another time: the last images before it would be shown as if they were of it.
-    `width`: of the images, px; `rig`: a rig file.
+    `width`: of the images, px; `rig`: a rig file; without images no calibration is needed.
     """
     from twin_node.nodes.playback import Playback
 
-    with Playback(logs, width, rig) as playback:
+    with Playback(logs, width, rig, with_images) as playback:
         known = playback.damage
         _warn((*known, *playback.apart))
         try:

@@ -179,14 +179,23 @@ class Snapshot:
 class Playback:
     """The logs of one run (what the twin said, what it saw), open together."""
 
-    def __init__(self, paths: Sequence[Path], width: int | None = None, rig_file: Path | None = None) -> None:
-        """`width`: of the images, px. Raises `BagError`, `RigError` or `GraphError` for what is wrong with a log."""
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        width: int | None = None,
+        rig_file: Path | None = None,
+        with_images: bool = True,
+    ) -> None:
+        """`width`: of the images, px; without images their calibration is not asked for.
+
+        Raises `BagError`, `RigError` or `GraphError` for what is wrong with a log.
+        """
         self._logs: list[LogReader] = []
         try:
             for path in paths:
                 self._logs.append(open_log(path))
             self.topics: Mapping[str, LogReader] = {topic.name: log for log in self._logs for topic in log.topics}
-            self._cameras, self._assembler = self._find_cameras(width, rig_file)
+            self._cameras, self._assembler = self._find_cameras(width, rig_file) if with_images else ({}, None)
             self.start_ns, self.end_ns = self._span()
         except BaseException:
             self.close()
@@ -215,7 +224,7 @@ class Playback:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The pinhole cameras of the images; none where no log has images."""
+        """The pinhole cameras of the images; none where no log has images, or none are wanted."""
         return () if self._assembler is None else self._assembler.cameras
 
     @property
