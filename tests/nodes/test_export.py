@@ -386,6 +386,17 @@ def test_gaussians_are_exported_whatever_arm_the_log_has(form: str, tmp_path: Pa
     assert run(path, "--to", form, "--at", 0, "-o", tmp_path / f"a.{form}") == 0
 
 
+def test_a_model_whose_player_has_no_place_replaces_nothing(
+    twin_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cell.xml").write_text("mine")
+    (tmp_path / "cell_play.py").mkdir()
+    assert run(twin_log, "--to", "mjcf", "--at", 0, "-o", tmp_path / "cell.xml") == 2
+    assert "cell_play.py too, found a folder of that name" in capsys.readouterr().err
+    assert (tmp_path / "cell.xml").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cell.xml", "cell_play.py"]
+
+
 def test_images_without_calibration_do_not_keep_from_an_export(
     twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
 ) -> None:

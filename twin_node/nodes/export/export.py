@@ -120,8 +120,12 @@ def _whole(output: Path, is_folder: bool) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         yield folder / output.name
-        for made in folder.iterdir():
-            made.replace(output.with_name(made.name))
+        places = {made: output.with_name(made.name) for made in folder.iterdir()}
+        for place in places.values():
+            if place.is_dir():  # before anything is replaced: what belongs together stays together
+                raise ExportError(f"-o {output}: writes {place} too, found a folder of that name; choose another name")
+        for made, place in places.items():
+            made.replace(place)
     except OSError as error:
         raise ExportError(
             f"-o {output}: cannot be written ({error.strerror}); free space or choose another place"
