@@ -79,6 +79,26 @@ def test_a_layer_about_what_stood_is_somebodys_while_they_are_within_reach(
     assert np.isin(body, found).all() != moves
 
 
+@pytest.mark.parametrize(
+    ("layer", "is_limb"),
+    [
+        (block((4, 4, 5), 2, 4, 1), True),
+        (block((4, 4, 5), 1, 6, 1), False),
+        (np.concatenate([block((x, y, 5), 1, 1, 1) for x in (5, 7, 9, 11) for y in (4, 6, 8)]), False),
+        (block((12, 4, 5), 1, 1, 1), True),
+    ],
+)
+def test_voxels_of_a_layer_are_a_limb_where_they_touch_somebody_or_a_hand_fits_in(
+    layer: np.ndarray, is_limb: bool
+) -> None:
+    """Three voxels at a tray's edge, found to stand after a hand had passed, held the arm till the end."""
+    resting = Resting(FINE)
+    table, body = block((4, 4, 4), 9, 6, 1), block((13, 4, 5), 2, 3, 3)
+    resting.update(0, np.concatenate([layer, body]), Bits.of_indices(FINE.dims, table))
+    found = resting.update(STEP_NS, body, Bits.of_indices(FINE.dims, np.concatenate([table, layer])))
+    assert found.tolist() == (np.sort(layer).tolist() if is_limb else [])
+
+
 def test_two_layers_of_a_rim_are_nobody_either() -> None:
     """Single voxels of the second one touch nothing that stood."""
     resting, nothing = Resting(FINE), np.zeros(0, np.int64)

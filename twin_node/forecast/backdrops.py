@@ -22,6 +22,8 @@ STEP_SHARE = 0.03
 """A pixel looks past what it showed before where its depth grows by this share, plus `STEP`: 3 sigma of stereo."""
 STEP = 0.02
 """m."""
+NOISE_SHARE, NOISE = 0.01, 0.01
+"""A depth that differs from its mean by no more than this share of it, plus `NOISE` (m), differs by noise."""
 HOLE = 2
 """An unmeasured pixel stands as deep as the deepest that is known within so many pixels: depth cameras miss single
 pixels, and the edges of what stands."""
@@ -42,6 +44,13 @@ class Backdrops:
     def of(self, view: View) -> Float32:
         """[H, W] depth of what stands behind each pixel, m; `UNSEEN` where nothing that stands has been seen."""
         return self._of(view).filled
+
+    def calmed(self, view: View) -> Float32:
+        """[H, W] the depth that a view measures, m: its mean where the two differ by no more than noise does."""
+        assert view.depth is not None
+        mean = self._of(view).kept
+        is_noise = np.abs(view.depth - mean) <= NOISE_SHARE * mean + NOISE
+        return np.where(is_noise, mean, view.depth)
 
     def _of(self, view: View) -> Backdrop:
         known = self._known.get(view.camera.name)

@@ -10,7 +10,7 @@ from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved, Sight, carved
-from twin_node.scene import Bool, TwinState
+from twin_node.scene import Bool, Float32, TwinState, View
 
 _PIXEL_ERROR = 0.5
 """A mask is no sharper than its pixels."""
@@ -39,6 +39,10 @@ class Carver:
         sights = self._sights(state, speed)
         self._last = (state, sights)
         return carved(self._blocks, sights)
+
+    def calmed(self, view: View) -> Float32:
+        """[H, W] depth that a view of the last state measures, without its noise where that has been averaged, m."""
+        return self._backdrops.calmed(view)
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n]."""

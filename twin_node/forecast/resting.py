@@ -12,7 +12,7 @@ from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernel_requests import RestRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import split
-from twin_node.forecast.specks import of_things
+from twin_node.forecast.specks import of_patches, of_things
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Grid
 
@@ -40,7 +40,8 @@ class Resting:
         `moving` [m]: flat indices where something moves that may rest and start again; `standing`: what stands. A table
         that a hand passes over stood all along: it is none of these. Its edges, which at times are found to stand only
         after somebody passed them, are none either: a layer about what stood counts only where it may be a limb of
-        somebody near it, who moves or rests. Specks that no hand fits in, and that hang on nothing larger, are nobody.
+        somebody near it, who moves or rests, and where it touches them or a hand fits in it. Specks that no hand fits
+        in, and that hang on nothing larger, are nobody.
         """
         found = rested(self._memory, stamp, moving, standing)
         if len(found) == 0:
@@ -48,8 +49,16 @@ class Resting:
         touches = standing.without(self._memory.moved).grown().holds(found)
         layer, bodies = found[touches], Bits.of_indices(self._grid.dims, found[~touches])
         somebody = self._without_specks(bodies | Bits.of_indices(self._grid.dims, moving))
-        is_limb = self._is_within_reach(layer, somebody)
-        return np.sort(np.concatenate([somebody[bodies.holds(somebody)], layer[is_limb]]))
+        layer = layer[self._is_within_reach(layer, somebody)]
+        limbs = layer[self._may_be_limb(layer, somebody)]
+        return np.sort(np.concatenate([somebody[bodies.holds(somebody)], limbs]))
+
+    def _may_be_limb(self, layer: NDArray[np.int64], somebody: NDArray[np.int64]) -> Bool:
+        """[n] which voxels of a layer touch somebody or one another in a patch; both are flat indices."""
+        if len(layer) == 0:
+            return np.zeros(0, np.bool_)
+        touches = Bits.of_indices(self._grid.dims, somebody).grown().holds(layer)
+        return touches | of_patches(self._grid, layer)
 
     def _without_specks(self, voxels: Bits) -> NDArray[np.int64]:
         """Flat indices [n] of those of the voxels that hang together with enough others."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -69,7 +69,7 @@ class StaticSpace:
             if view.depth is None:
                 continue
             still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
-            mark(self.grid, self._surfaces, view, still)
+            mark(self.grid, self._surfaces, replace(view, depth=carver.calmed(view)), still)
 
     def _gaussian_voxels(self, state: TwinState) -> NDArray[np.int64]:
         """Voxels that the centres of the opaque STATIC Gaussians are in; none of what is much larger than a voxel."""

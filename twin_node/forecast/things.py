@@ -191,22 +191,22 @@ def _things(parts: Parts) -> NDArray[np.int64]:
     return labels
 
 
-def pieces_of(centers: Float64) -> NDArray[np.int64]:
+def pieces_of(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
     """[M] piece that each of M parts is of, in the order of their first ones, by their middles [M, 3] (m).
 
-    Neighbours hang together. Compiled; `pieces_of_plainly` where that cannot be.
+    Neighbours, no further apart than `reach`, hang together. Compiled; `pieces_of_plainly` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return pieces_of_plainly(centers)
+        return pieces_of_plainly(centers, reach)
     pieces, middles = np.empty(len(centers), np.int64), np.ascontiguousarray(centers, np.float64)
-    compiled.link(LinkRequest(len(centers), _REACH, *addresses_of(middles, pieces)))
+    compiled.link(LinkRequest(len(centers), reach, *addresses_of(middles, pieces)))
     return pieces
 
 
-def pieces_of_plainly(centers: Float64) -> NDArray[np.int64]:
+def pieces_of_plainly(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
     """What `pieces_of` does."""
-    count, pairs = len(centers), cKDTree(centers).query_pairs(_REACH, output_type="ndarray")
+    count, pairs = len(centers), cKDTree(centers).query_pairs(reach, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     pieces: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
     return pieces
