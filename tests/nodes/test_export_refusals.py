@@ -67,17 +67,9 @@ def test_gaussians_that_the_disk_refuses_are_one_error_that_names_the_file(
     ],
 )
 def test_wrong_wishes_are_one_line(
-    twin_log: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
+    twin_log: Path, refused: Callable[..., str], arguments: list[str], message: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(twin_log, *arguments) == 2
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+    assert message in refused("export", twin_log, *arguments, "--arm", "ur5e")
 
 
 def test_a_log_that_breaks_off_is_told_and_read_as_far_as_it_goes(

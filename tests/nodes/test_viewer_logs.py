@@ -297,15 +297,11 @@ def test_wrong_wishes_are_one_line(
     twin_log: Path,
     cell_log: Callable[..., Path],
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    refused: Callable[..., str],
     arguments: list[str],
     message: str,
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.txt").write_text("not a log")
     logs = [str(twin_log), str(cell_log(0.5))]
-    given = [part for argument in arguments for part in (logs if argument == "LOG" else [argument])]
-    assert main(["view", *given]) == 2
-    said = capsys.readouterr().err
+    said = refused("view", *(part for argument in arguments for part in (logs if argument == "LOG" else [argument])))
     assert message in said and said.count("\n") == 1

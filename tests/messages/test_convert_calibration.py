@@ -1,0 +1,110 @@
+"""Cameras and transforms through messages and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from both_ways import STAMP, assert_same, sent
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin_node.geometry import inverse_pose, pose, rotation_from_quat
+from twin_node.messages import MessageError
+from twin_node.messages import convert as c
+from twin_node.scene import Rig, RigCamera
+
+
+def camera(name: str = "front", seed: int = 0) -> RigCamera:
+    rng = np.random.default_rng(seed)
+    K = np.array([[600.0, 0, 321.5], [0, 610.0, 239.25], [0, 0, 1]])
+    T = pose(rotation_from_quat(rng.normal(size=4)), rng.normal(size=3))
+    return RigCamera(name, 640, 480, K, T, "plumb_bob", np.array([0.1, -0.2, 0.001, 0.002, 0.05]), sigma_m=0.004)
+
+
+def test_cameras_survive() -> None:
+    info = sent(c.camera_info(camera(), STAMP))
+    assert info.header.frame_id == "front_optical_frame"
+    np.testing.assert_array_equal(info.p.reshape(3, 4)[:, :3], camera().K)
+    assert_same(c.rig_camera(info, "front", camera().T_base_cam, 0.004), camera())
+
+
+def test_binning_and_region_of_interest_keep_every_ray() -> None:
+    info = c.camera_info(camera(), STAMP)
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 100, 50, 400, 300
+    info.binning_x = info.binning_y = 2
+    fitted = c.rig_camera(info, "front", camera().T_base_cam)
+    assert (fitted.width, fitted.height) == (200, 150)
+    full = camera().K @ [0.1, -0.05, 1.0]
+    binned = fitted.K @ [0.1, -0.05, 1.0]
+    # pixel i of the binned region covers full pixels 100 + 2 i and 100 + 2 i + 1, its centre lies between theirs
+    np.testing.assert_allclose(binned[:2] * 2 + 0.5 + [100, 50], full[:2])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"k": np.zeros(9)}, "no calibration"),
+        ({"width": 0}, "images are 0x"),
+        ({"height": 2**32 - 1}, "x4294967295; correct it, or give a rig file"),
+        ({"distortion_model": "fisheye624"}, "distortion model 'fisheye624'"),
+        ({"d": np.zeros(3)}, "plumb_bob needs 4 or 5 finite"),
+        ({"d": np.full(5, np.nan)}, "plumb_bob needs 4 or 5 finite"),
+    ],
+)
+def test_cameras_without_calibration_are_named(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(MessageError, match=words) as caught:
+        c.rig_camera(replace(c.camera_info(camera(), STAMP), **changes), "front", np.eye(4))
+    assert str(caught.value).startswith("camera front")
+
+
+@given(st.integers(0, 1000))
+def test_poses_survive_static_transforms(seed: int) -> None:
+    rig = Rig((camera("left", seed), camera("right", seed + 1)))
+    tree = c.TransformTree()
+    tree.add(sent(c.tf_static(rig, STAMP)))
+    for item in rig.cameras:
+        np.testing.assert_allclose(tree.lookup(c.optical_frame(item.name)), item.T_base_cam, atol=1e-12)
+
+
+def test_chains_are_composed_across_branches() -> None:
+    T_world_base, T_world_link, T_link_cam = (camera(seed=seed).T_base_cam for seed in (1, 2, 3))
+    messages = [
+        c.transform_stamped("world", "base_link", T_world_base, 0),
+        c.transform_stamped("/world", "cam_link", T_world_link, 0),
+        c.transform_stamped("cam_link", "cam_optical", T_link_cam, 0),
+    ]
+    tree = c.TransformTree()
+    for message in messages:
+        tree.add(replace(c.tf_static(Rig(()), 0), transforms=[message]))
+    expected = inverse_pose(T_world_base) @ T_world_link @ T_link_cam
+    np.testing.assert_allclose(tree.lookup("cam_optical"), expected, atol=1e-12)
+    assert "cam_optical" in tree
+    assert "world" not in tree
+
+
+@pytest.mark.parametrize("change", [{"w": 0.0, "x": 0.0, "y": 0.0, "z": 0.0}, {"x": np.nan}, {"z": np.inf}])
+def test_transforms_that_are_none_are_refused(change: dict[str, float]) -> None:
+    """A node that fills in no rotation sends zeros: a pose of NaN would place a camera nowhere, without a word."""
+    stamped = c.transform_stamped("base_link", "cam", np.eye(4), 0)
+    stamped.transform.rotation = replace(stamped.transform.rotation, **change)
+    tree = c.TransformTree()
+    other = c.transform_stamped("base_link", "other", np.eye(4), 0)
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[stamped, other]))
+    with pytest.raises(MessageError, match="transform base_link to cam: expected finite numbers and a quaternion"):
+        tree.lookup("cam")
+    np.testing.assert_array_equal(tree.lookup("other"), np.eye(4))
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("base_link", "cam", np.eye(4), 0)]))
+    np.testing.assert_array_equal(tree.lookup("cam"), np.eye(4))
+
+
+def test_frames_that_nothing_joins_and_loops_are_named() -> None:
+    tree = c.TransformTree()
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("a", "b", np.eye(4), 0)]))
+    with pytest.raises(MessageError, match="frame b: no transforms join it to base_link"):
+        tree.lookup("b")
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("b", "a", np.eye(4), 0)]))
+    with pytest.raises(MessageError, match="loop"):
+        tree.lookup("b")
