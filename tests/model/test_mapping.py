@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from dataclasses import replace
 
 import cv2
@@ -17,14 +18,16 @@ from twin_node.model import (
     SeedParameters,
     WindowModel,
 )
-from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.backgrounds import Backgrounds, _drawn
 from twin_node.model.gaussians import RGB, Gaussians, Newborns
 from twin_node.model.mapping import Mapper
 from twin_node.model.observation import Observer
 from twin_node.model.plane import Plane
 from twin_node.model.quality import psnr, squared_error
 from twin_node.model.rays import look
+from twin_node.model.stages import granted
 from twin_node.model.sweep import shell_around
+from twin_node.native_library import kernel_threads
 from twin_node.scene import FrameSet, Tier, TwinState
 
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
@@ -160,16 +163,17 @@ def test_a_camera_is_drawn_meanwhile_as_gaussians_were_when_that_began() -> None
             np.testing.assert_allclose(new.alpha, old.alpha, atol=1e-6)
 
 
-@pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.parametrize("every", [1, 4, 11])
 def test_shares_that_are_broken_off_teach_all_the_same(every: int) -> None:
-    """Every so many of the questions whether to go on are answered with no: every one where a set always waits."""
+    """Every so many of the questions whether to go on are answered with no: every one where a set always waits,
+    one of four where each set is broken off somewhere."""
     shown = []
     for steps in (0, MapParameters().steps):
         model, answers, whole = WindowModel(replace(QUICK, map=MapParameters(steps=steps))), itertools.count(1), []
         for index in range(60):
             state = model.update(lit(index, 1.0 if index < 3 else 1.1))
             whole.append(model.refine(lambda answers=answers: next(answers) % every != 0))
-        assert not all(whole[1:]) and (every == 1 or any(whole[1:]))
+        assert not all(whole[1:]) and (every < 11 or any(whole[1:]))
         shown.append(shown_db(model, state))
     assert shown[1] > shown[0] + 1
 
@@ -185,6 +189,55 @@ def test_births_are_put_off_once_where_a_set_waits_and_learning_every_other_time
         model.refine(lambda: not waits)
     assert stages.count("bear") == births
     assert stages.count("begin") == begun
+
+
+@pytest.mark.parametrize(("slices", "done"), [(1, []), (2, ["regroup"]), (4, ["regroup", "bear"])])
+def test_a_set_that_comes_meanwhile_puts_off_what_is_left(slices: int, done: list[str]) -> None:
+    model, stages = WindowModel(QUICK), []
+    for one in sliding(8, CAMERAS):
+        model.update(one)
+        model.refine()
+    model.update(sliding(9, CAMERAS)[-1])
+    model.on_stage = stages.append
+    model.refine(granted(slices))
+    assert [stage for stage in stages if stage in ("regroup", "bear")] == done
+
+
+def test_who_does_not_wait_is_shown_what_was_drawn_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The background of a set that may be late is the one before, until the thread that draws it is done."""
+    store, backgrounds = half_a_table(0)
+    with kernel_threads(2):
+        before = backgrounds.of(store, CAMERAS)
+        gate = threading.Event()
+        monkeypatch.setattr(
+            "twin_node.model.backgrounds._drawn", lambda *given: _drawn(*given) if gate.wait() else None
+        )
+        store.values[:, RGB] = 0
+        backgrounds.repaint()
+        list(backgrounds.keep_up(store))
+        meanwhile = backgrounds.of(store, CAMERAS, waits=False)
+        gate.set()
+        list(backgrounds.keep_up(store))
+        after = backgrounds.of(store, CAMERAS)
+    assert np.array_equal(meanwhile[0].rgb, before[0].rgb)
+    assert after[0].rgb.max() == 0 < before[0].rgb.max()
+
+
+def test_what_is_still_being_drawn_does_not_outlive_what_is_drawn_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    store, backgrounds = half_a_table(0)
+    with kernel_threads(2):
+        backgrounds.of(store, CAMERAS)
+        gate = threading.Event()
+        with monkeypatch.context() as held:
+            held.setattr("twin_node.model.backgrounds._drawn", lambda *given: _drawn(*given) if gate.wait() else None)
+            backgrounds.repaint()
+            list(backgrounds.keep_up(store))
+        store.values[:, RGB] = 0
+        backgrounds.renew()
+        anew = backgrounds.of(store, CAMERAS, waits=False)
+        gate.set()
+        later = backgrounds.of(store, CAMERAS)
+    assert anew[0].rgb.max() == 0 == later[0].rgb.max()
 
 
 def half_a_table(arm: int) -> tuple[Gaussians, Backgrounds]:

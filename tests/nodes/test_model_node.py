@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
-from twin_node.model import ModelParameters, SeedParameters, WindowModel
-from twin_node.model.stages import Proceed, unhurried
+from twin_node.model import ModelParameters, SeedParameters, TrackParameters, WindowModel
+from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.model import ModelNode
 from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Camera, FrameSet, View
+from twin_node.scene import Camera, FrameSet, TwinState, View
 
 K = np.array([[30.0, 0, 16], [0, 30.0, 12], [0, 0, 1]])
 
@@ -49,6 +52,34 @@ def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: 
         node.rest(lambda: not waits)
     assert model.done == expected
     assert order == [f"{index} published after {index}" for index in range(8)]
+
+
+class Asked(Watched):
+    """A model that notes how much time each set is left."""
+
+    def __init__(self, latency_ms: float) -> None:
+        super().__init__()
+        self.parameters = replace(self.parameters, track=TrackParameters(latency_ms=latency_ms))
+        self.left_s: list[float] = []
+
+    def update(self, frames: FrameSet, left_s: LeftS = endless) -> TwinState:
+        self.left_s.append(left_s())
+        return super().update(frames)
+
+
+@pytest.mark.parametrize(
+    ("is_live", "latency_ms", "expected"), [(True, 33.0, 0.033 - 0.010), (True, 0.0, math.inf), (False, 33.0, math.inf)]
+)
+def test_a_live_set_is_left_what_is_left_of_the_latency_wished_for(
+    is_live: bool, latency_ms: float, expected: float
+) -> None:
+    bus, clock, model = LocalBus(), SteppedClock(), Asked(latency_ms)
+    node = ModelNode(bus, clock, model, is_live=is_live)
+    node.configure()
+    node.activate()
+    clock.advance_to(10_000_000)
+    bus.publish(TRUSTED_FRAMES, frames(0))
+    assert model.left_s == [pytest.approx(expected)]
 
 
 def test_a_configured_node_keeps_opencv_to_one_thread() -> None:

@@ -82,6 +82,7 @@ class TrackBench:
             "sets": run.sets,
             "dropped": run.dropped,
             "dropped_share": run.dropped / (run.sets + run.dropped),
+            "hurried": model.hurried,
             "rate_hz": run.sets / run.seconds,
             "latency_ms": percentiles(run.latencies_ms),
             "offer_ms": percentiles(run.offers_ms),

@@ -140,7 +140,7 @@ def follow_live(
     clock = PacedClock(session.span.start_ns, rate)
     reading, working = LocalBus(), LocalBus()
     synchronizer = SynchronizerNode(reading, clock, session.cameras, session.rig, chain.synchronizer)
-    node = ModelNode(working, clock, followed.model)
+    node = ModelNode(working, clock, followed.model, is_live=True)
     for one in (synchronizer, node):
         one.configure()
         one.activate()

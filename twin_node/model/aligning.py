@@ -14,6 +14,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians
+from twin_node.model.haste import Haste, Part
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
@@ -73,25 +74,29 @@ class Aligner:
             self._steer(self._nodes.learned_rows, twists, dt_s)
         return renderings, told_of
 
-    def catch_up(self, observed: Sequence[Observed], around: Splats, dt_s: float) -> None:
+    def catch_up(self, observed: Sequence[Observed], around: Splats, dt_s: float, haste: Haste) -> None:
         """Nodes that this set has founded or woken are moved to where it shows what they carry.
 
         Their Gaussians stand where these stood when they were last seen to stand. Were they fitted to the images there,
         they would take on the looks of other parts of the thing, and stay behind it. `around` can stand before them;
-        `dt_s`: time since the set before.
+        `dt_s`: time since the set before. In haste they are moved once.
         """
         nodes, rows = self._nodes, self._gaussians.moving_rows
         fresh = nodes.learned_rows[nodes.births.index_select(0, nodes.learned_rows) == nodes.stamp]
         if not len(fresh):
             return
         carried = rows_where(torch.isin(self._gaussians.nodes.index_select(0, rows), fresh.to(rows.device)))
-        for _ in range(CATCH_UPS if len(carried) else 0):
+        if not len(carried):
+            return
+        times = haste.steps(Part.CATCH_UP)
+        for _ in range(times):
             poses = self._placer.poses(observed)
             splats = self._placer.place(rows, observed, poses)
             renderings = self._placer.look(observed, splats, around)
             cells = cells_of(self._gaussians, rows.index_select(0, carried), splats.means[0].index_select(0, carried))
             twists = self._twists(observed, renderings, splats, carried.cpu(), cells, poses, UNNOTICED_S)
             self._steer(fresh, twists, dt_s)
+        haste.done(Part.CATCH_UP, times)
 
     def _twists(
         self,

@@ -19,6 +19,11 @@ class Begun(Generic[Result]):
         self._work = work
         self._done = done
 
+    @property
+    def is_done(self) -> bool:
+        """Whether nobody need wait for it."""
+        return self._done is not None and self._done.done()
+
     def end(self) -> Result:
         """What it comes to, waited for, or found here where nobody has begun; called once. Raises as the work does."""
         if self._done is None or self._done.cancel():

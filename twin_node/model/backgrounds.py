@@ -141,9 +141,14 @@ class Backgrounds:
         """STATIC Gaussians look otherwise, but stand where they stood: the images are rendered anew, one per set."""
         self._waiting += [name for name in self._known if name not in self._waiting]
 
-    def of(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Background]:
-        """The background of each camera; called once per set."""
-        self._take()
+    def of(self, gaussians: Gaussians, cameras: Sequence[Camera], waits: bool = True) -> list[Background]:
+        """The background of each camera; called once per set.
+
+        One that is still being drawn is waited for, or else shows from a later set on: how it looked before will do,
+        but what comes of it then depends on the clock.
+        """
+        if waits or (self._begun is not None and self._begun[1].is_done):
+            self._take()
         known = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
         if self._outdated or not known:
             self._renew(gaussians, cameras)
@@ -173,7 +178,8 @@ class Backgrounds:
             self._known[name] = replace(self._known[name], **vars(drawing.end()))
 
     def _renew(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
-        """Finds and renders all there is, for `cameras` and no other."""
+        """Finds and renders all there is, for `cameras` and no other; what is being drawn is out of date."""
+        self._begun = None
         drawings = zip(cameras, self._drawings(gaussians, cameras), strict=True)
         self._survey(gaussians, cameras, {camera.name: draw() for camera, draw in drawings})
 

@@ -50,6 +50,9 @@ class TrackParameters:
     """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
     steps: int = 3
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
+    latency_ms: float = 33.0
+    """Wished for from a set's newest image to its state. Live, a set that would be later takes fewer steps, where these
+    help and to a set in ten; 0: never. In lockstep nothing is late."""
     learning_rate: float = 6.0
     """Multiplies all rates of `descending.RATES`."""
     selects: bool = True
@@ -72,6 +75,7 @@ class TrackParameters:
             "model: track.",
             alignments=_COUNT,
             steps=_COUNT,
+            latency_ms=NOT_NEGATIVE,
             learning_rate=POSITIVE,
             velocity_damping=SHARE,
             flow_sigma_px=POSITIVE,

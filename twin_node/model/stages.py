@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 OnStage = Callable[[str], None]
@@ -12,6 +13,10 @@ Proceed = Callable[[], bool]
 """Asked between two slices of work, of a millisecond or two each, whether there is time for the next."""
 
 
+LeftS = Callable[[], float]
+"""Asked how many seconds are left until the state of a set should be out; negative once it is late."""
+
+
 def unwatched(_: str) -> None:
     """Nobody wants to know."""
 
@@ -19,6 +24,11 @@ def unwatched(_: str) -> None:
 def unhurried() -> bool:
     """There always is."""
     return True
+
+
+def endless() -> float:
+    """Nobody waits for it."""
+    return math.inf
 
 
 def granted(slices: int) -> Proceed:

@@ -21,7 +21,9 @@ from twin_node.model.deaths import Shapes, are_needed
 from twin_node.model.decisions import Decision
 from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.gaussians import MEAN, RGB, Gaussians
+from twin_node.model.haste import Haste, Part
 from twin_node.model.held import held_pixels
+from twin_node.model.leisure import Leisure
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, Observer
@@ -91,8 +93,10 @@ class Tracker:
         gaussians: Gaussians,
         motion: Motion,
         backgrounds: Backgrounds,
+        haste: Haste,
     ) -> None:
         self._parameters = parameters
+        self._haste = haste
         self._gaussians = gaussians
         self._motion = motion
         self._nodes = motion.nodes
@@ -111,8 +115,7 @@ class Tracker:
         self._born = 0
         self._due: _Due | None = None
         """A set that has been tracked and that nothing else has been made of yet."""
-        self._hurried = 0
-        """Sets in a row after which there was no time."""
+        self._leisure = Leisure()
 
     @property
     def has_arm(self) -> bool:
@@ -137,7 +140,8 @@ class Tracker:
         self.refine(on_stage=on_stage)
         born, self._born = self._born, 0
         self._turn += 1
-        backgrounds = self._backgrounds.of(self._gaussians, [view.camera for view in frames.views])
+        cameras, waits = [view.camera for view in frames.views], not self._haste.may_be_late
+        backgrounds = self._backgrounds.of(self._gaussians, cameras, waits)
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         on_stage("observe")
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
@@ -149,7 +153,7 @@ class Tracker:
         self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)
         around = self._around(observed, aligned)
-        self._aligner.catch_up(observed, around, dt_s)
+        self._aligner.catch_up(observed, around, dt_s, self._haste)
         on_stage("judge")
         fitted = self._fit(observed, around)
         on_stage("fit")
@@ -163,32 +167,35 @@ class Tracker:
         """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
-        better without; who merges and splits shows in what comes. Where `proceed` leaves no time, nothing is done: what
-        is not born now is with the next set. If that goes on, neither is put off again, nothing is pruned, and what
-        stands takes a step after one set and is drawn anew after the next. Another thread looks at what a set's steps
-        miss while this one regroups and prunes, and while it bears.
+        better without; who merges and splits shows in what comes. Where `proceed` leaves no time nothing is done, and
+        no more where a set comes meanwhile as none did lately: what is not born now is with the next set. If that goes
+        on, neither is put off again, nothing is pruned, and what stands takes a step after one set and is drawn anew
+        after the next. Another thread looks at what a set's steps miss while this one regroups and prunes, and while it
+        bears.
         """
         due, self._due = self._due, None
         if due is None:
             return True
-        self._hurried = 0 if proceed() else self._hurried + 1
-        learns = self._hurried % 2 == 0
+        leisure = self._leisure
+        leisure.begin(proceed)
+        learns = leisure.hurried % 2 == 0
         if learns:
-            self._upkeep.begin(due.seen, 1 if self._hurried else self._parameters.map.steps)
+            self._upkeep.begin(due.seen, 1 if leisure.hurried else self._parameters.map.steps)
             on_stage("begin")
-        if self._hurried != 1:
+        if leisure.is_left or leisure.hurried > 1:
             self._decisions += self._bodies.regroup(due.carried)
             if self._bodies.decided_s:
                 self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
             on_stage("regroup")
-            if not self._hurried:
-                self._prune(due)
-                self._upkeep.learn(granted(1))
+        if leisure.is_left:
+            self._prune(due)
+            self._upkeep.learn(granted(1))
+        if leisure.is_left or leisure.hurried > 1:
             self._born = self._bear(due.seen.observed, due.renderings)
             self._nodes.begin()
             on_stage("bear")
-        if self._hurried < 2:
-            return self._upkeep.go_on(proceed) and not self._hurried
+        if leisure.hurried < 2:
+            return self._upkeep.go_on(proceed) and not leisure.hurried
         keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
         return keep_up(granted(HURRIED))
 
@@ -275,8 +282,9 @@ class Tracker:
             return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
         moving = self._placer.place(g.moving_rows, observed, poses)
         masks = held_pixels(observed, moving)
-        rate = self._pace * track.learning_rate
-        fitted = fit_moving(g, self._motion, observed, poses, masks, around, track.steps, rate)
+        rate, steps = self._pace * track.learning_rate, self._haste.steps(Part.FIT)
+        fitted = fit_moving(g, self._motion, observed, poses, masks, around, steps, rate)
+        self._haste.done(Part.FIT, steps)
         self._pace = self._pace * BRAKE if fitted.diverged else min(1.0, self._pace * PICK_UP)
         return fitted
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from twin_node.model.aligning import CATCH_UPS
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.decisions import Decision
 from twin_node.model.devices import usable_device
@@ -15,6 +16,7 @@ from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.field import HexPlane
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
+from twin_node.model.haste import Haste, Part
 from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import Nodes
@@ -24,7 +26,7 @@ from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
 from twin_node.model.seeding import seed
-from twin_node.model.stages import OnStage, Proceed, unhurried, unwatched
+from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, unwatched
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_mask
@@ -73,6 +75,7 @@ class WindowModel:
         self._past: Past | None = None
         self._tracker: Tracker | None = None
         self._exposures = Exposures()
+        self._haste = Haste({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
         """Which nodes have merged, split and come to rest since the `update` before the last one, or were woken by
@@ -97,6 +100,11 @@ class WindowModel:
         return len(self._nodes.rows)
 
     @property
+    def hurried(self) -> int:
+        """Sets that took fewer steps so as to be out in time."""
+        return self._haste.hurried
+
+    @property
     def parameters_count(self) -> int:
         """Numbers that describe the scene now: 14 per Gaussian, 6 per node and set of the window, the field if used."""
         poses = int((self._nodes.history_stamps >= 0).sum()) * len(self._nodes.rows)
@@ -109,11 +117,14 @@ class WindowModel:
         """Bytes that the newest set added or changed: float32 attributes of what moves or was born, node poses."""
         return self._bytes_per_frame
 
-    def update(self, frames: FrameSet) -> TwinState:
-        """Brings the model up to date with a set; raises `ModelError` for one without views, older than the last,
-        or with images that are not of their camera's size.
+    def update(self, frames: FrameSet, left_s: LeftS = endless) -> TwinState:
+        """Brings the model up to date with a set, which takes fewer steps where else it would not be out in `left_s()`.
+
+        Raises `ModelError` for one without views, older than the last, or with images that are not of their camera's
+        size.
         """
         self._check(frames)
+        self._haste.begin(left_s)
         if self._tracker is None:
             return self._update(frames)
         with torch_alone():
@@ -141,6 +152,7 @@ class WindowModel:
             warnings + levelled.warnings,
             levelled.exposures,
         )
+        self._haste.end()
         self.on_stage("publish")
         return state
 
@@ -208,7 +220,7 @@ class WindowModel:
         self._nodes.stamp = frames.stamp
         motion = self._motion = Motion(self._nodes, self._make_field(shell))
         motion.slide(frames.stamp)
-        self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds)
+        self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, self._haste)
         self._bind_arm(self._tracker, frames, robots)
         self._nodes.remember()
         self._past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)

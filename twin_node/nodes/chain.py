@@ -53,7 +53,7 @@ class Chain:
         if say is not None and parameters.size.name is SizeChoice.AUTO:
             arm, budget_ms = parameters.arm.arm(), parameters.size.budget_ms
             trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say)
-        self._model_node = ModelNode(bus, clock, make_model(parameters), trial)
+        self._model_node = ModelNode(bus, clock, make_model(parameters), trial, latency.is_measured)
         self.nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),

@@ -18,7 +18,7 @@ class Latency:
     def __init__(self, assumed_ns: int, is_measured: bool) -> None:
         """`assumed_ns` stands for the p99 until enough was measured, and for ever where `is_measured` is False."""
         self._assumed_ns = assumed_ns
-        self._is_measured = is_measured
+        self.is_measured = is_measured
         self._is_started = False
         self._samples_ns: deque[int] = deque(maxlen=SAMPLES)
 
@@ -28,7 +28,7 @@ class Latency:
 
     def add(self, latency_ns: int) -> None:
         """Count one latency; ignored where latency is assumed, because lockstep knows no time."""
-        if self._is_measured and self._is_started:
+        if self.is_measured and self._is_started:
             self._samples_ns.append(latency_ns)
 
     @property

@@ -6,7 +6,7 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
-from twin_node.model.stages import Proceed, unhurried
+from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
 from twin_node.rig import Narrower
@@ -23,10 +23,16 @@ WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set."""
 
-    def __init__(self, bus: Bus, clock: Clock, model: WindowModel, trial: Trial | None = None) -> None:
-        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`."""
+    def __init__(
+        self, bus: Bus, clock: Clock, model: WindowModel, trial: Trial | None = None, is_live: bool = False
+    ) -> None:
+        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`.
+
+        `is_live`: `clock` runs while a set is worked on, so that one can be late.
+        """
         super().__init__("model", bus, clock)
         self.model = model
+        self._is_live = is_live
         self._trial = trial
         self._narrower: Narrower | None = None
         self._next_whole = 0
@@ -42,7 +48,7 @@ class ModelNode(Node):
             return
         if self._narrower is not None:
             frames = self._narrower.narrowed(frames)
-        state = self.model.update(frames)
+        state = self.model.update(frames, self._left_s(frames))
         moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
         self.bus.publish(STATE, state)  # on a bus within the process this is when the forecast is made
@@ -53,6 +59,14 @@ class ModelNode(Node):
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
+
+    def _left_s(self, frames: FrameSet) -> LeftS:
+        """Says how long a set has until it is older than wished for."""
+        latency_ms = self.model.parameters.track.latency_ms
+        if not self._is_live or not latency_ms:
+            return endless
+        due = frames.stamp + round(latency_ms * 1e6)
+        return lambda: (due - self.clock.now()) * 1e-9
 
     def _try(self, trial: Trial, frames: FrameSet) -> None:
         sized = trial.take(frames)

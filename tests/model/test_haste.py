@@ -1,0 +1,115 @@
+"""A set that would be out late takes fewer steps, if that helps and not too often."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from model_scenes import rig, sliding
+
+from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model.haste import IN_A_ROW, SPARED, Haste, Part
+
+STEP_S, ENDING_S = 0.002, 0.001
+
+
+class Watch:
+    """A clock that stands but for what a test says has been done."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def counting_from(self, left_s: float) -> object:
+        due = self.now_s + left_s
+        return lambda: due - self.now_s
+
+
+def fitted(haste: Haste, watch: Watch, left_s: float, catches_up: bool = False) -> tuple[int, ...]:
+    """The steps that a set is granted which has `left_s` when its first part begins."""
+    haste.begin(watch.counting_from(left_s))
+    granted = []
+    for part in (Part.CATCH_UP, Part.FIT) if catches_up else (Part.FIT,):
+        steps = haste.steps(part)
+        watch.now_s += steps * STEP_S
+        haste.done(part, steps)
+        granted.append(steps)
+    watch.now_s += ENDING_S
+    haste.end()
+    return tuple(granted)
+
+
+def practised(ease: int = 8, catch_ups: int = 2) -> tuple[Haste, Watch]:
+    """One that has seen sets with time for all of three steps."""
+    haste, watch = Haste({Part.CATCH_UP: catch_ups, Part.FIT: 3}), Watch()
+    for _ in range(ease):
+        assert fitted(haste, watch, 1.0, catches_up=True) == (catch_ups, 3)
+    return haste, watch
+
+
+@pytest.mark.parametrize(("left_s", "expected"), [(0.0075, 3), (0.0055, 2), (0.0035, 1), (0.001, 1), (-0.0025, 1)])
+def test_steps_are_those_that_there_is_time_for(left_s: float, expected: int) -> None:
+    haste, watch = practised()
+    assert fitted(haste, watch, left_s) == (expected,)
+    assert haste.hurried == (expected < 3)
+
+
+def test_nothing_is_spared_on_a_set_that_is_past_saving() -> None:
+    haste, watch = practised()
+    assert fitted(haste, watch, -0.0035) == (3,)
+    assert haste.hurried == 0
+
+
+@pytest.mark.parametrize(("left_s", "expected"), [(0.0115, (2, 3)), (0.0095, (2, 2)), (0.0055, (1, 1))])
+def test_catching_up_leaves_time_for_a_step_of_what_follows(left_s: float, expected: tuple[int, ...]) -> None:
+    haste, watch = practised()
+    assert fitted(haste, watch, left_s, catches_up=True) == expected
+    assert haste.hurried == (expected != (2, 3))
+
+
+def test_where_every_set_is_late_few_are_hurried() -> None:
+    haste, watch = practised()
+    granted = [fitted(haste, watch, 0.003)[0] for _ in range(200)]
+    assert granted[:IN_A_ROW] == [1] * IN_A_ROW
+    assert granted[-20:].count(1) == round(20 * SPARED)
+    assert haste.hurried == granted.count(1)
+
+
+def test_nobody_is_hurried_before_a_step_was_timed() -> None:
+    haste, watch = Haste({Part.CATCH_UP: 2, Part.FIT: 3}), Watch()
+    assert fitted(haste, watch, 0.0001, catches_up=True) == (2, 3)
+
+
+def test_one_pause_of_the_machine_changes_nothing() -> None:
+    haste, watch = practised()
+    haste.begin(watch.counting_from(1.0))
+    steps = haste.steps(Part.FIT)
+    watch.now_s += 0.5
+    haste.done(Part.FIT, steps)
+    haste.end()
+    assert fitted(haste, watch, 0.0075) == (3,)
+
+
+def test_no_time_is_read_where_nobody_waits() -> None:
+    haste = Haste({Part.CATCH_UP: 2, Part.FIT: 3})
+    for _ in range(20):
+        haste.begin(lambda: math.inf)
+        assert not haste.may_be_late
+        assert (haste.steps(Part.CATCH_UP), haste.steps(Part.FIT)) == (2, 3)
+        haste.done(Part.FIT, 3)
+        haste.end()
+    assert haste.hurried == 0
+
+
+def test_a_model_that_is_late_goes_on_following() -> None:
+    """Every look at the clock finds it a bit on, so that sets have time for one step of three."""
+    images = []
+    for left_s in (math.inf, 0.0003):
+        model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)))
+        for one in sliding(30, rig()):
+            ticks = itertools.count(1)
+            model.update(one, lambda ticks=ticks, left_s=left_s: left_s - 0.0001 * next(ticks))
+        images.append(model.render(rig()[0]).rgb)
+    assert model.hurried >= IN_A_ROW
+    assert 0 < np.abs(images[0] - images[1]).mean() < 0.02

@@ -1,0 +1,36 @@
+"""Whether there is time, after a set's state is out, for what can wait: what is left of it is let be, in turn."""
+
+from __future__ import annotations
+
+from twin_node.model.stages import Proceed, unhurried
+
+AT_EASE = 3
+"""Sets in a row after which none waited, before one that comes meanwhile puts off what is left. Where sets wait oftener
+each does all that it has begun: births that are put off cost what moves half a decibel there."""
+
+
+class Leisure:
+    """The time between two sets, set by set."""
+
+    def __init__(self) -> None:
+        self.hurried = 0
+        """Sets in a row after which there was no time, or not for all."""
+        self._at_ease = 0
+        """Sets in a row after which none waited."""
+        self._gives_way = False
+        self._proceed: Proceed = unhurried
+
+    def begin(self, proceed: Proceed) -> None:
+        """A set is out; `proceed()` says whether none waits."""
+        was_hurried = self.hurried > 0
+        self._proceed = proceed
+        self.hurried = 0 if proceed() else self.hurried + 1
+        self._at_ease = 0 if self.hurried else self._at_ease + 1
+        self._gives_way = not was_hurried and self._at_ease >= AT_EASE
+
+    @property
+    def is_left(self) -> bool:
+        """Whether there was time and still is."""
+        if not self.hurried and self._gives_way and not self._proceed():
+            self.hurried = 1
+        return not self.hurried
