@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, field
 
 from twin_node.messages import convert
+from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.rig_messages import publish_calibration
 from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
 from twin_node.nodes.live.setup import Setup
@@ -46,8 +46,6 @@ class CamerasNode(Node):
     def __init__(self, setup: Setup, source: ImageSource, rig: RigParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
         self._source = source
-        self._finish = setup.finish
-        self._error: BaseException | None = None
         self._rig_parameters = rig
         self._rig = read_rig(rig).rig
         self._cameras = {camera.name: camera for camera in self._rig.cameras}
@@ -57,22 +55,19 @@ class CamerasNode(Node):
                 f"{setup.where}: {setup.name}: camera '{unknown[0]}' is not in the rig file, which has "
                 f"{', '.join(self._cameras)}; name it as there, or calibrate it"
             )
-        self._thread: threading.Thread | None = None
+        self._thread = OwnThread("cameras", self._publish_all, setup.finish)
 
     def on_activate(self) -> None:
         publish_calibration(self.bus, self._rig, self.clock.now())
-        self._thread = threading.Thread(target=self._run, name="cameras", daemon=True)
         self._thread.start()
 
     def on_deactivate(self) -> None:
         self._source.close()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def on_cleanup(self) -> None:
         """Raises what ended the images."""
-        if self._error is not None:
-            raise self._error
+        self._thread.check()
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How every camera is doing."""
@@ -88,13 +83,9 @@ class CamerasNode(Node):
             found.append(convert.Diagnosis(f"{self.name}: {health.camera}", level, message, readings, health.camera))
         return tuple(found)
 
-    def _run(self) -> None:
-        try:
-            for image in self._source.images():
-                self._publish(image)
-        except BaseException as error:  # raised again when the node is cleaned up: its process must not live on silent
-            self._error = error
-            self._finish()
+    def _publish_all(self) -> None:
+        for image in self._source.images():
+            self._publish(image)
 
     def _publish(self, image: CameraImage) -> None:
         topics = topics_of(image.camera, self._rig_parameters)

@@ -13,6 +13,7 @@ from twin_node.cell.record import TRAJECTORY_RATE_HZ, nan_depth
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure
 from twin_node.messages import Message, convert
+from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.rig_messages import publish_calibration
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
@@ -44,11 +45,10 @@ class CellNode(Node):
         super().__init__(setup.name, setup.bus, setup.clock)
         self._parameters = parameters
         self._finish = setup.finish
-        self._error: BaseException | None = None
         self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario))
         self._period_ns = int(1e9 / self._simulated.scenario.sensing.rate_hz)
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread = OwnThread("cell", self._send, setup.finish)
         self._begun: int | None = None
         self._timers = setup.timers
         self.skipped = 0
@@ -62,30 +62,20 @@ class CellNode(Node):
     def on_activate(self) -> None:
         publish_calibration(self.bus, self._simulated.rig, self.clock.now())
         self._stop.clear()
-        self._thread = threading.Thread(target=self._run, name="cell", daemon=True)
         self._thread.start()
 
     def on_deactivate(self) -> None:
         self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def on_cleanup(self) -> None:
         """Raises what ended the images before their time."""
-        if self._error is not None:
-            raise self._error
+        self._thread.check()
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How many images came too late to be made."""
         readings = (convert.Reading("skipped_images", str(self.skipped)),)
         return (convert.Diagnosis(f"{self.name}: cameras", convert.Level.OK, "simulated", readings),)
-
-    def _run(self) -> None:
-        try:
-            self._send()
-        except BaseException as error:  # raised again when the node is cleaned up: its process must not live on silent
-            self._error = error
-            self._finish()
 
     def _send(self) -> None:
         exposures, start = self._simulated.exposures(), self._simulated.scenario.start_ns

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.messages import convert
+from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
 from twin_node.nodes.topics import CLOCK, GraphError, absolute, is_topic_name, parse_remaps
@@ -81,8 +82,7 @@ class PlayNode(Node):
         self._bus: WireBus = setup.bus
         self._time = _LogTime(parameters.rate, parameters.start_paused)
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._error: BaseException | None = None
+        self._thread = OwnThread("player", self._play, setup.finish)
         self.published = 0
 
     @property
@@ -102,19 +102,16 @@ class PlayNode(Node):
 
     def on_activate(self) -> None:
         self._stop.clear()
-        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
         self._thread.start()
 
     def on_deactivate(self) -> None:
         self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def on_cleanup(self) -> None:
         """Raises what ended the playing before its time."""
         self._log.close()
-        if self._error is not None:
-            raise self._error
+        self._thread.check()
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How far it is."""
@@ -125,15 +122,12 @@ class PlayNode(Node):
             text, level = self._log.damage, convert.Level.WARN
         return (convert.Diagnosis(f"{self.name}: {self._parameters.log}", level, text, readings),)
 
-    def _run(self) -> None:
+    def _play(self) -> None:
         self._stop.wait(self._parameters.delay)
-        try:
-            while not self._stop.is_set():
-                self._play_once()
-                if not self._parameters.loop:
-                    break
-        except BaseException as error:  # raised again when the node is cleaned up, whatever it is
-            self._error = error
+        while not self._stop.is_set():
+            self._play_once()
+            if not self._parameters.loop:
+                break
         self._finish()
 
     def _play_once(self) -> None:
