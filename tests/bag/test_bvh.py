@@ -30,6 +30,34 @@ def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:
             read_clip(written(tmp_path, text))
 
 
+@pytest.mark.parametrize(
+    ("given_text", "instead", "said"),
+    [
+        (
+            "CHANNELS 3 Zrotation Xrotation",
+            "CHANNELS 3 Zrotation Zrotation",
+            "line 9: expected a part of a BVH skeleton",
+        ),
+        ("Frames: 2", "Frames: ²", "line 17: expected 'Frames: N' and 'Frame Time: seconds'"),
+        ("Frame Time: 0.05", "Frame Time: inf", "line 17: expected 'Frames: N' and 'Frame Time: seconds'"),
+    ],
+)
+def test_what_is_no_motion_is_named(tmp_path: Path, given_text: str, instead: str, said: str) -> None:
+    assert given_text in ONE_ARM
+    path = tmp_path / "motion.bvh"
+    path.write_text(ONE_ARM.replace(given_text, instead), encoding="utf-8")
+    with pytest.raises(BagError, match=rf"motion\.bvh: {said}"):
+        read_clip(path)
+
+
+def test_a_file_without_frames_or_channels_is_refused(tmp_path: Path) -> None:
+    head = ONE_ARM[: ONE_ARM.index("MOTION")]
+    still = "\n".join(line for line in head.splitlines() if "CHANNELS" not in line)
+    for skeleton in (head, still):
+        with pytest.raises(BagError, match="expected a motion, found 0 frames"):
+            read_clip(written(tmp_path, f"{skeleton}\nMOTION\nFrames: 0\nFrame Time: 0.05\n"))
+
+
 @given(cut=st.integers(0, len(ONE_ARM)), junk=st.text(max_size=12))
 def test_damaged_files_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, cut: int, junk: str) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged.bvh"

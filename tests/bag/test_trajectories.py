@@ -85,6 +85,12 @@ def test_csv_comes_back(tmp_path_factory: pytest.TempPathFactory, names: list[st
         ("time,a_x,a_y,a_z\n0,1,2,3\n", "two or more times"),
         ("time,a_x,a_y,a_z\n0,1,2,3\n0,1,2,3\n", "sample 2: expected rising times"),
         ("time,a_x,a_y,a_z\n0,1,2,3\n,1,2,3\n", "sample 2: expected rising times"),
+        ("time,a_x,a_y,a_z\n0,1,2,3\n1,1,2,3\ninf,1,2,3\n", "sample 3: expected rising times, found inf after 1.0"),
+        ("time,a_x,a_y,a_z\n-inf,1,2,3\n1,1,2,3\n", "sample 2: expected rising times, found 1.0 after -inf"),
+        ("time,a_x,a_y,a_z\n0,1,2,3\n1,1,inf,3\n", "sample 2: expected finite numbers, found infinity for a"),
+        ("time,a_x,a_y,a_z,a_x,a_y,a_z\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n", "every point's name once, found 'a' again"),
+        ("time,a_x,a_y,a_z\n0,1000,2000,1700\n1,1600,2000,1700\n", "within 100 m of each other, found 600 m"),
+        (f'time,a_x,a_y,a_z\n0,1,2,"{"3" * 200_000}"\n', "expected a table of cells"),
     ],
 )
 def test_what_is_wrong_with_a_csv_is_named(tmp_path: Path, text: str, said: str) -> None:
@@ -99,3 +105,39 @@ def test_only_known_kinds_are_read(tmp_path: Path) -> None:
         read_trajectories(tmp_path / "points.c3d")
     with pytest.raises(BagError, match="readable"):
         read_trajectories(tmp_path / "missing.csv")
+
+
+TRC = """PathFileType\t4\t(X/Y/Z)\twalk.trc
+DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits
+100\t100\t2\t1\tmm
+Frame#\tTime\tKnee
+\t\tX1\tY1\tZ1
+1\t5.00\t100\t200\t300
+2\t5.01\t110\t200\t300
+"""
+
+
+def test_trc_markers_come_in_metres_from_time_zero(tmp_path: Path) -> None:
+    path = tmp_path / "walk.trc"
+    path.write_text(TRC)
+    found = read_trajectories(path)
+    assert found.names == ("Knee",)
+    np.testing.assert_allclose(found.times, [0, 0.01])
+    np.testing.assert_allclose(found.positions[:, 0], [[0.1, 0.2, 0.3], [0.11, 0.2, 0.3]])
+
+
+@pytest.mark.parametrize(
+    ("given", "instead", "said"),
+    [
+        ("100\t100\t2\t1", "100\t100\t3\t1", "expected 3 frames, found 2; the file is cut short"),
+        ("100\t100\t2\t1", "100\t100\tmany\t1", "NumFrames: expected a number of frames, found 'many'"),
+        ("\tmm\n", "\tinch\n", "Units: expected m, cm or mm, found 'inch'"),
+        ("\tKnee\n", "\tKnee\t\t\tHip\n", "line 4: expected 1 marker names, found 2"),
+        ("5.01\t110\t200\t300", "5.01\t110\t200", "line 7: expected 5 columns, found 4"),
+    ],
+)
+def test_what_is_wrong_with_a_trc_is_named(tmp_path: Path, given: str, instead: str, said: str) -> None:
+    path = tmp_path / "wrong.trc"
+    path.write_text(TRC.replace(given, instead))
+    with pytest.raises(BagError, match=said):
+        read_trajectories(path)

@@ -93,7 +93,7 @@ def _skeleton(path: Path, lines: list[str]) -> tuple[list[BvhJoint], int]:
             case ["OFFSET", *cells] if open_joints and len(cells) == 3:
                 joints[open_joints[-1]].offset = np.array([number(path, line, cell) for cell in cells])
             case ["CHANNELS", count, *names] if (
-                open_joints and set(names) <= set(_CHANNELS) and count == str(len(names))
+                open_joints and set(names) <= set(_CHANNELS) and count == str(len(set(names))) == str(len(names))
             ):
                 joints[open_joints[-1]].channels = tuple(names)
             case ["}"] if open_joints:
@@ -108,7 +108,7 @@ def _skeleton(path: Path, lines: list[str]) -> tuple[list[BvhJoint], int]:
 def _motion(path: Path, lines: list[str], start: int, channels: int) -> tuple[Float64, float]:
     """Channel values [T, channels] and the time between frames in seconds."""
     header = [line.split(":")[-1].strip() for line in lines[start : start + 2]]
-    if len(header) < 2 or not header[0].isdigit() or not number(path, start + 2, header[1]) > 0:
+    if len(header) < 2 or not header[0].isdecimal() or not 0 < number(path, start + 2, header[1]) < np.inf:
         raise BagError(f"{path}: line {start + 1}: expected 'Frames: N' and 'Frame Time: seconds', found {header}")
     rows = []
     for line, text in enumerate(lines[start + 2 :], start=start + 3):
@@ -120,7 +120,9 @@ def _motion(path: Path, lines: list[str], start: int, channels: int) -> tuple[Fl
         rows.append([number(path, line, cell) for cell in cells])
     if len(rows) != int(header[0]):
         raise BagError(f"{path}: expected {header[0]} frames, found {len(rows)}; the file is cut short or was edited")
-    return np.array(rows).reshape(-1, channels), float(header[1])
+    if not channels or not rows:
+        raise BagError(f"{path}: expected a motion, found {len(rows)} frames of {channels} channels; export it again")
+    return np.array(rows), float(header[1])
 
 
 def _positions(joints: list[BvhJoint], values: Float64) -> Float64:

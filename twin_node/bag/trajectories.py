@@ -11,6 +11,9 @@ import numpy as np
 from twin_node.bag.log import BagError
 from twin_node.scene import Float64
 
+_WIDEST_M = 100.0
+"""What is followed point by point lies within so much along each axis, m: numbers that span more are no metres."""
+
 
 @dataclass(frozen=True)
 class Trajectories:
@@ -57,12 +60,33 @@ def read_lines(path: Path) -> list[str]:
 
 
 def checked(path: Path, names: tuple[str, ...], times: Float64, positions: Float64) -> Trajectories:
-    """The record of what a file holds. Raises `BagError` for too few samples or times that do not rise."""
+    """The record of what a file holds.
+
+    Raises `BagError` for too few samples, names that stand twice, times that do not rise, and positions that are
+    infinite or span more than metres can.
+    """
     if len(times) < 2 or not names:
         raise BagError(f"{path}: expected points at two or more times, found {len(names)} points, {len(times)} times")
-    if not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
-        row = int(np.flatnonzero(~(np.diff(times) > 0))[0]) + 1
+    again = [name for row, name in enumerate(names) if name in names[:row]]
+    if again:
+        raise BagError(f"{path}: expected every point's name once, found {again[0]!r} again; rename one of them")
+    rises = np.append(True, np.diff(times) > 0) & np.isfinite(times)
+    if not rises.all():
+        row = max(int(rises.argmin()), 1)
         raise BagError(f"{path}: sample {row + 1}: expected rising times, found {times[row]} after {times[row - 1]} s")
+    if np.isinf(positions).any():
+        row, point, _ = np.argwhere(np.isinf(positions))[0]
+        raise BagError(
+            f"{path}: sample {row + 1}: expected finite numbers, found infinity for {names[point]}; leave cells of "
+            "points that were not seen empty"
+        )
+    seen = positions[~np.isnan(positions).any(axis=2)]
+    span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+    if span > _WIDEST_M:
+        raise BagError(
+            f"{path}: expected points within {_WIDEST_M:g} m of each other, found {span:.6g} m; are the positions in "
+            "another unit?"
+        )
     return Trajectories(names, times, positions)
 
 
@@ -75,7 +99,10 @@ def number(path: Path, line: int, text: str) -> float:
 
 
 def _read_csv(path: Path) -> Trajectories:
-    rows = list(csv.reader(read_lines(path)))
+    try:
+        rows = list(csv.reader(read_lines(path)))
+    except csv.Error as error:
+        raise BagError(f"{path}: expected a table of cells with commas between them, found {error}") from None
     header = [cell.strip() for cell in rows[0]] if rows else []
     names = tuple(cell[:-2] for cell in header[1::3])
     wanted = ["time"] + [f"{name}_{axis}" for name in names for axis in "xyz"]

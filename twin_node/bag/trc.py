@@ -28,6 +28,8 @@ def read_trc(path: Path) -> Trajectories:
     names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
     if header.get("NumMarkers", "") != str(len(names)):
         raise BagError(f"{path}: line 4: expected {header.get('NumMarkers')} marker names, found {len(names)}")
+    if not header.get("NumFrames", "").isdecimal():
+        raise BagError(f"{path}: NumFrames: expected a number of frames, found {header.get('NumFrames')!r}; correct it")
     columns = 2 + 3 * len(names)
     rows = []
     for line, text in enumerate(lines[_HEADER_LINES:], start=_HEADER_LINES + 1):
@@ -40,4 +42,8 @@ def read_trc(path: Path) -> Trajectories:
     table = np.array(rows).reshape(-1, columns)
     if len(table) == 0:
         raise BagError(f"{path}: expected rows of marker positions, found none")
+    if len(table) != int(header["NumFrames"]):
+        raise BagError(
+            f"{path}: expected {header['NumFrames']} frames, found {len(table)}; the file is cut short or was edited"
+        )
     return checked(path, names, table[:, 1] - table[0, 1], table[:, 2:].reshape(len(table), len(names), 3) * scale)
