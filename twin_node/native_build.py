@@ -6,12 +6,15 @@ use. A library's name carries the hash of all that it was made from, so that a s
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import platform
 import shutil
 import subprocess
 import tempfile
+import warnings
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -96,19 +99,22 @@ class Kernels(NamedTuple):
         """Where an installed package keeps the library of a variant."""
         return self.folder / f"lib{self.name}-{variant}-{self.source_hash()}.so"
 
-    def cached_library(self, variant: str) -> Path:
-        """Path of the library in the user's cache, compiled now if it is not there yet.
+    def cached_library(self, variant: str, anew: bool = False) -> Path:
+        """Path of the library in the user's cache, compiled now if it is not there yet; `anew`: even if it is.
 
-        Safe when several processes do it at once: each compiles to a file of its own and moves it into place. Raises
-        `CompileError`.
+        Safe when several processes do it at once: each compiles to a file of its own and moves it into place. Where
+        the cache cannot be written, and does not hold it, it is compiled for this process alone, with one warning.
+        Raises `CompileError`.
         """
         compiler = find_compiler()
-        version = _run([compiler, "--version"]).splitlines()[0]
+        version = _run([compiler, "--version"]).partition("\n")[0]
         key = hashlib.sha256(f"{self.source_hash()} {version}".encode()).hexdigest()[:12]
-        library = _cache_folder() / f"lib{self.name}-{variant}-{key}.so"
-        if not library.exists():
-            self.compile(variant, library, compiler)
-        return library
+        folder, name = _cache_folder(), f"lib{self.name}-{variant}-{key}.so"
+        if folder is None or not (os.access(folder, os.W_OK) or (_is_trusted(folder / name) and not anew)):
+            folder = _own_folder()
+        if anew or not _is_trusted(folder / name):
+            self.compile(variant, folder / name, compiler)
+        return folder / name
 
     def best_library(self, variant: str) -> Path:
         """As shipped with the package, else compiled into the user's cache. Raises `CompileError`."""
@@ -139,28 +145,56 @@ def _compile(source: Path, variant: str, to: Path, compiler: str) -> None:
     try:
         _run([*command, str(source), "-o", scratch])
         Path(scratch).chmod(0o755)
+        _flush(Path(scratch))
         Path(scratch).replace(to)
     finally:
         Path(scratch).unlink(missing_ok=True)
 
 
-def _cache_folder() -> Path:
-    """A folder of this user's alone: a shared one would let another user plant a library."""
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = root / "twin_node"
+def _flush(path: Path) -> None:
+    """Makes a file whole on the disk before its name is: a machine that is switched off would keep an empty one."""
+    with path.open("rb") as written:
+        os.fsync(written.fileno())
+
+
+def _cache_folder() -> Path | None:
+    """A folder of this user's alone, as a shared one would let another user plant a library; None: there is none."""
     try:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder = root / "twin_node"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # the latter where the user has no home
+        return None
+    return folder
+
+
+def _is_trusted(library: Path) -> bool:
+    """Whether a library is there, and of this user's or the system's."""
+    try:
+        return library.stat().st_uid in (os.getuid(), 0)
     except OSError:
-        return Path(tempfile.mkdtemp(prefix="twin_node-"))
-    return folder if os.access(folder, os.W_OK) else Path(tempfile.mkdtemp(prefix="twin_node-"))
+        return False
+
+
+@cache
+def _own_folder() -> Path:
+    """A folder that goes with this process."""
+    folder = Path(tempfile.mkdtemp(prefix="twin_node-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    warnings.warn(
+        "the folder for compiled kernels cannot be written: every process compiles them anew; set XDG_CACHE_HOME to a "
+        "folder of yours",
+        stacklevel=4,
+    )
+    return folder
 
 
 def _run(command: list[str]) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False)
+        done = subprocess.run(command, capture_output=True, timeout=COMPILE_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CompileError(f"{command[0]} did not run: {error}") from error
     if done.returncode != 0:
-        first_lines = " / ".join(done.stderr.strip().splitlines()[:3])
+        first_lines = " / ".join(done.stderr.decode(errors="replace").strip().splitlines()[:3])
         raise CompileError(f"{command[0]} ended with status {done.returncode}: {first_lines}")
-    return done.stdout
+    return done.stdout.decode(errors="replace")

@@ -105,6 +105,22 @@ def _openmp_threads() -> int:
 Loaded = TypeVar("Loaded", bound=NativeLibrary)
 
 
+def load(make: Callable[[Path], Loaded], kernels: native_build.Kernels, variant: str) -> Loaded:
+    """The best library of some kernels, as `make` loads it; compiled here where that which was shipped or is in the
+    cache cannot be loaded.
+
+    Raises `native_build.CompileError` or `OSError`.
+    """
+    path = kernels.best_library(variant)
+    try:
+        return make(path)
+    except OSError:
+        is_shipped = path == kernels.shipped_library(variant)
+        if not is_shipped and path != kernels.cached_library(variant):
+            raise
+    return make(kernels.cached_library(variant, anew=not is_shipped))
+
+
 def best_or_none(load: Callable[[str], Loaded], without: str) -> Loaded | None:
     """What `load` makes of the best variant for this processor; None, and a warning, where there is none.
 

@@ -16,6 +16,7 @@ from splat_scenes import assert_close, differentiate, make_case
 
 from twin_node import native_build
 from twin_node.native_build import Kernels
+from twin_node.native_library import NativeLibrary, load
 from twin_node.splat import SplatError, image_loss, rasterize, rasterize_plain
 from twin_node.splat import library as native
 from twin_node.splat.library import SplatLibrary
@@ -31,6 +32,7 @@ def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kernels:
     folder.mkdir()
     (folder / "library.cpp").write_text(TINY)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    native_build._own_folder.cache_clear()
     return Kernels("tiny", folder)
 
 
@@ -70,9 +72,67 @@ def test_a_cache_that_cannot_be_written_is_replaced(tiny: Kernels, monkeypatch: 
     blocked = tiny.folder.parent / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    library = tiny.cached_library("baseline")
+    with pytest.warns(UserWarning, match="every process compiles them anew; set XDG_CACHE_HOME"):
+        library = tiny.cached_library("baseline")
     assert library.exists()
     assert library.parent.stat().st_uid == os.getuid()
+    assert tiny.cached_library("x86-64-v2").parent == library.parent, "one folder for all of a process"
+
+
+def test_a_cache_that_can_only_be_read_is_read(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    """As where the kernels were compiled into a container's image that is then mounted read-only."""
+    library = tiny.cached_library("baseline")
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and access(path, mode))
+    monkeypatch.setattr(Kernels, "compile", lambda *_: pytest.fail("compiled again"))
+    assert tiny.cached_library("baseline") == library
+
+
+def test_a_user_without_a_home_gets_a_library(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.warns(UserWarning, match="set XDG_CACHE_HOME"):
+        assert tiny.cached_library("baseline").exists()
+
+
+def test_what_is_compiled_for_one_process_goes_with_it(tiny: Kernels):
+    program = (
+        "import warnings; warnings.simplefilter('ignore'); from pathlib import Path; "
+        "from twin_node.native_build import Kernels; "
+        f"library = Kernels('tiny', Path({str(tiny.folder)!r})).cached_library('baseline'); "
+        "assert library.exists(); print(library)"
+    )
+    env = {**os.environ, "XDG_CACHE_HOME": "/dev/null", "PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, check=True)
+    assert not Path(run.stdout.strip()).parent.exists()
+
+
+def test_a_compiler_that_does_not_tell_its_version_compiles(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    wrapper = tiny.folder.parent / "wrapper"
+    wrapper.write_text(f'#!/bin/sh\n[ "$1" = --version ] || exec {native_build.find_compiler()} "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CXX", str(wrapper))
+    assert tiny.cached_library("baseline").exists()
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x7fELF and no more"])
+def test_a_library_that_cannot_be_loaded_is_compiled_anew(tiny: Kernels, damage: bytes):
+    """A machine that is switched off while it writes leaves such a file."""
+
+    class Tiny(NativeLibrary):
+        KERNELS, VERSION, ERROR = native_build.SPLAT, 70, SplatError
+
+    library = tiny.cached_library("baseline")
+    library.write_bytes(damage)
+    load(Tiny, tiny, "baseline")
+    assert library.stat().st_size > 1000
+    shipped = tiny.shipped_library("baseline")
+    shipped.write_bytes(damage)
+    load(Tiny, tiny, "baseline")
+    assert shipped.read_bytes() == damage, "it is the installation's"
 
 
 def test_a_library_of_another_interface_is_refused(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):

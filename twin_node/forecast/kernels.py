@@ -45,7 +45,7 @@ from twin_node.forecast.part_requests import (
     SurfaceRequest,
     TellRequest,
 )
-from twin_node.native_library import NativeLibrary, best_or_none
+from twin_node.native_library import NativeLibrary, best_or_none, load
 
 
 class Kernels(NativeLibrary):
@@ -242,7 +242,7 @@ def _check(status: int) -> None:
 
 def load_variant(variant: str) -> Kernels:
     """The kernels of one instruction set. Raises `native_build.CompileError` or `OSError`."""
-    return Kernels(native_build.FORECAST.best_library(variant))
+    return load(Kernels, native_build.FORECAST, variant)
 
 
 @cache

@@ -51,7 +51,7 @@ from twin_node.model.node_requests import (
     VelocityRequest,
 )
 from twin_node.model.parameters import ModelError
-from twin_node.native_library import NativeLibrary, best_or_none, thread_count
+from twin_node.native_library import NativeLibrary, best_or_none, load, thread_count
 
 
 class Kernels(NativeLibrary):
@@ -246,7 +246,7 @@ def _check(status: int) -> None:
 
 def load_variant(variant: str) -> Kernels:
     """The kernels of one instruction set. Raises `native_build.CompileError` or `OSError`."""
-    return Kernels(native_build.MODEL.best_library(variant))
+    return load(Kernels, native_build.MODEL, variant)
 
 
 @cache

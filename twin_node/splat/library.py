@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
-from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, thread_count
+from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, load, thread_count
 from twin_node.splat.errors import SplatError
 
 INTERFACE_VERSION = 12
@@ -248,7 +248,7 @@ def load_variant(variant: str) -> SplatLibrary:
 
     Raises `native_build.CompileError` or `OSError`.
     """
-    return SplatLibrary(native_build.SPLAT.best_library(variant))
+    return load(SplatLibrary, native_build.SPLAT, variant)
 
 
 @cache
