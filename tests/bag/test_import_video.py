@@ -97,6 +97,20 @@ def test_stamps_to_spare_are_a_warning(tmp_path: Path, video: Path) -> None:
     assert report.warnings == ("camera left: 12 stamps for 10 frames; the last are not used",)
 
 
+def test_a_camera_that_began_before_the_others_is_no_error(tmp_path: Path, video: Path) -> None:
+    """As the example in calibration/README.md: an offset below 0, and frames that are counted from 0 s."""
+    early = VideoCamera(camera("early", time_offset_ns=-1_012_500_000), video, fps=10)
+    report = import_video([VideoCamera(camera("left"), video, fps=10), early], tmp_path / "log.mcap")
+    assert report.warnings == (
+        "camera early: begins at -1.0125 s on the rig's clock, and a log at 0 s; all cameras' stamps are written 2 s "
+        "later",
+    )
+    with open_log(tmp_path / "log.mcap") as log:
+        assert log.start_ns == 987_500_000
+        firsts = [next(log.messages([f"/{name}/image_raw/compressed"])).stamp for name in ("early", "left")]
+    assert firsts == [987_500_000, 2_000_000_000]
+
+
 UNSORTED = np.array([0, 10, 20, 20, 30, 40, 50, 60, 70, 80], dtype=np.int64)
 
 

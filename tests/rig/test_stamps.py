@@ -31,6 +31,20 @@ def test_formats_and_units(tmp_path: Path, name: str, text: str, key: str | None
     assert stamps.tolist() == [500_000_000, 1_000_000_000, 1_250_000_000]
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "key"),
+    [
+        ("a.csv", "t,frame\n0.5,0\n1,1\n", "t"),
+        ("a.csv", "0.5,0\n1,1\n", None),
+        ("a.txt", "0.5\n1\n", None),
+        ("a.json", "[0.5, 1]", None),
+    ],
+)
+def test_files_that_spreadsheets_write_are_read(tmp_path: Path, name: str, text: str, key: str | None) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    assert read_stamps(StampsFile(tmp_path / name, key)).tolist() == [500_000_000, 1_000_000_000]
+
+
 @given(stamps=st.lists(st.integers(0, 2**62), min_size=1, max_size=20))
 def test_whole_nanoseconds_lose_nothing(tmp_path_factory: pytest.TempPathFactory, stamps: list[int]) -> None:
     folder = tmp_path_factory.mktemp("stamps")
@@ -53,6 +67,8 @@ def test_whole_nanoseconds_lose_nothing(tmp_path_factory: pytest.TempPathFactory
         ("a.csv", "frame,t\n0\n", "t", r"expected a number as a stamp, found None"),
         ("a.txt", "one\n", None, r"expected a number as a stamp, found 'one'"),
         ("a.txt", f"{EPOCH_NS}\n", None, r"expected stamps in s, found 176.*give their unit"),
+        ("a.txt", f"{'9' * 400}\n", None, r"expected stamps in s, found a number of 400 digits"),
+        ("a.json", "[" * 100_000, None, r"found no readable file"),
     ],
 )
 def test_mistakes(tmp_path: Path, name: str, text: str, key: str | None, message: str) -> None:

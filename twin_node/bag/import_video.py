@@ -58,7 +58,9 @@ def import_video(
 
     Per camera `/<name>/image_raw/compressed` (JPEG) and `/<name>/camera_info`; once `/tf_static` and, with the
     `workspace` [2, 3] in metres, the rig's metadata record. Stamps in the log are on the rig's clock
-    (`RigCamera.rig_time`). `progress(done, total)` is called per frame; the total is what the containers claim.
+    (`RigCamera.rig_time`); where one lies before 0, as with a camera that began before the others, all are written so
+    many whole seconds later that none does. `progress(done, total)` is called per frame; the total is what the
+    containers claim.
 
     Raises `BagError` for a missing or unreadable video, a size that the calibration does not fit, fewer stamps than
     frames, and stamps that do not rise; nothing is left at `out` then.
@@ -68,6 +70,7 @@ def import_video(
         raise BagError(f"{out}: expected at least one camera and every name once, found {', '.join(names) or 'none'}")
     clips = [_Clip(source) for source in cameras]
     total = sum(clip.claimed_frames for clip in clips)
+    later = _put_later(clips)
     with LogWriter(out) as log:
         # The log's stamps are on the rig's clock: whoever reads it must not correct them once more.
         timed = (replace(clip.camera, time_offset_ns=0, time_rate_ppm=0.0, time_reference_ns=0) for clip in clips)
@@ -80,7 +83,22 @@ def import_video(
         for clip in clips:
             clip.check_end()
     warnings = tuple(warning for clip in clips for warning in clip.warnings)
-    return VideoImport(frames=tuple(clip.frames for clip in clips), warnings=warnings)
+    return VideoImport(frames=tuple(clip.frames for clip in clips), warnings=(*later, *warnings))
+
+
+def _put_later(clips: Sequence[_Clip]) -> tuple[str, ...]:
+    """Shifts all clips alike where one begins before 0, which ROS has no stamps for; what a reader must know of it."""
+    first = min(clips, key=lambda clip: clip.first_stamp)
+    begins = first.first_stamp
+    if begins >= 0:
+        return ()
+    seconds = -(begins // NS_PER_S)
+    for clip in clips:
+        clip.shift_ns = seconds * NS_PER_S
+    return (
+        f"camera {first.camera.name}: begins at {begins / NS_PER_S:g} s on the rig's clock, and a log at 0 s; all "
+        f"cameras' stamps are written {seconds} s later",
+    )
 
 
 @dataclass(frozen=True)
@@ -120,10 +138,12 @@ class _Clip:
         self.claimed_frames = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
         self.warnings = [fitted.warning] if fitted.warning else []
         self.frames = 0
+        self.shift_ns = 0
+        """Put on every stamp."""
 
     @property
     def first_stamp(self) -> int:
-        """Stamp of the first frame on the rig's clock, ns."""
+        """Stamp of the first frame on the rig's clock, ns, shifted."""
         return self._stamp(0)
 
     def __iter__(self) -> Iterator[_Frame]:
@@ -163,7 +183,7 @@ class _Clip:
                 f"camera {source.camera.name}: frame {index} has no stamp ({len(source.stamps)} stamps in all); give "
                 "one per frame"
             )
-        return source.camera.rig_time(own)
+        return source.camera.rig_time(own) + self.shift_ns
 
 
 def _check_times(source: VideoCamera) -> None:

@@ -15,6 +15,12 @@ from twin_node.rig.errors import RigError
 UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 """Length of each unit in ns."""
 
+MOST_DIGITS = 30
+"""Longer numbers are not repeated to the user."""
+
+ENCODING = "utf-8-sig"
+"""Spreadsheets put a mark of their encoding before the first column's name."""
+
 LATEST_S = 1e11
 """No stamp in seconds is later than this (year 5138): larger numbers are in a smaller unit."""
 
@@ -45,7 +51,7 @@ def read_stamps(source: StampsFile) -> NDArray[np.int64]:
     """
     try:
         values = _values(source)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
+    except (OSError, ValueError, RecursionError, csv.Error) as error:  # ValueError: no text, no JSON
         raise RigError(f"{source.path}: expected stamps, found no readable file ({error})") from error
     return _nanoseconds(source, values)
 
@@ -57,7 +63,7 @@ def read_shared_stamps(path: Path, columns: SharedColumns, camera: str) -> NDArr
     """
     source = StampsFile(path)
     try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+        rows = list(csv.DictReader(path.read_text(encoding=ENCODING).splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RigError(f"{path}: expected stamps, found no readable file ({error})") from error
     if not rows or not {columns.camera, columns.stamp} <= set(rows[0]):
@@ -76,15 +82,20 @@ def _nanoseconds(source: StampsFile, values: list[float]) -> NDArray[np.int64]:
         raise RigError(f"{source.path}: expected finite stamps, found NaN or infinity")
     if max(map(abs, values)) * UNITS_NS[source.unit] > LATEST_S * 1e9:
         raise RigError(
-            f"{source.path}: expected stamps in {source.unit}, found {max(values, key=abs):.0f}; "
+            f"{source.path}: expected stamps in {source.unit}, found {_told(max(values, key=abs))}; "
             "give their unit (ms, us or ns) under `unit`"
         )
     # Python's numbers: whole nanoseconds since 1970 do not fit a float.
     return np.array([round(value * UNITS_NS[source.unit]) for value in values], dtype=np.int64)
 
 
+def _told(value: float) -> str:
+    digits = f"{value:.0f}" if isinstance(value, float) else str(value)
+    return digits if len(digits) <= MOST_DIGITS else f"a number of {len(digits)} digits"
+
+
 def _values(source: StampsFile) -> list[float]:
-    text = source.path.read_text(encoding="utf-8")
+    text = source.path.read_text(encoding=ENCODING)
     suffix = source.path.suffix.lower()
     if suffix == ".json":
         return _json_values(source, text)
