@@ -2,6 +2,7 @@
 
 import errno
 import os
+import tempfile
 import threading
 
 import numpy as np
@@ -74,3 +75,15 @@ def test_more_ticks_than_may_wait_are_all_written() -> None:
         for stamp in range(3 * WAITING):
             spool.add(Tick(FrameSet(stamp=stamp, views=(), sequence=stamp)))
         assert len(spool) == 3 * WAITING
+
+
+def test_where_no_folder_takes_a_file_the_error_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk: Python tries every folder for temporary files with one of its own."""
+
+    def refuse() -> str:
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_get_default_tempdir", refuse)
+    with pytest.raises(TwinError, match=r"No usable temporary directory.*free space, set TMPDIR, or leave out --report"):
+        Spool(0, SECOND, 30)

@@ -118,6 +118,14 @@ class Spool:
 
 def _refused(error: OSError) -> SpoolError:
     return SpoolError(
-        f"{tempfile.gettempdir()}: the run cannot be kept there for its report ({error.strerror}); free space, "
-        "set TMPDIR, or leave out --report"
+        f"{_folder()}: the run cannot be kept there for its report ({error.strerror}); free space, set TMPDIR, or "
+        "leave out --report"
     )
+
+
+def _folder() -> str:
+    """Where temporary files go, for messages."""
+    try:
+        return tempfile.gettempdir()
+    except OSError:  # nowhere takes any
+        return "temporary files"
