@@ -85,5 +85,7 @@ def test_where_no_folder_takes_a_file_the_error_says_what_to_do(monkeypatch: pyt
 
     monkeypatch.setattr(tempfile, "tempdir", None)
     monkeypatch.setattr(tempfile, "_get_default_tempdir", refuse)
-    with pytest.raises(TwinError, match=r"No usable temporary directory.*free space, set TMPDIR, or leave out --report"):
+    with pytest.raises(
+        TwinError, match=r"No usable temporary directory.*free space, set TMPDIR, or leave out --report"
+    ):
         Spool(0, SECOND, 30)

@@ -16,7 +16,8 @@ from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
 
-REGULAR_TYPES = (COMPRESSED, RAW, "sensor_msgs/msg/JointState")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+REGULAR_TYPES = (COMPRESSED, RAW, JOINT_STATE)
 """Types of topics that come at a rate."""
 LARGEST_ANGLE_RAD = 2 * np.pi + 0.1
 """Joints of UR arms turn by one turn each way; more is degrees, or not their angle."""
@@ -25,7 +26,7 @@ FARTHEST_M, NEAREST_M = 30.0, 0.05
 DELAY_NS = 1_000_000_000
 """A header stamp further than this from the time of recording was made by another clock."""
 SAMPLES = 5
-"""Messages of a topic whose content is looked at, spread over the log."""
+"""Images of a topic whose content is looked at, spread over the log."""
 SKEW_SHARE = 0.5
 """Cameras further apart than this share of a period do not belong to one exposure."""
 
@@ -61,6 +62,8 @@ class _Seen:
     stamps: list[int] = field(default_factory=list)
     delays: list[int] = field(default_factory=list)
     contents: list[Any] = field(default_factory=list)
+    largest: list[float] = field(default_factory=list)
+    """Of every JointState's positions, without sign; NaN where one is none."""
 
 
 def check_log(log: LogReader) -> LogCheck:
@@ -85,7 +88,7 @@ def check_log(log: LogReader) -> LogCheck:
         step = clock_step(found.stamps, found.delays) if topic.msgtype in REGULAR_TYPES else None
         if step is not None:
             faults.append(step.told(log.start_ns))
-        faults += _unit_faults(topic.name, topic.msgtype, found.contents)
+        faults += _unit_faults(topic.name, topic.msgtype, found)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
@@ -102,21 +105,24 @@ def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
         header_stamp = from_time(content.header.stamp)
         seen.delays.append(message.stamp - header_stamp)
         stamp = header_stamp
-        if len(seen.stamps) % every == 0:
+        if message.msgtype == JOINT_STATE:
+            seen.largest.append(float(np.abs(content.position).max(initial=0.0)))
+        elif len(seen.stamps) % every == 0:
             seen.contents.append(content)
     seen.stamps.append(stamp)
 
 
-def _unit_faults(topic: str, msgtype: str, contents: Sequence[Any]) -> list[str]:
+def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
     """What speaks against the units of a topic's messages."""
-    if msgtype == "sensor_msgs/msg/JointState" and contents:
-        largest = max((float(np.abs(c.position).max(initial=0.0)) for c in contents), default=0.0)
-        if not np.isfinite(largest):
-            return ["positions that are not finite"]
-        if largest > LARGEST_ANGLE_RAD:
-            return [f"positions up to {largest:.1f} rad: more than a turn; are they degrees?"]
+    if msgtype == JOINT_STATE:
+        largest = np.array(seen.largest)
+        wild = int((~np.isfinite(largest)).sum())
+        if wild:
+            return [f"{wild} messages with positions that are not finite"]
+        if largest.max(initial=0.0) > LARGEST_ANGLE_RAD:
+            return [f"positions up to {largest.max():.1f} rad: more than a turn; are they degrees?"]
     if msgtype in (COMPRESSED, RAW) and "depth" in topic:
-        return _depth_faults(contents)
+        return _depth_faults(seen.contents)
     return []
 
 
@@ -144,16 +150,17 @@ def _camera_faults(log: LogReader, stamps: Mapping[str, Sequence[int]]) -> list[
         cameras = find_cameras(types, str(log.path))
     except GraphError as error:
         return [str(error)]
-    faults = _skew_faults(cameras, stamps)
     try:
-        rig_for(log, cameras, None)
+        rig = rig_for(log, cameras, None)
     except TwinError as error:
-        faults.append(str(error))
-    return faults
+        return [*_skew_faults(cameras, stamps), str(error)]
+    clocks = {camera.name: camera for camera in rig.cameras}
+    by_rig = {c.image: [clocks[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
+    return _skew_faults(cameras, by_rig)
 
 
 def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> list[str]:
-    """Cameras whose images lie too far from those of the first one."""
+    """Cameras whose images lie too far from those of the first one; `stamps` by topic, ns."""
     first = np.array(stamps[cameras[0].image], dtype=np.int64)
     faults = []
     for camera in cameras[1:]:

@@ -85,7 +85,8 @@ def replay(
 def _camera_rate(session: LogSession, parameters: ChainParameters) -> float:
     """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
     counts = {topic.name: topic.count for topic in session.log.topics}
-    images = max(counts.get(source, 0) for source in session.topics)
+    cameras = {camera.image for camera in session.cameras}
+    images = max(counts.get(source, 0) for source, name in session.topics.items() if name in cameras)
     whole = (session.log.end_ns - session.log.start_ns) / 1e9
     rate = images / max(whole, 1e-3)
     limit = parameters.synchronizer.max_rate_hz

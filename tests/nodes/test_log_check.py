@@ -1,0 +1,89 @@
+"""What `check` finds in a log, and what it must not: faults of values, and of cameras whose clocks are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bag import LogWriter, open_log
+from twin_node.bag.rig import write_rig
+from twin_node.messages import convert
+from twin_node.nodes.log_check import LogCheck, check_log
+from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.replay import ChainParameters, _camera_rate
+from twin_node.scene import JointSample, Rig, RigCamera
+
+MS = 1_000_000
+START = 1_700_000_000_000 * MS
+PERIOD = 33 * MS
+LEFT = RigCamera("left", 32, 24, np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), np.eye(4))
+
+
+def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0) -> None:
+    """Images of all cameras, taken at once by the rig's clock and stamped by their own."""
+    with LogWriter(path) as log:
+        write_rig(log, rig, START)
+        for k in range(sets):
+            taken = START + k * PERIOD
+            for camera in rig.cameras:
+                stamp = camera.own_time(taken)
+                log.write(f"/{camera.name}/camera_info", convert.camera_info(camera, stamp), taken)
+                image = convert.raw_image(camera.name, stamp, np.zeros((24, 32, 3), np.uint8))
+                log.write(f"/{camera.name}/image_raw", image, taken)
+            for j in range(joints_per_set):
+                stamp = taken + j * PERIOD // joints_per_set
+                log.write("/joint_states", joints(stamp, np.zeros(1)), stamp)
+
+
+def joints(stamp: int, positions: np.ndarray) -> object:
+    return convert.joint_sample_to_message(JointSample(stamp, ("elbow",), positions, np.zeros(1)))
+
+
+def checked(path: Path) -> LogCheck:
+    with open_log(path) as log:
+        return check_log(log)
+
+
+@pytest.mark.parametrize("offset_ms", [0, 12, -12])
+def test_cameras_whose_clocks_the_log_knows_are_not_apart(tmp_path: Path, offset_ms: int) -> None:
+    """They were calibrated already: to say it again would send their user in a circle."""
+    rig = Rig((LEFT, replace(LEFT, name="right", time_offset_ns=offset_ms * MS)))
+    write_log(tmp_path / "log.mcap", rig)
+    assert checked(tmp_path / "log.mcap").faults == ()
+
+
+def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        write_rig(log, Rig((LEFT, replace(LEFT, name="right"))), START)
+        for k in range(40):
+            for name, later in (("left", 0), ("right", 12 * MS)):
+                stamp = START + k * PERIOD + later
+                camera = replace(LEFT, name=name)
+                log.write(f"/{name}/camera_info", convert.camera_info(camera, stamp), stamp)
+                image = convert.raw_image(name, stamp, np.zeros((24, 32, 3), np.uint8))
+                log.write(f"/{name}/image_raw", image, stamp)
+    (fault,) = checked(path).faults
+    assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("at", [0, 7, 39])
+def test_joints_that_are_not_finite_are_found_wherever_they_are(tmp_path: Path, wrong: float, at: int) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for k in range(40):
+            positions = np.array([wrong if k == at else 1.0])
+            log.write("/joint_states", joints(START + k * PERIOD, positions), START + k * PERIOD)
+    (topic,) = checked(path).topics
+    assert topic.faults == ("1 messages with positions that are not finite",)
+
+
+def test_a_report_expects_sets_at_the_cameras_rate(tmp_path: Path) -> None:
+    """An arm tells its joints at up to 500 Hz: taken for sets, they left a report a second of the whole log."""
+    write_log(tmp_path / "log.mcap", Rig((LEFT,)), sets=60, joints_per_set=16)
+    with LogSession(tmp_path / "log.mcap") as session:
+        assert _camera_rate(session, ChainParameters()) == pytest.approx(1e9 / PERIOD, rel=0.05)
