@@ -139,6 +139,39 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
         load_arm(empty)
 
 
+URDF_WITHOUT_COLLISION = """<robot name="seen">
+  <link name="base"/>
+  <link name="upper">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><box size="0.1 0.1 0.3"/></geometry></visual>
+  </link>
+  <joint name="turn" type="revolute">
+    <parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/>
+  </joint>
+</robot>"""
+LINK = '<mujoco><worldbody><body name="link"><joint axis="0 0 1"/>{}</body></worldbody></mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        (
+            "seen.urdf",
+            URDF_WITHOUT_COLLISION,
+            r"seen\.urdf: expected links with shapes .*<collision> elements in a URDF",
+        ),
+        ("bare.xml", LINK.format('<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'), r"bare\.xml: expected links"),
+        ("egg.xml", LINK.format('<geom type="ellipsoid" size=".1 .1 .2"/>'), r"egg\.xml: geom 0: expected a capsule"),
+    ],
+)
+def test_an_arm_of_unknown_shape_is_refused(tmp_path: Path, name: str, text: str, said: str) -> None:
+    """Nothing would ever be near an arm without capsules: it would never slow down."""
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RobotError, match=said):
+        arm_model(tmp_path / name)
+
+
 def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
     assert arm_model("ur5e").name == "ur5e"
     assert arm_model("sim/ur3e.xml").joint_names == ur_model("ur3e").joint_names

@@ -25,7 +25,7 @@ _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
 _CAPSULES_PER_MESH = 2
 _ROUND_POINTS = 24
-"""Corners drawn around a cylinder or ellipsoid before a capsule is fitted."""
+"""Corners drawn around a cylinder before a capsule is fitted."""
 
 
 def write_mjcf(model: ArmModel) -> str:
@@ -67,8 +67,8 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
 
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
     gripper's): those stay where the file puts them. Geoms that take part in no contact (visuals) are left out unless
-    the arm has no others. Raises `RobotError` for a file that MuJoCo does not read, and for joints that are no chain
-    of hinges.
+    the arm has no others; MuJoCo reads none from a URDF. Raises `RobotError` for a file that MuJoCo does not read, for
+    joints that are no chain of hinges, and for an arm without shapes: nothing would ever be near it.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -86,6 +86,10 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     upper = np.where(limited, engine.jnt_range[joints, 1], np.inf)
     bodies = engine.jnt_bodyid[joints]
     base = engine.body_parentid[bodies[0]]
+    try:
+        capsules = _enclose(engine, data, bodies, frames)
+    except RobotError as error:
+        raise RobotError(f"{path}: {error}") from None
     return ArmModel(
         name=Path(path).stem,
         link_names=tuple(engine.body(int(body)).name or f"link_{k}" for k, body in enumerate([base, *bodies])),
@@ -95,7 +99,7 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
         upper=upper,
         max_velocity=np.full(len(joints), _MAX_VELOCITY),
         max_acceleration=np.full(len(joints), _MAX_ACCELERATION),
-        capsules=_enclose(engine, data, bodies, frames),
+        capsules=capsules,
     )
 
 
@@ -162,7 +166,10 @@ def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
 
 
 def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float64) -> Capsules:
-    """Capsules around the geoms of the base and of every link, in the links' frames."""
+    """Capsules around the geoms of the base and of every link, in the links' frames.
+
+    Raises `RobotError` for a geom of another kind, and where no link has any.
+    """
     links = {int(body): k for k, body in enumerate(bodies, 1)}
     root = int(engine.body_rootid[bodies[0]])
     owners, ends, radii = [], [], []
@@ -179,6 +186,10 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
             owners.append(link)
             ends.append(transform(local, capsule.ends))
             radii.append(capsule.radius)
+    if not any(owners):
+        raise RobotError(
+            "expected links with shapes to stay clear with, found none; give them geoms, <collision> elements in a URDF"
+        )
     return Capsules(np.array(owners, dtype=np.int64), np.array(ends).reshape(-1, 2, 3), np.array(radii))
 
 
@@ -203,4 +214,7 @@ def _geom_capsules(engine: Any, geom: int) -> tuple[Capsule, ...]:
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         discs = [np.column_stack([ring * size[0], np.full(_ROUND_POINTS, z)]) for z in (-size[1], size[1])]
         return (fit_capsule(np.concatenate(discs)),)
-    raise RobotError(f"geom {engine.geom(geom).name or geom}: expected a capsule, sphere, box, cylinder or mesh")
+    raise RobotError(
+        f"geom {engine.geom(geom).name or geom}: expected a capsule, sphere, box, cylinder or mesh; "
+        "put one of those around it"
+    )
