@@ -75,6 +75,33 @@ def test_an_unplugged_device_is_told_and_taken_back_while_the_other_goes_on(sour
     assert (left.is_connected, left.reconnections) == (True, 0)
 
 
+def test_a_device_that_cannot_even_be_let_go_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pulled cable: depthai may have nobody left to tell that the pipeline ends."""
+    monkeypatch.setattr("twin_node.rig.cameras.oak.RETRY_S", 0.01)
+    gone = Bench()
+
+    class Vanishing(HostStreams):
+        def close(self) -> None:
+            super().close()
+            raise RuntimeError("X_LINK_ERROR")
+
+    def connect(camera: OakCamera) -> HostStreams:
+        streams = Vanishing(camera)
+        gone.streams.setdefault(camera.name, []).append(streams)
+        return streams
+
+    source = OakSource([LEFT], connect)
+    images = source.images()
+    take(images, "left", 1)
+    gone.streams["left"][0].unplug()
+    deadline = time.monotonic() + 20
+    while len(gone.streams["left"]) < 2 and time.monotonic() < deadline:
+        assert "thread failed" not in source.health[0].message
+        time.sleep(0.01)
+    assert len(gone.streams["left"]) >= 2
+    source.close()
+
+
 def test_a_device_that_is_not_there_is_said_to_be_missing() -> None:
     source = OakSource([FRONT, LEFT], lambda camera: HostStreams(camera) if camera is LEFT else None)
     images = source.images()
@@ -105,6 +132,12 @@ def test_factory_calibration_is_scaled_to_the_image() -> None:
 def test_wrong_settings_are_named() -> None:
     with pytest.raises(RigError, match="sync: expected one of none, auto, output, input, ptp, found 'cable'"):
         OakCamera("front", sync="cable")
+    with pytest.raises(RigError, match="camera front: width: expected 16 to 16384, found 0"):
+        OakCamera("front", width=0)
+    with pytest.raises(RigError, match="camera front: fps: expected a number above 0, found -30"):
+        OakCamera("front", fps=-30.0)
+    with pytest.raises(RigError, match="camera front: exposure_us: expected a number of 0 or more, found -1"):
+        OakCamera("front", exposure_us=-1)
     with pytest.raises(RigError, match=r"depth_preset: expected one of .*ROBOTICS.* found 'BEST'"):
         OakSource([OakCamera("front", depth_preset="BEST")])
     with pytest.raises(RigError, match="distinct names"):

@@ -117,3 +117,19 @@ def test_wrong_names_are_told(video: Path) -> None:
     cameras = OpenCvSource([OpenCvCamera("a", str(video))])
     with pytest.raises(RigError, match=r"expected those of the rig file \(left\), found a"):
         SynchronizedSource(cameras, rig_of("left"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"address": ""}, "camera front: address: expected a number, a URL or a path, found none"),
+        ({"width": -640}, "camera front: width: expected a number of 0 or more, found -640"),
+        ({"fps": -30.0}, "camera front: fps: expected a number of 0 or more, found -30"),
+        ({"latency_ms": float("inf")}, "camera front: latency_ms: expected a number of 0 or more, found inf"),
+        ({"latency_ms": -5.0}, "camera front: latency_ms: expected a number of 0 or more, found -5"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(settings: dict[str, Any], said: str) -> None:
+    """Else a camera's thread would end with the first image, or its stamps would lie ahead."""
+    with pytest.raises(RigError, match=said):
+        OpenCvCamera(**{"name": "front", "address": "0", **settings})

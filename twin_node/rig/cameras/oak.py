@@ -6,6 +6,7 @@ while the others go on.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, check_ranges
 from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
 from twin_node.rig.cameras.threaded_source import QUEUED_PER_CAMERA, ThreadedSource
@@ -53,7 +55,11 @@ class OakCamera:
     """One of `SYNC_MODES`."""
 
     def __post_init__(self) -> None:
-        """Raises `RigError` for a mode that is none."""
+        """Raises `RigError` for a mode that is none, and numbers that no device can be set to."""
+        size, where = WIDTHS_PX, f"camera {self.name}: "
+        check_ranges(
+            self, RigError, where, width=size, height=size, fps=POSITIVE, exposure_us=NOT_NEGATIVE, iso=POSITIVE
+        )
         if self.sync not in SYNC_MODES:
             raise RigError(f"camera {self.name}: sync: expected one of {', '.join(SYNC_MODES)}, found '{self.sync}'")
 
@@ -151,7 +157,8 @@ class OakSource(ThreadedSource[OakCamera]):
         except (RuntimeError, self._dai.MessageQueue.QueueException) as error:
             return f"lost ({' '.join(str(error).split())}); looking for it every {RETRY_S:g} s"
         finally:
-            streams.close()
+            with contextlib.suppress(RuntimeError):  # depthai's word where the device has gone: there is nothing to end
+                streams.close()
         return "closed"
 
 
@@ -221,8 +228,10 @@ class _Pipeline:
 
     def close(self) -> None:
         """Ends the pipeline and lets go of the device."""
-        self._pipeline.stop()
-        self._on_close()
+        try:
+            self._pipeline.stop()
+        finally:
+            self._on_close()
 
     def _stereo(self, dai: Any, camera: OakCamera) -> Any:
         size = (camera.width, camera.height)

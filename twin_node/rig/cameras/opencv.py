@@ -10,9 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from twin_node.ranges import NOT_NEGATIVE, check_ranges
 from twin_node.rig.cameras.image_source import CameraHealth, CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
 from twin_node.rig.cameras.threaded_source import ThreadedSource
+from twin_node.rig.errors import RigError
 
 RETRY_S = 1.0
 """Between two attempts to open a camera, s."""
@@ -32,6 +34,13 @@ class OpenCvCamera:
     """Rate to ask of a USB camera, Hz; 0: its default."""
     latency_ms: float = 0.0
     """From mid-exposure to the image's arrival, as measured (`calibrate time`); stamps are so much before it."""
+
+    def __post_init__(self) -> None:
+        """Raises `RigError` where there is no address, and for numbers below 0 or infinite."""
+        where, free = f"camera {self.name}: ", NOT_NEGATIVE
+        if not self.address:
+            raise RigError(f"{where}address: expected a number, a URL or a path, found none")
+        check_ranges(self, RigError, where, width=free, height=free, fps=free, latency_ms=free)
 
 
 class OpenCvSource(ThreadedSource[OpenCvCamera]):
