@@ -59,6 +59,15 @@ def test_addresses_are_those_of_first_entries(monkeypatch: pytest.MonkeyPatch, l
     assert addresses_of(whole, None, whole[2]) == [whole.ctypes.data, None, whole.ctypes.data + 48]
 
 
+def test_threads_are_as_before_when_a_part_of_a_part_is_done() -> None:
+    assert not native_library.is_told()
+    with native_library.kernel_threads(3):
+        with native_library.kernel_threads(2):
+            assert native_library.thread_count() == 2
+        assert native_library.thread_count() == 3
+    assert not native_library.is_told()
+
+
 @pytest.mark.parametrize(("asked", "threads"), [("1", 1), ("100000", len(os.sched_getaffinity(0)))])
 def test_kernels_do_without_torch_and_share_its_openmp_runtime_and_threads(asked: str, threads: int) -> None:
     """The runtime that is loaded for them is the one that torch then takes, not a second."""

@@ -87,12 +87,14 @@ def is_told() -> bool:
 
 @contextlib.contextmanager
 def kernel_threads(count: int) -> Iterator[None]:
-    """Calls by this thread take `count` threads meanwhile, whatever torch is set to."""
+    """Calls by this thread take `count` threads meanwhile, whatever torch is set to; then as many as before."""
+    before = dict(vars(_told))
     _told.threads = count
     try:
         yield
     finally:
         del _told.threads
+        vars(_told).update(before)
 
 
 @cache

@@ -44,6 +44,22 @@ def test_binning_and_region_of_interest_keep_every_ray() -> None:
 
 
 @pytest.mark.parametrize(
+    ("roi", "binning", "words"),
+    [
+        ((0, 0), 1000, "1000x1000 pixels of 640x480 make one; correct its binning"),
+        ((100, 80), 90, "90x90 pixels of 100x80 make one; correct its binning"),
+        ((70_000, 480), 1, "a region of 70000x480 of 640x480 pixels; correct its roi"),
+    ],
+)
+def test_regions_and_binning_that_leave_no_image_are_named(roi: tuple[int, int], binning: int, words: str) -> None:
+    info = c.camera_info(camera(), STAMP)
+    info.roi.width, info.roi.height = roi
+    info.binning_x = info.binning_y = binning
+    with pytest.raises(MessageError, match=words):
+        c.rig_camera(info, "front", np.eye(4))
+
+
+@pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"k": np.zeros(9)}, "no calibration"),

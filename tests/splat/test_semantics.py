@@ -13,12 +13,12 @@ from twin_node.splat.library import SplatLibrary
 from twin_node.splat.plain import render_plain
 
 
-@pytest.mark.parametrize("version", ["1.5.3", "1.5", "1.4.0"])
+@pytest.mark.parametrize("version", ["1.5.3", "1.5", "1.4.0", "1", "1.5.3+pt24cu124", "1.5rc2"])
 def test_constants_of_today(version: str):
     assert semantics.semantics_of(version).max_alpha == 0.999
 
 
-@pytest.mark.parametrize("version", ["1.6.0", "1.6.0rc1", "1.10.2", "2.0"])
+@pytest.mark.parametrize("version", ["1.6.0", "1.6.0rc1", "1.6rc1", "1.10.2", "2.0", "2"])
 def test_constants_of_the_next_version(version: str):
     assert semantics.semantics_of(version).max_alpha == 0.99
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -34,9 +35,9 @@ GSPLAT_1_6 = Semantics(max_alpha=0.99, min_compensation=0.005)
 
 
 def semantics_of(version: str) -> Semantics:
-    """Constants of a gsplat version such as `1.5.3`."""
-    major, minor = (int(part) for part in version.split(".")[:2])
-    return GSPLAT_1_6 if (major, minor) >= (1, 6) else GSPLAT_1_5
+    """Constants of a gsplat version such as `1.5.3`, `1.6rc1` or `2`."""
+    numbers = tuple(int(number) for number in re.findall(r"\d+", version.partition("+")[0])[:2])
+    return GSPLAT_1_6 if numbers >= (1, 6) else GSPLAT_1_5
 
 
 @cache

@@ -49,8 +49,8 @@ def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0
     """Camera `name` from a CameraInfo and its pose [4, 4] in `base_link`.
 
     K is made to fit the image as sent: a region of interest shifts it, binning scales it (CameraInfo.msg).
-    Raises `MessageError` for an uncalibrated camera, one without a size, an unknown distortion model or a wrong number
-    of coefficients.
+    Raises `MessageError` for an uncalibrated camera, one without a size, a region or binning that does not fit it, an
+    unknown distortion model or a wrong number of coefficients.
     """
     K = np.array(info.k, dtype=np.float64).reshape(3, 3)
     if not (0 < info.width <= MOST_PIXELS and 0 < info.height <= MOST_PIXELS):
@@ -64,7 +64,17 @@ def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0
         )
     width = int(info.roi.width or info.width)
     height = int(info.roi.height or info.height)
+    if width > info.width or height > info.height:
+        raise MessageError(
+            f"camera {name}: CameraInfo says that images show a region of {width}x{height} of "
+            f"{info.width}x{info.height} pixels; correct its roi, or give a rig file"
+        )
     bins = np.array([max(info.binning_x, 1), max(info.binning_y, 1)], dtype=np.float64)
+    if bins[0] > width or bins[1] > height:
+        raise MessageError(
+            f"camera {name}: CameraInfo says that {bins[0]:g}x{bins[1]:g} pixels of {width}x{height} make one; correct "
+            "its binning, or give a rig file"
+        )
     K[:2, 2] -= [info.roi.x_offset, info.roi.y_offset]
     K[:2, :2] /= bins[:, None]
     K[:2, 2] = (K[:2, 2] + 0.5) / bins - 0.5
