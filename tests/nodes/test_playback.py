@@ -16,9 +16,9 @@ from twin_node.messages import convert
 from twin_node.nodes.export import LogSource
 from twin_node.nodes.overlays import arm_mask
 from twin_node.nodes.playback import Playback
-from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OCCUPANCY, GraphError
+from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OCCUPANCY, TRAJECTORY, GraphError
 from twin_node.robot import RobotError, ur_model
-from twin_node.scene import Camera, JointSample
+from twin_node.scene import Camera, JointPath, JointSample
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
@@ -89,3 +89,17 @@ def test_a_missing_topic_is_named(twin_log: Path) -> None:
         playback.require(GAUSSIANS, "this")
         with pytest.raises(GraphError, match=r"/twin/occupancy.*which layers needs"):
             playback.require(OCCUPANCY, "layers")
+
+
+def test_a_trajectory_without_points_ends_the_one_before(tmp_path: Path) -> None:
+    """As a controller is told to stay where it is: to show such a log is no error."""
+    path = JointPath(("elbow_joint",), START + np.array([0, 10 * PERIOD]), np.array([[0.0], [1.0]]))
+    begun, ended = convert.joint_path_to_message(path), convert.joint_path_to_message(path)
+    ended.points = []
+    with LogWriter(tmp_path / "paths.mcap") as log:
+        log.write(TRAJECTORY, begun, START)
+        log.write(TRAJECTORY, ended, START + 2 * PERIOD)
+    with Playback([tmp_path / "paths.mcap"]) as playback:
+        shown = playback.at(START + PERIOD).path
+        assert shown is not None and shown.names == path.names
+        assert playback.at(START + 3 * PERIOD).path is None

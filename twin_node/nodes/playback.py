@@ -152,10 +152,15 @@ class Snapshot:
 
     @cached_property
     def path(self) -> JointPath | None:
-        """Where the arm means to be, while that lasts: a path that has not begun or is over tells nothing of it."""
+        """Where the arm means to be, while that lasts: a path that has not begun or is over tells nothing of it.
+
+        Nor does one without points, by which ROS's trajectory controllers are told to stay where they are.
+        """
         said = self.said.get(TRAJECTORY)
-        path = None if said is None else convert.joint_path_from_message(said.message, said.stamp)
-        return path if path is not None and path.stamps[0] <= self.stamp <= path.stamps[-1] else None
+        if said is None or not len(said.message.points):
+            return None
+        path = convert.joint_path_from_message(said.message, said.stamp)
+        return path if path.stamps[0] <= self.stamp <= path.stamps[-1] else None
 
     def silent_s(self, topics: Sequence[str]) -> float:
         """For how long nothing was said on any of some topics, s; 0 where nothing ever was."""
