@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,6 +69,29 @@ def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> N
                 log.write(f"/{name}/image_raw", image, stamp)
     (fault,) = checked(path).faults
     assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
+
+
+@pytest.mark.parametrize(
+    ("size", "encoding", "said"),
+    [
+        ((24, 32), "rgb16", "camera 'left': image of left_optical_frame at .*image encoding 'rgb16'"),
+        ((48, 64), "rgb8", "camera 'left': images are 64x48, its CameraInfo is for 32x24"),
+    ],
+)
+def test_images_that_no_twin_can_take_are_named(
+    tmp_path: Path, size: tuple[int, int], encoding: str, said: str
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        write_rig(log, Rig((LEFT,)), START)
+        for k in range(10):
+            stamp = START + k * PERIOD
+            image = convert.raw_image("left", stamp, np.zeros((*size, 3), np.uint8))
+            image.encoding = encoding
+            log.write("/left/camera_info", convert.camera_info(LEFT, stamp), stamp)
+            log.write("/left/image_raw", image, stamp)
+    (fault,) = checked(path).faults
+    assert re.match(said, fault)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])

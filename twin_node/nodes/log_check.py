@@ -15,6 +15,7 @@ from twin_node.nodes.calibration import rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
+from twin_node.scene import RigCamera
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 REGULAR_TYPES = (COMPRESSED, RAW, JOINT_STATE)
@@ -47,7 +48,7 @@ class LogCheck:
 
     topics: tuple[TopicCheck, ...]
     faults: tuple[str, ...]
-    """Of the log as a whole: damage, cameras, calibration, skew."""
+    """Of the log as a whole: damage, cameras, their images, calibration, skew."""
 
     @property
     def is_sound(self) -> bool:
@@ -92,7 +93,7 @@ def check_log(log: LogReader) -> LogCheck:
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
-    whole += _camera_faults(log, {topic.name: seen[topic.name].stamps for topic in log.topics})
+    whole += _camera_faults(log, seen)
     return LogCheck(tuple(checks), tuple(whole))
 
 
@@ -144,19 +145,47 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
     return []
 
 
-def _camera_faults(log: LogReader, stamps: Mapping[str, Sequence[int]]) -> list[str]:
+def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     types = {topic.name: topic.msgtype for topic in log.topics}
     try:
         cameras = find_cameras(types, str(log.path))
     except GraphError as error:
         return [str(error)]
+    stamps = {camera.image: seen[camera.image].stamps for camera in cameras}
     try:
         rig = rig_for(log, cameras, None)
     except TwinError as error:
-        return [*_skew_faults(cameras, stamps), str(error)]
-    clocks = {camera.name: camera for camera in rig.cameras}
-    by_rig = {c.image: [clocks[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
-    return _skew_faults(cameras, by_rig)
+        return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), str(error)]
+    known = {camera.name: camera for camera in rig.cameras}
+    by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
+    return [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig)]
+
+
+def _image_faults(
+    cameras: Sequence[CameraTopics], seen: Mapping[str, _Seen], known: Mapping[str, RigCamera]
+) -> list[str]:
+    """Cameras of whose images one that was looked at cannot be shown, or is of another size than `known` ones."""
+    faults = []
+    for camera in cameras:
+        for content in seen[camera.image].contents:
+            fault = _image_fault(content, known.get(camera.name))
+            if fault is not None:
+                faults.append(f"camera '{camera.name}': {fault}")
+                break
+    return faults
+
+
+def _image_fault(content: Any, calibrated: RigCamera | None) -> str | None:
+    try:
+        height, width = convert.rgb_from_message(content).shape[:2]
+    except TwinError as error:
+        return str(error)
+    if calibrated is None or (width, height) == (calibrated.width, calibrated.height):
+        return None
+    return (
+        f"images are {width}x{height}, its CameraInfo is for {calibrated.width}x{calibrated.height}; calibrate the "
+        "camera in the mode that it records in, or give a rig file"
+    )
 
 
 def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> list[str]:
