@@ -1,4 +1,4 @@
-"""Looks a log over before the twin is run on it: gaps, jitter, skew, calibration, units."""
+"""Looks a log over before the twin is run on it: gaps, jitter, skew, images, calibration, units."""
 
 from __future__ import annotations
 
