@@ -92,8 +92,8 @@ def test_empty_sets(renderer: Any):
     assert_names(replace(CASE, colors=CASE.colors[:, :0]), "colors", renderer)
 
 
-@pytest.mark.parametrize(("width", "height"), [(0, 5), (5, 0), (-3, 4), (1 << 20, 1 << 20)])
-def test_sizes_of_the_image(width: int, height: int):
+@pytest.mark.parametrize(("width", "height"), [(0, 5), (5, 0), (-3, 4), (1 << 20, 1 << 20), (48.0, 32)])
+def test_sizes_of_the_image(width: Any, height: int):
     assert_names(replace(CASE, width=width, height=height), "width, height")
 
 
@@ -115,6 +115,7 @@ def test_sizes_of_the_image(width: int, height: int):
         ({"backgrounds": torch.zeros(2, 3, dtype=torch.float64)}, "backgrounds"),
         ({"pixel_mask": torch.ones(2, 32, 47, dtype=torch.bool)}, "pixel_mask"),
         ({"pixel_mask": torch.ones(2, 32, 48)}, "pixel_mask"),
+        ({"pixel_mask": [[True]]}, "pixel_mask"),
     ],
 )
 def test_options(options: dict[str, Any], name: str):

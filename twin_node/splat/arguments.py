@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Literal, get_args
 
 import torch
@@ -161,8 +162,8 @@ class Scene:
 def check_shapes(gaussians: Gaussians, views: Views, options: Options) -> Scene:
     """The call's arguments as one record. Raises `ValueError` naming the one that is wrong, expected and found."""
     _check_options(options)
-    if views.width < 1 or views.height < 1:
-        raise ValueError(f"width, height: expected at least one pixel, found {views.width} x {views.height}")
+    if not all(isinstance(size, Integral) and size >= 1 for size in (views.width, views.height)):
+        raise ValueError(f"width, height: expected whole pixels, at least one, found {views.width} x {views.height}")
     _check_tensors(gaussians, views)
     viewmats = views.viewmats
     if viewmats.dim() < 3 or viewmats.shape[-2:] != (4, 4):
@@ -279,13 +280,11 @@ def _check_view_shapes(scene: Scene) -> None:
     if views.backgrounds is not None:
         expected["backgrounds"] = (*lead, int(scene.gaussians.colors.shape[-1]))
         found["backgrounds"] = views.backgrounds
-    if views.pixel_mask is not None:
-        if views.pixel_mask.dtype != torch.bool or views.pixel_mask.device != views.viewmats.device:
-            raise ValueError(
-                f"pixel_mask: expected bool on {views.viewmats.device}, found {_describe(views.pixel_mask)}"
-            )
+    if (mask := views.pixel_mask) is not None:
+        if not isinstance(mask, Tensor) or mask.dtype != torch.bool or mask.device != views.viewmats.device:
+            raise ValueError(f"pixel_mask: expected bool on {views.viewmats.device}, found {_describe(mask)}")
         expected["pixel_mask"] = scene.image_shape
-        found["pixel_mask"] = views.pixel_mask
+        found["pixel_mask"] = mask
     for name, tensor in found.items():
         if tuple(tensor.shape) != expected[name]:
             raise ValueError(f"{name}: expected shape {list(expected[name])}, found {list(tensor.shape)}")
