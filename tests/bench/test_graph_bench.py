@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import multiprocessing
 import select
 import sys
+import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -13,13 +16,15 @@ import pytest
 pytest.importorskip("zenoh")
 
 from twin_node.bag import BagError
-from twin_node.bench import graph_recorder
+from twin_node.bench import graph_hops, graph_recorder
 from twin_node.bench.errors import BenchError
+from twin_node.bench.graph_hops import HopFigures, hops
 from twin_node.bench.graph_link import Link, Machine
 from twin_node.bench.graph_machine import Told
 from twin_node.bench.graph_network import Cut, figures_of
 from twin_node.bench.graph_recorder import HEIGHT, WIDTH, images, killed
-from twin_node.bench.graph_run import percentiles
+from twin_node.bench.graph_run import Percentiles, percentiles
+from twin_node.cli import main
 from twin_node.json_text import json_text
 from twin_node.messages import convert
 
@@ -112,3 +117,48 @@ def test_the_images_that_are_recorded_are_images() -> None:
 def test_a_killed_recorder_leaves_a_file_that_opens(tmp_path: Path) -> None:
     figures = killed(1, tmp_path)
     assert (figures.kills, figures.opened) == (1, 1)
+
+
+def interrupted(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_an_interrupted_bench_leaves_no_recorder_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would fill the disk, and the command would wait for it for ever."""
+    monkeypatch.setattr(time, "sleep", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        killed(1, tmp_path)
+    assert multiprocessing.active_children() == []
+
+
+def ready_and_gone(parameters: object, there: Connection) -> None:
+    there.send(None)
+
+
+def test_a_listener_that_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graph_hops, "_listen", ready_and_gone)
+    with pytest.raises(BenchError, match="expected the listening process to answer"):
+        hops(0.01)
+
+
+def test_an_interrupted_bench_leaves_no_listener_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graph_hops, "PATIENCE_S", 5.0)
+    monkeypatch.setattr(graph_hops, "_makers", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        hops(1.0)
+    assert multiprocessing.active_children() == []
+
+
+def test_a_part_that_is_named_twice_is_measured_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured = []
+
+    def measure(seconds: float) -> HopFigures:
+        measured.append(seconds)
+        return HopFigures(*[Percentiles(1, 1.0, 1.0, 1.0)] * 3, 0)
+
+    monkeypatch.setattr(graph_hops, "hops", measure)
+    assert main(["bench", "graph", "--only", "hops", "hops", "--seconds", "3"]) == 0
+    assert measured == [3.0]
+    assert capsys.readouterr().out.startswith("hops: image")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
@@ -43,20 +44,18 @@ class HopFigures:
 
 
 def hops(seconds: float) -> HopFigures:
-    """Publishes here, and lets a process of its own listen. Raises `BenchError` where it hears nothing."""
+    """Publishes here, and lets a process of its own listen. Raises `BenchError` where that hears nothing, or ends."""
     parameters = ZenohParameters(router="builtin", endpoint=free_endpoint(), domain=0)
     router = open_router(parameters)
     joined = replace(parameters, router="external")
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    listener = context.Process(target=_listen, args=(joined, there), name="listener")
-    listener.start()
-    wire = ZenohWire(joined)
-    bus = WireBus(wire, Executor(), "bench", kind_of)
-    try:
-        if not here.poll(PATIENCE_S):
-            raise BenchError("bench graph: the listening process did not start; is the machine overloaded?")
-        here.recv()
+    with ExitStack() as stack:
+        if router is not None:
+            stack.callback(router.close)
+        here = stack.enter_context(_listening(joined))
+        wire = ZenohWire(joined)
+        stack.callback(wire.close)
+        bus = WireBus(wire, Executor(), "bench", kind_of)
+        _answer(here)
         makers = _makers()
         due, end = time.monotonic(), time.monotonic() + seconds
         while due < end:
@@ -64,14 +63,33 @@ def hops(seconds: float) -> HopFigures:
                 bus.publish(topic, make(time.time_ns()))
             due += 1 / RATE_HZ
             time.sleep(max(0.0, due - time.monotonic()))
-        here.send(None)
-        delays, refused = here.recv()
-    finally:
-        listener.join(PATIENCE_S)
-        wire.close()
-        if router is not None:
-            router.close()
+        delays, refused = _answer(here, asked=True)
     return HopFigures(percentiles(delays[IMAGE]), percentiles(delays[DEPTH]), percentiles(delays[SMALL]), refused)
+
+
+@contextmanager
+def _listening(parameters: ZenohParameters) -> Iterator[Connection]:
+    """A pipe to a listening process, which does not outlive it."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    listener = context.Process(target=_listen, args=(parameters, there), name="listener")
+    listener.start()
+    there.close()  # or its end would not be heard
+    try:
+        yield here
+    finally:
+        listener.kill()
+        listener.join()
+
+
+def _answer(here: Connection, asked: bool = False) -> Any:
+    """What the listening process says next, by itself or asked for what it heard. Raises `BenchError` without."""
+    with suppress(EOFError, OSError):  # it has ended
+        if asked:
+            here.send(None)
+        if here.poll(PATIENCE_S):
+            return here.recv()
+    raise BenchError("bench graph: expected the listening process to answer, found silence; is the machine overloaded?")
 
 
 def _makers() -> dict[str, Callable[[int], Any]]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,16 +81,7 @@ def killed(times: int, folder: Path) -> KilledFigures:
     lost, opened = [], 0
     for i in range(times):
         path = folder / f"killed_{i}.mcap"
-        process = multiprocessing.get_context("spawn").Process(target=record_until_killed, args=(str(path),))
-        process.start()
-        while not (path.exists() and path.stat().st_size > 1000):
-            if not process.is_alive():
-                raise BenchError(f"{path}: expected a recorder to write it, found that it ended; is there room?")
-            time.sleep(0.01)
-        time.sleep(float(rng.uniform(0.8, 3.0)))
-        at = time.time_ns()
-        os.kill(process.pid or 0, signal.SIGKILL)
-        process.join()
+        at = _killed_at(path, float(rng.uniform(0.8, 3.0)))
         try:
             with open_log(path) as log:
                 opened += any(True for _ in log.messages())
@@ -102,6 +91,22 @@ def killed(times: int, folder: Path) -> KilledFigures:
     if not lost:
         raise BenchError(f"{folder}: expected killed recorders to leave files that open, found none of {times}")
     return KilledFigures(times, opened, max(lost))
+
+
+def _killed_at(path: Path, after_s: float) -> int:
+    """When a recorder was killed that had written for so long, ns; however this ends, none is left."""
+    process = multiprocessing.get_context("spawn").Process(target=record_until_killed, args=(str(path),))
+    process.start()
+    try:
+        while not (path.exists() and path.stat().st_size > 1000):
+            if not process.is_alive():
+                raise BenchError(f"{path}: expected a recorder to write it, found that it ended; is there room?")
+            time.sleep(0.01)
+        time.sleep(after_s)
+        return time.time_ns()
+    finally:
+        process.kill()
+        process.join()
 
 
 RECORDER_ALONE = """

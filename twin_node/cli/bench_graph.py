@@ -57,7 +57,7 @@ def _graph(options: argparse.Namespace) -> int:
             "network": lambda: graph_network.network(cuts=options.cuts),
             "cameras": lambda: graph_cameras.cameras(CAMERA_FAULT_S),
         }
-        for part in options.only:
+        for part in dict.fromkeys(options.only):
             try:
                 figures[part] = dataclasses.asdict(measure[part]())
             except TwinError as error:  # the other parts can be measured nevertheless
