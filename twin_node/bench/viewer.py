@@ -5,14 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from twin_node.bench.errors import BenchError
-from twin_node.bench.viewer_send import SendCost, cost
-from twin_node.bench.visitors import BYTES_PER_SPLAT, PATIENCE_S, connect_to, free_port, visiting
+from twin_node.bench.viewer_send import SendCost, cost, middle_of
+from twin_node.bench.visitors import BYTES_PER_SPLAT, PATIENCE_S, brings_gaussians, connect_to, free_port, visiting
 from twin_node.messages import convert
 from twin_node.nodes.playback import Snapshot
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING
@@ -57,8 +58,13 @@ class ViewerFigures:
 
 
 def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None) -> ViewerFigures:
-    """Measures; `log` is what a twin has written. Raises `BenchError` where no page or picture comes."""
+    """Measures; `log` is what a twin has written.
+
+    Raises `GraphError` where it lacks a topic, before anything is measured, and `BenchError` where no page or picture
+    comes.
+    """
     parameters = parameters or ViewerBenchParameters()
+    messages = None if log is None else middle_of(log)
     first = None if log is None else _first_picture_s(log)
     port = free_port()
     page = CellPage(ur_model("ur10e"), (), port=port)
@@ -77,12 +83,14 @@ def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None
         len(times) / spent,
         tuple(n / spent for n in counts),
         1e3 * float(np.median(times)),
-        None if log is None else cost(log, parameters.visitors),
+        None if messages is None else cost(messages, parameters.visitors),
     )
 
 
 def _first_picture_s(log: Path) -> float:
-    """From the start of the command until a message as large as the log's cloud is with a visitor."""
+    """From the start of the command until the log's Gaussians are with a visitor."""
+    from websockets.exceptions import ConnectionClosed
+
     port = free_port()
     begun = time.perf_counter()
     process = subprocess.Popen(
@@ -90,16 +98,13 @@ def _first_picture_s(log: Path) -> float:
         stdout=subprocess.DEVNULL,
     )
     try:
-        while True:
-            if process.poll() is not None or time.perf_counter() - begun > PATIENCE_S:
-                raise BenchError(f"{log}: expected a page, found none; try 'twin_node view {log}'")
-            try:
-                with connect_to(port) as visitor:
-                    while len(visitor.recv(timeout=PATIENCE_S)) < 1000 * BYTES_PER_SPLAT:
-                        pass
-                    return time.perf_counter() - begun
-            except OSError:
-                time.sleep(0.02)
+        while process.poll() is None and time.perf_counter() - begun < PATIENCE_S:
+            with suppress(OSError, ConnectionClosed), connect_to(port) as visitor:
+                while not brings_gaussians(visitor.recv(timeout=PATIENCE_S)):
+                    pass
+                return time.perf_counter() - begun
+            time.sleep(0.02)
+        raise BenchError(f"{log}: expected a page with its Gaussians, found none; try 'twin_node view {log}'")
     finally:
         process.kill()
         process.wait()

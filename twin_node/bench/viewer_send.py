@@ -17,7 +17,7 @@ from twin_node.bench.graph_run import free_endpoint
 from twin_node.bench.visitors import PATIENCE_S, free_port, visiting
 from twin_node.messages import Message, convert
 from twin_node.nodes.playback import Playback
-from twin_node.nodes.topics import GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, kind_of
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, kind_of
 from twin_node.runtime.wire import Send
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -49,12 +49,8 @@ class SendCost:
     """Other work on the machine counts: the sending thread waits its turn too."""
 
 
-def cost(log: Path, visitors: int) -> SendCost:
-    """Sends the middle of a twin's log.
-
-    Raises `GraphError` where it lacks a topic, `BenchError` where no page comes.
-    """
-    messages = _messages(log)
+def cost(messages: Mapping[str, Message], visitors: int) -> SendCost:
+    """Sends what a twin says of a set, by topic, `SETS` times each way. Raises `BenchError` where no page comes."""
     parameters = ZenohParameters(router="builtin", endpoint=free_endpoint(), domain=0)
     with ExitStack() as stack:
         router = open_router(parameters)
@@ -76,14 +72,15 @@ def cost(log: Path, visitors: int) -> SendCost:
         _wait_for_page(wire)
         watched = _times(sends, messages)
         if not all(visitor.sent().data for visitor in watching):
-            raise BenchError(f"{log}: expected the page to show it, found visitors who were sent nothing")
+            raise BenchError("viewer: expected the page to show what is sent, found visitors who were sent nothing")
     return SendCost(nobody, watched, watched.median - nobody.median, watched.p99 - nobody.p99)
 
 
-def _messages(log: Path) -> Mapping[str, Message]:
+def middle_of(log: Path) -> Mapping[str, Message]:
+    """What a twin said of the set in the middle of its log, by topic. Raises `GraphError` where it lacks a topic."""
     with Playback([log]) as playback:
-        for topic in PER_SET:
-            playback.require(topic, "the cost of sending")
+        for topic in (GAUSSIANS, *PER_SET):
+            playback.require(topic, "the bench")
         said = playback.at((playback.start_ns + playback.end_ns) // 2)
         obstacles = said.obstacles
         assert obstacles is not None

@@ -23,6 +23,8 @@ _NICENESS = 19
 """A visitor sits at another machine: here it takes only what the twin leaves."""
 BYTES_PER_SPLAT = 32
 """What viser sends of a Gaussian."""
+_SIZES_BYTES, _ZSTD = 16, b"\x28\xb5\x2f\xfd"
+"""A message of viser's: two sizes, what it is (packed), and its arrays as they are."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,15 @@ def connect_to(port: int) -> Any:
 
     protocol = Subprotocol(f"viser-v{viser.__version__}")  # viser asks its visitors for the version that they speak
     return connect(f"ws://127.0.0.1:{port}", max_size=None, subprotocols=[protocol])
+
+
+def brings_gaussians(message: bytes) -> bool:
+    """Whether a message of the page's holds Gaussians; the arm's meshes are as large."""
+    import zstandard
+
+    packed = message[_SIZES_BYTES:]
+    told = zstandard.ZstdDecompressor().decompressobj().decompress(packed) if packed.startswith(_ZSTD) else message
+    return b"GaussianSplatsMessage" in told
 
 
 def _visit(port: int, counted: range, pipe: Connection) -> None:
