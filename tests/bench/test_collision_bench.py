@@ -96,3 +96,16 @@ def test_wrong_references_are_refused(reference: Path, capsys: pytest.CaptureFix
     (reference / "one.urdf").unlink()
     assert main(["bench", "collision", "--reference", str(reference)]) == 2
     assert "expected a *.urdf file" in capsys.readouterr().err
+
+
+def test_a_reference_of_another_arm_is_refused(reference: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "collision", "--reference", str(reference)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected a URDF of 6 joints with a collision mesh on each of shoulder_link" in line
+    assert "found 1 joints, and meshes on arm; give the folder" in line
+
+
+def test_a_reference_may_lie_in_any_folder(reference: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("odd") / 'R&D "<new>"'
+    reference.rename(folder)
+    assert ArmReference(folder).sphere_distances(np.eye(4)[None, None], ("base",), np.zeros((1, 1, 3))) is not None

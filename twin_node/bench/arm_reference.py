@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import mujoco
 import numpy as np
@@ -41,6 +43,7 @@ class ArmReference:
 
     def __init__(self, folder: Path) -> None:
         """Raises `BenchError` for a folder without a readable URDF or with a sphere model that makes no sense."""
+        self._folder = folder
         urdf = next(iter(sorted(folder.glob("*.urdf"))), None)
         if urdf is None:
             raise BenchError(f"{folder}: expected a *.urdf file and meshes/*.stl, found none; give the arm's folder")
@@ -49,6 +52,16 @@ class ArmReference:
         self._meshes = self._read_meshes()
         models = sorted(folder.glob("*.yml"))
         self._spheres = _read_spheres(models[0]) if models else None
+
+    def check_links(self, links: Sequence[str]) -> None:
+        """Raises `BenchError` where it is of another arm than that of these links, the first of which is its base."""
+        meant, meshed, joints = links[1:], [name for name in links[1:] if name in self._meshes], self._engine.nq
+        if len(meshed) < len(meant) or joints != len(meant):
+            raise BenchError(
+                f"{self._folder}: expected a URDF of {len(meant)} joints with a collision mesh on each of "
+                f"{', '.join(meant)}, found {joints} joints, and meshes on {', '.join(self._meshes) or 'none'}; give "
+                "the folder of the arm that is measured"
+            )
 
     def link_positions(self, q: Float64, links: tuple[str, ...]) -> Float64:
         """Origins [T, L, 3] (m) of the named links in the URDF's root frame at joint angles [T, J] (rad)."""
@@ -120,7 +133,8 @@ def _load(urdf: Path) -> Any:
     """The URDF's collision geometry as MuJoCo reads it, mesh files found by their names below `meshes/`."""
     try:
         text = re.sub(r"<visual>.*?</visual>", "", urdf.read_text(encoding="utf-8"), flags=re.S)
-        text = re.sub(r'filename="[^"]*?([^"/]+)"', rf'filename="{urdf.parent.resolve()}/meshes/\1"', text)
+        meshes = escape(str(urdf.parent.resolve() / "meshes"), {'"': "&quot;"})
+        text = re.sub(r'filename="[^"]*?([^"/]+)"', lambda found: f'filename="{meshes}/{found[1]}"', text)
         options = '<mujoco><compiler strippath="false" fusestatic="false"/></mujoco>'
         return mujoco.MjModel.from_xml_string(text.replace("<link name", f"{options}<link name", 1))
     except (OSError, UnicodeDecodeError, ValueError) as error:

@@ -87,9 +87,11 @@ def run(
 ) -> dict[str, object]:
     """All figures under the stable names that `--json` prints; those of clearances only with a reference.
 
-    `progress` may wrap the poses. Raises `RobotError` for an unknown arm.
+    `progress` may wrap the poses. Raises `RobotError` for an unknown arm, `BenchError` for a reference of another one.
     """
     bench = bench or CollisionBench()
+    if reference is not None:
+        reference.check_links(ur_model(bench.arm).link_names)
     figures: dict[str, object] = asdict(measure_speeds(bench))
     figures |= {"obstacles": bench.obstacles, "steps": bench.steps, "arm": bench.arm}
     figures["fk_dh_m"] = max(fk_error_against_dh(name, bench.seed) for name in UR_NAMES)
