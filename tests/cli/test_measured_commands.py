@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from twin_node.bench.pareto import suite
 from twin_node.cli import main
 
 
@@ -34,6 +35,21 @@ def test_a_folder_that_cannot_be_made_is_told_before_anything_is_run(
     for command in ("stability", "pareto"):
         line = refused(capsys, "bench", command, "--out", str(tmp_path / "file" / "new"))
         assert "cannot be made" in line and "choose another folder" in line
+        line = refused(capsys, "bench", command, "--out", "/proc/self")
+        assert "--out /proc/self: cannot write into it" in line and "choose another folder" in line
+
+
+def test_figures_that_cannot_be_written_are_told_nevertheless(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hours of measuring are not lost to a full disk."""
+    monkeypatch.setattr(suite, "run", lambda parameters, progress: suite.Pareto(()))
+    for name in ("sizes.yaml", "pareto.json"):
+        out = tmp_path / f"no {name}"
+        (out / name).mkdir(parents=True)
+        assert main(["bench", "pareto", "--quick", "--out", str(out)]) == 2
+        said = capsys.readouterr()
+        assert f"cannot write {name} (Is a directory)" in said.err and said.out.strip()
 
 
 def test_a_size_that_is_measured_cannot_repeat_itself_to_the_byte(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,12 +17,16 @@ if TYPE_CHECKING:
 def prepared(folder: Path) -> Path:
     """Makes the folder before anything is measured, so that minutes of work are not lost to a wrong name.
 
-    Raises `BenchError` where it cannot be made.
+    Raises `BenchError` where it cannot be made or written into.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BenchError(f"--out {folder}: cannot be made ({error.strerror}); choose another folder") from error
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise _unwritable(folder, "into it", error) from error
     return folder
 
 
@@ -32,16 +37,23 @@ def save_chart(figure: Figure, folder: Path, name: str) -> Path:
         figure.savefig(path, dpi=100)
         figure.savefig(path.with_suffix(".svg"))
     except OSError as error:
-        raise BenchError(
-            f"--out {folder}: cannot write {path.name} ({error.strerror}); choose another folder"
-        ) from error
+        raise _unwritable(folder, path.name, error) from error
     return path
 
 
 def save_figures(folder: Path, name: str, figures: Mapping[str, object], markdown: str) -> None:
     """Writes figures as NAME.json and a table of them as NAME.md. Raises `BenchError` where it cannot."""
+    save_text(folder, f"{name}.json", json_text(figures, 2) + "\n")
+    save_text(folder, f"{name}.md", markdown)
+
+
+def save_text(folder: Path, name: str, text: str) -> None:
+    """Writes a file of this name. Raises `BenchError` where it cannot."""
     try:
-        (folder / f"{name}.json").write_text(json_text(figures, 2) + "\n")
-        (folder / f"{name}.md").write_text(markdown)
+        (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise BenchError(f"--out {folder}: cannot write {name} ({error.strerror}); choose another folder") from error
+        raise _unwritable(folder, name, error) from error
+
+
+def _unwritable(folder: Path, what: str, error: OSError) -> BenchError:
+    return BenchError(f"--out {folder}: cannot write {what} ({error.strerror}); choose another folder")

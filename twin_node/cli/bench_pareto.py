@@ -36,7 +36,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto.choosing import front_text
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
     from twin_node.bench.pareto.tables import markdown, text
-    from twin_node.bench.results_folder import prepared, save_figures
+    from twin_node.bench.results_folder import prepared, save_figures, save_text
     from twin_node.nodes.chain_parameters import load_parameters
 
     rivals = None if options.methods is None else tuple(options.methods.split(","))
@@ -52,11 +52,11 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         prepared(options.out)
     found = run(parameters, lambda names, total: tqdm(names, total=total, unit="method", disable=None))
     figures = found.as_json()
-    if options.out is not None:
-        draw(found, options.out)
-        save_figures(options.out, "pareto", figures, markdown(found))
-        (options.out / "sizes.yaml").write_text(front_text(found.points))
     print(json_text(figures) if options.json else text(found))
+    if options.out is not None:
+        save_figures(options.out, "pareto", figures, markdown(found))
+        save_text(options.out, "sizes.yaml", front_text(found.points))
+        draw(found, options.out)
     if options.check:
         found.check()
 
@@ -103,10 +103,10 @@ def _bench_length(options: argparse.Namespace) -> None:
         prepared(options.out)
     parameters = length.LengthParameters(options.seconds, options.rate, options.size)
     found = length.run(parameters, lambda spans, total: tqdm(spans, total=total, unit="min", disable=None))
-    if options.out is not None:
-        length.draw(found, options.out)
-        save_figures(options.out, "length", found.as_json(), length.markdown(found))
     print(json_text(found.as_json()) if options.json else length.text(found))
+    if options.out is not None:
+        save_figures(options.out, "length", found.as_json(), length.markdown(found))
+        length.draw(found, options.out)
 
 
 def _bench_ablations(options: argparse.Namespace) -> None:
@@ -126,9 +126,9 @@ def _bench_ablations(options: argparse.Namespace) -> None:
     if options.out is not None:
         prepared(options.out)
     rows = ablations.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
+    print(json_text(ablations.as_json(rows)) if options.json else ablations.text(rows))
     if options.out is not None:
         save_figures(options.out, "ablations", ablations.as_json(rows), ablations.markdown(rows))
-    print(json_text(ablations.as_json(rows)) if options.json else ablations.text(rows))
 
 
 def _bench_costs(options: argparse.Namespace) -> None:

@@ -40,9 +40,9 @@ def _bench_stability(options: argparse.Namespace) -> None:
         prepared(options.out)
     found = run(parameters, lambda results, total: tqdm(results, total=total, unit="run", disable=None))
     figures = found.as_json()
-    if options.out is not None:
-        chart.draw(found, options.out)
-        save_figures(options.out, "stability", figures, chart.markdown(found))
     print(json_text(figures) if options.json else chart.text(found))
+    if options.out is not None:
+        save_figures(options.out, "stability", figures, chart.markdown(found))
+        chart.draw(found, options.out)
     if options.check:
         found.check()
