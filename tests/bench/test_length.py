@@ -62,6 +62,7 @@ def test_a_long_run_is_told_in_a_dozen_lines(tmp_path: Path) -> None:
         ({"size": "huge"}, "--size: expected one of tiny"),
         ({"rate_hz": 7.0}, "--rate: expected 30 divided by a whole number, found 7"),
         ({"rate_hz": 90.0}, "--rate: expected 30"),
+        ({"rate_hz": 0.3, "seconds": 60.0}, "--rate: expected more than 0.33, so that the clip of 3 s has two sets"),
         ({"seconds": 0.1}, "--seconds: expected time for two sets"),
     ],
 )

@@ -23,6 +23,22 @@ def test_a_failure_or_method_that_is_none_is_refused_with_those_that_are(capsys:
     assert "found 'magic'" in refused(capsys, "bench", "pareto", "--methods", "frozen,magic")
 
 
+def test_what_is_of_logs_is_refused_without_one(capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "bench", "pareto", "--quick", "--frames", "5", "--start-offset", "0", "--methods", "magic")
+    assert "--frames, --start-offset: expected with a LOG" in line
+
+
+def test_a_method_that_is_named_twice_is_measured_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured: list[tuple[str, ...]] = []
+    monkeypatch.setattr(
+        suite, "run", lambda parameters, progress: measured.append(parameters.rivals) or suite.Pareto(())
+    )
+    assert main(["bench", "pareto", "--methods", "frozen,previous,frozen"]) == 0
+    assert measured == [("frozen", "previous")]
+
+
 def test_a_log_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for command in ("pareto", "ablations"):
         assert "nowhere.mcap" in refused(capsys, "bench", command, str(tmp_path / "nowhere.mcap"))

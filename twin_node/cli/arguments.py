@@ -101,7 +101,7 @@ def refuse_given(options: argparse.Namespace, names: Sequence[str], why: str) ->
 
     `why`: when they are expected, and what to do.
     """
-    given = ", ".join(f"--{name}" for name in names if getattr(options, name) is not None)
+    given = ", ".join(f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None)
     if given:
         raise TwinError(f"{given}: {why}")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import not_negative, positive, whole, width
+from twin_node.cli.arguments import not_negative, positive, refuse_given, whole, width
 from twin_node.json_text import json_text
 
 
@@ -18,11 +18,11 @@ def add_bench_pareto(benches: Any) -> None:
     pareto = benches.add_parser("pareto", help="speed against accuracy: all methods, ours at five sizes")
     pareto.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="recordings beside the made-up scene")
     pareto.add_argument("--quick", action="store_true", help="small and short: shows that all run")
-    pareto.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="skip so much of each log")
+    pareto.add_argument("--start-offset", type=not_negative, metavar="S", help="skip so much of each log")
     pareto.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     pareto.add_argument("--frames", type=whole, metavar="N", help="sets of images taken of each log")
     pareto.add_argument("--methods", metavar="A,B", help="only these beside ours; a wrong name lists them")
-    pareto.add_argument("--processes", type=whole, metavar="N", help="measured at once, each on one core (default 1)")
+    pareto.add_argument("--processes", type=whole, metavar="N", help="measured at once (default 1; with --quick 2)")
     pareto.add_argument(
         "--out", type=Path, metavar="DIR", help="write pareto.json, .md, .png, .svg and sizes.yaml here"
     )
@@ -39,12 +39,18 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.results_folder import prepared, save_figures, save_text
     from twin_node.nodes.chain_parameters import load_parameters
 
-    rivals = None if options.methods is None else tuple(options.methods.split(","))
-    given = {"frames": options.frames, "processes": options.processes, "rivals": rivals}
+    if not options.logs:
+        refuse_given(options, ("frames", "start_offset"), "expected with a LOG, which they are of; give one")
+    rivals = None if options.methods is None else _names(options.methods)
+    given = {
+        "frames": options.frames,
+        "processes": options.processes,
+        "rivals": rivals,
+        "start_offset_s": options.start_offset,
+    }
     parameters = replace(
         QUICK if options.quick else ParetoParameters(),
         logs=tuple(options.logs),
-        start_offset_s=options.start_offset,
         chain=load_parameters(options.params),
         **{name: value for name, value in given.items() if value is not None},
     )
@@ -59,6 +65,11 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         draw(found, options.out)
     if options.check:
         found.check()
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Of a list, each once."""
+    return tuple(dict.fromkeys(text.split(",")))
 
 
 def add_bench_ablations(benches: Any) -> None:
@@ -122,7 +133,7 @@ def _bench_ablations(options: argparse.Namespace) -> None:
         processes=options.processes,
     )
     if options.only is not None:
-        parameters = replace(parameters, names=tuple(options.only.split(",")))
+        parameters = replace(parameters, names=_names(options.only))
     if options.out is not None:
         prepared(options.out)
     rows = ablations.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))

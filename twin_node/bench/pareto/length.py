@@ -151,6 +151,11 @@ def _check(parameters: LengthParameters) -> None:
         raise BenchError(f"--size: expected one of {', '.join(SIZES)}, found '{parameters.size}'")
     if parameters.stride < 1 or not np.isclose(parameters.stride * parameters.rate_hz, RATE_HZ):
         raise BenchError(f"--rate: expected {RATE_HZ:g} divided by a whole number, found {parameters.rate_hz:g}")
+    if parameters.stride >= CLIP_S * RATE_HZ:
+        raise BenchError(
+            f"--rate: expected more than {1 / CLIP_S:.2g}, so that the clip of {CLIP_S:g} s has two sets or more, "
+            f"found {parameters.rate_hz:g}"
+        )
     if parameters.sets < 2:
         raise BenchError(f"--seconds: expected time for two sets at least, found {parameters.seconds:g}")
 
