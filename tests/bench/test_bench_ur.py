@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import sys
 
 import pytest
 
@@ -25,6 +26,18 @@ def test_a_fault_is_injected_answered_and_scored(capsys: pytest.CaptureFixture[s
     assert (told["unanswered"], told["not_latched"]) == (0, 0)
     assert "not finite" in score["reason"]
     assert told["worst_ms"] == score["answered"]["max_ms"] > 0
+
+
+def test_without_ur_rtde_no_rig_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def never(mode: object) -> None:
+        raise AssertionError("a rig was made")
+
+    monkeypatch.setitem(sys.modules, "rtde_io", None)
+    monkeypatch.setattr(ur, "UrRig", never)
+    assert main(["bench", "ur", "--repeats", "1"]) == 2
+    assert capsys.readouterr().err.strip().endswith("ur_rtde is not installed; install it with: pip install ur-rtde")
 
 
 class NoNewDriver:

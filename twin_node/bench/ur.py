@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from twin_node.arm.ur import DriverMode
+from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.priority import realtime
 from twin_node.bench.errors import BenchError
 from twin_node.bench.ur_rig import Answer, UrRig
@@ -142,6 +143,7 @@ def run(
     for name in names:
         if name not in FAULT_NAMES:
             raise BenchError(f"--fault {name}: expected one of {', '.join(FAULT_NAMES)}")
+    load_ur_rtde()  # the drivers of all rigs are in other processes, and those would only be missed
     chosen = [fault for fault in FAULTS if fault.name in names]
     return UrBench({fault.name: _score(fault, repeats) for fault in progress(chosen)})
 
