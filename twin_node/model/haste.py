@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from enum import Enum
-from statistics import median
 
 from twin_node.model.stages import LeftS, endless
 
@@ -15,7 +14,7 @@ SPARED = 0.1
 IN_A_ROW = 4
 """Sets that may be hurried one after another after a time of ease."""
 KEPT = 9
-"""Durations that tell what a part's next step will take: their median, which no pause of the machine's changes."""
+"""Durations that tell what a part's next step may take: the longest but one, which no single pause changes."""
 
 
 class Part(Enum):
@@ -92,7 +91,7 @@ class Haste:
 
     def _takes(self, begun: Part, most: int | None = None) -> float:
         """From the beginning of a part until the state is out, s, with `most` steps of each part or with all."""
-        total = median(self._endings) if self._endings else 0.0
+        total = _expected(self._endings)
         for part in PARTS[PARTS.index(begun) :]:
             planned = self._steps[part]
             total += self._step(part) * (planned if most is None else min(planned, most))
@@ -100,4 +99,9 @@ class Haste:
 
     def _step(self, part: Part) -> float:
         """What a step of a part takes, s; 0 before any was timed."""
-        return median(self._durations[part]) if self._durations[part] else 0.0
+        return _expected(self._durations[part])
+
+
+def _expected(durations: Collection[float]) -> float:
+    """What the next of such durations (s) should not be above; 0 before there were two."""
+    return sorted(durations)[-2] if len(durations) > 1 else 0.0
