@@ -10,7 +10,9 @@ from enum import Enum
 from twin_node.model.stages import LeftS, endless
 
 SPARED = 0.1
-"""Sets that may be hurried, of all. Where most are late no few steps bring them in time, and cost what they show."""
+"""Sets that may be hurried for each that was in time. One that was late all the same costs as much as one that was
+hurried: where many are, no few steps bring them in time, and fewer steps cost what they show.
+"""
 IN_A_ROW = 4
 """Sets that may be hurried one after another after a time of ease."""
 KEPT = 9
@@ -47,7 +49,6 @@ class Haste:
     def begin(self, left_s: LeftS) -> None:
         """A set begins whose state should be out in `left_s()`."""
         self._left_s, self._since_s, self._is_hurried = left_s, math.inf, False
-        self._credit = min(self._credit + SPARED, IN_A_ROW)
 
     @property
     def may_be_late(self) -> bool:
@@ -77,6 +78,10 @@ class Haste:
         taken = self._lap()
         if math.isfinite(taken):
             self._endings.append(taken)
+        if self._since_s >= 0:
+            self._credit = min(self._credit + SPARED, IN_A_ROW)
+        elif not self._is_hurried:
+            self._credit = max(self._credit - 1, 0.0)
 
     def _lap(self) -> float:
         before, self._since_s = self._since_s, self._left_s()

@@ -51,8 +51,8 @@ class TrackParameters:
     steps: int = 3
     """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
     latency_ms: float = 33.0
-    """Wished for from a set's newest image to its state. Live, a set that would be later takes fewer steps, where these
-    help and to a set in ten; 0: never. In lockstep nothing is late."""
+    """Wished for from a set's newest image to its state. Live, a set that would be later takes fewer steps, where that
+    helps and few are late; 0: never. In lockstep nothing is late."""
     learning_rate: float = 6.0
     """Multiplies all rates of `descending.RATES`."""
     selects: bool = True
