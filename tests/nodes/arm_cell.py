@@ -79,6 +79,12 @@ class Cell:
         path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
         self.bus.publish(TRAJECTORY, convert.joint_path_to_message(path))
 
+    def stay(self) -> None:
+        path = JointPath(MODEL.joint_names, np.array([self.clock.now()]), READY[None])
+        message = convert.joint_path_to_message(path)
+        message.points = []
+        self.bus.publish(TRAJECTORY, message)
+
     def somebody(
         self,
         count: int = 1,

@@ -171,6 +171,22 @@ def test_who_has_heard_of_an_arm_never_judges_a_made_up_one() -> None:
     assert cell.somebody().reason == "stopped: the arm's trajectory has not begun, and no joints come"
 
 
+def test_an_arm_that_is_told_to_stay_goes_along_its_path_no_longer() -> None:
+    """As ROS's trajectory controllers are told: by a trajectory without points."""
+    cell = Cell()
+    cell.joints()
+    cell.path(begins_ms=-100, lasts_ms=2000, velocity=np.zeros(6))
+    assert cell.somebody().reason == "clear"  # its path has it stand
+    cell.stay()
+    assert cell.somebody().reason == "slow for MOVING"  # its joints still turn
+    cell.path(begins_ms=-100, lasts_ms=2000, velocity=np.zeros(6))
+    assert cell.somebody().reason == "clear"
+    alone = Cell()
+    alone.path(begins_ms=-100, lasts_ms=2000)
+    alone.stay()
+    assert alone.somebody().reason == "stopped: the arm's trajectory is over, and no joints come"
+
+
 def test_a_path_that_is_not_finite_is_refused_when_it_comes() -> None:
     cell = Cell()
     cell.joints()

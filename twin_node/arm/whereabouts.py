@@ -27,6 +27,8 @@ class Whereabouts:
         self._cycle = cycle
         self._lasting_ns = round(lasting_s * 1e9)
         self._path: JointPath | None = None
+        self._is_held = False
+        """Whether the arm has been told to leave its path and stay where it is."""
         self._joints: JointSample | None = None
         self._measured: JointSample | None = None
         self._programmed = ProgrammedVelocity(_LEAST_SHARE)
@@ -41,6 +43,11 @@ class Whereabouts:
         """A new path; raises `RobotError` where a joint is missing or an angle is not finite."""
         positions = self._model.order(path.names, path.positions)
         self._path = JointPath(self._model.joint_names, path.stamps, positions)
+        self._is_held = False
+
+    def leave_path(self) -> None:
+        """The path holds no longer: from now on the joints alone tell where the arm goes."""
+        self._is_held = True
 
     def take_joints(self, sample: JointSample, has_velocities: bool = True, share: float = 1.0) -> None:
         """A new sample, its joints in any order; without velocities, they are those since the sample before.
@@ -72,7 +79,7 @@ class Whereabouts:
         joints have come.
         """
         path, joints = self._path, self._joints
-        if path is not None and path.stamps[0] <= now <= path.stamps[-1]:
+        if path is not None and not self._is_held and path.stamps[0] <= now <= path.stamps[-1]:
             return path_ahead(self._model, _gone_on(self._model, path), stamp)
         if joints is not None:
             age_ms = (now - joints.stamp) / 1e6
@@ -84,7 +91,7 @@ class Whereabouts:
             self._model.order(self._other.names, self._other.positions)
         if path is None:
             return self._cycle.ahead(stamp)
-        state = "has not begun" if path.stamps[0] > now else "is over"
+        state = "has not begun" if path.stamps[0] > now and not self._is_held else "is over"
         raise ArmError(f"the arm's trajectory {state}, and no joints come")
 
 

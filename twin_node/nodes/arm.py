@@ -106,6 +106,9 @@ class ArmNode(Node):
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
     def _on_trajectory(self, message: Any) -> None:
+        if not message.points:  # so ROS's trajectory controllers are told to stay where they are
+            self._arm.leave_path()
+            return
         self._arm.take_path(convert.joint_path_from_message(message, self.clock.now()))
 
     def _on_joints(self, message: Any) -> None:
