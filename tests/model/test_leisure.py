@@ -18,7 +18,7 @@ def eased() -> Leisure:
     leisure = Leisure()
     for _ in range(AT_EASE):
         leisure.begin(lambda: True)
-        assert leisure.is_left
+        assert leisure.lasts()
     return leisure
 
 
@@ -26,27 +26,27 @@ def test_a_set_that_waits_leaves_no_time_and_is_counted() -> None:
     leisure = eased()
     for count in (1, 2, 3):
         leisure.begin(lambda: False)
-        assert not leisure.is_left
+        assert not leisure.lasts()
         assert leisure.hurried == count
     leisure.begin(lambda: True)
-    assert leisure.is_left and leisure.hurried == 0
+    assert leisure.lasts() and leisure.hurried == 0
 
 
 def test_one_that_comes_meanwhile_puts_off_what_is_left() -> None:
     leisure = eased()
     leisure.begin(answering([True, True, False]))
-    assert leisure.is_left
-    assert not leisure.is_left
-    assert not leisure.is_left, "what was put off is not taken up again before the next set"
+    assert leisure.lasts()
+    assert not leisure.lasts()
+    assert not leisure.lasts(), "what was put off is not taken up again before the next set"
     assert leisure.hurried == 1
 
 
 def test_what_was_put_off_once_is_not_put_off_again() -> None:
     leisure = eased()
     leisure.begin(answering([True, False]))
-    assert not leisure.is_left
+    assert not leisure.lasts()
     leisure.begin(answering([True]))  # it would be asked for more if it gave way
-    assert leisure.is_left and leisure.is_left
+    assert leisure.lasts() and leisure.lasts()
 
 
 def test_where_sets_wait_often_one_that_comes_meanwhile_changes_nothing() -> None:
@@ -54,6 +54,6 @@ def test_where_sets_wait_often_one_that_comes_meanwhile_changes_nothing() -> Non
     leisure.begin(lambda: False)
     for _ in range(AT_EASE - 1):
         leisure.begin(answering([True]))
-        assert leisure.is_left
+        assert leisure.lasts()
     leisure.begin(answering([True, False]))
-    assert not leisure.is_left
+    assert not leisure.lasts()

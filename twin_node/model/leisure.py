@@ -28,9 +28,8 @@ class Leisure:
         self._at_ease = 0 if self.hurried else self._at_ease + 1
         self._gives_way = not was_hurried and self._at_ease >= AT_EASE
 
-    @property
-    def is_left(self) -> bool:
-        """Whether there was time and still is."""
+    def lasts(self) -> bool:
+        """Whether there was time and still is; once a set has come meanwhile, there is none for what is left."""
         if not self.hurried and self._gives_way and not self._proceed():
             self.hurried = 1
         return not self.hurried

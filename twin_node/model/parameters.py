@@ -49,7 +49,7 @@ class TrackParameters:
     alignments: int = 1
     """Gauss-Newton passes that turn the flow from rendering to image into node motion."""
     steps: int = 3
-    """Gradient steps per set on the Gaussians that move: the one place where time is traded for quality."""
+    """Gradient steps per set on the Gaussians that move, for a set that has time for all: time traded for quality."""
     latency_ms: float = 33.0
     """Wished for from a set's newest image to its state. Live, a set that would be later takes fewer steps, where that
     helps and few are late; 0: never. In lockstep nothing is late."""

@@ -182,15 +182,15 @@ class Tracker:
         if learns:
             self._upkeep.begin(due.seen, 1 if leisure.hurried else self._parameters.map.steps)
             on_stage("begin")
-        if leisure.is_left or leisure.hurried > 1:
+        if leisure.lasts() or leisure.hurried > 1:
             self._decisions += self._bodies.regroup(due.carried)
             if self._bodies.decided_s:
                 self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
             on_stage("regroup")
-        if leisure.is_left:
+        if leisure.lasts():
             self._prune(due)
             self._upkeep.learn(granted(1))
-        if leisure.is_left or leisure.hurried > 1:
+        if leisure.lasts() or leisure.hurried > 1:
             self._born = self._bear(due.seen.observed, due.renderings)
             self._nodes.begin()
             on_stage("bear")
