@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin_node.bench.occupancy import OccupancyBenchParameters
+from twin_node.bench import seeds
+from twin_node.bench.occupancy import OccupancyBench, OccupancyBenchParameters
 from twin_node.bench.seeds import run_seeds, table
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
 from twin_node.cell import CellSource, Scenario, load_scenario
@@ -65,7 +66,7 @@ def test_what_was_in_view_is_asked_for_where_it_has_come_once_it_had_moved(scena
 
 
 def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
-    bench = run_seeds("conveyor", 1, OccupancyBenchParameters(width=64, duration_s=0.75))
+    bench = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(width=64, duration_s=0.75))
     heading, rule, line = table([bench]).splitlines()
     assert heading.count("|") == rule.count("|") == line.count("|")
     assert line.startswith("| conveyor | ")
@@ -77,6 +78,23 @@ def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
     assert set(figures["persistence_equal_recall"]) == {"volume_l", "reached_in"}
     assert 0 < figures["whole_things"]["ours"]["recall"] <= 1
     assert figures["whole_things"]["ours"]["moving_volume_l"] == figures["ours"]["moving_volume_l"]
+
+
+def test_seeds_are_scored_from_the_first_one_asked_for_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scored: list[int] = []
+
+    def score(scenario: Scenario, parameters: OccupancyBenchParameters) -> OccupancyBench:
+        scored.append(scenario.seed)
+        return one
+
+    one = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(width=64, duration_s=0.4)).runs[0]
+    monkeypatch.setattr(seeds, "_scored", score)
+    assert main(["bench", "occupancy", "conveyor", "--seeds", "3", "--first-seed", "15"]) == 0
+    assert scored == [15, 16, 17]
+    assert main(["bench", "occupancy", "some.mcap", "--first-seed", "15"]) == 2
+    assert "--first-seed: expected --seeds N beside it" in capsys.readouterr().err
 
 
 def test_a_scenario_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

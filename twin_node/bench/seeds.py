@@ -27,7 +27,7 @@ class SeedsBench:
 
     scenario: str
     runs: tuple[OccupancyBench, ...]
-    """One per seed, counted from 1."""
+    """One per seed."""
 
     def as_json(self) -> dict[str, object]:
         """The stable names that `--json` prints: means over the seeds, and the least recalls of ours.
@@ -144,7 +144,7 @@ def table(benches: Iterable[SeedsBench]) -> str:
 
 def run_seeds(
     scenario: str,
-    seeds: int,
+    seeds: range,
     parameters: OccupancyBenchParameters,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> SeedsBench:
@@ -156,11 +156,7 @@ def run_seeds(
     arm = parameters.chain.arm
     chain = parameters.chain if read.arm is None else replace(parameters.chain, arm=replace(arm, model=read.arm.model))
     parameters = replace(parameters, chain=chain)
-    return SeedsBench(read.name, tuple(_scored(read.with_seed(seed), parameters) for seed in progress(_counted(seeds))))
-
-
-def _counted(seeds: int) -> range:
-    return range(1, seeds + 1)
+    return SeedsBench(read.name, tuple(_scored(read.with_seed(seed), parameters) for seed in progress(seeds)))
 
 
 def _small(scenario: Scenario, parameters: OccupancyBenchParameters) -> Scenario:

@@ -26,14 +26,16 @@ def add_bench_occupancy(benches: Any) -> None:
         "--seeds",
         type=whole,
         metavar="N",
-        help="simulate the scenario LOG, or four of them (LOG is all), with the seeds 1 to N",
+        help="simulate the scenario LOG, or four of them (LOG is all), with so many seeds",
     )
+    occupancy.add_argument("--first-seed", type=whole, metavar="K", help="with --seeds: the first of them (default 1)")
     occupancy.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(occupancy)
     occupancy.set_defaults(run=_bench_occupancy)
 
 
 def _bench_occupancy(options: argparse.Namespace) -> None:
+    from twin_node.bench.errors import BenchError
     from twin_node.bench.occupancy import OccupancyBenchParameters, run
     from twin_node.bench.truth import ColourOf
     from twin_node.nodes.chain_parameters import load_parameters
@@ -51,8 +53,13 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
     )
     if options.seeds is not None:
         _require_no_log_options(options)
-        _bench_seeds(str(options.log), options.seeds, parameters, options.json)
+        first = options.first_seed or 1
+        _bench_seeds(str(options.log), range(first, first + options.seeds), parameters, options.json)
         return
+    if options.first_seed is not None:
+        raise BenchError(
+            "--first-seed: expected --seeds N beside it, how many from there on; add it, or leave both out"
+        )
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
     _show(bench.as_json(), options.json)
@@ -85,7 +92,7 @@ def _require_no_log_options(options: argparse.Namespace) -> None:
         )
 
 
-def _bench_seeds(scenario: str, seeds: int, parameters: OccupancyBenchParameters, as_json: bool) -> None:
+def _bench_seeds(scenario: str, seeds: range, parameters: OccupancyBenchParameters, as_json: bool) -> None:
     from twin_node.bench.seeds import ALL, SCENARIOS, run_seeds, table
 
     names = SCENARIOS if scenario == ALL else (scenario,)
