@@ -24,6 +24,8 @@ class Thing:
     quat: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     valid_ms: tuple[int, int] = (0, 200)
+    reach: tuple[float, float] = (0.0, 0.0)
+    """Speed, m/s, and delay, s."""
 
 
 def obstacles(*things: Thing, first_id: int = 100, stamp: int = NOW) -> Obstacles:
@@ -45,6 +47,8 @@ def obstacles(*things: Thing, first_id: int = 100, stamp: int = NOW) -> Obstacle
         bounds=np.zeros(count),
         valid_from=np.array([NOW + thing.valid_ms[0] * MS for thing in things], dtype=np.int64),
         valid_to=np.array([NOW + thing.valid_ms[1] * MS for thing in things], dtype=np.int64),
+        reach_speeds=np.array([thing.reach[0] for thing in things], dtype=np.float64),
+        reach_delays=np.array([thing.reach[1] for thing in things], dtype=np.float64),
     )
 
 

@@ -12,7 +12,7 @@ from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.hiding import Hidden
-from twin_node.forecast.obstacles import Sighted
+from twin_node.forecast.sighting import Sighted, Spreading
 from twin_node.scene import (
     HORIZONS_NS,
     Bool,
@@ -31,6 +31,18 @@ GRID = Grid(np.array([-0.5, 0.25, 0.0]), 0.02, (31, 26, 40))
 def layer(horizon: int, indices: np.ndarray) -> OccupancyLayer:
     chosen = np.unique(indices).astype(np.uint32)
     return OccupancyLayer(horizon, chosen, np.full(len(chosen), 200, np.uint8))
+
+
+def spreading(grid: Grid, indices: np.ndarray) -> Spreading:
+    """Voxels as one group that gets 5 cm far and goes on at 0.4 m/s."""
+    places = np.stack(np.unravel_index(indices, grid.dims), axis=1).reshape(-1, 3)
+    corners = (places.min(axis=0, initial=10**6)[None], places.max(axis=0, initial=-1)[None])
+    return Spreading((indices,), *corners, np.array([0.05]), np.array([0.4]))
+
+
+def sighted(grid: Grid, indices: np.ndarray) -> Sighted:
+    """Voxels that were seen, without rims, 0.1 s before forecasts begin."""
+    return Sighted(grid, spreading(grid, indices), spreading(grid, indices[:0]), 0.1)
 
 
 def occupancy(blobs: Float64, static: np.ndarray, unknown: Bool | None = None) -> Occupancy:
@@ -145,7 +157,7 @@ def test_bounds_are_those_inside_the_shapes() -> None:
     radii = np.array([[0.01], [0.03], [0.06], [0.1], [0.15]])
     motion = Motion(blobs[:1], np.zeros((1, 3)), radii, np.array([MotionExpert.DAMPED], np.uint8))
     nothing = np.zeros(0, np.int64)
-    obstacles = cover(occupancy(blobs, nothing), motion=motion, sighted=Sighted(GRID, np.array([7, 8])))
+    obstacles = cover(occupancy(blobs, nothing), motion=motion, sighted=sighted(GRID, np.array([7, 8])))
     seen = obstacles.as_seen
     assert seen.any()
     moving = (obstacles.kinds == ObstacleKind.MOVING) & ~seen
@@ -177,9 +189,13 @@ def test_what_was_seen_is_held_at_the_evidence() -> None:
     blobs = np.tile(GRID.origin + 0.1, (5, 1))
     nothing = np.zeros(0, np.int64)
     forecast = cover(occupancy(blobs, nothing))
-    obstacles = cover(occupancy(blobs, nothing), sighted=Sighted(wide, np.flatnonzero(body)))
+    obstacles = cover(occupancy(blobs, nothing), sighted=sighted(wide, np.flatnonzero(body)))
     seen = obstacles.as_seen
-    assert 0 < seen.sum() <= CoverParameters().most_moving
+    assert 0 < seen.sum() <= CoverParameters().most_seen
+    assert obstacles.reach_speeds is not None and obstacles.reach_delays is not None
+    assert np.allclose(obstacles.reach_speeds[seen], 0.4)
+    assert np.allclose(0.4 * (0.1 - obstacles.reach_delays[seen]), 0.05)
+    assert (obstacles.reach_speeds[~seen] == 0).all()
     assert not forecast.as_seen.any()
     assert len(forecast.ids) == len(obstacles.ids) - seen.sum()
     assert len(np.unique(obstacles.ids)) == len(obstacles.ids)
@@ -189,5 +205,5 @@ def test_what_was_seen_is_held_at_the_evidence() -> None:
     gaps = np.abs(points[:, None] - obstacles.positions[seen]) + wide.voxel_size / 2 - obstacles.sizes[seen] / 2
     assert (gaps.max(axis=2) <= 1e-9).any(axis=1).all()
     far = np.full((5, 3), 100.0)
-    assert len(cover(occupancy(far, nothing), sighted=Sighted(wide, np.flatnonzero(body))).ids) == 0
+    assert len(cover(occupancy(far, nothing), sighted=sighted(wide, np.flatnonzero(body))).ids) == 0
     assert cover(occupancy(far, nothing)).begins == 1_000

@@ -1,5 +1,6 @@
 """Clouds, occupancy, obstacles, joints, separation, status and diagnoses through messages and back."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,8 +8,10 @@ import numpy as np
 import pytest
 from both_ways import STAMP, assert_same, sent
 
-from twin_node.messages import MessageError
+from twin_node.messages import MessageError, definition
 from twin_node.messages import convert as c
+from twin_node.messages.rows import Rows
+from twin_node.messages.types import builtin_types
 from twin_node.scene import (
     GaussianCloud,
     Grid,
@@ -150,6 +153,8 @@ def test_obstacles_survive(n: int) -> None:
         valid_from=np.array([STAMP, STAMP + 1], dtype=np.int64)[:n],
         valid_to=np.array([STAMP + 50, STAMP + 10**9], dtype=np.int64)[:n],
         experts=np.array([MotionExpert.DAMPED, MotionExpert.NO_EXPERT], dtype=np.uint8)[:n],
+        reach_speeds=rng.random(n),
+        reach_delays=rng.normal(size=n),
     )
     assert_same(c.obstacles_from_message(sent(c.obstacles_to_message(obstacles))), obstacles)
 
@@ -169,7 +174,7 @@ def test_obstacles_valid_until_a_time_that_ros_cannot_hold_are_refused(valid_to:
         c.obstacles_to_message(one)
 
 
-def test_obstacles_of_older_logs_do_not_say_their_experts() -> None:
+def test_obstacles_of_older_logs_say_neither_their_experts_nor_how_far_they_get() -> None:
     kind = ObstacleKind.MOVING
     one = Obstacles(
         STAMP,
@@ -179,10 +184,36 @@ def test_obstacles_of_older_logs_do_not_say_their_experts() -> None:
         *(np.full(1, STAMP) for _ in range(2)),
     )
     message = c.obstacles_to_message(one)
-    fields = {name: value for name, value in vars(message.obstacles[0]).items() if name != "expert"}
-    old = replace(message, obstacles=[SimpleNamespace(**fields)])
-    experts = c.obstacles_from_message(old).experts
-    assert experts is not None and experts.tolist() == [MotionExpert.NO_EXPERT]
+    later = ("expert", "reach_speed", "reach_delay")
+    fields = {name: value for name, value in vars(message.obstacles[0]).items() if name not in later}
+    old = c.obstacles_from_message(replace(message, obstacles=[SimpleNamespace(**fields)]))
+    assert old.experts is not None and old.experts.tolist() == [MotionExpert.NO_EXPERT]
+    assert old.reach_speeds is not None and old.reach_speeds.tolist() == [0]
+
+
+def test_logs_that_say_less_of_obstacles_are_read() -> None:
+    """Their own definition is of rows too, with fewer columns."""
+    name, inner = "twin_msgs/msg/ObstacleArray", "twin_msgs/msg/Obstacle"
+    older = builtin_types().extended({name: re.sub(r"float64 reach_\w+\n", "", definition(name))})
+    known = older.message_type(inner).__dataclass_fields__
+    assert "bound" in known and not {"reach_speed", "reach_delay"} & set(known)
+    one = Obstacles(
+        STAMP,
+        np.array([7], np.uint32),
+        *(np.array([value], np.uint8) for value in (ObstacleKind.MOVING, ObstacleShape.BOX)),
+        *(np.ones((1, width)) for width in (3, 4, 3, 3)),
+        np.array([0.25]),
+        *(np.full(1, STAMP) for _ in range(2)),
+    )
+    today = c.obstacles_to_message(one)
+    fields = {field: value for field, value in vars(today.obstacles[0]).items() if field in known}
+    written = older.message_type(name)(today.header, [older.message_type(inner)(**fields)])
+    read = older.deserialize(older.serialize(written), name)
+    assert isinstance(read.obstacles, Rows)
+    found = c.obstacles_from_message(read)
+    assert found.bounds.tolist() == [0.25]
+    assert found.reach_speeds is not None and found.reach_speeds.tolist() == [0]
+    assert found.reach_delays is not None and found.reach_delays.tolist() == [0]
 
 
 def test_constants_are_those_of_the_records() -> None:

@@ -55,7 +55,7 @@ def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
         ArmParameters(max_obstacles=0)
 
 
-@pytest.mark.parametrize("sections", [{"obstacles": {"most_static": 600}}, {"arm": {"max_obstacles": 703}}])
+@pytest.mark.parametrize("sections", [{"obstacles": {"most_static": 600}}, {"arm": {"max_obstacles": 831}}])
 def test_a_cover_that_the_arm_has_no_room_for_is_told_when_parameters_are_read(
     tmp_path: Path, sections: dict[str, dict[str, int]]
 ) -> None:
@@ -66,8 +66,8 @@ def test_a_cover_that_the_arm_has_no_room_for_is_told_when_parameters_are_read(
         TwinError, match=r"arm: max_obstacles: expected room for the \d+ obstacles .* raise it, or lower"
     ):
         load_parameters(file)
-    fits = {"obstacles": {"most_static": 600}, "arm": {"max_obstacles": 1048}}
-    assert fill(ChainParameters, fits, "test").obstacles.most == 1048
+    fits = {"obstacles": {"most_static": 600}, "arm": {"max_obstacles": 1176}}
+    assert fill(ChainParameters, fits, "test").obstacles.most == 1176
 
 
 def test_a_tool_of_the_parameters_is_kept_away_too() -> None:

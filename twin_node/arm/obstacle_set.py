@@ -122,6 +122,16 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
                 f"obstacles: expected {count} rows of finite {name}, found {len(values)} rows, "
                 f"{int((~np.isfinite(values)).sum())} values not finite; check the forecast"
             )
+    for name, told in (("reach_speeds", obstacles.reach_speeds), ("reach_delays", obstacles.reach_delays)):
+        if told is not None and (len(told) != count or not np.isfinite(told).all()):
+            raise ArmError(
+                f"obstacles: expected {count} finite {name}, found {len(told)}, of which "
+                f"{int((~np.isfinite(told)).sum())} are not finite; check the forecast"
+            )
+    if obstacles.reach_speeds is not None and (obstacles.reach_speeds < 0).any():
+        raise ArmError(
+            "obstacles: expected reach_speeds in m/s of zero or more, found a negative one; check the forecast"
+        )
     if (obstacles.sizes < 0).any():
         raise ArmError("obstacles: expected sizes in metres of zero or more, found a negative one; check the forecast")
     turns = np.linalg.norm(np.asarray(obstacles.quats).reshape(-1, 4), axis=1)

@@ -106,6 +106,28 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Reaches:
+    """How far what was seen gets from where it was seen, by the forecast's calibrated bound."""
+
+    speeds: Float64
+    """[n] m/s; 0 for obstacles of which the forecast does not say it."""
+    delays: Float64
+    """[n] s from the evidence on."""
+    evidence: int
+    """ns."""
+    begins: int
+    """When the forecast begins to say it, ns."""
+    ends: int
+    """And until when, ns."""
+
+    def until(self, stamp: int, speeds: Float64) -> Float64:
+        """[n] m by a time (ns): before the forecast as far as at its beginning, after it on at `speeds` [n] (m/s)."""
+        told_s = (min(max(stamp, self.begins), self.ends) - self.evidence) * 1e-9
+        reach = self.speeds * np.maximum(told_s - self.delays, 0) + speeds * (max(stamp - self.ends, 0) * 1e-9)
+        return np.where(self.speeds > 0, reach, np.inf)
+
+
+@dataclass(frozen=True)
 class Hazards:
     """Per obstacle: how the law looks at it."""
 
@@ -123,6 +145,15 @@ class Hazards:
     """[n] ns; for ever where a later layer takes over."""
     as_seen: Bool
     """[n] True for what moved where it was seen, beside a forecast of it: the second proof."""
+    reaches: Reaches | None
+    """How far the forecast lets that get; None where it does not say."""
+
+    def gone(self, stamp: int) -> Float64:
+        """How far [n] obstacles may be from where they are valid by a time (ns), m: at v_h, or less by the forecast."""
+        free: Float64 = self.speeds * (np.maximum(stamp - self.valid_to, 0) * 1e-9)
+        if self.reaches is None:
+            return free
+        return np.where(self.as_seen, np.minimum(free, self.reaches.until(stamp, self.speeds)), free)
 
 
 def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters) -> Hazards:
@@ -151,7 +182,16 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         valid_from=source.valid_from,
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
+        reaches=_reaches(obstacles),
     )
+
+
+def _reaches(obstacles: ObstacleSet) -> Reaches | None:
+    """As the obstacles say them; nobody forecast what is valid at the evidence alone."""
+    source, ends = obstacles.source, obstacles.last_valid(ObstacleKind.MOVING)
+    if source.reach_speeds is None or source.reach_delays is None or ends is None or ends <= source.stamp:
+        return None
+    return Reaches(source.reach_speeds, source.reach_delays, source.stamp, source.begins, ends)
 
 
 @dataclass(frozen=True)
@@ -177,10 +217,9 @@ class Encounter:
     def _terms(self, share: float, stop: Stop) -> Terms:
         """The terms at a share of the speed whose stop is known."""
         still = self.hazards.keeps_still[self.rows]
-        beyond_s = np.maximum(self.motion.standstill(stop) - self.hazards.valid_to[self.rows], 0) * 1e-9
         law = self.parameters
         return Terms(
-            human=np.where(still, 0.0, self.hazards.speeds[self.rows] * beyond_s),
+            human=np.where(still, 0.0, self.hazards.gone(self.motion.standstill(stop))[self.rows]),
             reaction=share * self.closing * self.motion.reaction_s,
             stopping=share * self.closing * stop.travel_s,
             intrusion=np.where(still, law.clearance_m, law.intrusion_m),
@@ -221,9 +260,7 @@ class Encounter:
     def _gone_since_seen(self) -> Float64:
         """How far [p] what was seen may have gone by now, m; 0 for forecasts, which say where things are by now."""
         as_seen = self.hazards.as_seen[self.rows]
-        ages_s = np.where(as_seen, self.motion.stamp - self.hazards.valid_to[self.rows], 0) * 1e-9
-        gone: Float64 = self.hazards.speeds[self.rows] * ages_s
-        return gone
+        return np.where(as_seen, self.hazards.gone(self.motion.stamp)[self.rows], 0.0)
 
     @property
     def _within_touch(self) -> float:

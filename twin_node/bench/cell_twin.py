@@ -232,7 +232,8 @@ class BySight:
             return None
         kept = found.as_seen | (found.kinds != ObstacleKind.MOVING)
         columns = {name: values[kept] for name, values in vars(found).items() if isinstance(values, np.ndarray)}
-        return replace(found, **columns | {"velocities": np.zeros((int(kept.sum()), 3))})
+        unknown = {"velocities": np.zeros((int(kept.sum()), 3)), "reach_speeds": None, "reach_delays": None}
+        return replace(found, **columns | unknown)
 
 
 def _topics(rig: SimulatedRig) -> tuple[CameraTopics, ...]:

@@ -15,6 +15,7 @@ from twin_node.forecast.covering import Covers, Share, Wanted, covers
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
+from twin_node.forecast.sighting import Sighted, Spreading
 from twin_node.ranges import Range, check_ranges
 from twin_node.scene import (
     HORIZONS_NS,
@@ -35,7 +36,9 @@ class CoverParameters:
     """How many obstacles there may be. The cover gets coarser under a cap, never incomplete."""
 
     most_moving: int = 64
-    """Largest number of MOVING obstacles per interval between horizons."""
+    """Largest number of MOVING obstacles per interval between horizons, and of those about rims of what was seen."""
+    most_seen: int = 128
+    """Largest number of MOVING obstacles about what was seen to move: as tight as the law's second proof is good."""
     most_static: int = 256
     """Largest number of STATIC obstacles."""
     most_unknown: int = 64
@@ -52,6 +55,7 @@ class CoverParameters:
             ForecastError,
             "obstacles: ",
             most_moving=some,
+            most_seen=some,
             most_static=some,
             most_unknown=some,
             unknown_share=share,
@@ -60,7 +64,7 @@ class CoverParameters:
     @property
     def most(self) -> int:
         """Largest number of obstacles in all: those that move once per interval, and once more where they were seen."""
-        return self.most_moving * len(HORIZONS_NS) + self.most_static + 2 * self.most_unknown
+        return self.most_moving * len(HORIZONS_NS) + self.most_seen + self.most_static + 2 * self.most_unknown
 
 
 @dataclass(frozen=True)
@@ -92,16 +96,6 @@ class Motion:
         return velocities
 
 
-@dataclass(frozen=True)
-class Sighted:
-    """What was seen to move, where it was seen."""
-
-    grid: Grid
-    """That of the forecast and a rim about it."""
-    indices: NDArray[np.int64]
-    """[n] flat indices in this grid."""
-
-
 def cover(
     occupancy: Occupancy,
     previous: Obstacles | None = None,
@@ -119,7 +113,7 @@ def cover(
     velocities and bounds, zero without it. Unknown space is UNKNOWN where something may come out of it, UNSEEN where it
     may be full, and no obstacle where it is known to be empty: as `hidden` tells, all of it UNKNOWN without. `sighted`
     adds, to a forecast of anything, MOVING obstacles that hold what it is a forecast of, valid at the evidence alone
-    (`Obstacles.as_seen`).
+    (`Obstacles.as_seen`), and tells how far from there it may get.
     """
     parameters = parameters or CoverParameters()
     grid = occupancy.grid
@@ -137,8 +131,11 @@ def cover(
         )
     ]
     if sighted is not None and any(len(indices) for indices in layers):
-        at, seen = (occupancy.stamp, occupancy.stamp), (sighted.indices,)
-        batches.append(_Batch(ObstacleKind.MOVING, _AS_SEEN, *at, sighted.grid, parameters.most_moving, seen))
+        at, most = (occupancy.stamp, occupancy.stamp), (parameters.most_seen, parameters.most_moving)
+        batches += [
+            _Batch(ObstacleKind.MOVING, interval, *at, sighted.grid, few, spreading.voxels, spreading)
+            for interval, few, spreading in zip(_AS_SEEN, most, (sighted.likely, sighted.rims), strict=True)
+        ]
     maybe_full, reachable = Share(hidden.maybe_full, share), Share(hidden.reachable, share)
     batches += [
         _Batch(ObstacleKind.STATIC, 0, *throughout, grid, parameters.most_static, (occupancy.static.indices,)),
@@ -147,7 +144,7 @@ def cover(
     ]
     before = np.zeros(0, np.uint32) if previous is None else previous.ids
     found = covers([batch.wanted for batch in batches], before)
-    return _obstacles(occupancy.stamp, batches, found, motion)
+    return _obstacles(occupancy.stamp, batches, found, motion, 0.0 if sighted is None else sighted.since_s)
 
 
 def _joined(layer: UInt32, more: NDArray[np.int64] | None) -> NDArray[np.integer]:
@@ -156,8 +153,8 @@ def _joined(layer: UInt32, more: NDArray[np.int64] | None) -> NDArray[np.integer
 
 _SIGMAS = 2.0
 """Standard deviations of a velocity that a speed beyond a person's is told without: it is faster in 39 of 40 cases."""
-_AS_SEEN = 7
-"""Stands for an interval in the ids of what was seen: the last that they have room for."""
+_AS_SEEN = (7, 6)
+"""Stand for intervals in the ids of what was seen, and of its rims: the last that they have room for."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +168,8 @@ class _Batch:
     grid: Grid
     most: int
     voxels: tuple[NDArray[np.integer], ...] | Share
+    spreading: Spreading | None = None
+    """How far it may get from there; None: its boxes say where it is."""
 
     @property
     def wanted(self) -> Wanted:
@@ -178,7 +177,7 @@ class _Batch:
         return Wanted(self.grid, self.most, (int(self.kind) << 3) | self.interval, self.voxels)
 
 
-def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion | None) -> Obstacles:
+def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion | None, since_s: float) -> Obstacles:
     counts, total = found.counts, len(found.ids)
     origins = np.repeat([batch.grid.origin for batch in batches], counts, axis=0)
     voxel_sizes = np.repeat([batch.grid.voxel_size for batch in batches], counts)[:, None]
@@ -193,11 +192,12 @@ def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion 
         nearest = _nearest((lower + upper)[moving] / 2, motion.centers)
         velocities[moving] = motion.sure_velocities[nearest]
         intervals = np.repeat([batch.interval for batch in batches], counts)[moving]
-        is_forecast = intervals != _AS_SEEN
+        is_forecast = ~np.isin(intervals, _AS_SEEN)
         foreseen, of = np.flatnonzero(moving)[is_forecast], nearest[is_forecast]
         bounds[foreseen] = motion.radii[intervals[is_forecast] + 1, of]  # as wide as at the interval's end
         if motion.experts is not None:
             experts[foreseen] = motion.experts[of]
+    reach_speeds, reach_delays = _reaches(batches, found, since_s)
     return Obstacles(
         stamp=stamp,
         ids=found.ids,
@@ -211,7 +211,25 @@ def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion 
         valid_from=np.repeat(np.array([batch.valid_from for batch in batches], np.int64), counts),
         valid_to=np.repeat(np.array([batch.valid_to for batch in batches], np.int64), counts),
         experts=experts,
+        reach_speeds=reach_speeds,
+        reach_delays=reach_delays,
     )
+
+
+def _reaches(batches: list[_Batch], found: Covers, since_s: float) -> tuple[Float64, Float64]:
+    """Speeds (m/s) and delays (s) [n] of what was seen, whose forecasts begin `since_s` later; 0 of all else."""
+    speeds, delays = np.zeros(len(found.ids)), np.zeros(len(found.ids))
+    ends = np.cumsum(found.counts)
+    for batch, first, end in zip(batches, ends - found.counts, ends, strict=True):
+        if batch.spreading is not None:
+            nearest, fastest = batch.spreading.within(found.lower[first:end], found.upper[first:end])
+            speeds[first:end] = np.maximum(fastest, _LEAST_SPEED)
+            delays[first:end] = since_s - nearest / speeds[first:end]
+    return speeds, delays
+
+
+_LEAST_SPEED = 1e-3
+"""Least speed that is told, m/s: none would mean that nothing is known."""
 
 
 def _nearest(points: Float64, others: Float64) -> NDArray[np.int64]:

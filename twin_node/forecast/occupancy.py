@@ -16,10 +16,11 @@ from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.nearest import nearest
-from twin_node.forecast.obstacles import Motion, Sighted
+from twin_node.forecast.obstacles import Motion
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.passing import passed_between
 from twin_node.forecast.prediction import Prediction, Predictor
+from twin_node.forecast.sighting import Sighted, sighted
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
@@ -137,8 +138,6 @@ class Forecaster:
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._observer.observe(state)
         may_start = evidence.resting if has_depth else np.zeros(0, np.int64)
-        seen = evidence.parts.indices
-        self._sighted = Sighted(self._observer.grid, np.union1d(seen, may_start) if len(may_start) else seen)
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
         motion = evidence.motion
         self._sigmas = motion.sigmas
@@ -155,6 +154,7 @@ class Forecaster:
         started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
         moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
         layers = layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
+        self._sighted = sighted(self._observer.grid, evidence.parts, may_start, prediction, started, horizons)
         self._passed = passed_between(self.grid, evidence.parts, prediction.displacements, prediction.radii)
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]

@@ -42,6 +42,12 @@ class Parts:
         """The same with the rims under labels of their own: `count` more than those of their parts."""
         return Points(self.places, np.where(self.likely, self.labels, self.labels + self.count), self.likely)
 
+    def cells(self, grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First and last voxel [M, 3] of the cells that the parts are cut by; `grid` is that of `indices`."""
+        side = _side(grid)
+        first = np.floor((self.centers - grid.origin) / grid.voxel_size).astype(np.int64) // side * side
+        return first, first + side - 1
+
     @property
     def count(self) -> int:
         """M, the number of parts."""

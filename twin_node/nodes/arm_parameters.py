@@ -81,7 +81,7 @@ class ArmParameters:
     command_latency_ms: float = 20.0
     """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
     max_obstacles: int = 1024
-    """Room for spheres and for boxes each: 704 boxes are the most of the cover's defaults (`CoverParameters.most`)."""
+    """Room for spheres and for boxes each: 832 boxes are the most of the cover's defaults (`CoverParameters.most`)."""
     separation: SeparationParameters = field(default_factory=SeparationParameters)
     limiter: LimiterParameters = field(default_factory=LimiterParameters)
 

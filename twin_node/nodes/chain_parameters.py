@@ -47,8 +47,8 @@ class ChainParameters:
         if self.arm.max_obstacles < self.obstacles.most:
             raise ParameterError(
                 f"arm: max_obstacles: expected room for the {self.obstacles.most} obstacles that most_moving, "
-                f"most_static and most_unknown of 'obstacles' allow, found {self.arm.max_obstacles}; raise it, or "
-                "lower those"
+                f"most_seen, most_static and most_unknown of 'obstacles' allow, found {self.arm.max_obstacles}; raise "
+                "it, or lower those"
             )
 
 

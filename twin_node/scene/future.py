@@ -129,6 +129,11 @@ class Obstacles:
     """[n] ns."""
     experts: UInt8 | None = None
     """[n] values of `MotionExpert`: which had the most weight in the forecast; None where nobody says."""
+    reach_speeds: Float64 | None = None
+    """[n] m/s, of what was seen: while forecasts are valid it is no farther from where it was seen than this times the
+    time since the evidence less `reach_delays`. 0 where nobody says; None where that is so of all."""
+    reach_delays: Float64 | None = None
+    """[n] s, negative where it may be farther."""
 
     @property
     def as_seen(self) -> Bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,11 +97,14 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
     for name, values in columns.items():
         rows[name] = values
     rows["expert"] = MotionExpert.NO_EXPERT if obstacles.experts is None else obstacles.experts
+    rows["reach_speed"] = 0.0 if obstacles.reach_speeds is None else obstacles.reach_speeds
+    rows["reach_delay"] = 0.0 if obstacles.reach_delays is None else obstacles.reach_delays
     return message_type(OBSTACLE_ARRAY)(header=header(obstacles.stamp, BASE_FRAME), obstacles=codec.rows(rows))
 
 
 def obstacles_from_message(message: Message) -> Obstacles:
-    """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts.
+    """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts, or how far
+    what was seen gets.
 
     Raises `MessageError` for kinds and shapes that are not known here.
     """
@@ -124,6 +128,9 @@ def _obstacles_of_rows(message: Message) -> Obstacles:
     def stamps(name: str) -> NDArray[np.int64]:
         return np.asarray(rows[f"{name}.sec"].astype(np.int64) * SECOND_NS + rows[f"{name}.nanosec"], dtype=np.int64)
 
+    def later(name: str) -> NDArray[Any]:
+        return rows[name].copy() if name in (rows.dtype.names or ()) else np.full(len(rows), _UNTOLD[name])
+
     return Obstacles(
         stamp=header_stamp(message),
         ids=rows["id"].copy(),
@@ -136,8 +143,18 @@ def _obstacles_of_rows(message: Message) -> Obstacles:
         bounds=rows["bound"].copy(),
         valid_from=stamps("valid_from"),
         valid_to=stamps("valid_to"),
-        experts=rows["expert"].copy(),
+        experts=later("expert"),
+        reach_speeds=later("reach_speed"),
+        reach_delays=later("reach_delay"),
     )
+
+
+_UNTOLD: Mapping[str, np.generic] = {
+    "expert": np.uint8(MotionExpert.NO_EXPERT),
+    "reach_speed": np.float64(0),
+    "reach_delay": np.float64(0),
+}
+"""What older logs do not say, as nobody says it."""
 
 
 def _obstacles_one_by_one(message: Message) -> Obstacles:
@@ -146,6 +163,10 @@ def _obstacles_one_by_one(message: Message) -> Obstacles:
 
     def table(rows: list[list[float]], columns: int) -> NDArray[np.float64]:
         return np.array(rows, dtype=np.float64).reshape(len(items), columns)
+
+    def later(name: str) -> NDArray[Any]:
+        untold = _UNTOLD[name]
+        return np.array([getattr(item, name, untold) for item in items], dtype=untold.dtype)
 
     orientations = [item.pose.orientation for item in items]
     return Obstacles(
@@ -160,7 +181,9 @@ def _obstacles_one_by_one(message: Message) -> Obstacles:
         bounds=np.array([item.bound for item in items], dtype=np.float64),
         valid_from=np.array([from_time(item.valid_from) for item in items], dtype=np.int64),
         valid_to=np.array([from_time(item.valid_to) for item in items], dtype=np.int64),
-        experts=np.array([getattr(item, "expert", MotionExpert.NO_EXPERT) for item in items], dtype=np.uint8),
+        experts=later("expert"),
+        reach_speeds=later("reach_speed"),
+        reach_delays=later("reach_delay"),
     )
 
 

@@ -1,0 +1,92 @@
+"""What was seen to move, where it was seen, and how far from there the forecast lets it get."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.forecast.ahead import RIM_RADIUS
+from twin_node.forecast.growth import ROUNDING
+from twin_node.forecast.parts import Parts, split
+from twin_node.forecast.prediction import Prediction
+from twin_node.scene import Float64, Grid
+
+
+@dataclass(frozen=True)
+class Spreading:
+    """Voxels in K groups, and how far each group may get from where it was seen.
+
+    Forecasts begin some time after the evidence; from then on a group gets no farther than `nearest` + `speeds` times
+    the time since, until the last horizon.
+    """
+
+    voxels: tuple[NDArray[np.int64], ...]
+    """Flat indices in one or two lists, in any order; some may be in both."""
+    lower: NDArray[np.int64]
+    """[K, 3] first voxel of each group's cell."""
+    upper: NDArray[np.int64]
+    """[K, 3] last voxel."""
+    nearest: Float64
+    """[K] m."""
+    speeds: Float64
+    """[K] m/s."""
+
+    def within(self, lower: NDArray[np.int64], upper: NDArray[np.int64]) -> tuple[Float64, Float64]:
+        """`nearest` and `speeds` [b] that hold for all groups that reach into boxes of voxels: corners [b, 3]."""
+        meet = np.ones((len(lower), len(self.nearest)), np.bool_)
+        for axis in range(3):
+            meet &= lower[:, axis, None] <= self.upper[:, axis]
+            meet &= upper[:, axis, None] >= self.lower[:, axis]
+        first, fastest = (
+            np.where(meet, values, 0.0).max(axis=1, initial=0.0) for values in (self.nearest, self.speeds)
+        )
+        return first, fastest
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """What was seen to move on one grid, a rim about the workspace included."""
+
+    grid: Grid
+    likely: Spreading
+    """What moves, or rests and may start."""
+    rims: Spreading
+    """What only errors of the carving add: it goes with the parts and is widened little."""
+    since_s: float
+    """From the evidence to the first horizon, s."""
+
+
+def sighted(
+    grid: Grid, parts: Parts, resting: NDArray[np.int64], prediction: Prediction, started: Float64, horizons: Float64
+) -> Sighted:
+    """Parts where they were seen, and what rests: flat indices [n], which may get `started` [H] (m) far.
+
+    `grid` is that of the indices; `horizons` [H] are counted from the evidence, s. What is held along all of its way,
+    or where it swerves to, is as far from where it was seen as the forecast holds it.
+    """
+    gone = np.linalg.norm(prediction.displacements, axis=-1)
+    swerves = prediction.swerves
+    far = np.where(swerves.held, np.linalg.norm(swerves.displacements, axis=-1), 0.0)
+    rounding = ROUNDING * grid.voxel_size  # as the layers have it, with which radii are calibrated
+    near = gone + np.minimum(prediction.radii, RIM_RADIUS) + rounding
+    lying = split(grid, resting, np.ones(len(resting), np.bool_))
+    reach = np.maximum(gone, far) + prediction.radii + rounding
+    rests = np.repeat(started[:, None] + rounding, lying.count, axis=1)
+    likely, rims = parts.likely, ~parts.likely
+    moving = parts.cells(grid)
+    lower, upper = (np.concatenate(pair) for pair in zip(moving, lying.cells(grid), strict=True))
+    both = (parts.indices[likely], lying.indices)
+    return Sighted(
+        grid=grid,
+        likely=Spreading(both, lower, upper, *_lines(np.concatenate([reach, rests], axis=1), horizons)),
+        rims=Spreading((parts.indices[rims],), *moving, *_lines(near, horizons)),
+        since_s=float(horizons[0]),
+    )
+
+
+def _lines(reach: Float64, horizons: Float64) -> tuple[Float64, Float64]:
+    """`nearest` and `speeds` [K] of lines from the first horizon on, above what is reached [H, K] at every horizon."""
+    later = (horizons[1:] - horizons[0])[:, None]
+    return reach[0], np.maximum((reach[1:] - reach[0]) / later, 0.0).max(axis=0, initial=0.0)
