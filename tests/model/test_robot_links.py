@@ -130,8 +130,9 @@ def with_arm(index: int, q: Float64) -> FrameSet:
     return replace(bare, views=(replace(view, rgb=np.where(mask[..., None], np.uint8(190), view.rgb), depth=depth),))
 
 
-def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
-    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)
+def errors_behind_and_beside(steps: int) -> tuple[float, float]:
+    """Mean error of the ground where the arm was first, and of all other ground, after a first fit of some steps."""
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=steps)), arm=ARM)
     turned = Q + np.array([1.2, 0, 0, 0, 0, 0])
     for index in range(40):
         state = model.update(with_arm(index, Q if index < 2 else turned))
@@ -141,4 +142,10 @@ def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
     behind = robot_mask(ARM, Q, view.camera) & ground
     assert behind.sum() > 50
     missed = np.abs(model.render(view.camera).rgb - view.rgb / np.float32(255)).mean(-1)
-    assert missed[behind].mean() < 2.5 * missed[ground & ~behind].mean()
+    return float(missed[behind].mean()), float(missed[ground & ~behind].mean())
+
+
+def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
+    """Single starts differ by a tenth between processors; their mean does not."""
+    behind, beside = np.mean([errors_behind_and_beside(steps) for steps in (7, 8, 9, 10)], axis=0)
+    assert behind < 2.5 * beside
