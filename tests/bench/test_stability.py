@@ -33,6 +33,7 @@ from twin_node.bench.stability.shots import Shot, Stage
 from twin_node.bench.stability.suite import QUICK, Stability, StabilityParameters, chosen_levels, run
 from twin_node.cell import CellTruth
 from twin_node.cell.simulator import SimulatedRig
+from twin_node.cli import main
 from twin_node.forecast.grid import encode_runs
 from twin_node.scene import FrameSet, GaussianCloud, Grid, Occupancy, OccupancyLayer, Tier
 
@@ -254,9 +255,14 @@ def test_levels_are_thinned_from_the_hardest_down() -> None:
     assert chosen_levels((1,), 2) == (1,)
 
 
-def test_a_failure_that_is_none_is_named_with_all_that_are() -> None:
+def test_a_failure_that_is_none_is_named_with_all_that_are_and_leaves_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(BenchError, match=r"--only fire: expected one of undisturbed, .*hours"):
-        run(replace(QUICK, names=("fire",)))
+        replace(QUICK, names=("fire",))
+    assert main(["bench", "stability", "--only", "fire", "--out", str(tmp_path / "new")]) == 2
+    assert "--only fire: expected one of" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.fixture(scope="module")

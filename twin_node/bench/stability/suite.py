@@ -52,6 +52,12 @@ class StabilityParameters:
     processes: int = 2
     chain: ChainParameters = field(default_factory=_small_chain)
 
+    def __post_init__(self) -> None:
+        """Raises `BenchError` for a failure that is none."""
+        for name in self.names:
+            if name not in FAILURES:
+                raise BenchError(f"--only {name}: expected one of {', '.join(FAILURES)}")
+
 
 def _quick() -> StabilityParameters:
     chain = _small_chain()
@@ -179,11 +185,8 @@ class Stability:
 def run(
     parameters: StabilityParameters | None = None, progress: Progress = lambda results, total: results
 ) -> Stability:
-    """Runs the suite. Raises `BenchError` for a failure that is none."""
+    """Runs the suite."""
     parameters = parameters or StabilityParameters()
-    for name in parameters.names:
-        if name not in FAILURES:
-            raise BenchError(f"--only {name}: expected one of {', '.join(FAILURES)}")
     cases = list(_cases(parameters))
     return summed(list(progress(_results(cases, parameters.processes), len(cases))), parameters)
 
