@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from time import perf_counter
 
 import numpy as np
@@ -15,6 +13,7 @@ from scipy.stats import chi2
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.simulated_rigs import BOARD, START_NS, RigSpread, SimulatedRig, simulated_rig
+from twin_node.bench.workers import workers
 from twin_node.geometry import pose, transform
 from twin_node.rig.calibrate.extrinsics import RigSolution, calibrate_rig
 from twin_node.rig.calibrate.lenses import project
@@ -101,7 +100,10 @@ class CalibrationBench:
 
 
 def run(
-    rigs: int, seed: int, workers: int = WORKERS, progress: Callable[[Iterable[RigErrors]], Iterable[RigErrors]] = iter
+    rigs: int,
+    seed: int,
+    processes: int = WORKERS,
+    progress: Callable[[Iterable[RigErrors]], Iterable[RigErrors]] = iter,
 ) -> CalibrationBench:
     """Calibrates so many rigs, numbered from `seed`; the same numbers are the same rigs.
 
@@ -110,12 +112,11 @@ def run(
     if rigs < 1:
         raise BenchError(f"bench calibration: expected at least one rig, found {rigs}")
     start, seeds = perf_counter(), range(seed, seed + rigs)
-    if workers == 1:
+    if processes == 1:
         results = tuple(progress(map(measure, seeds)))
     else:
-        # Nothing may fork once OpenMP has threads; fresh processes share the cores instead of fighting for them.
-        os.environ["OMP_NUM_THREADS"] = "1"
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        os.environ["OMP_NUM_THREADS"] = "1"  # processes share the cores instead of fighting for them
+        with workers(processes) as pool:
             results = tuple(progress(pool.map(measure, seeds)))
     return CalibrationBench(results, perf_counter() - start)
 

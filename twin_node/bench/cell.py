@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,6 +12,7 @@ import numpy as np
 from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
 from twin_node.bench.cell_scores import Outcome, score
 from twin_node.bench.errors import BenchError
+from twin_node.bench.workers import workers
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario_file import load_scenario
 from twin_node.ranges import Range, check_ranges
@@ -162,8 +161,7 @@ def _results(jobs: Sequence[Job], processes: int) -> Iterator[CaseResult]:
     if processes <= 1:
         yield from map(run_case, jobs)
         return
-    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
-    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+    with workers(processes) as pool:
         yield from pool.map(run_case, jobs)
 
 

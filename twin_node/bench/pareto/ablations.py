@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
@@ -15,6 +13,7 @@ import torch
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import OURS, Follower, settled_ms
 from twin_node.bench.pareto.suite import check_names
+from twin_node.bench.workers import workers
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, score
@@ -156,8 +155,7 @@ def run(parameters: AblationParameters, progress: Progress = lambda rows, total:
 
 
 def _results(jobs: list[_Job], processes: int) -> Iterator[Ablated]:
-    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
-    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
+    with workers(processes) as pool:
         yield from pool.map(_follow, jobs)
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
 
 from twin_node.bench.stability.scenes import MIDDLE, SIZE, Course, box, ramped, sampled, small_cell
+from twin_node.bench.workers import workers
 from twin_node.cell import CellSource, Scenario
 from twin_node.cell.scenario import Triple
 from twin_node.model import ModelParameters, WindowModel
@@ -80,8 +79,7 @@ def _with_room(model: ModelParameters, capacity: int) -> ModelParameters:
 
 
 def _results(jobs: Sequence[_Job], processes: int) -> Iterator[Cost]:
-    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
-    with ProcessPoolExecutor(processes, mp_context=spawn, max_tasks_per_child=1) as pool:
+    with workers(processes, fresh=True) as pool:
         yield from pool.map(_measure, jobs)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from twin_node.bench.pareto.foresight import ForesightJob, ForesightPoint, fores
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane
 from twin_node.bench.pareto.measure import OURS, Job, Point, measure
+from twin_node.bench.workers import workers
 from twin_node.model.sequence import Recording, recording_of
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -142,10 +142,7 @@ def run(parameters: ParetoParameters | None = None, progress: Progress = lambda 
         if one.forecast_log is not None
         for size in parameters.sizes
     ]
-    spawn = multiprocessing.get_context(
-        "spawn"
-    )  # nothing may fork after OpenMP has started; peaks need fresh processes
-    with ProcessPoolExecutor(parameters.processes, mp_context=spawn, max_tasks_per_child=1) as pool:
+    with workers(parameters.processes, fresh=True) as pool:  # peaks need fresh processes
         foreseen = [pool.submit(foresee, job) for job in forecasts]  # first: of a log too short, they tell so at once
         measured = [pool.submit(measure, job) for job in jobs]
         labels = [f"forecast, {job.size}" for job in forecasts] + [f"{job.name}, {job.recording.name}" for job in jobs]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -16,6 +14,7 @@ from twin_node.bench.stability.failures import FAILURES, LONG, UNDISTURBED
 from twin_node.bench.stability.pictures import OURS, PICTURES
 from twin_node.bench.stability.scenes import WIDTH
 from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
+from twin_node.bench.workers import workers
 from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
 
 LEAST_PICTURE_DB = 15.0
@@ -209,8 +208,7 @@ def _results(cases: Sequence[Case], processes: int) -> Iterator[CaseResult]:
     if processes <= 1 or len(cases) <= 1:
         yield from map(run_case, cases)
         return
-    spawn = multiprocessing.get_context("spawn")  # nothing may fork after OpenMP has started
-    with ProcessPoolExecutor(min(processes, len(cases)), mp_context=spawn, initializer=_one_thread) as pool:
+    with workers(min(processes, len(cases)), _one_thread) as pool:
         yield from pool.map(run_case, cases)
 
 

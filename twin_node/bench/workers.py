@@ -1,0 +1,55 @@
+"""Processes that the runs of a bench are spread over."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+
+
+def _nothing() -> None:
+    """All that most workers begin with."""
+
+
+@contextmanager
+def workers(count: int, begin: Callable[[], None] = _nothing, fresh: bool = False) -> Iterator[ProcessPoolExecutor]:
+    """A pool of `count` processes, each of which calls `begin` first; `fresh`: a new one for every run.
+
+    They are spawned, as nothing may fork after OpenMP has started, and end with the process that began them, however it
+    ends. Where the body raises, as at an interrupt, runs that have begun are given up.
+    """
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        count,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        initargs=(begin,),
+        max_tasks_per_child=1 if fresh else None,
+    )
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(multiprocessing.active_children()) - others:
+            child.terminate()
+        raise
+    pool.shutdown()
+
+
+def _begin(begin: Callable[[], None]) -> None:
+    """An interrupt is for the process that began this one, which tells what becomes of the run."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    begin()
+
+
+def _end_with_parent() -> None:
+    """A pool's workers wait for work for ever, for each of them holds the pipe that it comes by open itself."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
