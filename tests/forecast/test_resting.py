@@ -162,7 +162,7 @@ def test_a_person_who_keeps_still_is_expected_to_start_again() -> None:
     assert held(occupancy, PERSON_M + 0.12, layer=-1) > 0.9
     assert len(occupancy.layers[0].indices) < len(occupancy.layers[-1].indices)
     sighted = forecaster.sighted
-    assert sighted is not None and len(sighted.likely.nearest) > 0  # the proof by sight counts it too
+    assert sighted is not None and len(sighted.likely.reached) > 0  # the proof by sight counts it too
 
 
 def test_a_ball_that_rolled_to_rest_is_not() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -82,8 +84,8 @@ def test_rims_are_widened_little() -> None:
     )
     seen = sighted(GRID, parts, np.zeros(0, np.int64), still, STARTED, HORIZONS)
     rounding = np.sqrt(3) / 2 * GRID.voxel_size
-    assert np.allclose(seen.likely.nearest, 0.2 + rounding)
-    assert np.allclose(seen.rims.nearest, 0.05 + rounding)
+    assert np.allclose(seen.likely.reached, 0.2 + rounding)
+    assert np.allclose(seen.rims.reached, 0.05 + rounding)
     assert (seen.likely.speeds == 0).all() and (seen.rims.speeds == 0).all()
 
 
@@ -99,3 +101,17 @@ def test_a_box_takes_nothing_from_groups_that_it_does_not_reach() -> None:
     near, darting = (reach_about(obstacles, place, HORIZONS)[-1] for place in GRID.centers(indices[[0, 2]]))
     assert near < 0.06
     assert darting > 0.5
+
+
+def test_of_a_box_without_a_known_group_nothing_is_said() -> None:
+    """The law takes its own speed for it, and not that nobody gets anywhere."""
+    parts, _ = moving(5)
+    foreseen = predicted(parts, 5)
+    seen = sighted(GRID, parts, np.zeros(0, np.int64), foreseen, STARTED, HORIZONS)
+    strange = np.flatnonzero(~np.isin(np.arange(GRID.size), parts.indices))[-1:]
+    lost = replace(seen.likely, voxels=(strange,))
+    wild = replace(seen.likely, speeds=np.full_like(seen.likely.speeds, np.nan))
+    for likely in (lost, wild):
+        obstacles = covered(replace(seen, likely=likely, rims=likely), 20)
+        assert obstacles.as_seen.any() and obstacles.reach_speeds is not None
+        assert (obstacles.reach_speeds == 0).all()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,8 +231,9 @@ class Encounter:
         """By how much [p] distances fall short of the protective ones at a share of the speed, m; negative: enough.
 
         Minus infinity for pairs that need not be looked at: the law holds for a capsule where it holds against the
-        forecast of what moves, or against what was seen to move and may have gone anywhere since at the law's speed.
-        Either proves that nothing that moves touches it; the one that leaves more counts.
+        forecast of what moves, or against what was seen to move and may have gone anywhere since at the law's speed,
+        as far as its forecast lets it. Either proves that nothing that moves touches it: the one that leaves more
+        counts.
         """
         alone = self._alone(share)
         if not self.hazards.as_seen.any():
@@ -253,10 +255,11 @@ class Encounter:
         stop = self.motion.stop(share)
         in_time = self.hazards.valid_from[self.rows] <= self.motion.standstill(stop)
         terms = self._terms(share, stop)
-        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch + self._gone_since_seen())
+        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch + self._gone_since_seen)
         concerned = ((self.closing > self.parameters.closing_speed) | touching) & in_time
         return np.where(concerned, terms.required - self.distances, -np.inf)
 
+    @cached_property
     def _gone_since_seen(self) -> Float64:
         """How far [p] what was seen may have gone by now, m; 0 for forecasts, which say where things are by now."""
         as_seen = self.hazards.as_seen[self.rows]

@@ -33,11 +33,11 @@ def workers(count: int, begin: Callable[[], None] = _nothing, fresh: bool = Fals
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - others:
             child.terminate()
         raise
-    pool.shutdown()
+    finally:
+        pool.shutdown(cancel_futures=True)  # waits: a pool that still shuts down as Python ends may raise there
 
 
 def _begin(begin: Callable[[], None]) -> None:

@@ -38,7 +38,7 @@ class CoverParameters:
     most_moving: int = 64
     """Largest number of MOVING obstacles per interval between horizons, and of those about rims of what was seen."""
     most_seen: int = 128
-    """Largest number of MOVING obstacles about what was seen to move: as tight as the law's second proof is good."""
+    """Largest number of MOVING obstacles about what was seen to move: the more, the closer the arm may pass it."""
     most_static: int = 256
     """Largest number of STATIC obstacles."""
     most_unknown: int = 64
@@ -217,14 +217,18 @@ def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion 
 
 
 def _reaches(batches: list[_Batch], found: Covers, since_s: float) -> tuple[Float64, Float64]:
-    """Speeds (m/s) and delays (s) [n] of what was seen, whose forecasts begin `since_s` later; 0 of all else."""
+    """Speeds (m/s) and delays (s) [n] of what was seen, whose forecasts begin `since_s` later.
+
+    0 of all else, and where a forecast says nothing finite: the law then takes its own speed.
+    """
     speeds, delays = np.zeros(len(found.ids)), np.zeros(len(found.ids))
     ends = np.cumsum(found.counts)
     for batch, first, end in zip(batches, ends - found.counts, ends, strict=True):
         if batch.spreading is not None:
-            nearest, fastest = batch.spreading.within(found.lower[first:end], found.upper[first:end])
-            speeds[first:end] = np.maximum(fastest, _LEAST_SPEED)
-            delays[first:end] = since_s - nearest / speeds[first:end]
+            reached, fastest = batch.spreading.within(found.lower[first:end], found.upper[first:end])
+            rows = first + np.flatnonzero(np.isfinite(reached) & np.isfinite(fastest))
+            speeds[rows] = np.maximum(fastest[rows - first], _LEAST_SPEED)
+            delays[rows] = since_s - reached[rows - first] / speeds[rows]
     return speeds, delays
 
 

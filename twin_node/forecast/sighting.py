@@ -18,8 +18,8 @@ from twin_node.scene import Float64, Grid
 class Spreading:
     """Voxels in K groups, and how far each group may get from where it was seen.
 
-    Forecasts begin some time after the evidence; from then on a group gets no farther than `nearest` + `speeds` times
-    the time since, until the last horizon.
+    Forecasts begin some time after the evidence; by then a group has got `reached` far at most, and at most at `speeds`
+    from then on, until the last horizon.
     """
 
     voxels: tuple[NDArray[np.int64], ...]
@@ -28,21 +28,25 @@ class Spreading:
     """[K, 3] first voxel of each group's cell."""
     upper: NDArray[np.int64]
     """[K, 3] last voxel."""
-    nearest: Float64
+    reached: Float64
     """[K] m."""
     speeds: Float64
     """[K] m/s."""
 
     def within(self, lower: NDArray[np.int64], upper: NDArray[np.int64]) -> tuple[Float64, Float64]:
-        """`nearest` and `speeds` [b] that hold for all groups that reach into boxes of voxels: corners [b, 3]."""
-        meet = np.ones((len(lower), len(self.nearest)), np.bool_)
+        """`reached` and `speeds` [b] that hold for all groups with cells in boxes of voxels, given by corners [b, 3].
+
+        Infinite for boxes without any: nothing is known of them.
+        """
+        meet = np.ones((len(lower), len(self.reached)), np.bool_)
         for axis in range(3):
             meet &= lower[:, axis, None] <= self.upper[:, axis]
             meet &= upper[:, axis, None] >= self.lower[:, axis]
-        first, fastest = (
-            np.where(meet, values, 0.0).max(axis=1, initial=0.0) for values in (self.nearest, self.speeds)
+        reached, speeds = (
+            np.where(meet, values, -np.inf).max(axis=1, initial=-np.inf) for values in (self.reached, self.speeds)
         )
-        return first, fastest
+        is_known = meet.any(axis=1)
+        return np.where(is_known, reached, np.inf), np.where(is_known, speeds, np.inf)
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,6 @@ def sighted(
 
 
 def _lines(reach: Float64, horizons: Float64) -> tuple[Float64, Float64]:
-    """`nearest` and `speeds` [K] of lines from the first horizon on, above what is reached [H, K] at every horizon."""
+    """`reached` and `speeds` [K] of lines from the first horizon on, above what is reached [H, K] at every horizon."""
     later = (horizons[1:] - horizons[0])[:, None]
     return reach[0], np.maximum((reach[1:] - reach[0]) / later, 0.0).max(axis=0, initial=0.0)
