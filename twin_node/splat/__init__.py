@@ -4,6 +4,7 @@ from twin_node.splat.arguments import RasterMeta
 from twin_node.splat.descent import Aims, Bystanders, Course, Decays, Descended, Learners, can_descend, descend
 from twin_node.splat.dispatch import rasterize, rasterize_plain
 from twin_node.splat.errors import SplatError
+from twin_node.splat.first_calls import settle
 from twin_node.splat.loss import image_loss, image_loss_plain
 from twin_node.splat.missed import Missed, MissedPlainly, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
@@ -39,3 +40,5 @@ __all__ = [
     "weigh",
     "weigh_plainly",
 ]
+
+settle()
