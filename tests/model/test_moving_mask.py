@@ -112,6 +112,35 @@ def test_ground_is_freed_where_a_thing_of_its_own_colours_was_from_the_start() -
     assert share(found, box(40)) < 0.1
 
 
+def test_rough_ground_that_one_thing_after_another_has_passed_is_nearly_free() -> None:
+    """Gaps between limbs show ground that is doubted, and rough ground does not continue what lies around it."""
+    rng = np.random.default_rng(2)
+    ground = cv2.GaussianBlur(rng.uniform(40, 200, (HEIGHT, WIDTH, 3)).astype(np.float32), (0, 0), 1.5)
+    colours = rng.uniform(60, 180, (HEIGHT, WIDTH, 3))
+    mask, sets = MovingMask(), 0
+    passed = np.zeros((HEIGHT, WIDTH), np.bool_)
+    passed[30:50] = True
+    for _ in range(4):
+        for left in (*range(-44, WIDTH, 4), *(8 * (WIDTH,))):
+            limbs = box(left) & ~box(left + 6, 36, 8) | box(left + 24, size=9) | box(left + 24, 41, 9)
+            image = np.where(limbs[..., None], colours, ground)
+            noisy = image + np.random.default_rng(sets).normal(0, 1.5, image.shape)
+            view = View(CAMERA, sets * STEP_NS, np.clip(noisy, 0, 255).astype(np.uint8))
+            found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
+            assert not 10 < left < 100 or share(found, limbs) > 0.95
+            sets += 1
+        assert share(found, passed) < 0.1
+
+
+def test_an_even_thing_that_rocks_where_it_was_from_the_start_is_held(scene: Scene) -> None:
+    """Much of it looks like the first image, which shows the thing itself: what was found to move there is doubted."""
+    shares = []
+    for tick in range(120):
+        shape = box(40 + round(8 * np.sin(tick / 4)))
+        shares.append(share(scene.show(shape), shape))
+    assert np.mean(shares[40:]) > 0.5
+
+
 def test_robot_is_left_out(scene: Scene) -> None:
     scene.show()
     for left in range(0, 60, 4):

@@ -38,6 +38,9 @@ class MovingMaskParameters:
     ground_likelihood: float = 0.4
     """A settled pixel of a colour this likely ground's is ground, if it fits the ground beside it clearly better than
     what the background held there does: textured ground that a thing, there from the start, has moved off."""
+    ground_around: float = 0.85
+    """A settled pixel that looks like a background which may show the moving thing itself is ground if so large a share
+    of the 5 x 5 pixels around it surely is: alone among ground it would hold its neighbours as well."""
     growth_pixels: int = 3
     """Rings of uncovered ground found per image; each ring is two pixels wide."""
     learning_rate: float = 0.05
@@ -80,9 +83,11 @@ class CameraMask:
         like_ground = difference < 0.5 * threshold
         mask = moving | (self.mask & ~_eroded(self.trusted & like_ground))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
-        self.trusted &= ~(mask & ~self.mask & like_ground & ~in_front)
+        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground & ~in_front)
         object_ = self.confirmed & self.trusted & (difference > threshold)
-        uncovered = self._uncovered(image / gain, settled & mask & ~in_front, seen & ~mask, object_, threshold)
+        settled &= mask & ~in_front
+        among_ground = settled & ~self.trusted & like_ground & self._surrounded(seen & self.trusted & like_ground)
+        uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered
         self.background[:, uncovered] = (image / gain)[:, uncovered]
@@ -170,12 +175,22 @@ class CameraMask:
         near = known & (view.depth < self.depth * (1 - self.parameters.depth_levels) - 0.01)
         return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
 
-    def _uncovered(self, image: Float32, settled: Bool, free: Bool, object_: Bool, threshold: float) -> Bool:
-        """Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
+    def _surrounded(self, ground: Bool) -> Bool:
+        """Pixels with enough ground among the 5 x 5 around them, or among as many of these as the image has."""
+        counts = [
+            cv2.boxFilter(of.astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            for of in (ground, np.ones_like(ground))
+        ]
+        surrounded: Bool = counts[0] >= self.parameters.ground_around * counts[1].astype(np.float64)
+        return surrounded
+
+    def _uncovered(
+        self, image: Float32, settled: Bool, free: Bool, found: Bool, object_: Bool, threshold: float
+    ) -> Bool:
+        """`found`, and settled pixels that a thing, there from the start, has moved off: ground never seen before.
 
         They continue the free ground beside them, or have a colour of the ground around and not of moving things.
         """
-        found = np.zeros(self.shape, np.bool_)
         share = self.colours.learn(image, free, object_)
         if not settled.any():
             return found

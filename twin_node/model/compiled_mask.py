@@ -71,7 +71,7 @@ def _rules(parameters: MovingMaskParameters, closing: NDArray[np.uint8]) -> Mask
     p = parameters
     return MaskRules(
         *(p.change_sigmas, p.change_levels, p.settle_ns, p.smallest_area, p.shadow_darkest, p.reflection_brightest),
-        *(p.ground_certainty, p.ground_likelihood, p.learning_rate, p.depth_levels),
+        *(p.ground_certainty, p.ground_likelihood, p.ground_around, p.learning_rate, p.depth_levels),
         p.growth_pixels,
         closing.shape[0] // 2,
         address_of(closing),

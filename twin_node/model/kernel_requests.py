@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 18
+INTERFACE_VERSION = 19
 
 
 class MaskRules(ctypes.Structure):
@@ -14,7 +14,8 @@ class MaskRules(ctypes.Structure):
     _fields_ = (
         *((name, c_double) for name in ("change_sigmas", "change_levels", "settle_ns", "smallest_area")),
         *((name, c_double) for name in ("shadow_darkest", "reflection_brightest")),
-        *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "learning_rate", "depth_levels")),
+        *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "ground_around")),
+        *((name, c_double) for name in ("learning_rate", "depth_levels")),
         *((name, c_int32) for name in ("rings", "closing")),
         ("kernel", c_void_p),
     )

@@ -7,14 +7,14 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 18;
+constexpr int32_t kInterfaceVersion = 19;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
 // What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
 struct MaskRules {
   double change_sigmas, change_levels, settle_ns, smallest_area, shadow_darkest, reflection_brightest;
-  double ground_certainty, ground_likelihood, learning_rate, depth_levels;
+  double ground_certainty, ground_likelihood, ground_around, learning_rate, depth_levels;
   int32_t rings;    // of uncovered ground that are found per image
   int32_t closing;  // radius of the kernel that closes gaps, pixels
   const uint8_t *kernel;  // [2 closing + 1, 2 closing + 1]

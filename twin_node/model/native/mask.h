@@ -228,10 +228,12 @@ class MaskUpdate {
     });
   }
 
-  // The background may show the very thing where one begins to be seen that looks like it.
+  // The background may show the very thing where one begins to be seen that looks like it, unless it is known to be
+  // ground since another one left it.
   void doubt(const Mask &mask) const {
     for (int64_t at = 0; at < pixels_; at++) {
-      if (mask[at] && !r_.mask[at] && like_ground(at) && !in_front_[at]) r_.trusted[at] = 0;
+      const bool begins = mask[at] && !r_.mask[at] && !r_.confirmed[at];
+      if (begins && like_ground(at) && !in_front_[at]) r_.trusted[at] = 0;
     }
   }
 
@@ -308,6 +310,21 @@ class MaskUpdate {
     return rough < kAlike * threshold_ || fits || share > p_.ground_certainty;
   }
 
+  // Whether a background that is doubted is seen, and nearly all pixels around it show one that is not.
+  bool is_among_ground(int64_t at) const {
+    if (r_.trusted[at] || !like_ground(at)) return false;
+    const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
+    int ground = 0, all = 0;
+    for (int y = std::max(row - kAround, 0); y <= std::min(row + kAround, r_.height - 1); y++) {
+      for (int x = std::max(column - kAround, 0); x <= std::min(column + kAround, r_.width - 1); x++) {
+        const int64_t near = static_cast<int64_t>(y) * r_.width + x;
+        ground += r_.seen[near] && r_.trusted[near] && like_ground(near);
+        all++;
+      }
+    }
+    return ground >= p_.ground_around * all;
+  }
+
   // Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
   void uncover(const Mask &mask) {
     count_colours(mask);
@@ -315,7 +332,12 @@ class MaskUpdate {
     Mask known(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
       known[at] = r_.seen[at] && !mask[at];
-      if (settled_[at] && mask[at] && !in_front_[at]) open.push_back(at);
+      if (!settled_[at] || !mask[at] || in_front_[at]) continue;
+      if (is_among_ground(at)) {
+        known[at] = uncovered_[at] = 1;
+      } else {
+        open.push_back(at);
+      }
     }
     if (open.empty()) return;
     const std::vector<float> share = ground_shares();
