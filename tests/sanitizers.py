@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -16,10 +18,10 @@ FLAGS = ("-std=c++17", "-O0", "-g1", "-fsanitize=address,undefined", "-fno-sanit
 SHARED = ("-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=fast", "-Wno-psabi")
 
 
-def sanitizer_runtimes(compiler: str) -> list[str]:
+def sanitizer_runtimes(compiler: Sequence[str]) -> list[str]:
     """Paths of the runtimes, which have to be loaded before everything else; empty where there are none."""
     names = ("libasan.so", "libubsan.so")
-    found = [subprocess.check_output([compiler, f"-print-file-name={name}"], text=True).strip() for name in names]
+    found = [subprocess.check_output([*compiler, f"-print-file-name={name}"], text=True).strip() for name in names]
     return found if all(Path(path).is_absolute() and Path(path).exists() for path in found) else []
 
 
@@ -35,12 +37,12 @@ def assert_clean(kernels: native_build.Kernels, program: str, tests: Path, folde
         pytest.skip(f"no compiled kernels here: {error}")
     runtimes = sanitizer_runtimes(compiler)
     if not runtimes:
-        pytest.skip(f"{compiler} has no sanitizer runtimes")
+        pytest.skip(f"{shlex.join(compiler)} has no sanitizer runtimes")
     variant = native_build.supported_variants()[0]
     target = [] if variant == "baseline" else [f"-march={variant}"]
     library = folder / f"lib{kernels.name}.so"
     source = kernels.folder / "library.cpp"
-    subprocess.run([compiler, *FLAGS, *SHARED, *target, str(source), "-o", str(library)], check=True)
+    subprocess.run([*compiler, *FLAGS, *SHARED, *target, str(source), "-o", str(library)], check=True)
     root = Path(__file__).parent
     environment = {
         **os.environ,

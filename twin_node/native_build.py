@@ -10,17 +10,19 @@ import atexit
 import hashlib
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import tempfile
 import warnings
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 FLAGS = (
     *("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"),
-    *("-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-fPIC", "-shared", "-fvisibility=hidden", "-fopenmp", "-Wno-psabi"),
 )
 """No -ffast-math: infinities and NaN of culled Gaussians must stay what they are. Hidden symbols: variants that
 are loaded side by side would share their tables otherwise."""
@@ -69,13 +71,39 @@ def _processor_flags() -> set[str]:
     return next((set(line.split(":", 1)[1].split()) for line in lines if line.startswith("flags")), set())
 
 
-def find_compiler() -> str:
-    """Path of the C++ compiler: `$CXX`, else c++, g++ or clang++. Raises `CompileError` where there is none."""
-    for name in filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++")):
+def flags_of(variant: str) -> tuple[str, ...]:
+    """All that the compiler is told for a variant, but for the names of files."""
+    return FLAGS if variant == "baseline" else (*FLAGS, f"-march={variant}")
+
+
+def find_compiler() -> tuple[str, ...]:
+    """Command of the C++ compiler, its program by path: `$CXX`, else c++, g++ or clang++.
+
+    `$CXX` may hold arguments, as make and CMake read it ("ccache g++", "g++ -m64"). Raises `CompileError` where there
+    is none, and where `$CXX` names none.
+    """
+    asked = os.environ.get("CXX", "").strip()
+    if asked:
+        return _asked_compiler(asked)
+    for name in ("c++", "g++", "clang++"):
         path = shutil.which(name)
         if path:
-            return path
+            return (path,)
     raise CompileError("no C++ compiler found (looked for $CXX, c++, g++, clang++); install g++")
+
+
+def _asked_compiler(asked: str) -> tuple[str, ...]:
+    whole = shutil.which(asked)
+    if whole:  # a path with blanks in it
+        return (whole,)
+    try:
+        program, *arguments = shlex.split(asked)
+    except ValueError as error:
+        raise CompileError(f"$CXX: expected a C++ compiler's command, found {asked!r} ({error}); correct it") from None
+    path = shutil.which(program)
+    if not path:
+        raise CompileError(f"$CXX: expected a C++ compiler, found {asked!r}, and no program {program!r}; unset it")
+    return (path, *arguments)
 
 
 SHARED = Path(__file__).resolve().parent / "native"
@@ -88,16 +116,16 @@ class Kernels(NamedTuple):
     name: str
     folder: Path
 
-    def source_hash(self) -> str:
-        """Twelve hex digits over the sources and the flags."""
-        digest = hashlib.sha256(" ".join(FLAGS).encode())
+    def source_hash(self, variant: str) -> str:
+        """Twelve hex digits over the sources and the variant's flags."""
+        digest = hashlib.sha256(" ".join(flags_of(variant)).encode())
         for path in (*sorted((*self.folder.glob("*.cpp"), *self.folder.glob("*.h"))), *sorted(SHARED.glob("*.h"))):
             digest.update(path.name.encode() + b"\0" + path.read_bytes())
         return digest.hexdigest()[:12]
 
     def shipped_library(self, variant: str) -> Path:
         """Where an installed package keeps the library of a variant."""
-        return self.folder / f"lib{self.name}-{variant}-{self.source_hash()}.so"
+        return self.folder / f"lib{self.name}-{variant}-{self.source_hash(variant)}.so"
 
     def cached_library(self, variant: str, anew: bool = False) -> Path:
         """Path of the library in the user's cache, compiled now if it is not there yet; `anew`: even if it is.
@@ -107,8 +135,9 @@ class Kernels(NamedTuple):
         Raises `CompileError`.
         """
         compiler = find_compiler()
-        version = _run([compiler, "--version"]).partition("\n")[0]
-        key = hashlib.sha256(f"{self.source_hash()} {version}".encode()).hexdigest()[:12]
+        version = _run([*compiler, "--version"]).partition("\n")[0]
+        told = shlex.join(compiler[1:])
+        key = hashlib.sha256(f"{self.source_hash(variant)} {told} {version}".encode()).hexdigest()[:12]
         folder, name = _cache_folder(), f"lib{self.name}-{variant}-{key}.so"
         if folder is None or not (os.access(folder, os.W_OK) or (_is_trusted(folder / name) and not anew)):
             folder = _own_folder()
@@ -121,7 +150,7 @@ class Kernels(NamedTuple):
         shipped = self.shipped_library(variant)
         return shipped if shipped.exists() else self.cached_library(variant)
 
-    def compile(self, variant: str, to: Path, compiler: str | None = None) -> None:
+    def compile(self, variant: str, to: Path, compiler: Sequence[str] = ()) -> None:
         """Compiles one variant to the file `to`, which appears whole or not at all. Raises `CompileError`."""
         _compile(self.folder / "library.cpp", variant, to, compiler or find_compiler())
 
@@ -135,15 +164,12 @@ MODEL = Kernels("model", Path(__file__).resolve().parent / "model" / "native")
 ROOMS = (SPLAT, FORECAST, MODEL)
 
 
-def _compile(source: Path, variant: str, to: Path, compiler: str) -> None:
-    command = [compiler, *FLAGS, "-fopenmp", "-Wno-psabi"]
-    if variant != "baseline":
-        command.append(f"-march={variant}")
+def _compile(source: Path, variant: str, to: Path, compiler: Sequence[str]) -> None:
     to.parent.mkdir(parents=True, exist_ok=True)
     handle, scratch = tempfile.mkstemp(suffix=".so", dir=to.parent)
     os.close(handle)
     try:
-        _run([*command, str(source), "-o", scratch])
+        _run([*compiler, *flags_of(variant), str(source), "-o", scratch])
         Path(scratch).chmod(0o755)
         _flush(Path(scratch))
         Path(scratch).replace(to)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shlex
 import stat
 import subprocess
 import sys
@@ -47,6 +48,60 @@ def test_changed_sources_get_a_library_of_their_own(tiny: Kernels):
     first = tiny.cached_library("baseline")
     (tiny.folder / "library.cpp").write_text(TINY.replace("7", "8"))
     assert tiny.cached_library("baseline") != first
+
+
+def test_other_flags_give_a_library_of_its_own(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    """All that the compiler is told for a variant is in its hash, and only that of this variant."""
+    commands: list[list[str]] = []
+    run = native_build._run
+    monkeypatch.setattr(native_build, "_run", lambda command: (commands.append(command), run(command))[1])
+    first, shipped = tiny.cached_library("baseline"), tiny.shipped_library("baseline")
+    told, without_openmp = (
+        tuple(commands[-1][len(native_build.find_compiler()) : -3]),
+        tuple(flag for flag in native_build.FLAGS if flag != "-fopenmp"),
+    )
+    assert told == native_build.FLAGS
+    monkeypatch.setattr(native_build, "FLAGS", without_openmp)
+    assert tiny.shipped_library("baseline") != shipped
+    assert tiny.cached_library("baseline") != first
+    assert len({tiny.source_hash(variant) for variant in ("baseline", "x86-64-v3", "x86-64-v4")}) == 3
+
+
+def test_a_compiler_may_be_told_with_arguments(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+    """As make and CMake take it; other arguments, another library."""
+    compiler = native_build.find_compiler()
+    wrapper = tiny.folder.parent / "my tools" / "ccache"
+    wrapper.parent.mkdir()
+    wrapper.write_text(f'#!/bin/sh\necho "$@" >> {shlex.quote(str(wrapper))}.log\nexec "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CXX", shlex.join([str(wrapper), *compiler]))
+    first = tiny.cached_library("baseline")
+    assert "-o" in wrapper.with_name("ccache.log").read_text().split()
+    monkeypatch.setenv("CXX", shlex.join([str(wrapper), *compiler, "-DMINE=1"]))
+    assert tiny.cached_library("baseline") != first
+    assert "-DMINE=1" in wrapper.with_name("ccache.log").read_text().splitlines()[-1].split()
+
+
+def test_a_compiler_whose_path_has_blanks_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    program = tmp_path / "my tools" / "g++"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("CXX", str(program))
+    assert native_build.find_compiler() == (str(program),)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("no-such-compiler -O2", r"\$CXX: expected .*'no-such-compiler -O2', and no program 'no-such-compiler'"),
+        ("g++ 'half", r"\$CXX: expected .*No closing quotation"),
+    ],
+)
+def test_a_compiler_that_is_asked_for_is_not_passed_over(monkeypatch: pytest.MonkeyPatch, asked: str, words: str):
+    monkeypatch.setenv("CXX", asked)
+    with pytest.raises(native_build.CompileError, match=words):
+        native_build.find_compiler()
 
 
 def test_processes_that_compile_at_once_all_get_a_whole_library(tiny: Kernels):
@@ -112,7 +167,7 @@ def test_what_is_compiled_for_one_process_goes_with_it(tiny: Kernels):
 
 def test_a_compiler_that_does_not_tell_its_version_compiles(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
     wrapper = tiny.folder.parent / "wrapper"
-    wrapper.write_text(f'#!/bin/sh\n[ "$1" = --version ] || exec {native_build.find_compiler()} "$@"\n')
+    wrapper.write_text(f'#!/bin/sh\n[ "$1" = --version ] || exec {shlex.join(native_build.find_compiler())} "$@"\n')
     wrapper.chmod(0o755)
     monkeypatch.setenv("CXX", str(wrapper))
     assert tiny.cached_library("baseline").exists()
