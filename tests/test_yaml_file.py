@@ -37,6 +37,13 @@ def test_what_is_merged_may_be_set_otherwise(tmp_path: Path) -> None:
     assert read_yaml(path, "merged keys", TwinError) == expected
 
 
+def test_what_has_an_alias_may_stand_in_many_places(tmp_path: Path) -> None:
+    path = tmp_path / "shared.yaml"
+    path.write_text("a: &x [&y {b: 1}, *y]\nc: {d: *x, e: *y}\n")
+    b = {"b": 1}
+    assert read_yaml(path, "shared values", TwinError) == {"a": [b, b], "c": {"d": [b, b], "e": b}}
+
+
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(
     ("content", "words"),
@@ -44,6 +51,9 @@ def test_what_is_merged_may_be_set_otherwise(tmp_path: Path) -> None:
         (b"a: 1\nb:\n  c: 1\n  c: 2\n", "but it cannot be read as YAML: found the field 'c' a second time in line 4"),
         (b"a: [1\n", "but it cannot be read as YAML"),
         (b"a: 2026-02-30\n", "but it cannot be read as YAML: day is out of range"),
+        (b"a: &x [*x]\n", "but it cannot be read as YAML: found the alias 'x' within what it stands for in line 1"),
+        (b"a: &x\n  b: [{c: *x}]\n", "found the alias 'x' within what it stands for in line 2"),
+        (b"a: &x {<<: *x}\n", "found the alias 'x' within what it stands for in line 1"),
         (b"\x89MCAP\r\n\xff", "found what is no text; is it a log"),
         (None, "but it cannot be read: No such file|no such file|does not exist|not found"),
     ],

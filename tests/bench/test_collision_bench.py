@@ -86,9 +86,10 @@ def test_ur10e_capsules_enclose_its_meshes(recordings: Path) -> None:
 
 
 def test_wrong_references_are_refused(reference: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (reference / "one.yml").write_text("robot_cfg: {kinematics: {}}")
-    with pytest.raises(BenchError, match=r"one\.yml: expected cuRobo's .*collision_spheres"):
-        ArmReference(reference)
+    for content in ("robot_cfg: {kinematics: {}}", "&x robot_cfg: &y {kinematics: *y}", "robot_cfg: 2026-02-30"):
+        (reference / "one.yml").write_text(content)
+        with pytest.raises(BenchError, match=r"one\.yml: expected cuRobo's .*collision_spheres"):
+            ArmReference(reference)
     (reference / "one.yml").unlink()
     (reference / "one.urdf").write_text(URDF[:100])
     with pytest.raises(BenchError, match=r"one\.urdf: expected an arm's URDF"):

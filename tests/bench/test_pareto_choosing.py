@@ -45,7 +45,10 @@ def test_the_fastest_that_reaches_a_quality_is_taken(front: Path) -> None:
         by_target(30, front)
 
 
-@pytest.mark.parametrize("content", ["sizes: [{name: huge}]", "sizes: 3", "[", "{}", "widths: []"])
+@pytest.mark.parametrize(
+    "content",
+    ["sizes: [{name: huge}]", "sizes: 3", "[", "2026-02-30", "sizes: &x [*x]", "{}", "widths: []"],
+)
 def test_a_file_that_is_none_is_named(content: str, tmp_path: Path) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text(content)

@@ -71,6 +71,7 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log:=a", "loop:=2020-13-45"], [], "loop:=2020-13-45: expected a bool, found what is no YAML"),
         (["log:=a"], [f"player.rate:={'9' * 5000}"], "expected a value, found what is no YAML"),
         (["log:=a"], [f"player.rate:={'[' * 3000}"], "expected a value, found what is no YAML"),
+        (["log:=a"], ["player.rate:=&x [*x]"], "expected a value, found what is no YAML"),
         (["log:=a"], ["player.log:=2026-11-23"], r"player.log: expected text or numbers, found 2026-11-23 \(a date\)"),
         (["log:=a"], ["player.topics:=[!!binary aGk=]"], r"player.topics: expected text or numbers, found b'hi'"),
         (["log:=a"], ["player.rate.x:=1"], "-p player.rate.x:=1: expected keys and values under 'rate', found 1.0"),

@@ -11,11 +11,11 @@ from xml.sax.saxutils import escape
 
 import mujoco
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from twin_node.bench.errors import BenchError
 from twin_node.scene import Float64
+from twin_node.yaml_file import read_yaml
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,8 @@ def _seen_from(poses: Float64, points: Float64) -> Float64:
 
 def _read_spheres(path: Path) -> dict[str, LinkSpheres]:
     """Link name -> spheres of cuRobo's robot file."""
+    content: Any = read_yaml(path, "cuRobo's robot_cfg/kinematics/collision_spheres", BenchError)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
         table = content["robot_cfg"]["kinematics"]["collision_spheres"]
         return {
             link: LinkSpheres(
@@ -160,7 +160,7 @@ def _read_spheres(path: Path) -> dict[str, LinkSpheres]:
             )
             for link, rows in table.items()
         }
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BenchError(
             f"{path}: expected cuRobo's robot_cfg/kinematics/collision_spheres with center and radius, "
             f"found {type(error).__name__} {error}; remove the file or correct it"

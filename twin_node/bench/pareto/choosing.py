@@ -9,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from twin_node import resources
 from twin_node.bench.errors import BenchError
@@ -21,6 +20,7 @@ from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.sizing import TRIED_SETS, Choice, best_within, median_ms
 from twin_node.runtime.parameters import ParameterError, fill
+from twin_node.yaml_file import read_yaml
 
 FRONT_FILE = "launch/sizes.yaml"
 """What `bench pareto` has found, as shipped."""
@@ -83,10 +83,10 @@ def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], fl
 def read_front(path: Path | None) -> tuple[Rated, ...]:
     """The sizes of a file that `bench pareto` wrote; None: as shipped. Raises `BenchError` for one that is none."""
     path = path or resources.find(Path(FRONT_FILE))
+    content = read_yaml(path, "sizes as `twin_node bench pareto` writes them", BenchError)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
         sizes = fill(_Front, content, str(path)).sizes if isinstance(content, dict) else ()
-    except (OSError, yaml.YAMLError, ParameterError) as error:
+    except ParameterError as error:
         raise BenchError(f"{path}: expected sizes as `twin_node bench pareto` writes them: {error}") from error
     unknown = [rated.name for rated in sizes if rated.name not in SIZES]
     if unknown or not sizes:

@@ -8,15 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from twin_node import resources
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, check_kind, is_foreign, nearest
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
-from twin_node.yaml_file import read_yaml
+from twin_node.yaml_file import YAML_ERRORS, parse_yaml, read_yaml
 
 VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
 """A value that the user gives, as in the YAML launch files of ROS 2."""
@@ -194,8 +192,8 @@ def _typed(argument: Argument, text: str, path: Path) -> Any:
 def _parsed(text: str, expected: str) -> Any:
     """A value as YAML has it; `expected` begins the error for one that is none."""
     try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError):  # no syntax, no date, no number, no end
+        return parse_yaml(text)
+    except YAML_ERRORS:
         raise GraphError(f"{expected}, found what is no YAML; quote it") from None
 
 
