@@ -63,6 +63,42 @@ def test_a_left_over_partial_folder_is_replaced(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
+@pytest.mark.parametrize("is_folder", [False, True])
+@pytest.mark.parametrize("name", ["log.mcap", "bag"])
+def test_a_partial_log_that_is_there_stays(tmp_path: Path, name: str, is_folder: bool) -> None:
+    """It is another writer's, or all that is left of one that was killed."""
+    left = tmp_path / f"{name}.partial"
+    kept = left / name / "bag.mcap" if is_folder else left
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_bytes(b"precious")
+    with pytest.raises(BagError, match=rf"{name}\.partial: exists already, .*; move it elsewhere, remove it or choose"):
+        LogWriter(tmp_path / name)
+    assert kept.read_bytes() == b"precious"
+    assert list(tmp_path.iterdir()) == [left]
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "bag"])
+def test_two_writers_of_one_log_are_not_mixed(tmp_path: Path, name: str) -> None:
+    with LogWriter(tmp_path / name) as log:
+        log.write("/a", text("a"), 0)
+        with pytest.raises(BagError, match="or is being written"):
+            LogWriter(tmp_path / name)
+        log.write("/a", text("b"), 1)
+    with open_log(tmp_path / name) as reader:
+        assert [m.message.data for m in reader.messages()] == ["a", "b"]
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_folder_that_cannot_be_begun_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("twin_node.bag.writer.FolderWriter.open", full)
+    with pytest.raises(BagError, match="No space left on device"):
+        LogWriter(tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

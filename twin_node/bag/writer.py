@@ -59,8 +59,9 @@ class LogWriter:
 
     `path` ends in `.mcap` for one MCAP file (an existing one is replaced at the end), or has no suffix for a new
     rosbag2 folder. All goes to a sibling ending in `.partial`, which takes the name when the log is closed; if the
-    context ends with an exception it is removed, and whatever stood at `path` is untouched. The same calls give the
-    same bytes.
+    context ends with an exception it is removed, and whatever stood at `path` is untouched. A sibling that is there
+    already is another writer's, or all that is left of a log whose writer was killed: it is refused. The same calls
+    give the same bytes.
 
     `compression` of the chunks of an MCAP file: none by default, as `ros2 bag record`, because images are compressed.
     Raises `BagError` for a wrong path, stamp or type, and when the disk refuses.
@@ -169,13 +170,23 @@ def _open_sink(path: Path, compression: Literal["none", "zstd", "lz4"]) -> _Sink
     return _FolderSink(path)
 
 
+def _taken(partial: Path) -> BagError:
+    return BagError(
+        f"{partial}: exists already, left by a log that was never finished or is being written; move it elsewhere, "
+        "remove it or choose another name"
+    )
+
+
 class _FileSink:
     """One MCAP file."""
 
     def __init__(self, path: Path, compression: CompressionType) -> None:
         self._path = path
         self._partial = path.with_name(path.name + PARTIAL)
-        self._file = self._partial.open("wb")
+        try:
+            self._file = self._partial.open("xb")
+        except FileExistsError:
+            raise _taken(self._partial) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=compression)
         self._writer.start(PROFILE, LIBRARY)
         self._schemas: dict[str, int] = {}
@@ -217,10 +228,19 @@ class _FolderSink:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._partial = path.with_name(path.name + PARTIAL)
-        shutil.rmtree(self._partial, ignore_errors=True)
-        self._partial.mkdir()
+        for left in (self._partial / path.name, self._partial):
+            with contextlib.suppress(OSError):  # with anything in it, it stays
+                left.rmdir()
+        try:
+            self._partial.mkdir()
+        except FileExistsError:
+            raise _taken(self._partial) from None
         self._writer = FolderWriter(self._partial / path.name, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
+        try:
+            self._writer.open()
+        except OSError:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            raise
         self._connections: dict[str, Connection] = {}
 
     def add_topic(self, name: str, definition: _Definition, latched: bool) -> None:
