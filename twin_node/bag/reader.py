@@ -16,13 +16,12 @@ import yaml
 from twin_node.bag import mcap_storage, sqlite_storage
 from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
+from twin_node.bag.log_times import NO_START, NO_STOP, within
 from twin_node.bag.mcap_storage import McapStorage
 from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
 
 METADATA_FILE = "metadata.yaml"
-NO_START, NO_STOP = 0, 2**63 - 1
-"""Bounds in ns that every log lies within: rosbag2's log times are non-negative int64."""
 
 
 class LogReader:
@@ -37,14 +36,17 @@ class LogReader:
         self._damage: str | None = None
         self._metadata = {name: record for storage in storages for name, record in storage.metadata.items()}
         self._metadata.update(metadata)
-        self._parts = tuple(part for storage in storages for part in storage.parts)
-        self._topics, self._left_out = _merge_topics(path, storages)
+        kept = within(part for storage in storages for part in storage.parts)
+        self._parts = kept.parts
+        self._topics, left_out = _merge_topics(path, storages, kept.outside)
+        self._left_out = (*left_out, *kept.lines)
         self._kinds = {topic.name: topic.msgtype for topic in self._topics}
         self._types = builtin_types().extended(
             {name: text for storage in storages for name, text in storage.definitions.items()}
         )
         if not self._parts:
-            raise BagError(f"{path}: the log holds no messages; record it again")
+            why = f" ({'; '.join(kept.lines)})" if kept.lines else ""
+            raise BagError(f"{path}: the log holds no messages{why}; record it again")
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -53,7 +55,10 @@ class LogReader:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the log holds that is not read, a line each: other encodings, a topic's messages of a second type."""
+        """What the log holds that is not read, a line each.
+
+        Other encodings, a topic's messages of a second type, messages at log times that cannot be.
+        """
         return self._left_out
 
     @property
@@ -279,8 +284,13 @@ def _open_file(path: Path) -> Storage:
     raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")
 
 
-def _merge_topics(path: Path, storages: Collection[Storage]) -> tuple[tuple[Topic, ...], tuple[str, ...]]:
-    """The topics, each of the type that most of its messages have, and what is left out."""
+def _merge_topics(
+    path: Path, storages: Collection[Storage], outside: Mapping[tuple[str, str], int]
+) -> tuple[tuple[Topic, ...], tuple[str, ...]]:
+    """The topics, each of the type that most of its messages have, and what is left out.
+
+    `outside`: topic and type -> messages that do not count.
+    """
     channels = [channel for storage in storages for channel in storage.channels]
     encodings = sorted({channel.encoding for channel in channels})
     if channels and "cdr" not in encodings:
@@ -291,10 +301,9 @@ def _merge_topics(path: Path, storages: Collection[Storage]) -> tuple[tuple[Topi
         if channel.encoding != "cdr":
             others[channel.topic, channel.encoding] += channel.count
             continue
-        known = kinds.get((channel.topic, channel.msgtype), Topic(channel.topic, channel.msgtype, 0))
-        kinds[channel.topic, channel.msgtype] = replace(
-            known, count=known.count + channel.count, latched=known.latched or channel.latched
-        )
+        key = channel.topic, channel.msgtype
+        known = kinds.get(key, Topic(*key, -outside.get(key, 0)))
+        kinds[key] = replace(known, count=known.count + channel.count, latched=known.latched or channel.latched)
     lines = [f"{topic}: {count} messages in {form}; expected cdr" for (topic, form), count in others.items()]
     merged: dict[str, Topic] = {}
     for kind in sorted(kinds.values(), key=lambda kind: (kind.name, -kind.count, kind.msgtype)):

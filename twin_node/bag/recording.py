@@ -13,6 +13,7 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from twin_node.bag.log import BagError
+from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles
 from twin_node.bag.writer import BAG_VERSION, LIBRARY, PROFILE
 from twin_node.messages import MessageTypes
@@ -116,8 +117,10 @@ class RecordingWriter:
         """Writes CDR bytes at a log time in ns; `types` defines their type.
 
         `latched`: whether the topic's publishers keep their last message for who joins late; None follows
-        `qos.is_latched`. What the topic's first message says of it stands.
+        `qos.is_latched`. What the topic's first message says of it stands. Raises `BagError` for a log time that cannot
+        be.
         """
+        check_log_time(stamp, topic, self.path)
         try:
             channel = self._channels.get(topic)
             if channel is None:

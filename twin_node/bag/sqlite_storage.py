@@ -12,6 +12,7 @@ from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 
 from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
+from twin_node.bag.log_times import NO_STOP
 from twin_node.bag.qos import any_transient_local
 
 MAGIC = b"SQLite format 3\x00"
@@ -66,7 +67,8 @@ class SqliteStorage:
         """The whole file: SQLite streams it in log-time order by its own index."""
         if not self._reader.message_count:
             return ()
-        return (Part(self, self._reader.start_time, self._reader.end_time - 1),)
+        end = int(self._reader.end_time)  # after the last time there is none, and SQLite gives a float
+        return (Part(self, self._reader.start_time, end - 1),)
 
     @property
     def damage(self) -> str | None:
@@ -84,7 +86,7 @@ class SqliteStorage:
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not wanted:
             return
-        messages = self._reader.messages(wanted, start, stop)
+        messages = self._reader.messages(wanted, start, stop if stop < NO_STOP else None)  # SQLite knows none beyond
         stamp = max(start, part.start)
         while True:
             try:

@@ -17,6 +17,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 
 from twin_node.bag.log import BagError
+from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles, profile
 from twin_node.messages import Message, builtin_types, serialize
 
@@ -101,10 +102,7 @@ class LogWriter:
 
     def write_raw(self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int) -> None:
         """Writes CDR bytes of a message at a log time in ns."""
-        if not 0 <= stamp_ns < 2**63:
-            raise BagError(
-                f"{self.path}: message on {topic} at {stamp_ns} ns; expected a log time from 0 to 2^63 - 1 ns"
-            )
+        check_log_time(stamp_ns, topic, self.path)
         try:
             if self._topics.get(topic) != msgtype:
                 self.add_topic(topic, msgtype)
