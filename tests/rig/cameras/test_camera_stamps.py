@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twin_node.rig.cameras import CaptureStamps
+from twin_node.rig.cameras.stamps import RESET_NS
 
 
 class Clock:
@@ -43,3 +47,33 @@ def test_a_clock_that_was_set_back_is_followed() -> None:
     stamps.of_arrival(0)
     clock.now -= 1_000_000_000
     assert stamps.of_arrival(0) == clock.now
+
+
+PERIOD, AGE = 33_000_000, 20_000_000
+
+
+@pytest.mark.parametrize("kind", ["of_steady", "of_arrival"])
+@given(step=st.integers(1, RESET_NS))
+def test_after_a_small_step_back_images_are_no_instant_apart(kind: str, step: int) -> None:
+    """Motion over a nanosecond would be endlessly fast."""
+    wall, steady, told = Clock(), Clock(), []
+    stamps = CaptureStamps(wall=wall, steady=steady)
+    for image in range(60):
+        wall.now += PERIOD - step * (image == 10)
+        steady.now += PERIOD
+        told.append(stamps.of_arrival(AGE) if kind == "of_arrival" else stamps.of_steady(steady.now - AGE))
+        assert told[-1] >= wall.now - AGE
+    apart = [after - before for before, after in pairwise(told)]
+    assert min(apart) >= PERIOD // 2
+    assert max(apart) <= PERIOD
+    assert told[-1] == wall.now - AGE
+    assert stamps.clamped <= 2 * step // PERIOD + 1
+
+
+def test_many_small_steps_back_are_followed_in_the_end() -> None:
+    wall, steady = Clock(), Clock()
+    stamps = CaptureStamps(wall=wall, steady=steady)
+    for _ in range(40):
+        wall.now -= PERIOD
+        steady.now += PERIOD
+        assert 0 <= stamps.of_arrival(0) - wall.now <= RESET_NS

@@ -1,4 +1,4 @@
-"""Capture times on this host's clock, from clocks that run beside it: never ahead of now, always rising."""
+"""Capture times on this host's clock, from clocks that run beside it: not ahead of now, rising, at a likely pace."""
 
 from __future__ import annotations
 
@@ -15,31 +15,49 @@ class CaptureStamps:
     """Turns one camera's steady times into stamps.
 
     Host stamps of depthai can run slightly ahead of the host's own clock and go back by microseconds
-    (luxonis/depthai-core issue 742), which synchronisers take for faults.
+    (luxonis/depthai-core issue 742), which synchronisers take for faults. Where the host's clock is put back by less
+    than `RESET_NS`, now goes on at half its pace until the clock has caught up: images that stood still in time would
+    show motion without end.
     """
 
     def __init__(self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = time.monotonic_ns) -> None:
         self._wall = wall
         self._steady = steady
+        self._now: int | None = None
+        self._now_at = 0
+        """On the steady clock."""
         self._last: int | None = None
         self.clamped = 0
         """Stamps that had to be changed."""
 
     def of_steady(self, capture: int) -> int:
         """Stamp of a capture at `capture` on the steady clock, ns."""
-        now = self._wall()
-        return self._admitted(now - (self._steady() - capture), now)
+        steady = self._steady()
+        return self._admitted(steady - capture, steady)
 
     def of_arrival(self, latency: int) -> int:
         """Stamp of an image that has just come, captured `latency` ns ago."""
-        now = self._wall()
-        return self._admitted(now - latency, now)
+        return self._admitted(latency, self._steady())
 
-    def _admitted(self, stamp: int, now: int) -> int:
-        kept = min(stamp, now)
+    def _admitted(self, age: int, steady: int) -> int:
+        wall = self._wall()
+        now = self._followed(wall, steady)
+        kept = min(now - age, now)
         last = self._last
         if last is not None and last - RESET_NS < kept <= last:
             kept = last + LEAST_STEP_NS
-        self.clamped += kept != stamp
+        self.clamped += kept != wall - age
         self._last = kept
         return kept
+
+    def _followed(self, wall: int, steady: int) -> int:
+        """Now: the wall clock's time, or what has not yet been caught up with after it was put back."""
+        now = wall
+        if self._now is not None:
+            passed = max(steady - self._now_at, 0)
+            if self._now + passed - wall <= RESET_NS:
+                now = max(wall, self._now + passed // 2)
+            else:
+                self._last = None  # stamps go back with the clock
+        self._now, self._now_at = now, steady
+        return now
