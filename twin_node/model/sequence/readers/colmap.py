@@ -15,6 +15,7 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose
 from twin_node.model.parameters import ModelError
+from twin_node.model.sequence.readers.colmap_files import check_whole
 from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
 from twin_node.model.sequence.recording import ColouredPoints, Recording, in_order, split
 from twin_node.scene import Camera, Float64, View
@@ -34,8 +35,8 @@ def recognises(folder: Path) -> bool:
 def read(folder: Path, options: ReadOptions) -> Recording:
     """Reads cameras, points and all images.
 
-    Raises `ModelError` for a model that cannot be read or is distorted, and for cameras without images or with
-    different numbers of them.
+    Raises `ModelError` for a model that cannot be read, ends too early or is distorted, and for cameras without images
+    or with different numbers of them.
     """
     model = _load_model(folder)
     views: list[View] = []
@@ -66,6 +67,7 @@ def _load_model(folder: Path) -> Any:
     except ImportError:
         raise ModelError(f"{folder}: COLMAP's models are read by pycolmap: pip install twin-node[datasets]") from None
     path = _model_folders(folder)[0]
+    check_whole(path)
     try:
         return pycolmap.Reconstruction(path)
     except (ValueError, RuntimeError, IndexError, MemoryError) as error:
