@@ -36,6 +36,16 @@ def test_a_folder_that_exists_is_left_alone(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_of_the_name_that_it_grows_under_is_left_alone(tmp_path: Path) -> None:
+    """It is another rehearsal's, or somebody's own."""
+    mine = tmp_path / "session.partial" / "mine.txt"
+    mine.parent.mkdir()
+    mine.write_text("precious")
+    with pytest.raises(RigError, match=r"session\.partial: cannot be made \(it is there\); move it elsewhere"):
+        rehearse(tmp_path / "session")
+    assert mine.read_text() == "precious"
+
+
 def test_what_is_interrupted_leaves_nothing(tmp_path: Path) -> None:
     def interrupted(images: object = None) -> None:
         raise KeyboardInterrupt

@@ -59,23 +59,32 @@ def rehearse(folder: Path, progress: Progress = lambda images: None) -> Rehearsa
     """Writes videos, their stamps, `board.yaml`, a preview and the truth, `truth.yaml`, to a new folder.
 
     The truth's base is the board at rest: x along its rows, z up. The folder gets its name when all is in it. Raises
-    `RigError` where it exists already or cannot be made.
+    `RigError` where it, or NAME.partial, which it is until then, exists already or cannot be made.
     """
     if folder.exists():
         raise RigError(f"{folder}: cannot be made (it is there); give a folder that does not exist yet")
     partial = folder.with_name(f"{folder.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
+    except FileExistsError:
+        there = f"{partial}: cannot be made (it is there); move it elsewhere, remove it or give another folder"
+        raise RigError(there) from None
+    except OSError as error:
+        raise _refused(folder, error) from None
+    try:
         made = _written(partial, progress)
         partial.rename(folder)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
-        raise RigError(f"{folder}: cannot be made ({error.strerror}); give a folder that does not exist yet") from None
+        raise _refused(folder, error) from None
     except BaseException:  # whatever ended it: half of a recording is none
         shutil.rmtree(partial, ignore_errors=True)
         raise
     return made
+
+
+def _refused(folder: Path, error: OSError) -> RigError:
+    return RigError(f"{folder}: cannot be made ({error.strerror}); give a folder that does not exist yet")
 
 
 def _written(folder: Path, progress: Progress) -> Rehearsal:
