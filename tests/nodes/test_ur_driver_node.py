@@ -24,7 +24,7 @@ from twin_node.nodes.ur_driver import UrDriverNode
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
-from twin_node.scene import JointPath, Separation
+from twin_node.scene import Float64, JointPath, Separation
 
 pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
 
@@ -109,6 +109,37 @@ def test_servo_mode_follows_what_the_graph_asks_for(stand_in: StandInProcess) ->
     path = JointPath(ur_model("ur5e").joint_names, stamps, start + way * (goal - start))
     graph.bus.publish(FOLLOW, convert.joint_path_to_message(path))
     graph.until(lambda: np.abs(np.array(stand_in.status().q) - goal).max() < 1e-3)
+    graph.close()
+
+
+def test_a_trajectory_without_points_ends_the_one_that_is_followed(stand_in: StandInProcess) -> None:
+    """As ROS's trajectory controllers are told to stay where they are."""
+    graph = Graph(stand_in.host, DriverMode.SERVO)
+    graph.until(lambda: graph.node.report is not None and graph.node.report.speed_fraction == 1.0)
+    start = np.array(stand_in.status().q)
+    names = ur_model("ur5e").joint_names
+
+    def trajectory(way: float, seconds: int) -> Any:
+        ends = start, start + np.array([way, 0, 0, 0, 0, 0])
+        stamps = np.array([START_NS, START_NS + seconds * 1_000_000_000])
+        return convert.joint_path_to_message(JointPath(names, stamps, np.array(ends)))
+
+    message = trajectory(0.6, 60)
+    graph.bus.publish(FOLLOW, message)
+    graph.until(lambda: stand_in.status().q[0] > start[0] + 1e-3)
+    message.points = []
+    graph.bus.publish(FOLLOW, message)
+
+    def ahead() -> Float64:
+        return convert.joint_path_from_message(graph.heard[TRAJECTORY][-1], 0).positions
+
+    graph.until(lambda: np.ptp(ahead(), axis=0).max() == 0)
+    assert stand_in.status().q[0] < start[0] + 0.3
+    assert graph.node.report is not None
+    assert (graph.node.report.state, graph.node.report.refusal) == (DriverState.READY, None)
+    start = ahead()[-1]
+    graph.bus.publish(FOLLOW, trajectory(-0.1, 1))
+    graph.until(lambda: abs(stand_in.status().q[0] - (start[0] - 0.1)) < 1e-3)
     graph.close()
 
 

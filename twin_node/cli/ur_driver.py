@@ -19,7 +19,8 @@ Drive a UR controller through ur_rtde in a process of its own.
   slider     (default) the robot runs its own program; the driver sets the speed slider to the twin's speed fraction and
              beats an input register that the program watches, so that the arm pauses by itself when the beat ends.
              The program needs one line: rtde_set_watchdog("input_int_register_20", 10, "pause")
-  servo      the driver makes the arm follow /arm/follow by servoJ, slowed along its path
+  servo      the driver makes the arm follow /arm/follow by servoJ, slowed along its path; one without points
+             makes it brake there and stay
   read-only  the driver writes nothing
 
 Without forecasts the arm stands. Whatever goes wrong halts it until somebody acknowledges: press Enter, or publish

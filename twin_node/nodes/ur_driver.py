@@ -107,9 +107,13 @@ class UrDriverNode(Node):
         self._driver.decide(replace(separation, stamp=separation.stamp + offset, evidence_stamp=moved))
 
     def _on_follow(self, message: Any) -> None:
-        if self._driver is not None:
-            path: JointPath = convert.joint_path_from_message(message, self.clock.now())
-            self._driver.follow(path)
+        if self._driver is None:
+            return
+        if not message.points:  # so ROS's trajectory controllers are told to stay where they are
+            self._driver.leave_path()
+            return
+        path: JointPath = convert.joint_path_from_message(message, self.clock.now())
+        self._driver.follow(path)
 
     def _on_acknowledge(self, _: Any) -> None:
         if self._driver is not None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driver_bench import CLEAR, MS, STEP_MS, Bench, servo_bench, steps_of
-from fake_link import quintic
+from fake_link import START, quintic
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import (
@@ -15,6 +15,7 @@ from twin_node.arm.ur import (
     DriverMode,
     DriverState,
     Follow,
+    LeavePath,
 )
 
 
@@ -69,6 +70,72 @@ def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> 
     bench.run(100)
     with pytest.raises(ArmError, match="another is followed"):
         bench.driver.order(Follow(quintic()), bench.now)
+
+
+def test_a_path_that_is_left_is_braked_on_as_by_a_decision_and_the_arm_holds_where_that_ends() -> None:
+    left, slowed = servo_bench(), servo_bench()
+    for bench in (left, slowed):
+        bench.run(1000)
+    left.driver.order(LeavePath(), left.now)
+    slowed.driver.order(Decide(replace(CLEAR, evidence_stamp=slowed.now, speed_fraction=0.0)), slowed.now)
+    slowed.fraction = 0.0
+    with pytest.raises(ArmError, match="being left; send it once the arm stands"):
+        left.driver.order(Follow(quintic()), left.now)
+    for bench in (left, slowed):
+        bench.run(1000)
+    np.testing.assert_array_equal(left.link.servoed, slowed.link.servoed)
+    assert START[0] + 0.1 < left.link.servoed[-1][0] < quintic().positions[-1, 0] - 0.1
+    assert (left.report.state, left.report.speed_fraction) == (DriverState.READY, 1.0)
+    future = left.report.future
+    assert future is not None
+    np.testing.assert_array_equal(future.positions, np.broadcast_to(left.link.servoed[-1], future.positions.shape))
+
+
+def test_another_path_is_taken_once_the_one_that_was_left_has_been_braked_on() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    bench.driver.order(LeavePath(), bench.now)
+    bench.run(1000)
+    onwards = quintic(bench.link.servoed[-1], way=-0.3)
+    bench.driver.order(Follow(onwards), bench.now)
+    bench.run(2600)
+    np.testing.assert_allclose(bench.link.servoed[-1], onwards.positions[-1])
+    assert bench.link.preparations == 1
+
+
+def test_a_path_along_which_nobody_lets_the_arm_go_is_left_at_once() -> None:
+    bench = Bench(mode=DriverMode.SERVO)
+    bench.fraction = 0.0
+    bench.run(200)
+    bench.driver.order(Follow(quintic()), bench.now)
+    bench.run(200)
+    bench.driver.order(LeavePath(), bench.now)
+    bench.driver.order(Follow(quintic(way=-0.3)), bench.now)
+    bench.fraction = 1.0
+    bench.run(2600)
+    np.testing.assert_allclose(bench.link.servoed[-1], quintic(way=-0.3).positions[-1])
+
+
+def test_forecasts_that_stop_halt_an_arm_that_leaves_its_path() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    bench.is_fed = False
+    bench.driver.order(LeavePath(), bench.now)
+    assert bench.run(500).state is DriverState.HALTED
+    bench.driver.order(LeavePath(), bench.now)  # said again: it stands
+    bench.is_fed = True
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+    assert steps_of(bench)[-20:].max() == 0
+
+
+def test_to_leave_a_path_is_refused_where_the_driver_follows_none_and_does_nothing_without_one() -> None:
+    with pytest.raises(ArmError, match="expected servo mode, found slider mode"):
+        Bench().driver.order(LeavePath(), 0)
+    bench = Bench(mode=DriverMode.SERVO)
+    bench.run(200)
+    bench.driver.order(LeavePath(), bench.now)
+    assert bench.run(200).state is DriverState.READY
 
 
 @pytest.mark.parametrize("mode", [DriverMode.SLIDER, DriverMode.SERVO])

@@ -5,7 +5,7 @@ from twin_node.arm.ur.follower import PathFollower
 from twin_node.arm.ur.foresight import Foresight
 from twin_node.arm.ur.link import RtdeLink, UrLink
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
-from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, LeavePath, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
 from twin_node.arm.ur.supervisor import SupervisedDriver
 
@@ -18,6 +18,7 @@ __all__ = [
     "Follow",
     "Foresight",
     "Halt",
+    "LeavePath",
     "Order",
     "PathFollower",
     "RtdeLink",

@@ -13,7 +13,7 @@ from twin_node.arm.ur.foresight import Foresight
 from twin_node.arm.ur.freshness import Freshness
 from twin_node.arm.ur.link import UrLink
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
-from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, LeavePath, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
 from twin_node.scene import NO_EVIDENCE, JointPath, Separation
 
@@ -78,6 +78,8 @@ class UrDriver:
             self._decide(order.separation, now)
         elif isinstance(order, Follow):
             self._follow(order.path)
+        elif isinstance(order, LeavePath):
+            self._leave_path()
         elif isinstance(order, Acknowledge):
             self._acknowledge(now)
 
@@ -223,15 +225,25 @@ class UrDriver:
         self._halt = None
 
     def _follow(self, path: JointPath) -> None:
-        if self._mode is not DriverMode.SERVO:
-            raise ArmError(f"trajectory: expected servo mode, found {self._mode.value} mode; choose --mode servo")
+        self._check_servo()
         if self._halt is not None:
             raise ArmError(f"trajectory: refused while halted ({self._halt.reason}); acknowledge first")
         if self._sample is None:
             raise ArmError("trajectory: refused, no state from the controller yet; send it again")
         if self._follower is not None and not self._follower.is_done:
-            raise ArmError("trajectory: refused while another is followed; wait for its end")
+            if self._follower.is_left:
+                raise ArmError("trajectory: refused while another is being left; send it once the arm stands")
+            raise ArmError("trajectory: refused while another is followed; wait for its end or send one without points")
         self._follower = PathFollower(self._model, path, self._sample.target_q)
+
+    def _leave_path(self) -> None:
+        self._check_servo()
+        if self._follower is not None:
+            self._follower.leave()
+
+    def _check_servo(self) -> None:
+        if self._mode is not DriverMode.SERVO:
+            raise ArmError(f"trajectory: expected servo mode, found {self._mode.value} mode; choose --mode servo")
 
     def _tell(self, now: int, dt: float) -> None:
         """Slider and heartbeat, or the next angles, as the mode has it."""

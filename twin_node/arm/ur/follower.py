@@ -33,11 +33,17 @@ class PathFollower:
         self._path = JointPath(model.joint_names, path.stamps - path.stamps[0], positions)
         self._time_ns = 0.0
         self._rate = 0.0
+        self._is_left = False
 
     @property
     def is_done(self) -> bool:
-        """Whether the path's end is reached."""
-        return bool(self._time_ns >= self._path.stamps[-1])
+        """Whether the arm is to go no further: at the path's end, or where it stands on one that was left."""
+        return bool(self._time_ns >= self._path.stamps[-1]) or (self._is_left and self._rate == 0)
+
+    @property
+    def is_left(self) -> bool:
+        """Whether the path's end is not wanted any more."""
+        return self._is_left
 
     @property
     def rate(self) -> float:
@@ -50,20 +56,26 @@ class PathFollower:
         position: Float64 = self._at(np.array([self._time_ns]))[0]
         return position
 
+    def leave(self) -> None:
+        """From now on brake on the path as at a fraction of 0, and stay where that ends."""
+        self._is_left = True
+
     def advance(self, fraction: float, dt: float) -> Float64:
         """Angles [J] one period `dt` (s) later, while a share `fraction` of the speed is allowed.
 
         The rate approaches the fraction as fast as the joints' accelerations let the arm brake or start on the path.
         """
         step = self._rate_change_per_s() * dt
-        self._rate += float(np.clip(fraction - self._rate, -step, step))
+        allowed = 0.0 if self._is_left else fraction
+        self._rate += float(np.clip(allowed - self._rate, -step, step))
         self._time_ns = min(self._time_ns + self._rate * dt * 1e9, float(self._path.stamps[-1]))
         return self.q
 
     def ahead(self, stamp: int) -> JointPath:
-        """The next 200 ms from a time on (ns) at the path's own speed, the arm standing at its end."""
+        """The next 200 ms from a time on (ns) at the path's own speed, the arm standing once it is done."""
         offsets = ahead_offsets()
-        return JointPath(self._model.joint_names, stamp + offsets, self._at(offsets + self._time_ns))
+        times = np.full(len(offsets), self._time_ns) if self.is_done else offsets + self._time_ns
+        return JointPath(self._model.joint_names, stamp + offsets, self._at(times))
 
     def _at(self, times: NDArray[np.floating]) -> Float64:
         return sample_path(self._path, np.rint(times).astype(np.int64))

@@ -78,8 +78,13 @@ class Follow:
 
 
 @dataclass(frozen=True)
+class LeavePath:
+    """Servo mode: brake on the path that is followed, and stay where that ends."""
+
+
+@dataclass(frozen=True)
 class Acknowledge:
     """Somebody has looked: go on, if what was wrong is over."""
 
 
-Order = Decide | Follow | Acknowledge
+Order = Decide | Follow | LeavePath | Acknowledge

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.parameters import UrParameters
 from twin_node.arm.ur.process import DriverProcess
-from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, Order
+from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, LeavePath, Order
 from twin_node.scene import JointPath, Separation
 
 _LOOK_S = 0.05
@@ -71,6 +71,10 @@ class SupervisedDriver:
     def follow(self, path: JointPath) -> bool:
         """Servo mode: follow a path now. False: there is no connection; reports say when it was refused."""
         return self._give(Follow(path))
+
+    def leave_path(self) -> bool:
+        """Servo mode: brake on the path that is followed, and stay there. False: there is no connection."""
+        return self._give(LeavePath())
 
     def acknowledge(self) -> bool:
         """Somebody has looked: go on, if what was wrong is over. False: there is no connection."""
