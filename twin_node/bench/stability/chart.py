@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin_node.bench.results_folder import save_chart
-from twin_node.bench.stability.failures import FAILURES, UNDISTURBED
+from twin_node.bench.stability.failures import FAILURES
 from twin_node.bench.stability.pictures import OURS
 from twin_node.bench.stability.suite import METHODS, Stability
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 TITLES = {
     OURS: "ours",
@@ -62,13 +63,16 @@ def markdown(found: Stability) -> str:
 
 
 def draw(found: Stability, folder: Path) -> Path:
-    """`stability.png` and `stability.svg` in `folder`: a row per failure, a bar per method as long as it holds.
+    """`stability.png` and `stability.svg` in `folder`; raises `BenchError` where they cannot be written."""
+    return save_chart(drawn(found), folder, "stability")
 
-    Raises `BenchError` where they cannot be written.
-    """
+
+def drawn(found: Stability) -> Figure:
+    """The chart: a row per failure, a bar per method as long as it holds."""
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
-    rows = [name for name in found.failures if name not in UNDISTURBED]
+    rows = list(found.failures)
     figure = Figure(figsize=(11, 0.5 * len(rows) + 1.8), layout="constrained")
     axes = figure.add_subplot()
     for row, failure in enumerate(rows):
@@ -76,19 +80,21 @@ def draw(found: Stability, folder: Path) -> Path:
     axes.set_yticks(range(len(rows)), [_row_title(name, found) for name in rows], fontsize=8)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xlim(0, NEVER_ENDS)
-    axes.set_xticks([0.0, 1.0, NEVER_ENDS], ["gives way at once", "at the hardest level", "never"])
+    axes.set_xticks([0.0, 1.0, NEVER_ENDS], ["gives way at the first level", "at the hardest level", "never"])
     axes.axvspan(1.0, NEVER_ENDS, color="#eef6ee", zorder=0)
     axes.set_title("How far each method holds: recall at 200 ms of 95 %, or a picture of 15 dB", loc="left")
     axes.set_title("litres blocked:\nours / worst case", loc="right", fontsize=8)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(left=False)
-    handles = [axes.barh(0, 0, color=colour, label=TITLES[name]) for name, colour in zip(TITLES, COLOURS, strict=True)]
+    handles = [Patch(color=colour, label=TITLES[name]) for name, colour in zip(TITLES, COLOURS, strict=True)]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-    return save_chart(figure, folder, "stability")
+    return figure
 
 
 NEVER_ENDS = 1.15
 """Length of the bar of a method that holds at every level, where 1 is the hardest one."""
+LEAST_BAR = 0.006
+"""Length of the bar of a method that gives way at the first level, so that it is seen."""
 
 
 def _row_title(failure: str, found: Stability) -> str:
@@ -97,17 +103,18 @@ def _row_title(failure: str, found: Stability) -> str:
 
 
 def _draw_row(axes: Axes, row: int, failure: str, found: Stability) -> None:
-    """A bar per method that ends between the last level at which it holds and the first at which it gives way."""
+    """A bar per method that ends at the first level at which it gives way, the levels evenly between 0 and 1."""
     levels = [one.level for one in found.failures[failure]]
+    places = {level: index / max(len(levels) - 1, 1) for index, level in enumerate(levels)}
     height = 0.8 / len(TITLES)
     for index, (name, colour) in enumerate(zip(TITLES, COLOURS, strict=True)):
         gives_way = found.gives_way(name, failure)
-        length = NEVER_ENDS if gives_way is None else max(levels.index(gives_way) / len(levels), 0.006)
+        length = NEVER_ENDS if gives_way is None else max(places[gives_way], LEAST_BAR)
         axes.barh(row + (index - (len(TITLES) - 1) / 2) * height, length, height, color=colour)
     blocked = _blocked(found, failure)
     axes.annotate(blocked, (NEVER_ENDS, row), (6, -3), textcoords="offset points", fontsize=8, annotation_clip=False)
-    for index in range(1, len(levels) + 1):
-        axes.plot([index / len(levels)] * 2, [row - 0.42, row + 0.42], color="white", linewidth=1)
+    for level in levels[1:]:
+        axes.plot([places[level]] * 2, [row - 0.42, row + 0.42], color="white", linewidth=1)
 
 
 def _blocked(found: Stability, failure: str) -> str:
