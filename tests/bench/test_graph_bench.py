@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import multiprocessing
+import re
 import select
 import sys
 import time
@@ -18,12 +20,15 @@ pytest.importorskip("zenoh")
 from twin_node.bag import BagError
 from twin_node.bench import graph_hops, graph_recorder
 from twin_node.bench.errors import BenchError
+from twin_node.bench.graph import IdleFigures, KillFigures, LatencyFigures
+from twin_node.bench.graph_cameras import CameraFigures, FaultFigures
 from twin_node.bench.graph_hops import HopFigures, hops
 from twin_node.bench.graph_link import Link, Machine
 from twin_node.bench.graph_machine import Told
-from twin_node.bench.graph_network import Cut, figures_of
-from twin_node.bench.graph_recorder import HEIGHT, WIDTH, images, killed
+from twin_node.bench.graph_network import Cut, NetworkFigures, figures_of
+from twin_node.bench.graph_recorder import HEIGHT, WIDTH, KilledFigures, RecorderFigures, images, killed
 from twin_node.bench.graph_run import Percentiles, percentiles
+from twin_node.bench.graph_table import Figures, table
 from twin_node.cli import main
 from twin_node.json_text import json_text
 from twin_node.messages import convert
@@ -161,4 +166,50 @@ def test_a_part_that_is_named_twice_is_measured_once(
     monkeypatch.setattr(graph_hops, "hops", measure)
     assert main(["bench", "graph", "--only", "hops", "hops", "--seconds", "3"]) == 0
     assert measured == [3.0]
-    assert capsys.readouterr().out.startswith("hops: image")
+    assert capsys.readouterr().out.splitlines() == [
+        "hops: from process to process               p50 ms      p99 ms    least ms    messages",
+        "  image                                        1.0         1.0         1.0           1",
+        "  depth                                        1.0         1.0         1.0           1",
+        "  small message                                1.0         1.0         1.0           1",
+        "  came out of order: 0",
+    ]
+
+
+PARTS: dict[str, Figures] = {
+    "latency": LatencyFigures(Percentiles(9, 177.0, 250.0, 100.0), Percentiles(8, 288.0, 301.0, 99.0), -111.0, -51.0),
+    "idle": IdleFigures(0.022, (("arm", 0.012), ("arm, spare", 0.01))),
+    "kills": KillFigures(20, 1.32, 0.27, (("cell", 0.3), ("twin", 0.2)), 7.5, 1.5, 0, 0),
+    "recorder": RecorderFigures(300.0, 54006, 54005, 1, 26.04, 0.06),
+    "killed": KilledFigures(20, 20, 0.174),
+    "network": NetworkFigures(20.0, 0.01, 3.0, 3, math.inf, 0.21, 0.096, 0.194, 1.2, 0, 0.024, 23.4, 33.2),
+    "cameras": CameraFigures(10.0, 0, (FaultFigures("dead", math.nan, 7.5, 0.94, 0),)),
+}
+
+
+def test_every_part_is_told_in_lines_that_fit_a_terminal() -> None:
+    told = {part: table(part, figures).splitlines() for part, figures in PARTS.items()}
+    for part, lines in told.items():
+        assert lines[0].startswith(f"{part}: ")
+        assert max(map(len, lines)) <= 100
+        assert not re.search(r"[{}()']|nan|inf|\d{3}\.\d{2}", "".join(lines).replace("link's", "")), lines
+    assert [line.split()[-1] for line in told["idle"]] == ["%"] * 3
+    assert told["latency"][-1].split()[-2:] == ["-111.0", "-51.0"]
+    assert told["kills"][1].split()[-2:] == ["0.27", "1.32"]
+    assert told["recorder"][1].split()[1:] == ["54006", "54005", "1", "26.0", "6.0", "%"]
+    assert told["network"][2].split()[-2:] == ["0.10", "never"]  # the median, and the longest
+    assert told["cameras"][-1].split() == ["dead", "never", "0.94", "7.5", "0"]
+
+
+def test_a_part_that_fails_is_one_line_and_the_others_are_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(seconds: float) -> HopFigures:
+        raise BenchError("no listener")
+
+    monkeypatch.setattr(graph_hops, "hops", refuse)
+    monkeypatch.setattr(graph_recorder, "killed", lambda times, folder: PARTS["killed"])
+    assert main(["bench", "graph", "--only", "hops", "killed", "--json"]) == 1
+    told = capsys.readouterr()
+    assert json.loads(told.out)["hops"] == {"error": "no listener"}
+    assert json.loads(told.out)["killed"]["opened"] == 20
+    assert told.err.splitlines() == ["hops: no listener", *table("killed", PARTS["killed"]).splitlines()]

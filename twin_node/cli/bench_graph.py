@@ -42,6 +42,7 @@ def add_bench_graph(benches: Any) -> None:
 
 def _graph(options: argparse.Namespace) -> int:
     from twin_node.bench import graph, graph_cameras, graph_hops, graph_network, graph_recorder
+    from twin_node.bench.graph_table import table
     from twin_node.errors import TwinError
 
     figures: dict[str, Any] = {}
@@ -59,11 +60,11 @@ def _graph(options: argparse.Namespace) -> int:
         }
         for part in dict.fromkeys(options.only):
             try:
-                figures[part] = dataclasses.asdict(measure[part]())
+                found = measure[part]()
+                figures[part], lines = dataclasses.asdict(found), table(part, found)
             except TwinError as error:  # the other parts can be measured nevertheless
-                figures[part] = {"error": str(error)}
-            line = f"{part}: " + ", ".join(f"{key} {value}" for key, value in figures[part].items())
-            print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
+                figures[part], lines = {"error": str(error)}, f"{part}: {error}"
+            print(lines, file=sys.stderr if options.json else sys.stdout, flush=True)
     if options.json:
         print(json_text(figures))
     return 1 if any("error" in found for found in figures.values()) else 0
