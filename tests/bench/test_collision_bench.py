@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from twin_node.bench import collision
 from twin_node.bench.arm_reference import ArmReference
 from twin_node.bench.errors import BenchError
 from twin_node.cli import main
-from twin_node.robot import UR_NAMES
+from twin_node.robot import UR_NAMES, ArmModel, ur_model
 
 SMALL = collision.CollisionBench(arm="ur5e", obstacles=20, steps=4, repetitions=1, poses=200, probes=2)
 URDF = """<robot name="one"><link name="base"/><link name="arm"><inertial><mass value="1"/>
@@ -21,6 +24,8 @@ URDF = """<robot name="one"><link name="base"/><link name="arm"><inertial><mass 
 <geometry><mesh filename="meshes/far/cube.stl"/></geometry></collision></link>
 <joint name="turn" type="continuous"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/>
 </joint></robot>"""
+CUBE = """<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><mesh filename="cube.stl"/></geometry></collision>"""
 SPHERES = "robot_cfg: {kinematics: {collision_spheres: {arm: [{center: [0.5, 0, 0], radius: 0.2}]}}}"
 
 
@@ -36,6 +41,23 @@ def cube_stl(half: float) -> bytes:
             triangles += [(corner[0], corner[1], corner[2]), (corner[0], corner[2], corner[3])]
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *np.concatenate(t), 0) for t in triangles)
     return bytes(80) + struct.pack("<I", len(triangles)) + body
+
+
+def urdf_of(model: ArmModel, base_height: float = 0.0) -> str:
+    """An arm's URDF, a cube on each moving link, its base so high above the root (m)."""
+    links = [f'<link name="{link}">{CUBE}</link>' for link in model.link_names[1:]]
+    joints = []
+    for index, (joint, origin) in enumerate(zip(model.joint_names, model.origins, strict=True)):
+        roll, pitch, yaw = Rotation.from_matrix(origin[:3, :3]).as_euler("xyz")
+        x, y, z = origin[:3, 3]
+        joints.append(
+            f'<joint name="{joint}" type="continuous"><parent link="{model.link_names[index]}"/>'
+            f'<child link="{model.link_names[index + 1]}"/><origin xyz="{x} {y} {z}" rpy="{roll} {pitch} {yaw}"/>'
+            '<axis xyz="0 0 1"/></joint>'
+        )
+    root = '<link name="floor"/><link name="base_link"/><joint name="stand" type="fixed"><parent link="floor"/>'
+    root += f'<child link="base_link"/><origin xyz="0 0 {base_height}"/></joint>'
+    return f'<robot name="{model.name}">{root}{"".join(links)}{"".join(joints)}</robot>'
 
 
 @pytest.fixture
@@ -104,6 +126,35 @@ def test_a_reference_of_another_arm_is_refused(reference: Path, capsys: pytest.C
     (line,) = capsys.readouterr().err.splitlines()
     assert "expected a URDF of 6 joints with a collision mesh on each of shoulder_link" in line
     assert "found 1 joints, and meshes on arm; give the folder" in line
+
+
+@pytest.mark.parametrize("name", ["ur3e", "ur5e", "ur16e"])
+def test_another_ur_arms_urdf_is_refused_by_the_lengths_of_its_links(
+    name: str, reference: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (reference / "one.urdf").write_text(urdf_of(ur_model(name)))
+    assert main(["bench", "collision", "--reference", str(reference)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{reference}: expected a URDF of a ur10e" in line
+    assert f"found that of a {name}: " in line
+    assert line.endswith("; give the folder of the arm that is measured")
+
+
+@pytest.mark.parametrize("name", UR_NAMES)
+def test_the_arms_own_urdf_is_taken_wherever_its_base_stands(name: str, reference: Path) -> None:
+    (reference / "one.urdf").write_text(urdf_of(ur_model(name), base_height=0.8))
+    ArmReference(reference).check_arm(ur_model(name))
+
+
+def test_an_arm_that_is_none_of_urs_is_refused_by_what_differs_most(reference: Path) -> None:
+    model = ur_model("ur5e")
+    origins = model.origins.copy()
+    origins[:, :3, 3] *= 1.02
+    (reference / "one.urdf").write_text(urdf_of(replace(model, origins=origins)))
+    lengths = "0.4335 m from upper_arm_link to forearm_link, where a ur5e has 0.4250 m"
+    expected = f"expected a URDF of a ur5e, found another arm: {lengths}"
+    with pytest.raises(BenchError, match=re.escape(expected)):
+        ArmReference(reference).check_arm(model)
 
 
 def test_a_reference_may_lie_in_any_folder(reference: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -14,8 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.bench.errors import BenchError
+from twin_node.robot import UR_NAMES, ArmModel, forward_kinematics, ur_model
 from twin_node.scene import Float64
 from twin_node.yaml_file import read_yaml
+
+_SAME_LENGTH_M = 0.005
+"""A link's length may differ by so much, m: the nearest two of UR's arms, UR3 and UR3e, differ by 10 mm in one."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,25 @@ class ArmReference:
         models = sorted(folder.glob("*.yml"))
         self._spheres = _read_spheres(models[0]) if models else None
 
-    def check_links(self, links: Sequence[str]) -> None:
-        """Raises `BenchError` where it is of another arm than that of these links, the first of which is its base."""
+    def check_arm(self, model: ArmModel) -> None:
+        """Raises `BenchError` where it is of another arm, by its links' names, meshes and lengths."""
+        self._check_links(model.link_names)
+        links = model.link_names[1:]
+        found = _lengths(self.link_positions(np.zeros((1, model.joints)), links)[0])
+        off = np.abs(found - _lengths_of(model))
+        if off.max() <= _SAME_LENGTH_M:
+            return
+        others = (name for name in UR_NAMES if np.abs(found - _lengths_of(ur_model(name))).max() <= _SAME_LENGTH_M)
+        other = next((f"that of a {name}" for name in others), "another arm")
+        worst = int(off.argmax())
+        raise BenchError(
+            f"{self._folder}: expected a URDF of a {model.name}, found {other}: {found[worst]:.4f} m from "
+            f"{links[worst]} to {links[worst + 1]}, where a {model.name} has {_lengths_of(model)[worst]:.4f} m; give "
+            "the folder of the arm that is measured"
+        )
+
+    def _check_links(self, links: Sequence[str]) -> None:
+        """Raises `BenchError` where it does not have these links, the first of which is the base."""
         meant, meshed, joints = links[1:], [name for name in links[1:] if name in self._meshes], self._engine.nq
         if len(meshed) < len(meant) or joints != len(meant):
             raise BenchError(
@@ -127,6 +148,17 @@ class ArmReference:
             faces = engine.mesh_face[first : first + count].astype(np.uint32)
             found[engine.body(body).name] = LinkMesh(np.ascontiguousarray(local, np.float32), faces)
         return found
+
+
+def _lengths(positions: Float64) -> Float64:
+    """Distances [L - 1] (m) from each link's origin [L, 3] to the next one's, which no joint changes."""
+    lengths: Float64 = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    return lengths
+
+
+def _lengths_of(model: ArmModel) -> Float64:
+    """As `_lengths`, of an arm's moving links."""
+    return _lengths(forward_kinematics(model, np.zeros((1, model.joints)))[0, 1:, :3, 3])
 
 
 def _load(urdf: Path) -> Any:

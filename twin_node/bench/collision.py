@@ -91,7 +91,7 @@ def run(
     """
     bench = bench or CollisionBench()
     if reference is not None:
-        reference.check_links(ur_model(bench.arm).link_names)
+        reference.check_arm(ur_model(bench.arm))
     figures: dict[str, object] = asdict(measure_speeds(bench))
     figures |= {"obstacles": bench.obstacles, "steps": bench.steps, "arm": bench.arm}
     figures["fk_dh_m"] = max(fk_error_against_dh(name, bench.seed) for name in UR_NAMES)
