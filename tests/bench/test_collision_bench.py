@@ -96,6 +96,15 @@ def test_reference_distances_are_those_of_its_shapes(reference: Path) -> None:
     np.testing.assert_allclose(arm.link_positions(np.array([[0.3]]), ("arm",)), [[[0.0, 0.0, 1.0]]])
 
 
+def test_every_mesh_of_a_link_counts(reference: Path) -> None:
+    """Convex parts are customary: each of them is solid, where they overlap too."""
+    second = """<collision><origin xyz="0.65 0 0"/><geometry><mesh filename="cube.stl"/></geometry></collision>"""
+    (reference / "one.urdf").write_text(URDF.replace("</collision>", f"</collision>{second}"))
+    points = np.array([[[0.3, 0.0, 0.0], [0.85, 0.0, 0.0], [0.575, 0.0, 0.0]]])
+    distances = ArmReference(reference).mesh_distances(np.eye(4)[None, None].repeat(2, 1), ("base", "arm"), points)
+    np.testing.assert_allclose(distances, [[0.1, 0.1, -0.025]], atol=1e-6)
+
+
 def test_ur10e_capsules_enclose_its_meshes(recordings: Path) -> None:
     bench = collision.CollisionBench(poses=300)
     arm = ArmReference(recordings / "ur10e_model")

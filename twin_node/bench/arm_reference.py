@@ -24,7 +24,7 @@ _SAME_LENGTH_M = 0.005
 
 @dataclass(frozen=True)
 class LinkMesh:
-    """A link's collision mesh in the link's own frame."""
+    """One of a link's collision meshes, in the link's own frame."""
 
     vertices: NDArray[np.float32]
     """[V, 3] m."""
@@ -106,17 +106,15 @@ class ArmReference:
         device = o3c.Device("CPU:0")
 
         nearest = np.full(points.shape[:2], np.inf)
-        for row, name in enumerate(links):
-            if row == 0 or name not in self._meshes:
-                continue
-            scene = RaycastingScene(nthreads=1)
-            mesh = self._meshes[name]
-            scene.add_triangles(
-                o3c.Tensor(mesh.vertices, o3c.float32, device), o3c.Tensor(mesh.faces, o3c.uint32, device)
-            )
+        for row, name in enumerate(links[1:], start=1):
             local = np.ascontiguousarray(_seen_from(poses[:, row], points), np.float32)
-            distances = scene.compute_signed_distance(o3c.Tensor(local, o3c.float32, device)).numpy()
-            nearest = np.minimum(nearest, distances)
+            for mesh in self._meshes.get(name, ()):  # a scene for each: where two overlap, one scene takes in for out
+                scene = RaycastingScene(nthreads=1)
+                scene.add_triangles(
+                    o3c.Tensor(mesh.vertices, o3c.float32, device), o3c.Tensor(mesh.faces, o3c.uint32, device)
+                )
+                distances = scene.compute_signed_distance(o3c.Tensor(local, o3c.float32, device)).numpy()
+                nearest = np.minimum(nearest, distances)
         return nearest
 
     def sphere_distances(self, poses: Float64, links: tuple[str, ...], points: Float64) -> Float64 | None:
@@ -133,11 +131,11 @@ class ArmReference:
             nearest = np.minimum(nearest, gaps.min(axis=2))
         return nearest
 
-    def _read_meshes(self) -> dict[str, LinkMesh]:
-        """The mesh geoms, moved from MuJoCo's own frames to their links'."""
+    def _read_meshes(self) -> dict[str, list[LinkMesh]]:
+        """The mesh geoms of each link, moved from MuJoCo's own frames to their links'."""
         engine, data = self._engine, self._data
         mujoco.mj_kinematics(engine, data)
-        found = {}
+        found: dict[str, list[LinkMesh]] = {}
         for geom in np.flatnonzero(engine.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
             mesh, body = int(engine.geom_dataid[geom]), int(engine.geom_bodyid[geom])
             first, count = int(engine.mesh_vertadr[mesh]), int(engine.mesh_vertnum[mesh])
@@ -146,7 +144,8 @@ class ArmReference:
             local = (placed - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
             first, count = int(engine.mesh_faceadr[mesh]), int(engine.mesh_facenum[mesh])
             faces = engine.mesh_face[first : first + count].astype(np.uint32)
-            found[engine.body(body).name] = LinkMesh(np.ascontiguousarray(local, np.float32), faces)
+            mesh_of_link = LinkMesh(np.ascontiguousarray(local, np.float32), faces)
+            found.setdefault(engine.body(body).name, []).append(mesh_of_link)
         return found
 
 
