@@ -9,8 +9,11 @@ from typing import Any
 
 import yaml
 
-from twin_node.cli.arguments import not_negative, positive, seed
+from twin_node.cli.arguments import not_negative, positive, refuse_given, seed
 from twin_node.json_text import json_text
+
+NOISE_M = 0.005
+FPS = 30.0
 
 
 def add_bench_forecast(benches: Any) -> None:
@@ -26,18 +29,17 @@ def add_bench_forecast(benches: Any) -> None:
     what.add_argument("--made-up", action="store_true", help="sudden stops, reversals, throws, ... instead of a file")
     what.add_argument("--speed", action="store_true", help="time a forecast and its cover instead, on a made-up scene")
     forecast.add_argument(
-        "--noise",
-        type=not_negative,
-        default=0.005,
-        metavar="M",
-        help="noise added to each coordinate, m (%(default)s)",
+        "--noise", type=not_negative, metavar="M", help=f"noise added to each coordinate, m (default {NOISE_M:g})"
     )
     forecast.add_argument(
-        "--fps", type=positive, default=30.0, metavar="F", help="samples per second, about; of a file at most its own"
+        "--fps",
+        type=positive,
+        metavar="F",
+        help=f"samples per second, about; of a file at most its own (default {FPS:g})",
     )
     forecast.add_argument("--height", type=positive, metavar="M", help="of a BVH's person, m (default 1.75)")
     forecast.add_argument("--joints", nargs="+", metavar="NAME", help="score points whose names hold one")
-    forecast.add_argument("--seed", type=seed, default=0, help="of the noise (%(default)s)")
+    forecast.add_argument("--seed", type=seed, metavar="N", help="of the noise (default 0)")
     forecast.add_argument("--json", action="store_true", help="print one JSON object")
     forecast.set_defaults(run=_bench_forecast)
 
@@ -45,29 +47,25 @@ def add_bench_forecast(benches: Any) -> None:
 def _bench_forecast(options: argparse.Namespace) -> None:
     from twin_node.bench import forecast, forecast_speed, made_up
 
-    _require_file(options)
+    if options.file is None:
+        refuse_given(options, ("height", "joints"), "expected with a file of trajectories; give one, or leave it out")
+    if options.speed:
+        why = "expected with trajectories; --speed has a scene of its own: leave one of the two out"
+        refuse_given(options, ("noise", "fps", "seed"), why)
+    noise_m = NOISE_M if options.noise is None else options.noise
+    fps, noise_seed = options.fps or FPS, options.seed or 0
     if options.speed:
         figures = forecast_speed.run().as_json()
     elif options.made_up:
-        figures = made_up.run(options.fps, options.noise, options.seed).as_json()
+        figures = made_up.run(fps, noise_m, noise_seed).as_json()
     else:
         parameters = forecast.ForecastBenchParameters(
-            fps=options.fps,
-            noise_m=options.noise,
+            fps=fps,
+            noise_m=noise_m,
             joints=tuple(options.joints or ()),
-            seed=options.seed,
+            seed=noise_seed,
         )
         if options.height is not None:
             parameters = replace(parameters, height_m=options.height)
         figures = forecast.run(options.file, parameters).as_json()
     print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
-
-
-def _require_file(options: argparse.Namespace) -> None:
-    """Raises `BenchError` for what says how a file is read, without one."""
-    from twin_node.bench.errors import BenchError
-
-    given = {"--height": options.height is not None, "--joints": options.joints is not None}
-    names = [name for name, is_given in given.items() if is_given]
-    if options.file is None and names:
-        raise BenchError(f"{' and '.join(names)}: expected with a file of trajectories; give one, or leave it out")

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from twin_node.cli.arguments import whole
+from twin_node.cli.arguments import refuse_given, whole
 from twin_node.json_text import json_text
 
 ROUNDS = 3
@@ -24,7 +24,7 @@ def add_bench_viewer(benches: Any) -> None:
         "--latency", type=Path, metavar="RECORDING", help="instead: replay it in real time with and without visitors"
     )
     viewer.add_argument("--rounds", type=whole, metavar="N", help=f"replays of each kind (default {ROUNDS})")
-    viewer.add_argument("-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="of the replays")
+    viewer.add_argument("-p", "--param", action="append", metavar="NODE.KEY:=VALUE", help="of the replays; repeatable")
     viewer.add_argument("--json", action="store_true", help="print one JSON object")
     viewer.set_defaults(run=_bench_viewer)
 
@@ -34,12 +34,12 @@ def _bench_viewer(options: argparse.Namespace) -> None:
 
     if options.latency is not None and options.log is not None:
         raise BenchError(f"--latency: expected instead of a log, found {options.log} too; leave one of the two out")
-    if options.latency is None and (options.param or options.rounds is not None):
-        raise BenchError("--rounds, --param: expected with --latency, whose replays they are of; add it")
+    if options.latency is None:
+        refuse_given(options, ("rounds", "param"), "expected with --latency, whose replays they are of; add it")
     if options.latency is not None:
         from twin_node.bench.viewer_latency import cost
 
-        figures = cost(options.latency, options.rounds or ROUNDS, tuple(options.param)).as_json()
+        figures = cost(options.latency, options.rounds or ROUNDS, tuple(options.param or ())).as_json()
     else:
         from twin_node.bench.viewer import run
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import whole, width
+from twin_node.cli.arguments import refuse_given, whole, width
 from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
@@ -70,10 +70,9 @@ def _made_up(options: argparse.Namespace, budget: Budget, report: Report) -> Met
     from twin_node.bench.methods.ablations import ablations
     from twin_node.bench.methods.made_up import MADE_UP_QUICK, MadeUpParameters, make_up
     from twin_node.bench.methods.table import run
-    from twin_node.errors import TwinError
 
-    if options.hold_out or options.rig:
-        raise TwinError("--hold-out, --rig: expected with recorded data; the made-up scene has cameras of its own")
+    why = "expected with recorded data; the made-up scene has cameras of its own"
+    refuse_given(options, ("hold_out", "rig"), why)
     parameters = MADE_UP_QUICK if options.quick else MadeUpParameters()
     given = {"width": options.width, "frames": options.frames}
     parameters = replace(parameters, **{name: value for name, value in given.items() if value is not None})

@@ -11,9 +11,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, port, positive, with_source_options
+from twin_node.cli.arguments import add_source_options, port, positive, refuse_given, with_source_options
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
+
+PORT = 8080
 
 
 def add_replay(commands: Any) -> None:
@@ -35,9 +37,15 @@ def add_replay(commands: Any) -> None:
 def add_demo(commands: Any) -> None:
     """Adds `demo` to the subcommands."""
     demo = commands.add_parser("demo", help="make a log of a simulated cell and replay it")
-    demo.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder for log and report")
+    demo.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/demo"),
+        metavar="DIR",
+        help="folder for log and report (default %(default)s)",
+    )
     demo.add_argument("--viewer", action="store_true", help="then show the run in the browser, until Ctrl-C")
-    demo.add_argument("--port", type=port, default=8080, help="of the viewer (default 8080)")
+    demo.add_argument("--port", type=port, metavar="PORT", help=f"with --viewer: its port (default {PORT})")
     demo.set_defaults(run=_demo)
 
 
@@ -60,11 +68,14 @@ def _demo(options: argparse.Namespace) -> None:
     from twin_node.nodes.chain_parameters import load_parameters
     from twin_node.nodes.log_source import LogSession
 
+    if not options.viewer:
+        refuse_given(options, ("port",), "expected with --viewer, whose port it is; add it")
+    chosen_port = options.port or PORT
     has_viser = find_spec("viser") is not None
     if options.viewer and has_viser:
         from twin_node.nodes.viewer import LOOPBACK, check_address
 
-        check_address(LOOPBACK, options.port)  # a port that is taken is told now, not after the run
+        check_address(LOOPBACK, chosen_port)  # a port that is taken is told now, not after the run
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -83,7 +94,7 @@ def _demo(options: argparse.Namespace) -> None:
     if not has_viser:
         print("viewer: expected the package viser; install it with pip install 'twin-node[viewer]'")
     elif options.viewer:
-        view_log([twin, log], arm=parameters.arm.model, port=options.port)
+        view_log([twin, log], arm=parameters.arm.model, port=chosen_port)
     else:
         print(f"viewer: twin_node view {twin} {log} --arm {parameters.arm.model}")
 
