@@ -26,7 +26,9 @@ from twin_node.json_text import json_text
 
 def add_bench(commands: Any) -> None:
     """Adds `bench` to the subcommands."""
-    benches = commands.add_parser("bench", help="measure").add_subparsers(required=True, metavar="WHAT")
+    benches = commands.add_parser("bench", help="measure accuracy, speed and safety, beside baselines").add_subparsers(
+        required=True, metavar="WHAT"
+    )
     add_bench_occupancy(benches)
     track = benches.add_parser("track", help="how well and how fast the model follows a log")
     track.add_argument("log", type=Path, metavar="LOG")

@@ -24,7 +24,7 @@ def add_bench_collision(benches: Any) -> None:
         "--reference",
         type=Path,
         metavar="DIR",
-        help=f"a UR10e's URDF, meshes/*.stl and cuRobo's *.yml (default: {REFERENCE}, where it is there)",
+        help=f"folder of a UR10e's URDF, its meshes/ and cuRobo's *.yml (default: {REFERENCE}, where it is there)",
     )
     collision.add_argument("--json", action="store_true", help="print one JSON object")
     collision.set_defaults(run=_bench_collision)

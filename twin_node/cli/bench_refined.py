@@ -15,9 +15,9 @@ from twin_node.json_text import json_text
 def add_bench_refined(benches: Any) -> None:
     """Adds `bench refined`."""
     parser = benches.add_parser("refined", help="PSNR in each camera left out, under a rig and under a refined one")
-    parser.add_argument("log", type=Path, metavar="LOG")
-    parser.add_argument("before", type=Path, metavar="BEFORE.yaml")
-    parser.add_argument("after", type=Path, metavar="AFTER.yaml")
+    parser.add_argument("log", type=Path, metavar="LOG", help="a recording of the rig")
+    parser.add_argument("before", type=Path, metavar="BEFORE.yaml", help="rig file to begin with")
+    parser.add_argument("after", type=Path, metavar="AFTER.yaml", help="rig file of calibrate refine")
     parser.add_argument("--width", type=width, default=240, metavar="PX", help="of the images (default 240)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_bench_refined)

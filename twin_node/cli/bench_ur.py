@@ -20,7 +20,9 @@ def add_bench_ur(benches: Any) -> None:
         "until the arm was told to stop, paused by its own watchdog, or the command was refused.",
     )
     parser.add_argument("--repeats", type=whole, default=20, metavar="N", help="of each fault (default 20)")
-    parser.add_argument("--fault", action="append", metavar="NAME", help="only this fault; repeatable")
+    parser.add_argument(
+        "--fault", action="append", metavar="NAME", help="only this fault; repeatable; a wrong name lists them all"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_bench_ur)
 

@@ -29,10 +29,10 @@ def add_methods(benches: Any) -> None:
         "data", nargs="?", default=MADE_UP, metavar="DATA", help="log or data set folder (default: a made-up scene)"
     )
     methods.add_argument("--quick", action="store_true", help="small and short: shows that all methods run")
-    methods.add_argument("--methods", metavar="A,B", help="only these")
+    methods.add_argument("--methods", metavar="A,B", help="only these; a wrong name lists them all")
     methods.add_argument("--hold-out", action="append", metavar="CAMERA", help="score on this camera; repeatable")
     methods.add_argument("--width", type=width, metavar="PX", help="width of the images")
-    methods.add_argument("--frames", type=whole, metavar="N", help="time steps")
+    methods.add_argument("--frames", type=whole, metavar="N", help="take the first N time steps only")
     methods.add_argument("--steps", type=whole, metavar="N", help="steps of the offline methods")
     methods.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     methods.add_argument("--out", type=Path, metavar="DIR", help="write methods.json and methods.png here")

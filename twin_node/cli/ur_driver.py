@@ -18,7 +18,11 @@ Drive a UR controller through ur_rtde in a process of its own.
 
   slider     (default) the robot runs its own program; the driver sets the speed slider to the twin's speed fraction and
              beats an input register that the program watches, so that the arm pauses by itself when the beat ends.
-             The program needs one line: rtde_set_watchdog("input_int_register_20", 10, "pause")
+             The program needs four lines before its moves:
+               while read_input_integer_register(20) == 0:
+                 sync()
+               end
+               rtde_set_watchdog("input_int_register_20", 10, "pause")
   servo      the driver makes the arm follow /arm/follow by servoJ, slowed along its path; one without points
              makes it brake there and stay
   read-only  the driver writes nothing
