@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bag.log import BagError
+from twin_node.errors import reason
 from twin_node.scene import Float64
 
 _WIDEST_M = 100.0
@@ -56,7 +57,7 @@ def read_lines(path: Path) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"{path}: expected a readable text file, found {error}; check the path") from None
+        raise BagError(f"{path}: expected a readable text file, found: {reason(error)}; check the path") from None
 
 
 def checked(path: Path, names: tuple[str, ...], times: Float64, positions: Float64) -> Trajectories:

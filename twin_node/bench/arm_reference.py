@@ -48,6 +48,9 @@ class ArmReference:
     def __init__(self, folder: Path) -> None:
         """Raises `BenchError` for a folder without a readable URDF or with a sphere model that makes no sense."""
         self._folder = folder
+        if not folder.is_dir():
+            found = "a file" if folder.exists() else "none: No such file or directory"
+            raise BenchError(f"{folder}: expected a folder with an arm's *.urdf, found {found}; check the path")
         urdf = next(iter(sorted(folder.glob("*.urdf"))), None)
         if urdf is None:
             raise BenchError(f"{folder}: expected a *.urdf file and meshes/*.stl, found none; give the arm's folder")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin_node.errors import reason
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
 
@@ -102,8 +103,8 @@ def _lines(path: Path) -> list[list[str]]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise RigError(
-            f"{path}: expected a model of COLMAP (cameras and images, .txt or .bin), found {error}; give the folder "
-            "that holds them"
+            f"{path}: expected a model of COLMAP (cameras and images, .txt or .bin), found: {reason(error)}; give "
+            "the folder that holds them"
         ) from error
     return [line.split() for line in text.splitlines() if not line.startswith("#")]
 
@@ -124,7 +125,7 @@ class _Bytes:
         try:
             self._data = path.read_bytes()
         except OSError as error:
-            raise RigError(f"{path}: expected a binary file of COLMAP's model, found {error}") from error
+            raise RigError(f"{path}: expected a binary file of COLMAP's model, found: {reason(error)}") from error
 
     def take(self, form: str) -> tuple[int | float, ...]:
         """The next values, as `struct` describes them."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twin_node.errors import reason
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, from_world_to_camera
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
@@ -33,7 +34,7 @@ def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise RigError(f"{path}: expected cameras in JSON, found {error}") from error
+        raise RigError(f"{path}: expected cameras in JSON, found: {reason(error)}") from error
     cameras = []
     for fields in Fields(str(path), data).entries("cameras"):
         width, height = fields.array("size", (2,)).astype(int).tolist()

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from twin_node.errors import reason
 from twin_node.geometry import pose
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
 from twin_node.rig.errors import RigError
@@ -24,7 +25,7 @@ def import_qualisys(path: Path, unit: float = MILLIMETRE) -> RigFile:
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except (OSError, ElementTree.ParseError) as error:
-        raise RigError(f"{path}: expected a calibration of Qualisys (XML), found {error}") from error
+        raise RigError(f"{path}: expected a calibration of Qualisys (XML), found: {reason(error)}") from error
     unit = MILLIMETRE if unit == 1.0 else unit
     cameras = [
         _camera(path, element, unit)

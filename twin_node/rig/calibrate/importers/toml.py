@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twin_node.errors import reason
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, from_world_to_camera
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
@@ -20,7 +21,7 @@ def import_toml(path: Path, unit: float = 1.0) -> RigFile:
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RigError(f"{path}: expected a calibration in TOML, found {' '.join(str(error).split())}") from error
+        raise RigError(f"{path}: expected a calibration in TOML, found: {reason(error)}") from error
     tables = {**data, **{f"cam_{key}": value for key, value in _table(data.get("cameras")).items()}}
     cameras = [
         _camera(Fields(f"{path}: {key}", value), key, unit)

@@ -1,0 +1,52 @@
+"""A file or folder that cannot be read is told in the words of the system, without Python's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twin_node.cli import main
+from twin_node.errors import reason
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["bench", "forecast", "{folder}/walk.trc"],
+        ["bench", "forecast", "{folder}/walk.bvh"],
+        ["calibrate", "import", "colmap", "{folder}/empty", "-o", "{folder}/rig.yaml"],
+        ["calibrate", "import", "colmap", "{folder}/none", "-o", "{folder}/rig.yaml"],
+        ["calibrate", "import", "qualisys", "{folder}/none.txt", "-o", "{folder}/rig.yaml"],
+        ["calibrate", "import", "toml", "{folder}/none.toml", "-o", "{folder}/rig.yaml"],
+        ["calibrate", "import", "opencv", "{folder}/none.json", "-o", "{folder}/rig.yaml"],
+        ["calibrate", "rig", "{folder}/none", "-o", "{folder}/rig.yaml"],
+        ["bench", "collision", "--reference", "{folder}/none"],
+    ],
+)
+def test_what_is_not_there_is_one_line_without_a_number(
+    arguments: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    assert main([one.format(folder=tmp_path) for one in arguments]) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert str(tmp_path) in line
+    assert "No such file or directory" in line
+    assert "Errno" not in line
+
+
+def test_a_file_in_place_of_a_folder_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "file"
+    file.write_text("text")
+    for arguments in (
+        ["calibrate", "rig", str(file), "-o", str(tmp_path / "rig.yaml")],
+        ["bench", "collision", "--reference", str(file)],
+    ):
+        assert main(arguments) == 2
+        assert f"{file}: expected a folder" in capfd.readouterr().err
+
+
+def test_a_reason_is_one_line_of_words() -> None:
+    assert reason(FileNotFoundError(2, "No such file or directory", "a.txt")) == "No such file or directory"
+    assert reason(OSError("cut\n off")) == "cut off"
+    assert reason(UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte")) == "what is no text"
