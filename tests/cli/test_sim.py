@@ -14,6 +14,8 @@ def test_a_scenario_becomes_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[
     log = tmp_path / "cell.mcap"
     assert main(["sim", "cross", "-o", str(log), "--duration", "0.2", "--width", "64", "--seed", "3"]) == 0
     assert "cross, seed 3, 0.2 s" in capsys.readouterr().out
+    assert main(["sim", "cross", "-o", str(log), "--duration", "0.2", "--width", "64", "--seed", "0"]) == 0
+    assert "cross, seed 0, 0.2 s" in capsys.readouterr().out  # the scenario's own
     with open_log(log) as opened:
         counts = {topic.name: topic.count for topic in opened.topics}
         image = next(item.message for item in opened.messages(["/cam_left/camera_info"]))

@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import positive, whole, width
+from twin_node.cli.arguments import positive, seed, width
 from twin_node.errors import TwinError
 
 
@@ -25,7 +25,7 @@ def add_sim(commands: Any) -> None:
     sim.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file, or name below sim/")
     sim.add_argument("-o", "--output", type=Path, metavar="LOG.mcap", help="write a log")
     sim.add_argument("--list", action="store_true", help="list the scenarios that come with the package and end")
-    sim.add_argument("--seed", type=whole, metavar="N", help="other noise, and other motion where it varies")
+    sim.add_argument("--seed", type=seed, metavar="N", help="other noise, and other motion where it varies")
     sim.add_argument("--duration", type=positive, metavar="S", help="simulate so many seconds")
     sim.add_argument("--width", type=width, metavar="PX", help="width of the images; their shape stays")
     sim.set_defaults(run=_sim)
