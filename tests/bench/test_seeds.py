@@ -97,6 +97,13 @@ def test_seeds_are_scored_from_the_first_one_asked_for_on(
     assert "--first-seed: expected --seeds N beside it" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["reach_in", "all"])
+def test_a_scenarios_name_without_seeds_is_told_what_is_missing(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "occupancy", name]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"twin_node: error: {name}: expected a log, found a scenario's name; add --seeds N to simulate it"
+
+
 def test_a_scenario_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "occupancy", "no_such_scenario", "--seeds", "1"]) == 2
     assert "no_such_scenario" in capsys.readouterr().err

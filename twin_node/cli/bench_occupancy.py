@@ -60,9 +60,26 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
         raise BenchError(
             "--first-seed: expected --seeds N beside it, how many from there on; add it, or leave both out"
         )
+    _require_log(options.log)
     colour = None if options.hue is None else ColourOf(options.hue)
     bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
     _show(bench.as_json(), options.json)
+
+
+def _require_log(log: Path) -> None:
+    """Raises `BenchError` for what is no file but a scenario's name, which is simulated with `--seeds` alone."""
+    from twin_node import resources
+    from twin_node.bench.errors import BenchError
+    from twin_node.errors import TwinError
+
+    if log.exists() or log.suffix:
+        return
+    try:
+        is_scenario = str(log) == "all" or resources.find(f"sim/{log}.yaml").is_file()
+    except TwinError:  # neither: reading it as a log tells so
+        return
+    if is_scenario:
+        raise BenchError(f"{log}: expected a log, found a scenario's name; add --seeds N to simulate it")
 
 
 def _hue(text: str) -> int:
