@@ -151,6 +151,18 @@ def test_the_command_records_what_it_reads(stand_in: StandInProcess, tmp_path: P
         assert {DIAGNOSTICS} <= {topic.name for topic in log.topics}
 
 
+def test_an_earlier_recording_of_an_arm_is_never_written_over(
+    stand_in: StandInProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "arm.mcap"
+    out.write_bytes(b"a shift")
+    arguments = ["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "-o", str(out), "--duration", "0.1"]
+    assert main(arguments) == 2
+    assert f"-o {out}: exists already" in capsys.readouterr().err
+    assert out.read_bytes() == b"a shift"
+    assert list(tmp_path.iterdir()) == [out]
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [

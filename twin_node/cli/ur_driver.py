@@ -49,12 +49,13 @@ def add_ur_driver(commands: Any) -> None:
     parser.add_argument("--resume", action="store_true", help="go on by itself when the cause of a halt is over")
     parser.add_argument("--play", action="store_true", help="press play when a halt has left the program paused")
     parser.add_argument("--decisions", type=Path, metavar="LOG.mcap", help="play /twin/separation of this log")
-    parser.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="record what the driver publishes")
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="record what it publishes in a new log")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> None:
+    from twin_node.arm.errors import ArmError
     from twin_node.arm.ur import DriverMode, UrParameters
     from twin_node.bag import LogWriter
     from twin_node.nodes.recorder import RecorderNode
@@ -62,6 +63,8 @@ def _run(options: argparse.Namespace) -> None:
     from twin_node.nodes.ur_driver import UrDriverNode
     from twin_node.runtime.bus import LocalBus
 
+    if options.output is not None and options.output.exists():
+        raise ArmError(f"-o {options.output}: exists already; remove it or choose another name")
     parameters = UrParameters(
         robot=options.robot,
         model=options.model,
