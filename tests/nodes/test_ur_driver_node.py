@@ -151,6 +151,31 @@ def test_the_command_records_what_it_reads(stand_in: StandInProcess, tmp_path: P
         assert {DIAGNOSTICS} <= {topic.name for topic in log.topics}
 
 
+def test_what_was_recorded_until_the_link_was_lost_is_kept(
+    stand_in: StandInProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, ticks, tick = tmp_path / "arm.mcap", [0], UrDriverNode.tick
+
+    def tick_and_drop(node: UrDriverNode) -> None:
+        tick(node)
+        ticks[0] += node.report is not None and node.report.sample is not None
+        if ticks[0] == 5:
+            stand_in.switch("drop")
+
+    monkeypatch.setattr(UrDriverNode, "tick", tick_and_drop)
+    arguments = ["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "--no-reconnect", "-o", str(out)]
+    assert main(arguments) == 2
+    assert "connection lost" in capsys.readouterr().err
+    with open_log(out) as log:
+        assert {DIAGNOSTICS, JOINT_STATES} <= {topic.name for topic in log.topics}
+
+
+def test_a_recording_of_an_arm_that_never_was_there_is_not_kept(tmp_path: Path) -> None:
+    out = tmp_path / "arm.mcap"
+    assert main(["ur-driver", "--robot", free_loopback(), "--no-reconnect", "-o", str(out)]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_earlier_recording_of_an_arm_is_never_written_over(
     stand_in: StandInProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

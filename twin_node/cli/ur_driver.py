@@ -90,7 +90,9 @@ def _run(options: argparse.Namespace) -> None:
         node.configure()
         node.activate()
         stack.callback(node.deactivate)
-        _watch(node, pace, is_ending_when_lost=options.no_reconnect)
+        lost = _watch(node, pace, is_ending_when_lost=options.no_reconnect)
+    if lost is not None:
+        raise ArmError(lost)
 
 
 class _Pace:
@@ -145,14 +147,18 @@ def _player(decisions: Path, bus: Any, stack: contextlib.ExitStack) -> Any:
     return Player(log, bus, {SEPARATION: SEPARATION}, span), span.start_ns
 
 
-def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> None:
-    """Tick, say what changes, and take Enter for an acknowledgement, until time is up or Ctrl-C."""
+def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> str | None:
+    """Tick, say what changes, and take Enter for an acknowledgement, until time is up or Ctrl-C.
+
+    Gives back how a connection was lost that is not to be made anew: what was recorded until then is kept. Raises
+    `ArmError` where there never was one.
+    """
     from twin_node.arm.errors import ArmError
     from twin_node.arm.ur import DriverState
     from twin_node.messages.types import message_type
     from twin_node.nodes.topics import ACKNOWLEDGE
 
-    said = ""
+    said, was_connected = "", False
     while pace.step(node.report.state is DriverState.READY):
         node.tick()
         report = node.report
@@ -162,7 +168,11 @@ def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> None:
         if line != said:
             said = line
             print(line, flush=True)
+        was_connected |= report.sample is not None
         if report.state is DriverState.LOST and is_ending_when_lost:
-            raise ArmError(report.reason)
+            if not was_connected:
+                raise ArmError(report.reason)
+            return str(report.reason)
         if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.readline():
             node.bus.publish(ACKNOWLEDGE, message_type("std_msgs/msg/Empty")())
+    return None
