@@ -15,7 +15,7 @@ import pytest
 from twin_node.bench.workers import workers
 
 SCRIPT = """
-import os, sys, time
+import os, signal, sys, time
 from pathlib import Path
 from twin_node.bench.workers import workers
 
@@ -23,6 +23,7 @@ def begin():
     Path(sys.argv[1], str(os.getpid())).touch()
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # tests that run in the background have it ignored
     try:
         with workers(2, begin) as pool:
             list(pool.map(time.sleep, [0, 600]))  # one is at work, one waits for some
