@@ -2,7 +2,7 @@
 
 The MKL that torch 2.13 brings (2024.2) chooses the kernel of such a function when it is first called. Where two threads
 come at once, one of them may get the kernel of least accuracy for its whole part: half of a first `exp` over 4,800
-numbers was 1.5e-4 off, relatively, in 5 of 293 fresh processes on a Xeon with AVX-512, and what followed was not to the
+numbers was 1.5e-4 off, relatively, in 5 of 356 fresh processes on a Xeon with AVX-512, and what followed was not to the
 bit what it was in the others (https://github.com/pytorch/pytorch/issues/188792).
 """
 
