@@ -14,6 +14,7 @@ from twin_node.cli.bench_calibration import add_bench_calibration
 from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.bench_graph import add_bench_graph
+from twin_node.cli.bench_masks import add_bench_masks
 from twin_node.cli.bench_occupancy import add_bench_occupancy
 from twin_node.cli.bench_pareto import add_bench_ablations, add_bench_costs, add_bench_length, add_bench_pareto
 from twin_node.cli.bench_refined import add_bench_refined
@@ -40,6 +41,7 @@ def add_bench(commands: Any) -> None:
     track.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(track)
     track.set_defaults(run=_bench_track)
+    add_bench_masks(benches)
     add_methods(benches)
     raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
     raster.add_argument("--json", action="store_true", help="print one JSON object")
