@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from twin_node import resources
+from twin_node.bench import masks
 from twin_node.bench.mask_scores import LASTING_NS, ImageTruth, MaskTally, compare, figures_of
 from twin_node.bench.mask_truth import RECENT_NS, MovingParts
 from twin_node.bench.masks import MasksBenchParameters, ModelMasks, run, table
@@ -184,11 +185,11 @@ def test_the_masks_are_those_of_the_model(made_up: FilePath) -> None:
     scenario: Scenario = replace(read, cameras=cameras, duration_s=0.8)
     assert scenario.arm is not None
     arm = arm_model(scenario.arm.model)
-    model, masks = WindowModel(ModelParameters(seed=SeedParameters(steps=1)), arm), ModelMasks(arm)
+    model, own = WindowModel(ModelParameters(seed=SeedParameters(steps=1)), arm), ModelMasks(arm)
     marked = 0
     for frames in CellSource(scenario):
         state = model.update(frames)
-        for mine, (mask, seen), robot in zip(state.moving_masks, masks.update(frames), state.robot_masks, strict=True):
+        for mine, (mask, seen), robot in zip(state.moving_masks, own.update(frames), state.robot_masks, strict=True):
             assert np.array_equal(mine, mask)
             assert robot is not None and not (seen & robot).any()
             marked += int(mask.sum())
@@ -202,6 +203,25 @@ def test_a_picture_is_drawn_of_each_scenario(made_up: FilePath, capsys: pytest.C
     assert json.loads(said.out)["rate_hz"] == 4
     assert str(out / "masks_made_up.png") in said.err
     assert (out / "masks_made_up.png").stat().st_size > 10_000
+
+
+def test_all_gives_every_scenario_a_line_and_an_object(
+    made_up: FilePath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(masks, "SCENARIOS", (str(made_up), str(made_up)))
+    assert main(["bench", "masks", "all", "--max-rate", "2", "--width", "32", "--first-seed", "4", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["scenarios"]
+    assert [one["scenario"] for one in told] == ["made_up", "made_up"]
+    assert main(["bench", "masks", "all", "--max-rate", "2", "--width", "32", "--seeds", "2"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_seeds_are_run_from_the_first_one_on_and_the_first_is_drawn(made_up: FilePath) -> None:
+    found = run(load_scenario(made_up), range(7, 9), MasksBenchParameters(32, max_rate_hz=2.0))
+    assert [one.seed for one in found.runs] == [7, 8]
+    first, second = found.runs
+    assert [len(shots) for shots in first.moments] == [3] * len(first.moments)
+    assert first.moments and not second.moments
 
 
 def test_one_image_is_enough_to_be_drawn_and_none_is_too(made_up: FilePath) -> None:
