@@ -130,6 +130,17 @@ def test_specks_are_no_stepping_stones_for_a_hand(side: int, is_reached: bool) -
     assert found.reachable[mask(SHADOW)].any() == is_reached
 
 
+@pytest.mark.parametrize(("gap", "is_reached"), [(2, True), (6, False)])
+def test_a_hand_comes_across_no_wide_space_that_is_seen_to_be_empty(gap: int, is_reached: bool) -> None:
+    """Whatever the time between two sets: the forearm that it hangs on would be seen there."""
+    watch = Watch()
+    watch.see(NOTHING)
+    body = mask((slice(0, 14 - gap), slice(8, 30), slice(4, 22)))
+    for _ in range(4):
+        found = watch.see(mask(SHADOW), moving=body, after_ns=150_000_000)
+        assert found.reachable[mask(SHADOW)].any() == is_reached
+
+
 def test_after_a_pause_nothing_is_known_to_be_empty() -> None:
     watch = Watch()
     watch.see(NOTHING)

@@ -21,6 +21,9 @@ HAND_M = 0.04
 """Thinnest thing that is looked for, m: a hand, as detection capability is told in ISO 13855."""
 HAND_M3 = 3e-4
 """Smallest place that a hand goes on to unseen, m^3: what a small adult's takes up."""
+HOP_M = 0.08
+"""How far a hand gets on between two sets at most, m, where none is seen: over more of what is seen to be empty the
+forearm that it hangs on would show."""
 ATTACHED_S = 0.3
 """What was attached to something that moves counts as attached for so long, s: three sets at 10 Hz in which the limb
 that it hangs on is not seen to move. What is still in there afterwards hangs on nobody."""
@@ -44,10 +47,11 @@ class HidingPlaces:
 
     People are in one piece and larger than any shadow: an unseen hand hangs on an arm that is unseen as far as the
     grid's side, or until where it is seen to move. Unknown space is therefore reachable where a hand's width of unknown
-    or moving space leads to either. A hand may also go from one such place to another between two sets, if it fits in
-    there: specks are no stepping stones. What is loose, such as a ball, gets in only where something was seen to move.
-    It may lie there from then on; where it rolls out again, it is seen to move. All else keeps what it had when it was
-    last seen. Nothing comes through the grid's bottom, which is a table or a floor.
+    or moving space leads to either. A hand may also go from one such place to another between two sets, if that is no
+    farther than `HOP_M` and it fits in there: specks are no stepping stones. What is loose, such as a ball, gets in
+    only where something was seen to move. It may lie there from then on; where it rolls out again, it is seen to move.
+    All else keeps what it had when it was last seen. Nothing comes through the grid's bottom, which is a table or a
+    floor.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -132,8 +136,8 @@ def _hand(grid: Grid) -> int:
 
 
 def _reach(grid: Grid, elapsed_s: float) -> int:
-    """Cells that a person gets on since the state before."""
-    return int(np.ceil(PERSON_SPEED * min(elapsed_s, LONGEST_GAP_S) / (2 * grid.voxel_size)))
+    """Cells that a hand gets on since the state before."""
+    return int(np.ceil(min(PERSON_SPEED * elapsed_s, HOP_M) / (2 * grid.voxel_size)))
 
 
 def _fewest(grid: Grid) -> int:
