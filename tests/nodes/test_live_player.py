@@ -91,6 +91,32 @@ def test_a_part_of_some_topics_under_other_names(log: Path) -> None:
     assert theatre.heard == [("/c", f"/a {i}") for i in range(2, 6)]
 
 
+def test_what_stands_is_told_before_a_part(tmp_path: Path) -> None:
+    """A map and transforms are said once, at the log's start: without them nobody could place what the part shows."""
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path) as writer:
+        for second, topic, words in (
+            (0, "/map", "old walls"),
+            (1, "/map", "walls"),
+            (1, "/tf_static", "cameras"),
+            (2, "/tf_static", "robot"),
+            (3, "/tf_static", "cameras"),
+            (3, "/a", "before"),
+            (100, "/a", "within"),
+            (101, "/map", "new walls"),
+        ):
+            data = bytes(serialize(message_type(STRING)(data=words)))
+            writer.write(topic, STRING, data, START + second * 1_000_000_000, builtin_types(), topic != "/a")
+    theatre = Theatre(path, start_offset=100.0, remap=("/map:=/c", "/tf_static:=/b"))
+    theatre.play()
+    assert sorted(theatre.heard[:3]) == [("/b", "cameras"), ("/b", "robot"), ("/c", "walls")]
+    assert theatre.heard[3:] == [("/a", "within"), ("/c", "new walls")]
+    assert theatre.heard.index(("/b", "robot")) < theatre.heard.index(("/b", "cameras"))
+    theatre = Theatre(path, start_offset=100.0, topics=("/a",))
+    theatre.play()
+    assert theatre.heard == [("/a", "within")]
+
+
 def test_the_clock_ticks_with_the_log(log: Path) -> None:
     theatre = Theatre(log, clock=100.0, read_ahead_queue_size=1)
     theatre.play()

@@ -12,6 +12,7 @@ from typing import BinaryIO
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from twin_node.bag.latched import kept_with
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles
@@ -20,10 +21,6 @@ from twin_node.messages import MessageTypes
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
 METADATA_FILE = "metadata.yaml"
-OF_SEVERAL = ("/tf_static",)
-"""Latched topics whose last message is not all: each publisher of transforms tells of its own."""
-SEVERAL = 100
-"""Messages of such a topic that are kept, the newest."""
 FLUSH_S = 0.5
 """How long messages wait for their chunk, s: what a killed recorder loses."""
 CHUNK_BYTES = 4 << 20
@@ -84,6 +81,7 @@ class RecordingWriter:
         self._compression = CompressionType[compression.upper()]
         self._channels: dict[str, _Channel] = {}
         self._kept: dict[str, list[bytes]] = {}
+        """What the next file begins with."""
         self._files: list[_File] = []
         self._flushed_at = time.monotonic()
         self._is_closed = False
@@ -138,15 +136,10 @@ class RecordingWriter:
                         self._put(self._channels[name], kept, stamp)
             self._put(channel, data, stamp)
             if channel.is_latched:
-                self._keep(topic, bytes(data))
+                self._kept[topic] = kept_with(self._kept.get(topic, ()), topic, bytes(data))
             self.flush_if_due()
         except OSError as error:
             raise self._refused(error) from None
-
-    def _keep(self, topic: str, data: bytes) -> None:
-        """For the next file: the last message; of topics that several publish parts of, each that is not the same."""
-        kept = [] if topic not in OF_SEVERAL else [one for one in self._kept.get(topic, ()) if one != data]
-        self._kept[topic] = [*kept, data][-SEVERAL:]
 
     def flush_if_due(self) -> None:
         """Closes the chunk in progress when it has waited long enough; to be called when no message comes, too."""

@@ -37,7 +37,13 @@ def add_play(commands: Any) -> None:
     play.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
     play.add_argument("-r", "--rate", type=positive, default=1.0, metavar="R", help="speed (default 1)")
     play.add_argument("-l", "--loop", action="store_true", help="again and again; time jumps back each time")
-    play.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="begin so much later")
+    play.add_argument(
+        "--start-offset",
+        type=not_negative,
+        default=0.0,
+        metavar="S",
+        help="begin so much later, with what latched topics had said by then",
+    )
     play.add_argument("--playback-duration", type=not_negative, default=0.0, metavar="S", help="end so much after")
     play.add_argument("--delay", type=not_negative, default=0.5, metavar="S", help="wait before the first message")
     play.add_argument(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from twin_node.bag import LogMessage, LogReader, open_log
+from twin_node.bag.latched import newest_before
 from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.calibration import rig_for
 from twin_node.nodes.topics import (
@@ -40,8 +41,8 @@ from twin_node.scene import (
     Tier,
 )
 
-LOOK_BACK_NS = 2_000_000_000
-"""How far back a first look goes: twice the period of what is published once a second."""
+LONGEST_STEP_NS = 2_000_000_000
+"""A step forward in time that is no longer is read through; after a longer one each topic's newest is looked for."""
 SILENT_S = 2.5
 """Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
 JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
@@ -240,8 +241,8 @@ class Playback:
     def at(self, stamp: int) -> Snapshot:
         """What had been said by log time `stamp` (ns). Rising stamps cost only what lies between them."""
         last = self._last_stamp
-        if last is not None and last <= stamp <= last + LOOK_BACK_NS:
-            self._said = {**self._said, **self._newest(set(self.topics), last + 1, stamp + 1)}
+        if last is not None and last <= stamp <= last + LONGEST_STEP_NS:
+            self._said = {**self._said, **self._newest(last + 1, stamp + 1)}
         else:
             self._said = self._look_back(stamp)
         self._last_stamp = stamp
@@ -303,21 +304,22 @@ class Playback:
     def _look_back(self, stamp: int) -> dict[str, LogMessage]:
         """The newest message of every topic up to `stamp`, looking back further where some are still missing."""
         found: dict[str, LogMessage] = {}
-        stop, reach = stamp + 1, LOOK_BACK_NS
-        earliest = min(log.start_ns for log in self._logs)
-        while stop > earliest and len(found) < len(self.topics):
-            start = max(stop - reach, earliest)
-            found = {**self._newest(set(self.topics) - set(found), start, stop), **found}
-            stop, reach = start, 4 * reach
+        for log, own in self._owned():
+            found |= newest_before(log, own, stamp + 1)
         return found
 
-    def _newest(self, topics: Collection[str], start: int, stop: int) -> dict[str, LogMessage]:
+    def _newest(self, start: int, stop: int) -> dict[str, LogMessage]:
         newest: dict[str, LogMessage] = {}
-        for log in self._logs:
-            own = [topic for topic in topics if self.topics[topic] is log]
-            if own:
-                newest.update((entry.topic, entry) for entry in log.messages(own, start, stop))
+        for log, own in self._owned():
+            newest.update((entry.topic, entry) for entry in log.messages(own, start, stop))
         return newest
+
+    def _owned(self) -> Iterator[tuple[LogReader, list[str]]]:
+        """Each log with the topics that are read from it: where several have one, the last does."""
+        for log in self._logs:
+            own = [topic for topic, holder in self.topics.items() if holder is log]
+            if own:
+                yield log, own
 
 
 def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:

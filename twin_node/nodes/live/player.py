@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twin_node.bag import LogMessage, LogReader, open_log
+from twin_node.bag.latched import standing_before
 from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
@@ -131,6 +132,7 @@ class PlayNode(Node):
         self._finish()
 
     def _play_once(self) -> None:
+        self._publish_standing()
         self._time.start(self._span.start_ns)
         next_clock = self._span.start_ns
         period = int(1e9 / self._parameters.clock) if self._parameters.clock > 0 else 0
@@ -145,6 +147,13 @@ class PlayNode(Node):
             name = self._names[message.topic]
             self._bus.publish(name, Encoded(message.msgtype, message.data, message.types))
             self.published += 1
+
+    def _publish_standing(self) -> None:
+        """What latched topics said before the part that is played: transforms are said once, at a log's start."""
+        types = {topic.name: topic.msgtype for topic in self._log.topics if topic.latched and topic.name in self._names}
+        for source, standing in standing_before(self._log, types, self._span.start_ns).items():
+            for data in standing:
+                self._bus.publish(self._names[source], Encoded(types[source], data, self._log.types))
 
     def _messages(self) -> Iterator[LogMessage]:
         yield from self._log.messages(list(self._names), self._span.start_ns, self._span.stop_ns)
