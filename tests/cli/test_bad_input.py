@@ -102,6 +102,13 @@ def test_a_remap_of_a_topic_that_is_not_there(refused: Callable[..., str], cell_
     assert "has no topic /nothing" in refused(cell_log(0.5), "--remap", "/nothing:=/cam/image_raw")
 
 
+def test_a_remap_to_a_name_that_another_topic_has(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    """One of the two would be left out, and nobody told which."""
+    left, front = "/cam_left/image_raw/compressed", "/cam_front/image_raw/compressed"
+    line = refused(cell_log(0.5), "--remap", f"{left}:={front}")
+    assert f"as {front}, found {front} and {left}; rename one of them" in line
+
+
 def test_a_start_past_the_end(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
     assert "--start-offset 9 s is past its end" in refused(cell_log(0.5), "--start-offset", "9")
 

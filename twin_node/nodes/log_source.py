@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from twin_node.bag import LogReader, open_log
 from twin_node.nodes.calibration import rig_for
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError, find_cameras
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError, absolute, find_cameras
 from twin_node.rig import workspace_of
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -30,16 +30,13 @@ class LogSession:
         start_offset_s: float = 0.0,
         duration_s: float | None = None,
     ) -> None:
-        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with the log or its calibration."""
+        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names."""
         remaps = remaps or {}
         self.log: LogReader = open_log(path)
         try:
             types = {topic.name: topic.msgtype for topic in self.log.topics}
-            for source in remaps:
-                if source not in types:
-                    raise GraphError(f"--remap {source}:={remaps[source]}: {path} has no topic {source}")
-            renamed = {remaps.get(name, name): kind for name, kind in types.items()}
-            original = {remaps.get(name, name): name for name in types}
+            original = _named(types, remaps, path)
+            renamed = {name: types[source] for name, source in original.items()}
             self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
             in_log = tuple(_originals(camera, original) for camera in self.cameras)
             self.rig: Rig = rig_for(self.log, in_log, rig_file)
@@ -97,7 +94,28 @@ def workspace_for(rig: Rig, cameras: Sequence[Camera]) -> Float64:
     return workspace_of(cameras) if rig.workspace is None else rig.workspace
 
 
-def _originals(camera: CameraTopics, original: dict[str, str]) -> CameraTopics:
+def _named(topics: Iterable[str], remaps: Mapping[str, str], path: Path) -> dict[str, str]:
+    """Names that topics are published under, a slash before those that have none -> their names in the log.
+
+    Raises `GraphError` for a remap of a topic that is not there, and where two would have one name.
+    """
+    held = {absolute(topic): topic for topic in topics}
+    named: dict[str, str] = {}
+    for source in remaps:
+        if source not in held:
+            raise GraphError(f"--remap {source}:={remaps[source]}: {path} has no topic {source}")
+    for source, topic in held.items():
+        name = remaps.get(source, source)
+        if name in named:
+            raise GraphError(
+                f"--remap: expected one topic of {path} as {name}, found {named[name]} and {topic}; rename one of them "
+                "to something else"
+            )
+        named[name] = topic
+    return named
+
+
+def _originals(camera: CameraTopics, original: Mapping[str, str]) -> CameraTopics:
     """The camera's topics under the names they have in the log."""
     return CameraTopics(
         name=camera.name,

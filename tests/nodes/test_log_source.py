@@ -1,0 +1,26 @@
+"""A log as a source of frame sets: its topics under the names that the graph has for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from twin_node.bag import LogWriter, open_log
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.nodes.topics import TF_STATIC
+
+
+def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    """As programs beside ROS name them, and as `--remap` may."""
+    plain = tmp_path / "plain.mcap"
+    with open_log(cell_log(0.3)) as log, LogWriter(plain) as written:
+        for message in log.messages():
+            topic = message.topic if message.topic == TF_STATIC else message.topic.removeprefix("/")
+            written.write_raw(topic, message.msgtype, message.data, message.stamp)
+    remaps = {"/cam_left/image_raw/compressed": "/cam_left/image_rect/compressed"}
+    with LogSession(plain, remaps=remaps) as session:
+        assert "/cam_left/image_rect/compressed" in session.topics.values()
+        frames = next(iter(LogSource(session, SynchronizerParameters(width=80))))
+    assert [view.camera.name for view in frames.views] == ["cam_back", "cam_front", "cam_left"]
+    assert frames.joints is not None
