@@ -75,6 +75,17 @@ def test_the_nearest_joints_are_attached() -> None:
     assert [None if sample is None else sample.stamp // MS for sample in attached] == [0, 20, 30, None]
 
 
+def test_joints_are_attached_again_after_their_clock_was_put_back() -> None:
+    """A sample of a clock that is ahead must not outlive all that come after it."""
+    assembler = FrameAssembler(CAMERAS, width=160, max_joint_gap_ns=20 * MS)
+    for stamp in (60_000 * MS, 10 * MS, 20 * MS):
+        assembler.add_joints(joints(stamp))
+    attached = assembler.assemble({"left": image(19 * MS)}).joints
+    assert attached is not None
+    assert attached.stamp == 20 * MS
+    assert assembler.assemble({"left": image(60_000 * MS)}).joints is None
+
+
 def test_wrong_images() -> None:
     assembler = FrameAssembler(CAMERAS, width=160)
     with pytest.raises(RigError, match="expected images of left, right, back, found one of 'front'"):

@@ -11,7 +11,7 @@ from twin_node.rig.undistort import Undistorter
 from twin_node.scene import Camera, Float32, FrameSet, JointSample, RigCamera, UInt8, View
 
 JOINTS_KEPT_NS = 2_000_000_000
-"""Joint samples older than this before the newest one are dropped: longer than any set waits."""
+"""Joint samples stamped further than this from the one that came last are dropped: longer than any set waits."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,12 @@ class FrameAssembler:
         return tuple(undistorter.camera for undistorter in self._undistorters.values())
 
     def add_joints(self, sample: JointSample) -> None:
-        """Takes the arm's joints at one time, in any order of stamps."""
+        """Takes the arm's joints at one time, in any order of stamps; a clock that was put back is followed."""
         insort(self._joints, sample, key=lambda s: s.stamp)
-        oldest_kept = self._joints[-1].stamp - JOINTS_KEPT_NS
-        while self._joints[0].stamp < oldest_kept:
+        while self._joints[0].stamp < sample.stamp - JOINTS_KEPT_NS:
             self._joints.pop(0)
+        while self._joints[-1].stamp > sample.stamp + JOINTS_KEPT_NS:
+            self._joints.pop()
 
     def assemble(self, images: Mapping[str, DecodedImage]) -> FrameSet:
         """The frame set of the images of one instant, by camera name; a silent camera is left out.
