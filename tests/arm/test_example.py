@@ -19,7 +19,7 @@ def test_the_example_reads_a_log(
 ) -> None:
     example = re.search(r"```python\n(.*?)```", PAGE.read_text(), re.S)
     assert example is not None
-    with LogWriter(tmp_path / "out.mcap") as log:
+    with LogWriter(tmp_path / "twin.mcap") as log:
         far = convert.obstacles_to_message(obstacles(Thing((3.0, 0.0, 0.5))))
         near = convert.obstacles_to_message(obstacles(Thing((0.5, 0.0, 0.2), size=(0.6,) * 3)))
         log.write("/twin/obstacles", far, NOW)
