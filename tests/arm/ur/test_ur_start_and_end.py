@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from shifts import Shift, parameters, wait_for
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters
 from twin_node.arm.ur.link import load_ur_rtde
+from twin_node.arm.ur.process import DriverProcess
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.robot import RobotError, ur_model
 from twin_node.scene import JointPath
@@ -28,6 +32,31 @@ def test_no_controller_is_reported_and_looked_for_again() -> None:
         wait_for(lambda: sum("expected a UR controller on port 30004" in r.reason for r in heard) >= 2, news)
         with StandInProcess(StandInParameters(host=host)):
             wait_for(lambda: heard[-1].state is DriverState.READY, threading.Event())
+
+
+def test_a_computer_without_room_for_a_process_is_told_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever drives must hear of it: a supervisor that had died of it would repeat its last word for ever."""
+    asks: list[DriverProcess] = []
+    start = DriverProcess.__init__
+
+    def asked(process: DriverProcess, *arguments: Any) -> None:
+        asks.append(process)
+        if len(asks) in (1, 3):  # the first driver, and the spare of the second
+            raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        start(process, *arguments)
+
+    monkeypatch.setattr(DriverProcess, "__init__", asked)
+    heard: list[DriverReport] = []
+    pause = threading.Event()
+    with (
+        StandInProcess(StandInParameters(host=free_loopback())) as stand_in,
+        SupervisedDriver(parameters(stand_in.host), heard.append),
+    ):
+        wait_for(lambda: len(asks) >= 3, pause)
+        count = len(heard)
+        wait_for(lambda: len(heard) > count and heard[-1].state is DriverState.READY, pause)
+    assert heard[0].state is DriverState.LOST
+    assert "no driver process can be started (Resource temporarily unavailable)" in heard[0].reason
 
 
 @pytest.fixture(scope="module")

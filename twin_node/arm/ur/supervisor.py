@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -45,6 +46,7 @@ class SupervisedDriver:
         self._latest = DriverReport(time.monotonic_ns(), DriverState.CONNECTING, "connecting", speed_fraction=None)
         self._process: DriverProcess | None = None
         self._spare: DriverProcess | None = None
+        self._wants_spare = False
         self._closing = threading.Event()
         self._is_wanted = threading.Event()
         self._is_wanted.set()
@@ -117,8 +119,13 @@ class SupervisedDriver:
 
     def _one_process(self) -> bool:
         """Send a process off and listen to it until it ends; gives back whether it ever had a connection."""
-        process = self._spare or DriverProcess(self._parameters)
-        self._spare = None
+        try:
+            process = self._spare or DriverProcess(self._parameters)
+        except OSError as error:  # the computer may have room for one later
+            why = f"no driver process can be started ({error.strerror}); end what takes processes, files or memory"
+            self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, why, speed_fraction=None))
+            return False
+        self._spare, self._wants_spare = None, True
         process.begin(self._halt)
         with self._lock:
             self._process = process
@@ -156,8 +163,10 @@ class SupervisedDriver:
         if report.state is not DriverState.LOST:
             self._halt = report.halt
         self._publish(report)
-        if self._spare is None and report.state is not DriverState.LOST:
-            self._spare = DriverProcess(self._parameters)
+        if self._wants_spare and report.state is not DriverState.LOST:
+            self._wants_spare = False
+            with contextlib.suppress(OSError):  # it saves time and no more: the next process is started when needed
+                self._spare = DriverProcess(self._parameters)
 
     def _publish(self, report: DriverReport) -> None:
         with self._lock:
