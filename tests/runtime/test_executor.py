@@ -111,7 +111,7 @@ def test_stop_ends_spinning_and_a_failure_passes_through() -> None:
     executor = Executor()
     executor.every(1e-4, executor.stop)
     executor.spin()
-    assert executor.is_stopped
+    assert not executor.step(1.0)
     failing = Executor()
     failing.inbox(lambda m: 1 / m, 1).offer(0)
     with pytest.raises(ZeroDivisionError):

@@ -204,11 +204,6 @@ class Executor:
             self._condition.notify_all()
             self._condition.release()
 
-    @property
-    def is_stopped(self) -> bool:
-        """Whether `stop` was called."""
-        return self._stopped
-
     def spin(self) -> None:
         """Run callbacks until `stop`; whatever one of them raises ends it."""
         while not self._stopped:

@@ -16,9 +16,6 @@ from twin_node.nodes.report.foresight import Foresight
 from twin_node.nodes.report.quality import LeftOut, Quality
 from twin_node.scene import Separation, Tier
 
-MOVING_STEP_RAD = 1e-3
-"""Joint motion between two decisions above which the arm counts as moving."""
-
 
 def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], foresight: Foresight) -> dict[str, Any]:
     """Everything measured, as JSON values; what could not be measured is None, and `reasons` says why."""
