@@ -260,3 +260,32 @@ def test_cameras_whose_clocks_are_all_behind_are_named(cell: Cell) -> None:
     for level, message in cell.said().values():
         assert level is Level.WARN
         assert "old: images are stamped 3600.0 s before their arrival; let chrony or PTP keep" in message
+
+
+def test_a_camera_whose_depth_fails_is_named_and_costs_no_latency() -> None:
+    K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+    rig = Rig(tuple(RigCamera(name, 16, 12, K, np.eye(4)) for name in NAMES))
+    topics = {name: topics_of(name, RigParameters(image="image_raw", depth="depth/image_rect")) for name in NAMES}
+    bus, clock, sets = LocalBus(), Clock(), list[FrameSet]()
+    node = SynchronizerNode(bus, clock, tuple(topics.values()), rig, SynchronizerParameters(), Timers(clock))
+    node.configure()
+    bus.subscribe(FRAMES, sets.append)
+
+    def take(i: int, *measuring: str) -> None:
+        clock.stamp = START + i * PERIOD + 5 * MS
+        for name in NAMES:
+            stamp = START + i * PERIOD
+            bus.publish(topics[name].image, convert.raw_image(name, stamp, np.full((12, 16, 3), 90, np.uint8)))
+            if name in measuring:
+                bus.publish(topics[name].depth or "", convert.depth_image(name, stamp, np.ones((12, 16), np.float32)))
+
+    for i in range(SECOND):
+        take(i, "front", "left")
+    assert [d.message for d in node.diagnoses()] == ["in step with the others"] * 3
+    for i in range(SECOND, 2 * SECOND):
+        take(i, "front")
+    assert sets[-1].stamp == START + (2 * SECOND - 1) * PERIOD
+    assert [view.depth is not None for view in sets[-1].views] == [False, True, False]
+    back, front, left = node.diagnoses()
+    assert (back.level, front.level, left.level) == (Level.OK, Level.OK, Level.WARN)
+    assert "no depth: it came with 0 of 30 images; look at the depth camera" in left.message

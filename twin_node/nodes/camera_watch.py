@@ -11,7 +11,8 @@ from twin_node.messages.convert import Diagnosis, Level, Reading
 from twin_node.rig import InputCounts, SyncReport
 
 SLOW_SHARE = 0.75
-"""A camera at less than this share of the fastest one's rate is named: a missed image in four is no jitter."""
+"""A camera at less than this share of the fastest one's rate is named, or of its own with depth: a missed image in four
+is no jitter."""
 LATE_NS = 20_000_000
 """A camera whose images arrive so much later after their stamps than another's is named: half a period at 30 Hz."""
 OLD_NS = 1_000_000_000
@@ -34,6 +35,8 @@ class _Seen:
 
     stamps: list[int] = field(default_factory=list)
     lags: list[int] = field(default_factory=list)
+    depths: int = 0
+    """Images with depth."""
     unusable: list[str] = field(default_factory=list)
     """What was wrong with each image that could not be used."""
 
@@ -44,11 +47,16 @@ class CameraWatch:
     def __init__(self, cameras: Sequence[str]) -> None:
         self._seen = {name: _Seen() for name in cameras}
         self._before: dict[str, InputCounts] = {}
+        self._measuring: set[str] = set()
+        """Cameras that have sent depth."""
 
-    def add(self, camera: str, stamp: int, arrival: int) -> None:
+    def add(self, camera: str, stamp: int, arrival: int, with_depth: bool = False) -> None:
         """Takes note of an image: both times in ns, on the graph's clock."""
         self._seen[camera].stamps.append(stamp)
         self._seen[camera].lags.append(arrival - stamp)
+        if with_depth:
+            self._seen[camera].depths += 1
+            self._measuring.add(camera)
 
     def add_unusable(self, camera: str, why: str) -> None:
         """Takes note of an image that its set goes without."""
@@ -91,6 +99,9 @@ class CameraWatch:
             faults.append(f"slow: {count} images where the fastest camera sent {most}")
         if extra_lag > LATE_NS:
             faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
+        depths = self._seen[totals.name].depths
+        if totals.name in self._measuring and depths < SLOW_SHARE * count:
+            faults.append(f"no depth: it came with {depths} of {count} images; look at the depth camera")
         if unusable := self._seen[totals.name].unusable:
             faults.append(f"unusable: {len(unusable)} images, the last: {unusable[-1]}")
         for key, meaning in COUNTED:

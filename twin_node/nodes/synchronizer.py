@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,6 +10,7 @@ from typing import Any
 from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.camera_watch import CameraWatch
+from twin_node.nodes.depth_pairs import DepthPairs, EncodedView
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
 from twin_node.ranges import WIDTHS_PX
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
@@ -21,8 +21,6 @@ from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import Camera, Rig, View
 
-DEPTHS_KEPT = 8
-"""Depth images that wait for their colour image, per camera: a quarter of a second at 30 Hz."""
 MOST_TOLERANCE_MS = 10_000.0
 """Depth images are not kept for so long."""
 
@@ -56,14 +54,6 @@ class SynchronizerParameters:
                 f"synchronizer: depth_tolerance_ms: expected 0 to {MOST_TOLERANCE_MS:g} ms, found "
                 f"{self.depth_tolerance_ms:g}"
             )
-
-
-@dataclass(frozen=True)
-class EncodedView:
-    """One camera's image messages as they came, before decoding."""
-
-    colour: Any
-    depth: Any | None
 
 
 class SynchronizerNode(Node):
@@ -100,8 +90,8 @@ class SynchronizerNode(Node):
         self._synchronizer: ApproximateTimeSynchronizer[EncodedView] = ApproximateTimeSynchronizer(
             list(self._rig_cameras), parameters.grouping
         )
-        self._unpaired: dict[str, Any] = {}
-        self._depths: dict[str, deque[Any]] = {name: deque(maxlen=DEPTHS_KEPT) for name in self._rig_cameras}
+        tolerance_ns = int(parameters.depth_tolerance_ms * 1e6)
+        self._pairs = {name: DepthPairs(tolerance_ns) for name in self._rig_cameras}
         self._last_stamp: dict[str, int] = {}
         self._next_due: int | None = None
         self._published = 0
@@ -133,31 +123,17 @@ class SynchronizerNode(Node):
             self._assembler.add_joints(sample)
 
     def _on_colour(self, name: str, message: Any) -> None:
-        stamp = from_time(message.header.stamp)
         if not self._is_live:
-            self._check_order(name, stamp)
+            self._check_order(name, from_time(message.header.stamp))
         if self._topics[name].depth is None:
             self._add(name, EncodedView(message, None))
             return
-        if name in self._unpaired:
-            self._add(name, EncodedView(self._unpaired.pop(name), None))
-        depth = self._depth_at(name, stamp)
-        if depth is None:
-            self._unpaired[name] = message
-        else:
-            self._add(name, EncodedView(message, depth))
+        for view in self._pairs[name].add_colour(message):
+            self._add(name, view)
 
     def _on_depth(self, name: str, message: Any) -> None:
-        self._depths[name].append(message)
-        colour = self._unpaired.get(name)
-        depth = None if colour is None else self._depth_at(name, from_time(colour.header.stamp))
-        if depth is not None:
-            self._add(name, EncodedView(self._unpaired.pop(name), depth))
-
-    def _depth_at(self, name: str, stamp: int) -> Any | None:
-        tolerance = int(self._parameters.depth_tolerance_ms * 1e6)
-        near = [d for d in self._depths[name] if abs(from_time(d.header.stamp) - stamp) <= tolerance]
-        return min(near, key=lambda d: abs(from_time(d.header.stamp) - stamp), default=None)
+        for view in self._pairs[name].add_depth(message):
+            self._add(name, view)
 
     def _check_order(self, name: str, stamp: int) -> None:
         last = self._last_stamp.get(name, stamp)
@@ -172,7 +148,7 @@ class SynchronizerNode(Node):
     def _add(self, name: str, view: EncodedView) -> None:
         stamp = self._rig_cameras[name].rig_time(from_time(view.colour.header.stamp))
         now = self.clock.now()
-        self._watch.add(name, stamp, now)
+        self._watch.add(name, stamp, now, view.depth is not None)
         if not self._is_live:
             now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps
         self._take(self._synchronizer.add(name, stamp, view, now), now)

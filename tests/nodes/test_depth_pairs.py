@@ -1,0 +1,56 @@
+"""Colour and depth images of one exposure find each other, in any order; a depth that fails is not waited for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin_node.messages import Message, convert, header_stamp
+from twin_node.nodes.depth_pairs import IN_VAIN, DepthPairs, EncodedView
+
+MS = 1_000_000
+PERIOD = 33 * MS
+START = 1_700_000_000_000 * MS
+TOLERANCE = 10 * MS
+SIZE = (12, 16)
+
+
+def colour(i: int) -> Message:
+    return convert.raw_image("front", START + i * PERIOD, np.full((*SIZE, 3), 90, np.uint8))
+
+
+def depth(i: int, late: int = 0) -> Message:
+    return convert.depth_image("front", START + i * PERIOD + late, np.ones(SIZE, np.float32))
+
+
+def told(views: list[EncodedView]) -> list[tuple[int, int | None]]:
+    """Stamps of colour and depth, ns after the start."""
+    return [(header_stamp(v.colour) - START, None if v.depth is None else header_stamp(v.depth) - START) for v in views]
+
+
+@pytest.mark.parametrize("late", [-TOLERANCE, 0, TOLERANCE])
+def test_whichever_comes_first_waits_for_the_other(late: int) -> None:
+    pairs = DepthPairs(TOLERANCE)
+    assert pairs.add_colour(colour(0)) == []
+    assert told(pairs.add_depth(depth(0, late))) == [(0, late)]
+    assert pairs.add_depth(depth(1, late)) == []
+    assert told(pairs.add_colour(colour(1))) == [(PERIOD, PERIOD + late)]
+
+
+def test_an_image_without_depth_goes_when_the_next_comes() -> None:
+    pairs = DepthPairs(TOLERANCE)
+    assert pairs.add_colour(colour(0)) == []
+    assert pairs.add_depth(depth(0, TOLERANCE + 1)) == []
+    assert told(pairs.add_colour(colour(1))) == [(0, None)]
+
+
+def test_a_depth_that_has_failed_is_waited_for_no_longer_until_it_is_back() -> None:
+    """Held back, each of the camera's images, and all others with it, would be a period older."""
+    pairs = DepthPairs(TOLERANCE)
+    for i in range(IN_VAIN):
+        assert len(pairs.add_colour(colour(i))) == min(i, 1)
+    assert told(pairs.add_colour(colour(IN_VAIN))) == [((IN_VAIN - 1) * PERIOD, None), (IN_VAIN * PERIOD, None)]
+    assert told(pairs.add_colour(colour(IN_VAIN + 1))) == [((IN_VAIN + 1) * PERIOD, None)]
+    assert pairs.add_depth(depth(IN_VAIN + 1)) == []
+    assert pairs.add_colour(colour(IN_VAIN + 2)) == []
+    assert told(pairs.add_depth(depth(IN_VAIN + 2))) == [((IN_VAIN + 2) * PERIOD, (IN_VAIN + 2) * PERIOD)]
