@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from twin_node.bag import open_log
+from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
@@ -146,6 +147,16 @@ def test_a_truncated_log_is_replayed_up_to_the_damage(
     assert "twin_node: warning:" in capfd.readouterr().err
     with open_log(out) as log:
         assert {topic.name for topic in log.topics} >= {OCCUPANCY, SEPARATION}
+
+
+def test_a_camera_that_comes_later_is_left_out_in_turn_like_the_others(
+    cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    log = cell_log(0.8, Fault("missing", "cam_left", 0.0, 0.4))
+    arguments = ["--lockstep", "--width", WIDTH, "--max-rate", "10", "--report", str(tmp_path)]
+    assert main(["replay", str(log), *arguments]) == 0
+    left_out = json.loads((tmp_path / "report.json").read_text())["quality"]["left_out"]
+    assert sorted(left_out) == ["cam_back", "cam_front", "cam_left"]
 
 
 def test_a_foreign_log_works_through_rig_and_remap(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -57,8 +57,8 @@ def write_report(
     shown = clouds_against_images(spool, lambda camera: run.model.render_frozen(camera).rgb)
     quality = score(strips.watch(shown))
     step()
-    cameras = [view.camera for view in next(iter(spool)).frames.views]
-    left_out = leave_one_out(lambda: (tick.frames for tick in spool), cameras, make_model)
+    cameras = {view.camera.name: view.camera for tick in spool for view in tick.frames.views}
+    left_out = leave_one_out(lambda: (tick.frames for tick in spool), tuple(cameras.values()), make_model)
     step()
     foresight = score_forecasts(spool, session.log, FORECAST_TIMES)
     step()
