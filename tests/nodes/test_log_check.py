@@ -111,3 +111,13 @@ def test_a_report_expects_sets_at_the_cameras_rate(tmp_path: Path) -> None:
     write_log(tmp_path / "log.mcap", Rig((LEFT,)), sets=60, joints_per_set=16)
     with LogSession(tmp_path / "log.mcap") as session:
         assert _camera_rate(session, ChainParameters()) == pytest.approx(1e9 / PERIOD, rel=0.05)
+
+
+def test_stamps_that_stand_still_are_named(tmp_path: Path) -> None:
+    """As of a driver that never asks for the time."""
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for k in range(40):
+            log.write("/joint_states", joints(START, np.zeros(1)), START + k * MS)
+    [topic] = checked(path).topics
+    assert topic.faults == ("most stamps are the same as the one before: the clock that makes them stands",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,7 +22,7 @@ class StreamStatistics:
 
     count: int
     rate_hz: float
-    """From the usual (median) period; NaN where there are too few messages."""
+    """From the usual (median) period; NaN where there are too few messages, infinite where most have one stamp."""
     jitter_ms: float
     """Standard deviation of periods, those of gaps left out, ms."""
     gaps: int
@@ -51,6 +52,8 @@ def faults_of(statistics: StreamStatistics) -> tuple[str, ...]:
         found.append(f"{statistics.backwards} stamps run backwards")
     if statistics.gaps:
         found.append(f"{statistics.gaps} gaps, the longest {statistics.longest_gap_ms:.0f} ms")
-    if statistics.jitter_ms > JITTER_SHARE * 1e3 / statistics.rate_hz:
+    if math.isinf(statistics.rate_hz):
+        found.append("most stamps are the same as the one before: the clock that makes them stands")
+    elif statistics.jitter_ms > JITTER_SHARE * 1e3 / statistics.rate_hz:
         found.append(f"jitter of {statistics.jitter_ms:.1f} ms at {statistics.rate_hz:.1f} Hz")
     return tuple(found)
