@@ -132,6 +132,16 @@ def test_a_loop_begins_again_and_its_clock_goes_back(log: Path) -> None:
     assert any(later < before for before, later in pairwise(theatre.clock))
 
 
+def test_a_loop_over_nothing_ends(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path) as writer:
+        for i, topic in enumerate(("/a", "/b")):
+            writer.write(topic, STRING, bytes(serialize(message_type(STRING)(data="x"))), START + i, builtin_types())
+    theatre = Theatre(path, loop=True, topics=("/a",), start_offset=1e-9)
+    theatre.play()
+    assert theatre.heard == []
+
+
 def test_a_paused_player_waits_for_its_word(log: Path) -> None:
     theatre = Theatre(log, start_paused=True)
     theatre.begin()

@@ -126,8 +126,9 @@ class PlayNode(Node):
     def _play(self) -> None:
         self._stop.wait(self._parameters.delay)
         while not self._stop.is_set():
+            before = self.published
             self._play_once()
-            if not self._parameters.loop:
+            if not self._parameters.loop or self.published == before:  # nothing, again and again, has no end
                 break
         self._finish()
 
