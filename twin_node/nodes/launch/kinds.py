@@ -34,7 +34,7 @@ SOURCES = ("cameras", "cell", "player", "recorder", "ur_driver", "ur_sim")
 """Nodes that a jump in time does not concern: they make the time, or only write down what comes."""
 
 CHAIN_SECTIONS = ("synchronizer", "drift", "model", "grid", "forecast", "obstacles", "arm", "size")
-"""Sections that the chain's nodes read; `nodes.chain.ChainParameters` documents them."""
+"""Sections that the chain's nodes read; `nodes.chain_parameters.ChainParameters` documents them."""
 
 
 def check_kind(name: str, where: str) -> None:
