@@ -114,6 +114,22 @@ def test_parts_without_the_wanted_topics_are_passed_over(tmp_path: Path) -> None
         assert reader.damage is not None
 
 
+def test_parts_of_a_log_without_its_end_are_passed_over_too(tmp_path: Path) -> None:
+    """Of hours that a killed recorder left, a topic that is said once is found without reading them all."""
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        for i, topic in enumerate(["/a", "/b", "/a"]):
+            log.write(topic, message_type("std_msgs/msg/String")(data=f"text {i}" + 200_000 * "x"), i)
+            log.flush()
+    path.write_bytes(path.read_bytes()[:-20])
+    with open_log(path) as reader:
+        with path.open("r+b") as file:  # once the log is open: the pass over it would have met the damage
+            file.seek(path.read_bytes().index(b"text 1"))
+            file.write(b"x")
+        assert [m.stamp for m in reader.messages(["/a"])] == [0, 2]
+        assert [m.stamp for m in reader.messages()] == [0]
+
+
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_random_damage_is_never_silent(tmp_path: Path, whole: Path, data: st.DataObject) -> None:

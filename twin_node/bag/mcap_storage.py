@@ -50,6 +50,11 @@ class _Index:
     parts: list[Part] = field(default_factory=list)
     metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
 
+    def topics_of(self, channels: Collection[int]) -> frozenset[str] | None:
+        """Topics of channels; None where one of them has not been met."""
+        known = all(channel in self.channels for channel in channels)
+        return frozenset(self.channels[channel].topic for channel in channels) if known else None
+
 
 class McapStorage:
     """An MCAP file. Raises `BagError` where no message can be read."""
@@ -198,15 +203,17 @@ class McapStorage:
     def _take(self, index: _Index, record: object, start: int, end: int) -> None:
         if isinstance(record, Chunk):
             contents = breakup_chunk(record, validate_crc=True)
-            stamps = []
+            stamps, channels = [], set()
             for item in contents:
                 if isinstance(item, Message):
                     stamps.append(item.log_time)
+                    channels.add(item.channel_id)
                     index.counts[item.channel_id] += 1
                 else:
                     self._take(index, item, start, end)
             if stamps:
-                index.parts.append(Part(self, min(stamps), max(stamps), start, end - start))
+                topics = index.topics_of(channels)
+                index.parts.append(Part(self, min(stamps), max(stamps), start, end - start, topics))
         elif isinstance(record, Message):
             index.counts[record.channel_id] += 1
             _append_loose(index, Part(self, record.log_time, record.log_time, start, end - start))
