@@ -44,6 +44,26 @@ def test_what_has_an_alias_may_stand_in_many_places(tmp_path: Path) -> None:
     assert read_yaml(path, "shared values", TwinError) == {"a": [b, b], "c": {"d": [b, b], "e": b}}
 
 
+@pytest.mark.parametrize("kind", ["a parameter file", "a scenario", "a rig file"])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("a text", "text"),
+        ("- 1", "a list"),
+        ("[]", "an empty list"),
+        ("", "nothing"),
+        ("5", "a whole number"),
+        ("true", "true or false"),
+        ("2026-11-23", "a date"),
+    ],
+)
+def test_what_is_found_instead_is_said_in_words(tmp_path: Path, kind: str, content: str, words: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(content)
+    with pytest.raises(TwinError, match=rf"mine\.yaml: expected .*, found {words}$"):
+        READERS[kind](path)
+
+
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(
     ("content", "words"),

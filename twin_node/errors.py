@@ -1,4 +1,23 @@
-"""The one base of every error that a user's input can cause."""
+"""The one base of every error that a user's input can cause, and the words of its messages."""
+
+from __future__ import annotations
+
+import datetime
+
+_KINDS: dict[type, str] = {
+    str: "text",
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    list: "a list",
+    tuple: "a list",
+    dict: "a mapping",
+    set: "a set",
+    bytes: "bytes",
+    datetime.date: "a date",
+    datetime.datetime: "a date",
+    type(None): "nothing",
+}
 
 
 class TwinError(Exception):
@@ -14,3 +33,13 @@ def reason(error: Exception) -> str:
     if isinstance(error, UnicodeDecodeError):
         return "what is no text"
     return getattr(error, "strerror", None) or " ".join(str(error).split())
+
+
+def kind_in_words(kind: type) -> str:
+    """What a type of YAML or JSON is to who writes such files."""
+    return _KINDS.get(kind, "something else")
+
+
+def kind_of(value: object) -> str:
+    """What a value in a file is, in words: "expected a list, found text"."""
+    return "an empty list" if value == [] else kind_in_words(type(value))

@@ -65,7 +65,7 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
         ({"cameras": [{**CAMERA, "fov_deg": 190.0}]}, "fov_deg"),
         ({"cameras": [{**CAMERA, "look_at": [1.0, 0.0, 1.0]}]}, "look_at"),
         ({"cameras": [CAMERA], "duration_s": 0.0}, "duration_s"),
-        ({"cameras": [CAMERA], "duration_s": "long"}, "expected float"),
+        ({"cameras": [CAMERA], "duration_s": "long"}, "expected a number, found"),
         ({"cameras": [CAMERA], "workspace": [[0, 0, 0], [1, 0, 1]]}, "workspace"),
         ({"cameras": [CAMERA], "sensing": {"rate_hz": 0.0}}, "rate_hz"),
         ({"cameras": [CAMERA], "sensing": {"jitter_ms": 20.0}}, "jitter_ms"),

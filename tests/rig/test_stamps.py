@@ -58,7 +58,7 @@ def test_whole_nanoseconds_lose_nothing(tmp_path_factory: pytest.TempPathFactory
     ("name", "text", "key", "message"),
     [
         ("a.json", '{"times": [1]}', "timestamps", r"expected the key 'timestamps', found times"),
-        ("a.json", '{"times": 1}', "times", r"expected a list of stamps, found int"),
+        ("a.json", '{"times": 1}', "times", r"expected a list of stamps, found a whole number"),
         ("a.json", "{", None, r"found no readable file"),
         ("a.json", "[]", None, r"expected stamps, found none"),
         ("a.json", "[NaN]", None, r"expected finite stamps"),

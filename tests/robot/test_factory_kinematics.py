@@ -49,8 +49,10 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
         with_factory_kinematics(ur_model("ur5e"), written(tmp_path, NOMINAL_UR10E))
     with pytest.raises(RobotError, match="expected kinematics/forearm with numbers"):
         with_factory_kinematics(model, written(tmp_path, NOMINAL_UR10E.replace("forearm", "fourarm")))
-    with pytest.raises(RobotError, match="expected kinematics/shoulder with numbers"):
-        with_factory_kinematics(model, written(tmp_path, NOMINAL_UR10E.replace("z: 0.1807", "z: .nan")))
+    wrong = "expected kinematics/shoulder with numbers .*, found none for z; extract"
+    for number in (".nan", "1" + 400 * "0", "yes", "high"):
+        with pytest.raises(RobotError, match=wrong):
+            with_factory_kinematics(model, written(tmp_path, NOMINAL_UR10E.replace("z: 0.1807", f"z: {number}")))
     for text in ("[1, 2]", "", "kinematics: 3"):
         with pytest.raises(RobotError, match="expected kinematics/shoulder"):
             with_factory_kinematics(model, written(tmp_path, text))

@@ -58,8 +58,8 @@ def test_what_is_left_out_of_a_nested_mapping_keeps_the_default_of_that_place() 
     [
         ({"widht": 1}, r"model: unknown parameter 'widht'; did you mean 'width'\?"),
         ({"inner": {"gian": 1}}, r"model.inner: unknown parameter 'gian'; did you mean 'gain'\?"),
-        ({"name": 3}, "model.name: expected str, found 3"),
-        ({"rate_hz": True}, "model.rate_hz: expected float, found True"),
+        ({"name": 3}, "model.name: expected text, found 3"),
+        ({"rate_hz": True}, "model.rate_hz: expected a number, found True"),
         ({"horizons": 0.2}, "model.horizons: expected a list, found 0.2"),
         ({"inner": 3}, "model.inner: expected keys and values, found 3"),
         ({5: 3}, "model: unknown parameter '5'"),

@@ -10,6 +10,7 @@ from pathlib import Path
 from twin_node import resources
 from twin_node.cell.errors import CellError
 from twin_node.cell.scenario import Scenario
+from twin_node.errors import kind_of
 from twin_node.runtime.parameters import ParameterError, fill
 from twin_node.yaml_file import read_yaml
 
@@ -54,7 +55,7 @@ def _beside(folder: Path, name: str) -> Path:
 def _read(path: Path) -> dict[str, object]:
     content = read_yaml(path, "a scenario (YAML)", CellError)
     if not isinstance(content, dict):
-        raise CellError(f"{path}: expected a scenario's keys and values, found {type(content).__name__}")
+        raise CellError(f"{path}: expected a scenario's keys and values, found {kind_of(content)}")
     _require_finite(content, path)
     return content
 

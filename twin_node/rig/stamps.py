@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.errors import kind_of
 from twin_node.rig.errors import RigError
 
 UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
@@ -114,7 +115,7 @@ def _json_values(source: StampsFile, text: str) -> list[float]:
             )
         data = data[source.key]
     if not isinstance(data, list):
-        raise RigError(f"{source.path}: expected a list of stamps, found {type(data).__name__}")
+        raise RigError(f"{source.path}: expected a list of stamps, found {kind_of(data)}")
     return [_number(source, value) for value in data]
 
 

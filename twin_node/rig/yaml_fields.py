@@ -8,6 +8,7 @@ import difflib
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.errors import kind_of
 from twin_node.rig.errors import RigError
 
 LARGEST = float(np.finfo(np.float64).max)
@@ -19,7 +20,7 @@ class Fields:
 
     def __init__(self, where: str, data: object) -> None:
         if not isinstance(data, dict):
-            raise RigError(f"{where}: expected a mapping of fields, found {_kind(data)}")
+            raise RigError(f"{where}: expected a mapping of fields, found {kind_of(data)}")
         self.where = where
         """File and path of the mapping in it, to begin error lines with."""
         self._data = data
@@ -52,7 +53,7 @@ class Fields:
         """A field that holds a list of at least one mapping."""
         value = self._required(key)
         if not isinstance(value, list) or not value:
-            raise RigError(f"{self.where}.{key}: expected a list of at least one, found {_kind(value)}")
+            raise RigError(f"{self.where}.{key}: expected a list of at least one, found {kind_of(value)}")
         return [Fields(f"{self.where}: {key}[{i}]", entry) for i, entry in enumerate(value)]
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -61,7 +62,7 @@ class Fields:
             return default
         value = self._required(key)
         if isinstance(value, bool) or not isinstance(value, str | int | float | datetime.date):
-            raise RigError(f"{self.where}.{key}: expected text, found {_kind(value)}")
+            raise RigError(f"{self.where}.{key}: expected text, found {kind_of(value)}")
         return str(value)
 
     def number(self, key: str, default: float | None = None) -> float:
@@ -102,12 +103,6 @@ class Fields:
                 f"{self.where}: expected the field {key!r}, found {', '.join(map(str, self._data)) or 'none'}; add it"
             )
         return value
-
-
-def _kind(value: object) -> str:
-    if value is None:
-        return "nothing"
-    return "an empty list" if value == [] else type(value).__name__
 
 
 def _exponent_hint(value: object) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,19 +42,24 @@ def with_factory_kinematics(model: ArmModel, path: str | Path) -> ArmModel:
 def _origin(sections: object, section: str, path: str | Path) -> Float64:
     """Pose [4, 4] of one joint in the link before it."""
     fields = sections.get(section) if isinstance(sections, dict) else None
-    values = [fields.get(name) if isinstance(fields, dict) else None for name in _FIELDS]
-    numbers = [value for value in values if isinstance(value, int | float) and np.isfinite(value)]
-    if len(numbers) < len(_FIELDS):
+    found = fields if isinstance(fields, dict) else {}
+    wrong = [name for name in _FIELDS if not _is_number(found.get(name))]
+    if wrong:
         raise RobotError(
-            f"{path}: expected kinematics/{section} with numbers {', '.join(_FIELDS)}, found {values}; "
-            "extract the file again with ur_calibration"
+            f"{path}: expected kinematics/{section} with numbers {', '.join(_FIELDS)}, found none for "
+            f"{', '.join(wrong)}; extract the file again with ur_calibration"
         )
+    numbers = [float(found[name]) for name in _FIELDS]
     from scipy.spatial.transform import Rotation  # loads slowly, and most processes that have an arm never ask
 
     origin = np.eye(4)
     origin[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
     origin[:3, 3] = numbers[:3]
     return origin
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _tool_at_zero(model: ArmModel) -> Float64:

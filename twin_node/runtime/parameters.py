@@ -13,7 +13,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, kind_in_words, kind_of
 from twin_node.yaml_file import read_yaml
 
 T = TypeVar("T")
@@ -35,7 +35,7 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     """
     content = read_yaml(path, "a parameter file (YAML)", ParameterError)
     if not isinstance(content, dict):
-        raise ParameterError(f"{path}: expected 'node: {{ros__parameters: {{...}}}}', found {type(content).__name__}")
+        raise ParameterError(f"{path}: expected 'node: {{ros__parameters: {{...}}}}', found {kind_of(content)}")
     content.pop(LAUNCH, None)
     for node, section in content.items():
         if not isinstance(section, dict) or set(section) != {"ros__parameters"}:
@@ -111,7 +111,7 @@ def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
             raise ParameterError(f"{where}: expected a number, found one beyond {sys.float_info.max:.2g}")
         return float(value)
     if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):
-        raise ParameterError(f"{where}: expected {hint.__name__}, found {value!r}")
+        raise ParameterError(f"{where}: expected {kind_in_words(hint)}, found {value!r}")
     if isinstance(value, float) and math.isnan(value):
         raise ParameterError(f"{where}: expected a number, found nan")
     return value

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node import resources
+from twin_node.errors import kind_in_words, kind_of
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, check_kind, is_foreign, nearest
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
@@ -181,11 +182,11 @@ def _typed(argument: Argument, text: str, path: Path) -> Any:
     kind = type(argument.default)
     if kind in (str, type(None)):
         return text
-    value = _parsed(text, f"{path}: argument {argument.name}:={text}: expected a {kind.__name__}")
+    value = _parsed(text, f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not kind:
-        raise GraphError(f"{path}: argument {argument.name}:={text}: expected a {kind.__name__}")
+        raise GraphError(f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
     return value
 
 
@@ -322,4 +323,4 @@ def _check_plain(value: Any, where: str) -> None:
         for inner in value:
             _check_plain(inner, where)
     elif not isinstance(value, str | int | float | None):
-        raise GraphError(f"{where}: expected text or numbers, found {value} (a {type(value).__name__}); quote it")
+        raise GraphError(f"{where}: expected text or numbers, found {value} ({kind_of(value)}); quote it")

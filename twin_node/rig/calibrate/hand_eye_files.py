@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twin_node.errors import kind_of
 from twin_node.geometry import pose, rotation_from_quat
 from twin_node.rig.calibrate.board_files import checked, whole
 from twin_node.rig.calibrate.boards import Board, CircleGrid
@@ -46,8 +47,7 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     file = path / LIST_FILE if path.is_dir() else path
     content = read_yaml(file, "a YAML file", RigError)
     if not isinstance(content, list) or not content:
-        found = "an empty list" if content == [] else type(content).__name__
-        raise RigError(f"{file}: expected a list of {{image, pose}}, found {found}")
+        raise RigError(f"{file}: expected a list of {{image, pose}}, found {kind_of(content)}")
     return tuple(_stop(Fields(f"{file}[{i}]", entry), file.parent, arm) for i, entry in enumerate(content))
 
 
