@@ -64,6 +64,20 @@ def test_what_is_found_instead_is_said_in_words(tmp_path: Path, kind: str, conte
         READERS[kind](path)
 
 
+LAUGHS = b"a: &a [ha, ha]\nb: &b [*a]\n" + b"".join(
+    b"%c: &%c [%s]\n" % (name, name, b", ".join([b"*%c" % (name - 1)] * 10)) for name in b"cdefghijklm"
+)
+"""Ten times as much a line: a terabyte in the end."""
+MERGES = LAUGHS.replace(b"[ha, ha]", b"{ha: 1}").replace(b"[", b"{<<: [").replace(b"]", b"]}")
+
+
+def test_what_is_repeated_often_may_be(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.yaml"
+    path.write_text(f"camera: &camera {{lens: {[0.5] * 100}}}\nall: [{', '.join(['*camera'] * 100)}]\n")
+    cameras = read_yaml(path, "cameras", TwinError)
+    assert isinstance(cameras, dict) and cameras["all"] == [{"lens": [0.5] * 100}] * 100
+
+
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(
     ("content", "words"),
@@ -74,6 +88,8 @@ def test_what_is_found_instead_is_said_in_words(tmp_path: Path, kind: str, conte
         (b"a: &x [*x]\n", "but it cannot be read as YAML: found the alias 'x' within what it stands for in line 1"),
         (b"a: &x\n  b: [{c: *x}]\n", "found the alias 'x' within what it stands for in line 2"),
         (b"a: &x {<<: *x}\n", "found the alias 'x' within what it stands for in line 1"),
+        (LAUGHS, "found aliases that stand for more than 1000000 characters, '[fg]' among them in line [78]"),
+        (MERGES, "found aliases that stand for more than 1000000 characters, '[fg]' among them in line [78]"),
         (b"\x89MCAP\r\n\xff", "found what is no text; is it a log"),
         (None, "but it cannot be read: No such file|no such file|does not exist|not found"),
     ],

@@ -12,13 +12,15 @@ from twin_node.errors import TwinError
 
 YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
 """What `parse_yaml` raises: no syntax; no date, no number; no end."""
+MOST_REPEATED = 1_000_000
+"""Characters that the aliases of a file may stand for, all together: a hundred of them repeat a cell's cameras."""
 
 
 def read_yaml(path: Path, kind: str, error: type[TwinError]) -> object:
     """What a YAML file holds; `kind`: what it is expected to be, for messages.
 
-    Raises `error` where it cannot be read, holds a value that cannot be (the 30th of February), a field twice or an
-    alias within what it stands for.
+    Raises `error` where it cannot be read, holds a value that cannot be (the 30th of February), a field twice, an
+    alias within what it stands for, or aliases that stand for more than `MOST_REPEATED`.
     """
     try:
         return parse_yaml(path.read_text(encoding="utf-8"))
@@ -56,25 +58,41 @@ class _Loader(yaml.SafeLoader):
     """Refuses a field that stands twice in a mapping: the last would win, and nobody would hear of it.
 
     Also an alias within what it stands for: that has no end, and who goes through what was read would not end either.
+    Nor, in any time that one would wait, where aliases of aliases multiply.
     """
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._open: set[str] = set()
         """Anchors of the collections that are being composed."""
+        self._sizes: dict[yaml.Node, int] = {}
+        """Characters of each node, with all that its aliases stand for; of a collection one more."""
+        self._repeated = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            alias = self.peek_event()  # type: ignore[no-untyped-call]
-            if alias.anchor in self._open:
-                within = f"found the alias {alias.anchor!r} within what it stands for"
-                raise yaml.composer.ComposerError(None, None, within, alias.start_mark)
-        return super().compose_node(parent, index)
+        if not self.check_event(yaml.AliasEvent):
+            return super().compose_node(parent, index)
+        alias = self.peek_event()  # type: ignore[no-untyped-call]
+        if alias.anchor in self._open:
+            within = f"found the alias {alias.anchor!r} within what it stands for"
+            raise yaml.composer.ComposerError(None, None, within, alias.start_mark)
+        node = super().compose_node(parent, index)
+        self._repeated += 0 if node is None else self._sizes[node]
+        if self._repeated > MOST_REPEATED:
+            many = f"found aliases that stand for more than {MOST_REPEATED} characters, {alias.anchor!r} among them"
+            raise yaml.composer.ComposerError(None, None, many, alias.start_mark)
+        return node
+
+    def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
+        node: yaml.ScalarNode = super().compose_scalar_node(anchor)
+        self._sizes[node] = 1 + len(node.value)
+        return node
 
     def compose_sequence_node(self, anchor: Any) -> yaml.SequenceNode:
         self._open.add(anchor)
         node: yaml.SequenceNode = super().compose_sequence_node(anchor)
         self._open.discard(anchor)
+        self._sizes[node] = 1 + sum(self._sizes[inner] for inner in node.value)
         return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
@@ -87,4 +105,5 @@ class _Loader(yaml.SafeLoader):
                 again = f"found the field {key.value!r} a second time"
                 raise yaml.constructor.ConstructorError(None, None, again, key.start_mark)
             known.add(key.value)
+        self._sizes[node] = 1 + sum(self._sizes[key] + self._sizes[value] for key, value in node.value)
         return node

@@ -11,8 +11,6 @@ from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
 
-import yaml
-
 from twin_node.bag import mcap_storage, sqlite_storage
 from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
@@ -20,6 +18,7 @@ from twin_node.bag.log_times import NO_START, NO_STOP, within
 from twin_node.bag.mcap_storage import McapStorage
 from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
+from twin_node.yaml_file import YAML_ERRORS, parse_yaml
 
 METADATA_FILE = "metadata.yaml"
 
@@ -227,7 +226,7 @@ class _Information:
 
 def _bag_information(file: Path) -> _Information:
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content: Any = parse_yaml(file.read_text(encoding="utf-8"))
         information = content["rosbag2_bagfile_information"]
         topics = [topic["topic_metadata"] for topic in information["topics_with_message_count"]]
         return _Information(
@@ -236,7 +235,7 @@ def _bag_information(file: Path) -> _Information:
             compression=Compression.of(information, file),
             records=_custom_data(information),
         )
-    except (yaml.YAMLError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+    except (*YAML_ERRORS, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"{file}: not the metadata of a rosbag2 folder ({reason}); run `ros2 bag reindex`") from None
 
