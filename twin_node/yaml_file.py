@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from twin_node.errors import TwinError
+from twin_node.unfinished import whole_file
 
 YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
 """What `parse_yaml` raises: no syntax; no date, no number; no end."""
@@ -44,13 +44,10 @@ def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
     Raises `error` where it cannot be written.
     """
     text = yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
-    partial = path.with_name(f"{path.name}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        with whole_file(path, error) as partial:
+            partial.write_text(text, encoding="utf-8")
     except OSError as problem:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise error(f"{path}: cannot be written ({problem.strerror}); give a file in a folder that exists") from None
 
 

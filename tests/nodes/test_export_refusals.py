@@ -121,6 +121,18 @@ def test_a_folder_that_exists_is_left_alone(
     assert [path.name for path in Path(name).iterdir()] == ["thesis.txt"]
 
 
+@pytest.mark.parametrize(("form", "name"), [("csv", "tables"), ("npz", "cell.npz")])
+def test_a_partial_export_of_somebody_else_stays(
+    twin_log: Path, refused: Callable[..., str], tmp_path: Path, form: str, name: str
+) -> None:
+    mine = tmp_path / f"{name}.partial" / "thesis.txt"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    said = refused("export", twin_log, "--to", form, "--stop", 0.5, "-o", tmp_path / name, "--arm", "ur5e")
+    assert f"{name}.partial: exists already" in said
+    assert mine.read_text() == "mine" and list(tmp_path.iterdir()) == [mine.parent]
+
+
 @pytest.mark.parametrize(("form", "name"), [("csv", "mine.txt"), ("ply", "mine.ply")])
 def test_a_file_where_a_folder_should_go_is_told_before_anything_is_read(
     twin_log: Path,

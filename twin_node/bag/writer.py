@@ -20,6 +20,7 @@ from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles, profile
 from twin_node.messages import Message, builtin_types, serialize
+from twin_node.unfinished import partial_of, taken
 
 PROFILE, LIBRARY = "ros2", "twin_node"
 CHUNK_BYTES = 1 << 20
@@ -27,9 +28,6 @@ CHUNK_BYTES = 1 << 20
 
 BAG_VERSION: Literal[8] = 8
 """rosbag2 metadata version with numeric QoS policies, read by every distribution since Humble."""
-
-PARTIAL = ".partial"
-"""Ending of the sibling that is written until the log is closed."""
 
 
 @dataclass(frozen=True)
@@ -168,23 +166,16 @@ def _open_sink(path: Path, compression: Literal["none", "zstd", "lz4"]) -> _Sink
     return _FolderSink(path)
 
 
-def _taken(partial: Path) -> BagError:
-    return BagError(
-        f"{partial}: exists already, left by a log that was never finished or is being written; move it elsewhere, "
-        "remove it or choose another name"
-    )
-
-
 class _FileSink:
     """One MCAP file."""
 
     def __init__(self, path: Path, compression: CompressionType) -> None:
         self._path = path
-        self._partial = path.with_name(path.name + PARTIAL)
+        self._partial = partial_of(path)
         try:
             self._file = self._partial.open("xb")
         except FileExistsError:
-            raise _taken(self._partial) from None
+            raise BagError(taken(path)) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=compression)
         self._writer.start(PROFILE, LIBRARY)
         self._schemas: dict[str, int] = {}
@@ -225,14 +216,14 @@ class _FolderSink:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._partial = path.with_name(path.name + PARTIAL)
+        self._partial = partial_of(path)
         for left in (self._partial / path.name, self._partial):
             with contextlib.suppress(OSError):  # with anything in it, it stays
                 left.rmdir()
         try:
             self._partial.mkdir()
         except FileExistsError:
-            raise _taken(self._partial) from None
+            raise BagError(taken(path)) from None
         self._writer = FolderWriter(self._partial / path.name, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         try:
             self._writer.open()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from twin_node.bench.errors import BenchError
 from twin_node.json_text import json_text
+from twin_node.unfinished import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +51,8 @@ def save_figures(folder: Path, name: str, figures: Mapping[str, object], markdow
 def save_text(folder: Path, name: str, text: str) -> None:
     """Writes a file of this name. Raises `BenchError` where it cannot."""
     try:
-        (folder / name).write_text(text, encoding="utf-8")
+        with whole_file(folder / name, BenchError) as partial:
+            partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise _unwritable(folder, name, error) from error
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from twin_node.errors import TwinError
 from twin_node.ranges import WIDTHS_PX, Range
+from twin_node.unfinished import is_taken, refuse_taken, taken
 
 RATES = Range(0.001, 1000)
 """Of films and exports, Hz: the fastest of what they show, the arm's joints, come at 500 Hz."""
@@ -80,6 +81,8 @@ def file_to_write(text: str) -> Path:
     path = Path(text)
     if not _is_writable(path):
         raise argparse.ArgumentTypeError(f"{text}: {_WRITABLE}")
+    if is_taken(path):
+        raise argparse.ArgumentTypeError(taken(path))
     return path
 
 
@@ -87,6 +90,7 @@ def check_output(path: Path) -> None:
     """Raises `TwinError` where -o is no file that can be made when the work is done."""
     if not _is_writable(path):
         raise TwinError(f"-o {path}: {_WRITABLE}; choose another name, or make the folder first")
+    refuse_taken(path, TwinError)
 
 
 _WRITABLE = "expected the name of a file in a folder that exists"

@@ -43,7 +43,7 @@ def add_methods(benches: Any) -> None:
 def _bench_methods(options: argparse.Namespace) -> None:
     from twin_node.bench.methods.chart import draw_chart, text
     from twin_node.bench.methods.protocol import QUICK, Budget
-    from twin_node.bench.results_folder import prepared
+    from twin_node.bench.results_folder import prepared, save_text
 
     if options.out is not None:
         prepared(options.out)
@@ -62,7 +62,7 @@ def _bench_methods(options: argparse.Namespace) -> None:
     figures = bench.as_json()
     if options.out is not None:
         chart = draw_chart(bench, options.out)
-        chart.with_suffix(".json").write_text(json_text(figures, 2) + "\n")
+        save_text(chart.parent, f"{chart.stem}.json", json_text(figures, 2) + "\n")
     print(json_text(figures) if options.json else text(bench))
 
 

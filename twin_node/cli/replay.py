@@ -14,6 +14,7 @@ from tqdm import tqdm
 from twin_node.cli.arguments import add_source_options, port, positive, refuse_given, with_source_options
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
+from twin_node.unfinished import refuse_taken
 
 PORT = 8080
 
@@ -164,3 +165,8 @@ def _check_report(folder: Path | None) -> None:
     there = None if folder is None else next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if there is not None and not (there.is_dir() and os.access(there, os.W_OK)):
         raise TwinError(f"--report {folder}: expected a folder, or a place to make one, found {there}; give another")
+    if folder is not None:
+        from twin_node.nodes.report import FILES
+
+        for name in FILES:
+            refuse_taken(folder / name, TwinError)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Float32, GaussianCloud, Tier
+from twin_node.unfinished import whole_file
 
 SH_C0 = 0.28209479177387814
 """Value of the constant harmonic: the coefficient of a colour c is (c - 0.5) / this."""
@@ -96,21 +96,14 @@ def ply_bytes(gaussians: StoredGaussians) -> bytes:
 
 
 def write_ply(gaussians: StoredGaussians, path: Path) -> None:
-    """Writes binary PLY, see `ply_bytes`, under a partial name; the file gets its own when it is whole.
-
-    Raises `ModelError` where it cannot be written.
-    """
-    partial = path.with_name(path.name + ".partial")
+    """Writes binary PLY, see `ply_bytes`, whole or not at all. Raises `ModelError` where it cannot be written."""
     try:
-        partial.write_bytes(ply_bytes(gaussians))
-        partial.replace(path)
+        with whole_file(path, ModelError) as partial:
+            partial.write_bytes(ply_bytes(gaussians))
     except OSError as error:
         raise ModelError(
             f"{path}: cannot write Gaussians ({error.strerror}); free space or choose another place"
         ) from None
-    finally:
-        with contextlib.suppress(OSError):  # its folder is none: why nothing was written is told already
-            partial.unlink(missing_ok=True)
 
 
 def read_ply(path: Path) -> StoredGaussians:

@@ -154,10 +154,7 @@ class Checkpoint:
 
 
 def save_checkpoint(trainer: Trainer, path: Path) -> None:
-    """Writes a trainer's state under a partial name, and gives it its own when it is whole.
-
-    Raises `ModelError` where it cannot be written.
-    """
+    """Writes a trainer's state, whole or not at all. Raises `ModelError` where it cannot be written."""
     model, recording = trainer.model, trainer.recording
     tensors = {f"gaussians.{name}": torch.from_numpy(value) for name, value in vars(model.gaussians.stored()).items()}
     tensors |= {f"adam.{name}": value for name, value in model.gaussians.states()}

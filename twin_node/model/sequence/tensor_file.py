@@ -12,22 +12,22 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from twin_node.errors import reason
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Camera
+from twin_node.unfinished import whole_file
 
 
 def write_tensors(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
-    """A safetensors file under a partial name that gets its own when whole. Raises `ModelError` where it cannot be."""
-    partial = path.with_name(path.name + ".partial")
+    """A safetensors file, whole or not at all. Raises `ModelError` where it cannot be."""
     try:
-        save_file(
-            {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}, partial, metadata
-        )
-        partial.replace(path)
+        with whole_file(path, ModelError) as partial:
+            save_file(
+                {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}, partial, metadata
+            )
     except (OSError, SafetensorError) as error:
-        raise ModelError(f"{path}: cannot be written ({error}); choose a folder that exists, with room") from None
-    finally:
-        partial.unlink(missing_ok=True)
+        why = reason(error)
+        raise ModelError(f"{path}: cannot be written ({why}); choose a folder that exists, with room") from None
 
 
 @dataclass(frozen=True)

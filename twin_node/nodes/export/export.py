@@ -19,6 +19,7 @@ from twin_node.nodes.export.tables import write_tables
 from twin_node.nodes.export.usd import write_stage
 from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
 from twin_node.robot import ArmModel
+from twin_node.unfinished import partial_of, refuse_taken
 
 Write = Callable[[Moments, Path], None]
 
@@ -115,10 +116,13 @@ def _whole(output: Path, is_folder: bool) -> Iterator[Path]:
         raise ExportError(f"-o {output}: expected a new name, found a folder that exists; choose another, or delete it")
     if is_folder and output.exists():
         raise ExportError(f"-o {output}: expected the name of a new folder, found a file; choose another, or delete it")
-    folder = output.with_name(f".{output.name}.partial")
+    folder = partial_of(output)
+    refuse_taken(output, ExportError)
     try:
-        shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
+    except OSError as error:
+        raise _refused(output, error) from None
+    try:
         yield folder / output.name
         places = {made: output.with_name(made.name) for made in folder.iterdir()}
         for place in places.values():
@@ -127,11 +131,13 @@ def _whole(output: Path, is_folder: bool) -> Iterator[Path]:
         for made, place in places.items():
             made.replace(place)
     except OSError as error:
-        raise ExportError(
-            f"-o {output}: cannot be written ({error.strerror}); free space or choose another place"
-        ) from None
+        raise _refused(output, error) from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _refused(output: Path, error: OSError) -> ExportError:
+    return ExportError(f"-o {output}: cannot be written ({error.strerror}); free space or choose another place")
 
 
 FORMATS: Mapping[str, Format] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from twin_node.errors import TwinError
 from twin_node.scene import UInt8
+from twin_node.unfinished import whole_file
 
 QUALITY = "20"
 """Constant rate factor of x264: 18 is visually lossless, 23 its default."""
@@ -37,10 +37,9 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
         from av.error import FFmpegError
     except ImportError:
         raise FilmError("render: expected the package av; install it with pip install 'twin-node[render]'") from None
-    partial = path.with_name(f".{path.name}.partial")
     count, size = 0, "none"
     try:
-        with av.open(str(partial), "w", format="mp4") as container:
+        with whole_file(path, FilmError) as partial, av.open(str(partial), "w", format="mp4") as container:
             stream = container.add_stream("libx264", rate=Fraction(rate_hz).limit_denominator(1000))
             stream.pix_fmt = "yuv420p"
             stream.options = {"crf": QUALITY, "preset": PRESET}
@@ -52,7 +51,6 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
                 count += 1
             container.mux(stream.encode())
-        partial.replace(path)
     except OSError as error:
         raise _refused(path, error) from None
     except FFmpegError as error:
@@ -60,14 +58,11 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
             f"-o {path}: expected pictures that H.264 takes, found {size} ({error.strerror}); give a smaller --width, "
             "or one --camera"
         ) from None
-    finally:
-        _remove(partial)
     return count
 
 
 def write_picture(picture: UInt8, path: Path) -> None:
     """Writes a picture [H, W, 3] as its name says, PNG or JPEG. Raises `FilmError` where it cannot."""
-    partial = path.with_name(f".{path.name}.partial")
     is_made, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     if not is_made:
         size = f"{picture.shape[1]}x{picture.shape[0]}"
@@ -75,22 +70,14 @@ def write_picture(picture: UInt8, path: Path) -> None:
             f"-o {path}: expected a picture that {path.suffix} can hold, found {size}; give a smaller --width"
         )
     try:
-        partial.write_bytes(data.tobytes())
-        partial.replace(path)
+        with whole_file(path, FilmError) as partial:
+            partial.write_bytes(data.tobytes())
     except OSError as error:
         raise _refused(path, error) from None
-    finally:
-        _remove(partial)
 
 
 def _refused(path: Path, error: OSError) -> FilmError:
     return FilmError(f"-o {path}: cannot be written ({error.strerror}); free space or choose another place")
-
-
-def _remove(partial: Path) -> None:
-    """Takes an unfinished file away, where there is one."""
-    with contextlib.suppress(OSError):  # its folder is none: why nothing was written is told already
-        partial.unlink(missing_ok=True)
 
 
 def _even(picture: UInt8) -> UInt8:

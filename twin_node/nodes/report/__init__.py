@@ -1,5 +1,5 @@
 """What a run is worth: figures under stable names, and one page that a person would want to look at."""
 
-from twin_node.nodes.report.page import STEPS, ReportError, write_report
+from twin_node.nodes.report.page import FILES, STEPS, ReportError, write_report
 
-__all__ = ["STEPS", "ReportError", "write_report"]
+__all__ = ["FILES", "STEPS", "ReportError", "write_report"]

@@ -22,6 +22,7 @@ from twin_node.nodes.report import pictures
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import OURS, Foreseen, Foresight, score_forecasts
 from twin_node.nodes.report.quality import Renderings, clouds_against_images, leave_one_out, score, unit
+from twin_node.unfinished import whole_file
 
 STRIP_TIMES = 3
 """Times at which every camera is shown."""
@@ -64,10 +65,12 @@ def write_report(
     step()
     figures = figures_of(run, quality, left_out, foresight)
     html = _page(session, run, figures, strips.taken, foresight)
-    _write(folder, {"report.json": json.dumps(figures, indent=2) + "\n", "report.html": html})
+    _write(folder, dict(zip(FILES, (json.dumps(figures, indent=2) + "\n", html), strict=True)))
     step()
 
 
+FILES = ("report.json", "report.html")
+"""What a report's folder holds."""
 STEPS = 4
 """Times that `write_report` calls its `step`."""
 
@@ -242,13 +245,8 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
     """Every file under a partial name first, then all under their own."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            (folder / f"{name}.partial").write_text(text, encoding="utf-8")
-        for name in files:
-            (folder / f"{name}.partial").replace(folder / name)
+        with contextlib.ExitStack() as whole:
+            for name, text in files.items():
+                whole.enter_context(whole_file(folder / name, ReportError)).write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(f"--report {folder}: cannot be written ({error.strerror}); give another folder") from None
-    finally:
-        for name in files:
-            with contextlib.suppress(OSError):  # its folder is none: why nothing was written is told already
-                (folder / f"{name}.partial").unlink(missing_ok=True)

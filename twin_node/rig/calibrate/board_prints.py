@@ -20,6 +20,7 @@ from twin_node.rig.calibrate.boards import (
 )
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, UInt8
+from twin_node.unfinished import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,8 +154,12 @@ def print_board(board: Board, path: Path) -> BoardPrint:
     axes.axis("off")
     _draw(axes, drawing)
     _caption(axes, board, drawing)
-    with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}):
-        figure.savefig(path, dpi=DPI, metadata=_UNDATED.get(path.suffix.lower()))
+    form = path.suffix.lower()
+    try:
+        with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}), whole_file(path, RigError) as partial:
+            figure.savefig(partial, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
+    except OSError as error:
+        raise RigError(f"{path}: cannot be written ({error.strerror}); give another place") from None
     return drawing
 
 

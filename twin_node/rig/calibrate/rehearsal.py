@@ -20,6 +20,7 @@ from twin_node.rig.calibrate.lenses import lens_of, rays_of
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile, save_rig
 from twin_node.scene import Float32, Float64, Rig, RigCamera, UInt8
+from twin_node.unfinished import partial_of, taken
 
 BOARD = CharucoBoard(6, 5, 0.06, 0.045)
 """A sheet of A2: seen well from one and a half metres by small images."""
@@ -63,12 +64,11 @@ def rehearse(folder: Path, progress: Progress = lambda images: None) -> Rehearsa
     """
     if folder.exists():
         raise RigError(f"{folder}: cannot be made (it is there); give a folder that does not exist yet")
-    partial = folder.with_name(f"{folder.name}.partial")
+    partial = partial_of(folder)
     try:
         partial.mkdir(parents=True)
     except FileExistsError:
-        there = f"{partial}: cannot be made (it is there); move it elsewhere, remove it or give another folder"
-        raise RigError(there) from None
+        raise RigError(taken(folder)) from None
     except OSError as error:
         raise _refused(folder, error) from None
     try:

@@ -14,6 +14,7 @@ from twin_node.rig.calibrate.results import residuals_of
 from twin_node.rig.calibrate.rig_fit import RigFit
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
+from twin_node.unfinished import whole_file
 
 TEMPLATE = Path(__file__).with_name("report.html")
 
@@ -73,7 +74,8 @@ def write_report(
         pictures=drawn,
     )
     try:
-        path.write_text(page, encoding="utf-8")
+        with whole_file(path, RigError) as partial:
+            partial.write_text(page, encoding="utf-8")
     except OSError as error:
         raise RigError(f"{path}: cannot be written ({error.strerror}); give another place") from None
     return tuple(drawn)
@@ -84,7 +86,8 @@ def save_pictures(drawn: Sequence[pictures.Picture], folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for picture in drawn:
-            (folder / f"{picture.title.lower().replace(' ', '_')}.png").write_bytes(base64.b64decode(picture.png))
+            with whole_file(folder / f"{picture.title.lower().replace(' ', '_')}.png", RigError) as partial:
+                partial.write_bytes(base64.b64decode(picture.png))
     except OSError as error:
         raise RigError(f"{folder}: cannot be written ({error.strerror}); give another folder") from None
 
