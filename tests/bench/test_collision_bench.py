@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -117,7 +118,8 @@ def test_ur10e_capsules_enclose_its_meshes(recordings: Path) -> None:
 
 
 def test_wrong_references_are_refused(reference: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for content in ("robot_cfg: {kinematics: {}}", "&x robot_cfg: &y {kinematics: *y}", "robot_cfg: 2026-02-30"):
+    odd = spheres_of(["arm"], ".nan"), spheres_of(["arm"], "far"), SPHERES.replace("0, 0]", "0]")
+    for content in ("robot_cfg: {kinematics: {}}", "&x robot_cfg: &y {kinematics: *y}", "robot_cfg: 2026-02-30", *odd):
         (reference / "one.yml").write_text(content)
         with pytest.raises(BenchError, match=r"one\.yml: expected cuRobo's .*collision_spheres"):
             ArmReference(reference)
@@ -152,7 +154,34 @@ def test_another_ur_arms_urdf_is_refused_by_the_lengths_of_its_links(
 @pytest.mark.parametrize("name", UR_NAMES)
 def test_the_arms_own_urdf_is_taken_wherever_its_base_stands(name: str, reference: Path) -> None:
     (reference / "one.urdf").write_text(urdf_of(ur_model(name), base_height=0.8))
+    (reference / "one.yml").unlink()
     ArmReference(reference).check_arm(ur_model(name))
+
+
+def spheres_of(links: Sequence[str], x: str) -> str:
+    """cuRobo's file with a sphere on each link, so far along x, that holds a cube of 0.2 m at 0 but for its corners."""
+    rows = ", ".join(f"{link}: [{{center: [{x}, 0, 0], radius: 0.15}}]" for link in links)
+    return f"robot_cfg: {{kinematics: {{collision_spheres: {{{rows}}}}}}}"
+
+
+def test_another_arms_spheres_are_refused(reference: Path) -> None:
+    model = ur_model("ur10e")
+    links = model.link_names[1:]
+    (reference / "one.urdf").write_text(urdf_of(model))
+    (reference / "one.yml").write_text(spheres_of(links, "0.02"))
+    ArmReference(reference).check_arm(model)
+    for content, found in (
+        (spheres_of(links, "0.3"), "found shoulder_link's 0.27 m off its meshes"),
+        (spheres_of(links[:2], "0.0"), "found none on forearm_link"),
+        (SPHERES, "found none on shoulder_link"),
+    ):
+        (reference / "one.yml").write_text(content)
+        with pytest.raises(BenchError, match=rf"one\.yml: expected spheres of a ur10e, {found}; give this arm's file"):
+            ArmReference(reference).check_arm(model)
+
+
+def test_shipped_spheres_are_those_of_the_shipped_arm(recordings: Path) -> None:
+    ArmReference(recordings / "ur10e_model").check_arm(ur_model("ur10e"))
 
 
 def test_an_arm_that_is_none_of_urs_is_refused_by_what_differs_most(reference: Path) -> None:

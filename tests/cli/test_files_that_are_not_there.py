@@ -20,8 +20,6 @@ from twin_node.errors import reason
         ["calibrate", "import", "qualisys", "{folder}/none.txt", "-o", "{folder}/rig.yaml"],
         ["calibrate", "import", "toml", "{folder}/none.toml", "-o", "{folder}/rig.yaml"],
         ["calibrate", "import", "opencv", "{folder}/none.json", "-o", "{folder}/rig.yaml"],
-        ["calibrate", "rig", "{folder}/none", "-o", "{folder}/rig.yaml"],
-        ["bench", "collision", "--reference", "{folder}/none"],
     ],
 )
 def test_what_is_not_there_is_one_line_without_a_number(
@@ -35,15 +33,16 @@ def test_what_is_not_there_is_one_line_without_a_number(
     assert "Errno" not in line
 
 
-def test_a_file_in_place_of_a_folder_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "file"
-    file.write_text("text")
-    for arguments in (
-        ["calibrate", "rig", str(file), "-o", str(tmp_path / "rig.yaml")],
-        ["bench", "collision", "--reference", str(file)],
-    ):
-        assert main(arguments) == 2
-        assert f"{file}: expected a folder" in capfd.readouterr().err
+@pytest.mark.parametrize("command", [["calibrate", "rig", "-o", "rig.yaml"], ["bench", "collision", "--reference"]])
+def test_what_is_no_folder_is_told_once(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("text")
+    for name, found in (("file", "a file"), ("none", "none")):
+        assert main([*command, name]) == 2
+        (line,) = capfd.readouterr().err.splitlines()
+        assert f"{name}: expected a folder" in line and line.endswith(f"found {found}; check the path")
 
 
 def test_a_reason_is_one_line_of_words() -> None:

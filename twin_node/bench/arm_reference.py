@@ -20,6 +20,8 @@ from twin_node.yaml_file import read_yaml
 
 _SAME_LENGTH_M = 0.005
 """A link's length may differ by so much, m: the nearest two of UR's arms, UR3 and UR3e, differ by 10 mm in one."""
+_SPHERES_OFF_M = 0.1
+"""Spheres may leave so much of a link's meshes out, m, and lie so far off them: cuRobo's of a UR10e leave 71 mm out."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class ArmReference:
         """Raises `BenchError` for a folder without a readable URDF or with a sphere model that makes no sense."""
         self._folder = folder
         if not folder.is_dir():
-            found = "a file" if folder.exists() else "none: No such file or directory"
+            found = "a file" if folder.exists() else "none"
             raise BenchError(f"{folder}: expected a folder with an arm's *.urdf, found {found}; check the path")
         urdf = next(iter(sorted(folder.glob("*.urdf"))), None)
         if urdf is None:
@@ -58,12 +60,19 @@ class ArmReference:
         self._data = mujoco.MjData(self._engine)
         self._meshes = self._read_meshes()
         models = sorted(folder.glob("*.yml"))
+        self._sphere_file = models[0] if models else folder
         self._spheres = _read_spheres(models[0]) if models else None
 
     def check_arm(self, model: ArmModel) -> None:
-        """Raises `BenchError` where it is of another arm, by its links' names, meshes and lengths."""
+        """Raises `BenchError` where it is of another arm, by its links' names, meshes, lengths and spheres."""
         self._check_links(model.link_names)
         links = model.link_names[1:]
+        self._check_lengths(model, links)
+        if self._spheres is not None:
+            for link in links:
+                self._check_spheres(model, link, self._spheres.get(link))
+
+    def _check_lengths(self, model: ArmModel, links: tuple[str, ...]) -> None:
         found = _lengths(self.link_positions(np.zeros((1, model.joints)), links)[0])
         off = np.abs(found - _lengths_of(model))
         if off.max() <= _SAME_LENGTH_M:
@@ -76,6 +85,18 @@ class ArmReference:
             f"{links[worst]} to {links[worst + 1]}, where a {model.name} has {_lengths_of(model)[worst]:.4f} m; give "
             "the folder of the arm that is measured"
         )
+
+    def _check_spheres(self, model: ArmModel, link: str, spheres: LinkSpheres | None) -> None:
+        """Raises `BenchError` where a link has no spheres, or they are not where its meshes are."""
+        expected, remedy = f"expected spheres of a {model.name}", "give this arm's file, or remove it"
+        if spheres is None or not len(spheres.radii):
+            raise BenchError(f"{self._sphere_file}: {expected}, found none on {link}; {remedy}")
+        corners = np.concatenate([mesh.vertices for mesh in self._meshes[link]])
+        uncovered = (np.linalg.norm(corners[:, None] - spheres.centers, axis=-1) - spheres.radii).min(axis=1)
+        inside = np.clip(spheres.centers, corners.min(axis=0), corners.max(axis=0))
+        off = max(float(uncovered.max()), float(np.linalg.norm(spheres.centers - inside, axis=-1).max()))
+        if off > _SPHERES_OFF_M:
+            raise BenchError(f"{self._sphere_file}: {expected}, found {link}'s {off:.2f} m off its meshes; {remedy}")
 
     def _check_links(self, links: Sequence[str]) -> None:
         """Raises `BenchError` where it does not have these links, the first of which is the base."""
@@ -187,15 +208,17 @@ def _read_spheres(path: Path) -> dict[str, LinkSpheres]:
     content: Any = read_yaml(path, "cuRobo's robot_cfg/kinematics/collision_spheres", BenchError)
     try:
         table = content["robot_cfg"]["kinematics"]["collision_spheres"]
-        return {
-            link: LinkSpheres(
-                np.array([row["center"] for row in rows], dtype=np.float64).reshape(-1, 3),
-                np.array([row["radius"] for row in rows], dtype=np.float64),
-            )
-            for link, rows in table.items()
-        }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return {link: _spheres(rows) for link, rows in table.items()}
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise BenchError(
-            f"{path}: expected cuRobo's robot_cfg/kinematics/collision_spheres with center and radius, "
-            f"found {type(error).__name__} {error}; remove the file or correct it"
+            f"{path}: expected cuRobo's robot_cfg/kinematics/collision_spheres, a list of center and radius for each "
+            "link, found something else; remove the file or correct it"
         ) from error
+
+
+def _spheres(rows: Any) -> LinkSpheres:
+    centers = np.array([row["center"] for row in rows], dtype=np.float64).reshape(len(rows), 3)
+    radii = np.array([row["radius"] for row in rows], dtype=np.float64).reshape(len(rows))
+    if not (np.isfinite(centers).all() and np.isfinite(radii).all()):
+        raise ValueError("expected finite numbers")
+    return LinkSpheres(centers, radii)

@@ -51,7 +51,7 @@ def load_board(text: str) -> Board:
 def find_board(folder: Path) -> Board:
     """The board of the board file in a folder of recordings. Raises `RigError` where there is none."""
     if not folder.is_dir():
-        found = "a file" if folder.exists() else "none: No such file or directory"
+        found = "a file" if folder.exists() else "none"
         raise RigError(f"{folder}: expected a folder of recordings of a board, found {found}; check the path")
     for name in NAMES:
         if (folder / name).is_file():
