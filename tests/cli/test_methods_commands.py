@@ -124,6 +124,13 @@ def test_wrong_training_input(
     assert "--method" in refused("train", log, "-o", out, "--resume", checkpoint, "--method", "hash")
     assert "trained on" in refused("train", log, "-o", out, "--resume", checkpoint, "--frames", 2, "--width", 48)
     assert "safetensors" in refused("train", log, "-o", out, "--resume", log, "--frames", 2, "--width", 48)
+    for wrong in (out.with_suffix(""), out.with_suffix(".foo")):
+        assert f"-o {wrong}: expected a name that ends in .safetensors" in refused(
+            "train", tmp_path / "gone", "-o", wrong
+        )
+        assert f"-o {wrong}: expected a name that ends in .safetensors" in refused(
+            "bake", tmp_path / "gone", "-o", wrong
+        )
     mine = out.with_name(f"{out.name}.partial")
     mine.touch()
     assert f"{mine}: exists already" in refused("train", tmp_path / "gone", "-o", out)

@@ -86,8 +86,10 @@ def file_to_write(text: str) -> Path:
     return path
 
 
-def check_output(path: Path) -> None:
-    """Raises `TwinError` where -o is no file that can be made when the work is done."""
+def check_output(path: Path, *suffixes: str) -> None:
+    """Raises `TwinError` where -o is no file that can be made when the work is done, or ends in none of `suffixes`."""
+    if path.suffix not in suffixes:
+        raise TwinError(f"-o {path}: expected a name that ends in {', '.join(suffixes)}")
     if not _is_writable(path):
         raise TwinError(f"-o {path}: {_WRITABLE}; choose another name, or make the folder first")
     refuse_taken(path, TwinError)

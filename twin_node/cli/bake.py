@@ -32,13 +32,13 @@ def add_bake(commands: Any) -> None:
 def _bake(options: argparse.Namespace) -> None:
     from twin_node.bench.methods.playback import measure
     from twin_node.errors import TwinError
-    from twin_node.model.sequence import bake_model, check_size, load_checkpoint, save_baked
+    from twin_node.model.sequence import SUFFIX, bake_model, check_size, load_checkpoint, save_baked
 
-    check_output(options.output)
+    check_output(options.output, SUFFIX)
     if options.output.resolve() == options.source.resolve():
         raise TwinError(f"-o {options.output}: expected another file than the one that is read; choose a new name")
     model = None
-    if options.source.suffix == ".safetensors":
+    if options.source.suffix == SUFFIX:
         _refuse_log_options(options)
         checkpoint = load_checkpoint(options.source)
         model, header = checkpoint.model, checkpoint.header

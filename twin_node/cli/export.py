@@ -55,8 +55,9 @@ def _export(options: argparse.Namespace) -> None:
 @contextlib.contextmanager
 def _open(paths: list[Path]) -> Iterator[Any]:
     """The source that the paths name: a checkpoint alone, or the logs of a run."""
+    from twin_node.model.sequence import SUFFIX
     from twin_node.nodes.export import LogSource
-    from twin_node.nodes.export.checkpoint import SUFFIX, CheckpointSource
+    from twin_node.nodes.export.checkpoint import CheckpointSource
 
     if len(paths) == 1 and paths[0].suffix == SUFFIX:
         yield CheckpointSource(paths[0])

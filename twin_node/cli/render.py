@@ -11,7 +11,6 @@ from tqdm import tqdm
 
 from twin_node.cli.arguments import check_output, not_negative, rate, refuse_given, width
 from twin_node.cli.playback import open_playback
-from twin_node.errors import TwinError
 
 if TYPE_CHECKING:
     from twin_node.nodes.export import ExportSpan
@@ -48,9 +47,7 @@ def _render(options: argparse.Namespace) -> None:
     from twin_node.nodes.film import PICTURES, Film, write_film, write_picture
     from twin_node.robot import arm_model
 
-    if options.output.suffix not in (FILM, *PICTURES):
-        raise TwinError(f"-o {options.output}: expected a name that ends in {', '.join((FILM, *PICTURES))}")
-    check_output(options.output)
+    check_output(options.output, FILM, *PICTURES)
     is_film = options.output.suffix == FILM
     span = _span_of(options, is_film)
     with open_playback(options.log, options.width, options.rig) as playback:

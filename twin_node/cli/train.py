@@ -57,11 +57,11 @@ def add_train(commands: Any) -> None:
 
 
 def _train(options: argparse.Namespace) -> None:
-    from twin_node.model.sequence import ReadOptions, save_checkpoint
+    from twin_node.model.sequence import SUFFIX, ReadOptions, save_checkpoint
     from twin_node.nodes.recordings import read_recording
     from twin_node.nodes.synchronizer import SynchronizerParameters
 
-    check_output(options.output)
+    check_output(options.output, SUFFIX)
     hold_out = None if options.hold_out is None else tuple(options.hold_out)
     reading = ReadOptions(options.width, options.frames, hold_out)
     recording = read_recording(options.data, reading, SynchronizerParameters(width=options.width), options.rig)

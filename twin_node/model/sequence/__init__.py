@@ -9,10 +9,12 @@ from twin_node.model.sequence.parameters import METHODS, DensifyParameters, Rate
 from twin_node.model.sequence.readers import ReadOptions, read_folder
 from twin_node.model.sequence.recording import ColouredPoints, Recording, recording_of, split
 from twin_node.model.sequence.sequence_model import SequenceModel, Span
+from twin_node.model.sequence.tensor_file import SUFFIX
 from twin_node.model.sequence.trainer import Trainer
 
 __all__ = [
     "METHODS",
+    "SUFFIX",
     "Baked",
     "Box",
     "Checkpoint",

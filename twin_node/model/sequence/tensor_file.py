@@ -17,6 +17,9 @@ from twin_node.model.parameters import ModelError
 from twin_node.scene import Camera
 from twin_node.unfinished import whole_file
 
+SUFFIX = ".safetensors"
+"""What the names of checkpoints and baked models end in."""
+
 
 def write_tensors(tensors: Mapping[str, Tensor], metadata: dict[str, str], path: Path) -> None:
     """A safetensors file, whole or not at all. Raises `ModelError` where it cannot be."""

@@ -18,8 +18,6 @@ from twin_node.nodes.topics import GAUSSIANS
 from twin_node.robot import ArmModel
 from twin_node.scene import GaussianCloud, Tier
 
-SUFFIX = ".safetensors"
-
 
 class CheckpointSource:
     """A checkpoint of `twin_node train`."""
