@@ -226,3 +226,11 @@ def test_who_reads_what_is_printed_may_go(cell_log: Callable[..., Path]) -> None
     os.close(writer)
     assert done.stderr == b""
     assert done.returncode == 141
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "1.5", "many"])
+def test_a_queue_that_holds_nothing(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["play", "no.mcap", "--read-ahead-queue-size", number])
+    assert exit_.value.code == 2
+    assert f"argument --read-ahead-queue-size: {number}: expected a" in capsys.readouterr().err

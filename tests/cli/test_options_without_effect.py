@@ -19,6 +19,7 @@ from twin_node.cli import main
         (["bench", "methods", "--rig", "rig.yaml"], "--rig", "expected with recorded data"),
         (["bench", "methods", "--hold-out", "front"], "--hold-out", "expected with recorded data"),
         (["demo", "--port", "8081"], "--port", "expected with --viewer"),
+        (["record", "-a", "/tf", "/twin/status"], "--all", "expected instead of topics, found /tf, /twin/status too"),
     ],
 )
 def test_an_option_that_would_change_nothing_is_refused_alone(
@@ -26,6 +27,7 @@ def test_an_option_that_would_change_nothing_is_refused_alone(
 ) -> None:
     monkeypatch.setattr("twin_node.bench.forecast_speed.run", None)  # what is not refused fails
     monkeypatch.setattr("twin_node.cell.load_scenario", None)
+    monkeypatch.setattr("twin_node.nodes.live.single.run_single", None)
     assert main(arguments) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"twin_node: error: {named}: {why}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from twin_logs import START, cloud_at
+from twin_logs import START, cloud_at, with_notes
 
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
@@ -80,6 +80,22 @@ def test_a_log_that_breaks_off_is_told_and_read_as_far_as_it_goes(
     assert run(twin_log, tmp_path / "broken.mcap", "--to", "csv", "--rate", 10, "-o", tmp_path / "tables") == 0
     said = capsys.readouterr().err
     assert "twin_node: warning: " in said and "broken.mcap: damaged at byte" in said
+
+
+def test_topics_that_nobody_reads_are_told_once(
+    twin_log: Path,
+    cell_log: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("twin_node.cli.replay._run", lambda *_: None)
+    twin, cell = with_notes(twin_log, tmp_path / "twin.mcap"), with_notes(cell_log(0.5), tmp_path / "cell.mcap")
+    assert run(twin, "--to", "ply", "--at", 0, "-o", tmp_path / "a.ply") == 0
+    told = ": not read: /notes: 1 messages in json; expected cdr\n"
+    assert capsys.readouterr().err == f"twin_node: warning: {twin}{told}"
+    assert main(["replay", str(cell)]) == 0
+    assert capsys.readouterr().err == f"twin_node: warning: {cell}{told}"
 
 
 @pytest.mark.parametrize(("seconds", "is_told"), [(-100, True), (0, False), (100, True)])

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from mcap.writer import Writer
+from twin_logs import with_notes
 
 from twin_node.bag import RecordingWriter, open_log
 from twin_node.messages import builtin_types, convert, message_type, serialize
@@ -204,6 +205,18 @@ def test_a_topic_whose_type_nobody_knows_is_left_out_and_told(
         Theatre(odd, topics=("/odd",))
 
 
+def test_a_topic_in_another_encoding_is_left_out_and_told(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noted = with_notes(log, tmp_path / "noted.mcap")
+    theatre = Theatre(noted)
+    theatre.play()
+    assert len(theatre.heard) == 20
+    assert "not played: /notes: 1 messages in json; expected cdr" in capsys.readouterr().out
+    Theatre(noted, topics=("/a",))
+    assert "not played" not in capsys.readouterr().out
+
+
 def named(path: Path, *topics: str) -> Path:
     """A log with a message on each topic, whatever its name."""
     with path.open("wb") as file:
@@ -235,7 +248,8 @@ def test_topics_are_played_whose_names_can_be_on_the_graph(tmp_path: Path, capsy
     [
         ({"topics": ("/d",)}, "has no topic /d; it holds /a, /b"),
         ({"remap": ("/a=/b",)}, "expected FROM:=TO"),
-        ({"rate": 0.0}, "expected a rate above 0"),
+        ({"rate": 0.0}, "play: rate: expected a number above 0, found 0"),
+        ({"read_ahead_queue_size": 0}, "play: read_ahead_queue_size: expected 1 or more, found 0"),
         ({"start_offset": 60.0}, "is past its end"),
         ({"start_offset": -1.0}, "start_offset: expected 0 or more, found -1"),
         ({"playback_duration": -1.0}, "playback_duration: expected 0 or more"),

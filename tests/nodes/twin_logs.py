@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from mcap.writer import Writer
 
-from twin_node.bag import LogWriter
+from twin_node.bag import LogWriter, open_log
 from twin_node.messages import convert
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES
 from twin_node.scene import GaussianCloud, JointSample, ObstacleKind, Obstacles, ObstacleShape, Tier
@@ -80,3 +81,23 @@ def write_twin_log(path: Path) -> None:
             log.write(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(cloud_at(k, False), stamp), stamp)
             log.write(OBSTACLES, convert.obstacles_to_message(obstacles_at(k, stamp)), stamp)
             log.write(JOINT_STATES, joints, stamp)
+
+
+def with_notes(log: Path, path: Path) -> Path:
+    """A log, and a topic /notes in JSON, which nobody here reads."""
+    with open_log(log) as read, path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        for name, record in read.metadata.items():
+            writer.add_metadata(name, dict(record))
+        channels = {}
+        for topic in read.topics:
+            text = read.types.definition(topic.msgtype).encode()
+            schema = writer.register_schema(topic.msgtype, "ros2msg", text)
+            channels[topic.name] = writer.register_channel(topic.name, "cdr", schema)
+        notes = writer.register_channel("/notes", "json", writer.register_schema("note", "jsonschema", b"{}"))
+        for message in read.messages():
+            writer.add_message(channels[message.topic], message.stamp, bytes(message.data), message.stamp)
+        writer.add_message(notes, read.start_ns, b"{}", read.start_ns)
+        writer.finish()
+    return path

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, positive
+from twin_node.cli.arguments import not_negative, positive, whole
 
 
 def add_record(commands: Any) -> None:
@@ -52,7 +52,7 @@ def add_play(commands: Any) -> None:
     play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these")
     play.add_argument("-m", "--remap", nargs="+", default=[], metavar="A:=B", help="publish topic A as B")
     play.add_argument("-p", "--start-paused", action="store_true")
-    play.add_argument("--read-ahead-queue-size", type=int, default=1000, metavar="N", help="messages (default 1000)")
+    play.add_argument("--read-ahead-queue-size", type=whole, default=1000, metavar="N", help="messages (default 1000)")
     play.set_defaults(run=_play)
 
 
@@ -60,6 +60,9 @@ def _record(options: argparse.Namespace) -> None:
     from twin_node.bag import BagError
     from twin_node.nodes.live.single import run_single
 
+    if options.all and options.topics:
+        given = ", ".join(options.topics)
+        raise BagError(f"--all: expected instead of topics, found {given} too; leave one of the two out")
     output = options.output or Path(f"rosbag2_{time.strftime('%Y_%m_%d-%H_%M_%S')}")
     if output.exists():
         raise BagError(f"{output}: exists already; remove it or choose another name")

@@ -25,7 +25,7 @@ def open_playback(
 
     with Playback(logs, width, rig, with_images) as playback:
         known = playback.damage
-        _warn((*known, *playback.apart))
+        _warn((*known, *playback.left_out, *playback.apart))
         try:
             yield playback
         finally:

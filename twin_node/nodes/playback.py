@@ -220,6 +220,11 @@ class Playback:
         return tuple(log.damage for log in self._logs if log.damage)
 
     @property
+    def left_out(self) -> tuple[str, ...]:
+        """What of the logs is not read, a line each; see `LogReader.left_out`."""
+        return tuple(f"{log.path}: not read: {line}" for log in self._logs for line in log.left_out)
+
+    @property
     def apart(self) -> tuple[str, ...]:
         """Logs that say nothing of the time that is shown, a line each: those of another run, most likely."""
         return tuple(

@@ -50,11 +50,10 @@ class PlayParameters:
     """Messages read before they are due."""
 
     def __post_init__(self) -> None:
-        if not self.rate > 0 or self.read_ahead_queue_size < 1:
-            raise GraphError(
-                f"play: expected a rate above 0 and a queue of 1 or more, found {self.rate:g} and "
-                f"{self.read_ahead_queue_size}"
-            )
+        if not self.rate > 0:
+            raise GraphError(f"play: rate: expected a number above 0, found {self.rate:g}")
+        if self.read_ahead_queue_size < 1:
+            raise GraphError(f"play: read_ahead_queue_size: expected 1 or more, found {self.read_ahead_queue_size}")
         for name in ("start_offset", "playback_duration", "delay", "clock"):
             if not getattr(self, name) >= 0:
                 raise GraphError(f"play: {name}: expected 0 or more, found {getattr(self, name):g}")
@@ -221,6 +220,8 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
             )
     for name in sorted(unfit) if not asked else ():
         say(f"not played: {name}, {unfit[name]}")
+    for line in log.left_out if not asked else ():
+        say(f"not played: {line}")
     free = held.keys() - unfit.keys() - ({CLOCK} if parameters.clock else set())
     return {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
 
