@@ -83,6 +83,8 @@ def test_what_is_repeated_often_may_be(tmp_path: Path) -> None:
     ("content", "words"),
     [
         (b"a: 1\nb:\n  c: 1\n  c: 2\n", "but it cannot be read as YAML: found the field 'c' a second time in line 4"),
+        (b"? [1, 2]\n: 3\n", "found a list or a mapping as a key in line 1"),
+        (b"[" * 5000, "but it cannot be read as YAML: too many levels, one within the other"),
         (b"a: [1\n", "but it cannot be read as YAML"),
         (b"a: 2026-02-30\n", "but it cannot be read as YAML: day is out of range"),
         (b"a: &x [*x]\n", "but it cannot be read as YAML: found the alias 'x' within what it stands for in line 1"),

@@ -32,6 +32,8 @@ def reason(error: Exception) -> str:
     """Why a file could not be read, in one line, without Python's numbers and names."""
     if isinstance(error, UnicodeDecodeError):
         return "what is no text"
+    if isinstance(error, RecursionError):
+        return "too many levels, one within the other"
     return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 

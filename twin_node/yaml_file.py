@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, reason
 from twin_node.unfinished import whole_file
 
 YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
@@ -29,8 +29,13 @@ def read_yaml(path: Path, kind: str, error: type[TwinError]) -> object:
     except OSError as problem:
         raise error(f"{path}: expected {kind}, but it cannot be read: {problem.strerror}") from problem
     except YAML_ERRORS as problem:
-        words = " ".join(str(problem).split()).replace('in "<unicode string>", line', "in line")
-        raise error(f"{path}: expected {kind}, but it cannot be read as YAML: {words}") from problem
+        raise error(f"{path}: expected {kind}, but it cannot be read as YAML: {yaml_reason(problem)}") from problem
+
+
+def yaml_reason(problem: Exception) -> str:
+    """Which of `YAML_ERRORS` it was, in one line, without the words of those who program."""
+    words = reason(problem).replace('in "<unicode string>", line', "in line")
+    return words.replace("unhashable key", "a list or a mapping as a key")
 
 
 def parse_yaml(text: str) -> object:

@@ -18,7 +18,7 @@ from twin_node.bag.log_times import NO_START, NO_STOP, within
 from twin_node.bag.mcap_storage import McapStorage
 from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
-from twin_node.yaml_file import YAML_ERRORS, parse_yaml
+from twin_node.yaml_file import YAML_ERRORS, parse_yaml, yaml_reason
 
 METADATA_FILE = "metadata.yaml"
 
@@ -235,9 +235,13 @@ def _bag_information(file: Path) -> _Information:
             compression=Compression.of(information, file),
             records=_custom_data(information),
         )
-    except (*YAML_ERRORS, KeyError, TypeError, AttributeError) as error:
-        reason = " ".join(str(error).split())
-        raise BagError(f"{file}: not the metadata of a rosbag2 folder ({reason}); run `ros2 bag reindex`") from None
+    except YAML_ERRORS as error:
+        why = yaml_reason(error)
+    except KeyError as error:
+        why = f"it has no field {error}"
+    except (TypeError, AttributeError):
+        why = "a field holds something else"
+    raise BagError(f"{file}: not the metadata of a rosbag2 folder ({why}); run `ros2 bag reindex`")
 
 
 def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
@@ -246,7 +250,7 @@ def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
     for name, text in (information.get("custom_data") or {}).items():
         try:
             content = json.loads(text)
-        except ValueError:
+        except (ValueError, RecursionError):
             content = text
         records[name] = content if isinstance(content, dict) else {"value": str(text)}
     return records

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.errors import kind_of
+from twin_node.errors import kind_of, reason
 from twin_node.rig.errors import RigError
 
 UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
@@ -53,7 +53,7 @@ def read_stamps(source: StampsFile) -> NDArray[np.int64]:
     try:
         values = _values(source)
     except (OSError, ValueError, RecursionError, csv.Error) as error:  # ValueError: no text, no JSON
-        raise RigError(f"{source.path}: expected stamps, found no readable file ({error})") from error
+        raise RigError(f"{source.path}: expected stamps, found no readable file ({reason(error)})") from error
     return _nanoseconds(source, values)
 
 
@@ -66,7 +66,7 @@ def read_shared_stamps(path: Path, columns: SharedColumns, camera: str) -> NDArr
     try:
         rows = list(csv.DictReader(path.read_text(encoding=ENCODING).splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RigError(f"{path}: expected stamps, found no readable file ({error})") from error
+        raise RigError(f"{path}: expected stamps, found no readable file ({reason(error)})") from error
     if not rows or not {columns.camera, columns.stamp} <= set(rows[0]):
         found = ", ".join(map(str, rows[0])) if rows else "none"
         raise RigError(f"{path}: expected the columns {columns.camera} and {columns.stamp}, found {found}")

@@ -258,6 +258,7 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("neural_video", _save_poses(lambda rows: 2 * rows), "no pose"),
     ("neural_video", lambda f: (f / "cam01.mp4").write_bytes(b"no video"), "cam01.mp4"),
     ("dnerf", lambda f: (f / "transforms_train.json").write_text("{"), "expected JSON"),
+    ("dnerf", lambda f: (f / "transforms_train.json").write_text("[" * 100_000), "expected JSON, .*too many levels"),
     ("dnerf", _change("transforms_train.json", _without("frames")), "'frames'"),
     ("dnerf", _change("transforms_train.json", _without("camera_angle_x")), "camera_angle_x"),
     ("dnerf", _change("transforms_train.json", _in_frame(time="soon")), "'time' in frame 1"),

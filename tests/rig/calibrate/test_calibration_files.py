@@ -258,6 +258,13 @@ def test_wrong_files_get_one_clear_line(kind: str, tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+def test_cameras_without_end_are_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.json"
+    path.write_text("[" * 100_000)
+    with pytest.raises(RigError, match=r"cameras\.json: expected cameras in JSON, found: too many levels"):
+        IMPORTERS["opencv"](path, 1.0)
+
+
 def test_transposed_rotations_are_named_by_the_file_alone(tmp_path: Path) -> None:
     cameras = []
     for i, centre in enumerate(([0.5, -0.9, 0.4], [-1.9, 1.3, 1.9], [0.4, 0.9, 1.2])):

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from twin_node.errors import reason
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
 from twin_node.model.sequence.recording import Recording, in_order, split
@@ -76,8 +77,10 @@ class _Split:
 def _load_split(path: Path, prefix: str) -> _Split:
     try:
         root: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ModelError(f"{path}: expected JSON, found something else ({error}); copy the data set again") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ModelError(
+            f"{path}: expected JSON, found something else ({reason(error)}); copy the data set again"
+        ) from None
     entries = root.get("frames") if isinstance(root, dict) else None
     if not isinstance(entries, list) or not entries:
         raise ModelError(f"{path}: expected a list 'frames' with entries, found none; copy the data set again")

@@ -33,7 +33,7 @@ def import_opencv(path: Path, unit: float = 1.0) -> RigFile:
 def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: expected cameras in JSON, found: {reason(error)}") from error
     cameras = []
     for fields in Fields(str(path), data).entries("cameras"):
