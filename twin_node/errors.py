@@ -45,3 +45,8 @@ def kind_in_words(kind: type) -> str:
 def kind_of(value: object) -> str:
     """What a value in a file is, in words: "expected a list, found text"."""
     return "an empty list" if value == [] else kind_in_words(type(value))
+
+
+def told(value: object) -> str:
+    """A value in a file: text and numbers themselves, of anything else what it is."""
+    return repr(value) if isinstance(value, str | int | float) else kind_of(value)

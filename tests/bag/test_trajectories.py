@@ -74,6 +74,7 @@ def test_csv_comes_back(tmp_path_factory: pytest.TempPathFactory, names: list[st
     assert np.array_equal(found.positions, positions, equal_nan=True)
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -90,6 +91,7 @@ def test_csv_comes_back(tmp_path_factory: pytest.TempPathFactory, names: list[st
         ("time,a_x,a_y,a_z\n0,1,2,3\n1,1,inf,3\n", "sample 2: expected finite numbers, found infinity for a"),
         ("time,a_x,a_y,a_z,a_x,a_y,a_z\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n", "every point's name once, found 'a' again"),
         ("time,a_x,a_y,a_z\n0,1000,2000,1700\n1,1600,2000,1700\n", "within 100 m of each other, found 600 m"),
+        ("time,a_x,a_y,a_z\n0,1e308,0,0\n1,-1e308,0,0\n", "within 100 m of each other, found inf m"),
         (f'time,a_x,a_y,a_z\n0,1,2,"{"3" * 200_000}"\n', "expected a table of cells"),
     ],
 )

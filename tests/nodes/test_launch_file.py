@@ -89,6 +89,7 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("restart: false", "restrt: false", "unknown key 'restrt'; did you mean 'restart'"),
         ("  processes:", "  proceses:", "unknown key 'proceses'; did you mean 'processes'"),
         ("launch:", "lunch:", "has no section 'launch'"),
+        ("launch:", "launch: 5\nelsewhere:", "launch: expected keys and values, found 5"),
         ("$(var rate)", "$(var ratio)", "no such argument; did you mean 'rate'"),
         ("nodes: [player]", "nodes: []", "expected a list of nodes"),
         ("\nplayer:", "\nsynchroniser:", "unknown node 'synchroniser'"),
@@ -97,7 +98,7 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         (
             "play: {nodes: [player], ends_launch: true, restart: false}",
             "play: [player]",
-            "process 'play': expected keys",
+            "process 'play': expected keys and values with a list of nodes, found a list",
         ),
         ("    play:", "    a/b:", "process 'a/b': expected a name of letters, digits"),
         ("nodes: [arm]", "nodes: [player]", "node 'player' is in two processes, play and arm"),

@@ -69,6 +69,9 @@ def test_what_is_left_out_of_a_nested_mapping_keeps_the_default_of_that_place() 
         ({"horizons": [float("nan")]}, "model.horizons: expected a number, found nan"),
         ({"cameras": [{"gain": 2.0}]}, "model.cameras: expected 'name', found none"),
         (3, "model: expected keys and values, found 3"),
+        (None, "model: expected keys and values, found nothing"),
+        ({"rate_hz": [1, 2]}, "model.rate_hz: expected a number, found a list"),
+        ({"rate_hz": {}}, "model.rate_hz: expected a number, found a mapping"),
     ],
 )
 def test_a_wrong_key_or_value_is_named(values: Any, message: str) -> None:

@@ -82,7 +82,8 @@ def checked(path: Path, names: tuple[str, ...], times: Float64, positions: Float
             "points that were not seen empty"
         )
     seen = positions[~np.isnan(positions).any(axis=2)]
-    span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+    with np.errstate(over="ignore"):
+        span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
     if span > _WIDEST_M:
         raise BagError(
             f"{path}: expected points within {_WIDEST_M:g} m of each other, found {span:.6g} m; are the positions in "

@@ -8,7 +8,7 @@ import difflib
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.errors import kind_of
+from twin_node.errors import kind_of, told
 from twin_node.rig.errors import RigError
 
 LARGEST = float(np.finfo(np.float64).max)
@@ -71,14 +71,14 @@ class Fields:
             return default
         value = self._required(key)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-            raise RigError(f"{self.where}.{key}: expected a number, found {value!r}{_exponent_hint(value)}")
+            raise RigError(f"{self.where}.{key}: expected a number, found {told(value)}{_exponent_hint(value)}")
         return float(value)
 
     def flag(self, key: str) -> bool:
         """A field that is true or false; false where it is missing."""
         value = self._required(key) if self.has(key) else False
         if not isinstance(value, bool):
-            raise RigError(f"{self.where}.{key}: expected true or false, found {value!r}")
+            raise RigError(f"{self.where}.{key}: expected true or false, found {told(value)}")
         return value
 
     def array(self, key: str, shape: tuple[int, ...] | None) -> NDArray[np.float64]:

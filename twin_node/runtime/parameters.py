@@ -13,7 +13,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
-from twin_node.errors import TwinError, kind_in_words, kind_of
+from twin_node.errors import TwinError, kind_in_words, kind_of, told
 from twin_node.yaml_file import read_yaml
 
 T = TypeVar("T")
@@ -42,7 +42,9 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
             raise ParameterError(f"{path}: node '{node}' must hold exactly one key, 'ros__parameters'")
         values = section["ros__parameters"]
         if not isinstance(values, dict | None):
-            raise ParameterError(f"{path}: node '{node}': ros__parameters: expected keys and values, found {values!r}")
+            raise ParameterError(
+                f"{path}: node '{node}': ros__parameters: expected keys and values, found {told(values)}"
+            )
     return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
 
 
@@ -54,7 +56,7 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None
     one) or a value of the wrong type.
     """
     if not isinstance(values, Mapping):
-        raise ParameterError(f"{where}: expected keys and values, found {values!r}")
+        raise ParameterError(f"{where}: expected keys and values, found {told(values)}")
     fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
     for name, known in fields.items():
@@ -87,7 +89,7 @@ def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
     origin = typing.get_origin(hint)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         if not isinstance(value, Mapping):
-            raise ParameterError(f"{where}: expected keys and values, found {value!r}")
+            raise ParameterError(f"{where}: expected keys and values, found {told(value)}")
         return fill(hint, value, where, default if isinstance(default, hint) else None)
     if origin in (types.UnionType, typing.Union):
         if value is None and type(None) in typing.get_args(hint):
@@ -95,7 +97,7 @@ def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
         return _convert(next(a for a in typing.get_args(hint) if a is not type(None)), value, where, default)
     if origin is tuple:
         if not isinstance(value, list | tuple):
-            raise ParameterError(f"{where}: expected a list, found {value!r}")
+            raise ParameterError(f"{where}: expected a list, found {told(value)}")
         arguments = typing.get_args(hint)
         inner = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else list(arguments)
         if len(inner) != len(value):
@@ -104,14 +106,14 @@ def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
     if isinstance(hint, type) and issubclass(hint, Enum) and not isinstance(value, hint):
         members = {str(member.value): member for member in hint}
         if str(value) not in members:
-            raise ParameterError(f"{where}: expected one of {', '.join(members)}, found {value!r}")
+            raise ParameterError(f"{where}: expected one of {', '.join(members)}, found {told(value)}")
         return members[str(value)]
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         if abs(value) > sys.float_info.max:
             raise ParameterError(f"{where}: expected a number, found one beyond {sys.float_info.max:.2g}")
         return float(value)
     if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):
-        raise ParameterError(f"{where}: expected {kind_in_words(hint)}, found {value!r}")
+        raise ParameterError(f"{where}: expected {kind_in_words(hint)}, found {told(value)}")
     if isinstance(value, float) and math.isnan(value):
         raise ParameterError(f"{where}: expected a number, found nan")
     return value

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node import resources
-from twin_node.errors import kind_in_words, kind_of
+from twin_node.errors import kind_in_words, kind_of, told
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, check_kind, is_foreign, nearest
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
@@ -131,9 +131,11 @@ def in_one_process(plan: LaunchPlan) -> LaunchPlan:
 
 def _launch_section(path: Path) -> dict[str, Any]:
     content = read_yaml(path, "a launch file (YAML)", GraphError)
-    section = content.get(LAUNCH) if isinstance(content, dict) else None
-    if not isinstance(section, dict):
+    if not isinstance(content, dict) or LAUNCH not in content:
         raise GraphError(f"{path}: has no section '{LAUNCH}'; give a launch file, for example launch/replay.yaml")
+    section = content[LAUNCH]
+    if not isinstance(section, dict):
+        raise GraphError(f"{path}: {LAUNCH}: expected keys and values, found {told(section)}")
     known = {"arguments", "processes", "use_sim_time", "lockstep", "zenoh"}
     for key in section:
         if key not in known:
@@ -145,7 +147,7 @@ def _table(section: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
     """A part of the launch section that holds keys and values; empty where it is left out."""
     value = section.get(key)
     if not isinstance(value, dict | None):
-        raise GraphError(f"{path}: {LAUNCH}: {key}: expected keys and values, found {value!r}")
+        raise GraphError(f"{path}: {LAUNCH}: {key}: expected keys and values, found {told(value)}")
     return value or {}
 
 
@@ -231,7 +233,7 @@ def _process(name: str, entry: Any, path: Path) -> ProcessPlan:
     if not PROCESS_NAME.fullmatch(name):
         raise GraphError(f"{where}: expected a name of letters, digits, _, - and ., which its log file is named after")
     if not isinstance(entry, Mapping):
-        raise GraphError(f"{where}: expected keys and values with a list of nodes, found {entry!r}")
+        raise GraphError(f"{where}: expected keys and values with a list of nodes, found {told(entry)}")
     known = {"nodes", "restart", "ends_launch", "spare", "if"}
     for key in entry:
         if key not in known:
@@ -254,7 +256,7 @@ def _process(name: str, entry: Any, path: Path) -> ProcessPlan:
 def _flag(section: Mapping[str, Any], key: str, default: bool, where: str) -> bool:
     value = section.get(key, default)
     if not isinstance(value, bool):
-        raise GraphError(f"{where}: {key}: expected true or false, without quotes, found {value!r}")
+        raise GraphError(f"{where}: {key}: expected true or false, without quotes, found {told(value)}")
     return value
 
 
@@ -284,7 +286,7 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
         for key in outer:
             inner = inner.setdefault(key, {})
             if not isinstance(inner, dict):
-                raise GraphError(f"-p {text}: expected keys and values under '{key}', found {inner!r}")
+                raise GraphError(f"-p {text}: expected keys and values under '{key}', found {told(inner)}")
         inner[last] = _parsed(value, f"-p {text}: expected a value")
 
 
