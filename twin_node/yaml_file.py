@@ -13,7 +13,7 @@ from twin_node.unfinished import whole_file
 YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
 """What `parse_yaml` raises: no syntax; no date, no number; no end."""
 MOST_REPEATED = 1_000_000
-"""Characters that the aliases of a file may stand for, all together: a hundred of them repeat a cell's cameras."""
+"""Characters that the aliases of a file may stand for, all together: a rig of a hundred cameras has a tenth of it."""
 
 
 def read_yaml(path: Path, kind: str, error: type[TwinError]) -> object:
