@@ -41,6 +41,8 @@ SCALE_SIGMA = 0.05
 MOST_OFF = 0.003
 """Half of all corners fit within this share of the focal length (0.17 degrees): an arm whose stops are true to 2 mm and
 0.2 degrees leaves a third of it, another mount than said, or other units, twice as much and more."""
+MOST_STEPS = 200
+"""Of a fit: poses of the pictures take up to 30, others would go on for thousands and be refused in the end."""
 MOST_SIGMA_M = 0.1
 """A camera's place that is open by more than this is none."""
 
@@ -216,7 +218,12 @@ class _Adjustment:
     def solve(self) -> _Solution:
         """The best fit and how well it is known."""
         solved = least_squares(
-            self._residuals, np.zeros(12 + self._free.sum()), loss="soft_l1", tr_solver="lsmr", x_scale="jac"
+            self._residuals,
+            np.zeros(12 + self._free.sum()),
+            loss="soft_l1",
+            tr_solver="lsmr",
+            x_scale="jac",
+            max_nfev=MOST_STEPS,
         )
         stops, points, _ = self._stops.pixels.shape
         covariance = _covariance(np.asarray(solved.jac), np.asarray(solved.fun), stops, 2 * points)
