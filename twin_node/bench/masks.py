@@ -17,7 +17,7 @@ from twin_node.model.camera_mask import seen_by
 from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.seeding import find_plane, find_surfaces
 from twin_node.nodes.log_source import DEFAULT_WIDTH
-from twin_node.robot import ArmModel, arm_model, robot_mask
+from twin_node.robot import ArmModel, arm_model, robot_masks
 from twin_node.scene import Bool, FrameSet, UInt8
 
 SCENARIOS = ("conveyor", "reach_in", "cross", "demo")
@@ -137,17 +137,11 @@ class ModelMasks:
 
     def update(self, frames: FrameSet) -> list[tuple[Bool, Bool]]:
         """Per view the mask [H, W], and the pixels [H, W] that it was looked for in."""
-        robots = self._robot_masks(frames)
+        robots = robot_masks(self._arm, frames)
         even = self._level(frames, robots).frames
         masks = self._mask.update(even, robots)
         self._exposures.heed(even, masks)
         return [(mask, seen_by(view, robot)) for mask, view, robot in zip(masks, even.views, robots, strict=True)]
-
-    def _robot_masks(self, frames: FrameSet) -> tuple[Bool | None, ...]:
-        if self._arm is None or frames.joints is None:
-            return (None,) * len(frames.views)
-        q = self._arm.ordered_positions(frames.joints)
-        return tuple(robot_mask(self._arm, q, view.camera, depth=view.depth) for view in frames.views)
 
     def _level(self, frames: FrameSet, robots: Sequence[Bool | None]) -> Levelled:
         if self._has_begun:

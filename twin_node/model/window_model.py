@@ -29,7 +29,7 @@ from twin_node.model.seeding import seed
 from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, unwatched
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
-from twin_node.robot import ArmModel, robot_mask
+from twin_node.robot import ArmModel, robot_masks
 from twin_node.scene import Bool, Camera, Float32, FrameSet, Tier, TwinState
 from twin_node.splat.library import torch_alone
 
@@ -131,7 +131,7 @@ class WindowModel:
             return self._update(frames)
 
     def _update(self, frames: FrameSet) -> TwinState:
-        robots = self._robot_masks(frames)
+        robots = robot_masks(self._arm, frames)
         is_first = self._tracker is None
         levelled = self._begin(frames, robots) if is_first else self._exposures.level(frames, robots)
         frames = levelled.frames
@@ -197,12 +197,6 @@ class WindowModel:
                 f"set {frames.sequence}: expected a stamp of {self._nodes.stamp} ns or later, found {frames.stamp} ns; "
                 "sort the source or start a new model"
             )
-
-    def _robot_masks(self, frames: FrameSet) -> tuple[Bool | None, ...]:
-        if self._arm is None or frames.joints is None:
-            return (None,) * len(frames.views)
-        q = self._arm.ordered_positions(frames.joints)
-        return tuple(robot_mask(self._arm, q, view.camera, depth=view.depth) for view in frames.views)
 
     def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> Levelled:
         """The model of the first set; returns it in the light that the model has."""

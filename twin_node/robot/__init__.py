@@ -3,7 +3,7 @@
 from twin_node.robot.arms import arm_model
 from twin_node.robot.kinematics import PlacedCapsules, forward_kinematics, place_capsules
 from twin_node.robot.model import ArmModel, Capsules, RobotError
-from twin_node.robot.self_filter import robot_mask
+from twin_node.robot.self_filter import robot_mask, robot_masks
 from twin_node.robot.ur import UR_NAMES, ur_dh, ur_model
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "forward_kinematics",
     "place_capsules",
     "robot_mask",
+    "robot_masks",
     "ur_dh",
     "ur_model",
 ]

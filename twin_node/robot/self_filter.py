@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin_node.robot.kinematics import forward_kinematics, place_capsules
 from twin_node.robot.model import ArmModel
-from twin_node.scene import Bool, Camera, Float32, Float64, UInt8
+from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, UInt8
 
 _RIM_POINTS = 16
 """Corners of the polygon drawn around each end's outline; it stands out by less than 2 % of the radius."""
@@ -56,6 +56,17 @@ def robot_mask(
             mask |= (_ray_segment_distance(rays, ends[index]) <= radii[index]).astype(np.uint8)
     covered = mask.astype(np.bool_)
     return covered if depth is None else covered & ~_others(covered, depth, camera, ends, radii)
+
+
+def robot_masks(model: ArmModel | None, frames: FrameSet) -> tuple[Bool | None, ...]:
+    """Per view `robot_mask` [H, W] by the set's joints and measured depth; None where arm or joints are not known.
+
+    Raises `RobotError` for joints that are not the model's.
+    """
+    if model is None or frames.joints is None:
+        return (None,) * len(frames.views)
+    q = model.ordered_positions(frames.joints)
+    return tuple(robot_mask(model, q, view.camera, depth=view.depth) for view in frames.views)
 
 
 def _others(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii: Float64) -> Bool:
