@@ -10,7 +10,7 @@ import pytest
 import torch
 from model_scenes import TICK_NS, block, joined, rig, table
 
-from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model import ModelParameters, SeedParameters, WindowModel, merge_split
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import Births
 from twin_node.model.cells import Cells
@@ -18,7 +18,7 @@ from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, L
 from twin_node.model.gaussians import QUAT, RGB, Gaussians
 from twin_node.model.merge_split import LOOKS, MERGE, SPLIT, Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
-from twin_node.model.parts import halves_of
+from twin_node.model.parts import halves_of, lie_apart, redealt
 from twin_node.model.passing import Passing
 from twin_node.model.regrouping import Carried, regroup
 from twin_node.model.rendering import Splats, render
@@ -367,6 +367,38 @@ def test_a_suspicion_that_explains_less_than_another_cut_gives_way_to_it_and_the
     assert halves_of(said, cells.centres, 0.04, smaller) is None
     almost = np.arange(6) >= 3
     assert halves_of(said, cells.centres, 1e6, almost) is None, "among errors as large neither tells more"
+
+
+def test_what_errs_throughout_a_body_is_no_second_one_and_what_parts_is() -> None:
+    """Views that err differently see cells of all of a body, as a body's own motion does not part it."""
+    centres = np.stack(np.meshgrid(0.06 * np.arange(6), 0.06 * np.arange(6), [0.0]), -1).reshape(-1, 3)
+    throughout, half = np.random.default_rng(4).random(36) > 0.5, centres[:, 1] > 0.15
+    found = []
+    for second in (throughout, half):
+        two = np.tile([0.2, 0.0, 0.0, 0.0, 0.0, 0.0], (36, 1))
+        two[second, 1] += 0.1
+        said = told(two, centres, 1)
+        found.append(halves_of(said, centres, 0.04))
+        assert np.array_equal(redealt(said, centres, second, 0.04), second), "its motion tells whose each cell is"
+    assert found[0] is None
+    assert found[1] is not None
+    assert np.array_equal(found[1], half) or np.array_equal(found[1], ~half)
+    assert lie_apart(centres, np.stack([throughout, half])).tolist() == [False, True]
+    assert lie_apart(centres[:3], np.array([[True, False, True]])).all(), "three cells are too few to tell"
+
+
+def test_a_suspicion_whose_cut_lies_all_over_the_body_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells, two = row_of(12, [0] * 12), np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (12, 1))
+    two[::2, 1] -= 0.1
+    asked = []
+
+    def suspected(said: VelocityEquations, *_: object) -> np.ndarray:
+        asked.append(len(said))
+        return np.arange(len(said)) % 2 == 0
+
+    monkeypatch.setattr(merge_split, "halves_of", suspected)
+    assert not [one for one in decided(cells, two, 30) if isinstance(one, Split)]
+    assert len(asked) > 1, "another cut is looked for"
 
 
 def test_a_correction_to_a_predicted_pose_and_the_whole_step_say_the_same_velocity() -> None:

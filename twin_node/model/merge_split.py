@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import LogEvidence
 from twin_node.model.looks import LIKE, mean_hues
-from twin_node.model.parts import halves_of, redealt
+from twin_node.model.parts import halves_of, lie_apart, redealt
 from twin_node.model.passing import Passing, passings
 from twin_node.model.velocity_equations import (
     VelocityEquations,
@@ -225,23 +225,31 @@ class MergeSplit:
         suspicions: dict[int, _Suspicion] = {}
         found = []
         for i, row in enumerate(rows):
-            suspicion = suspicions[int(ids[row])] = self._suspicions[int(ids[row])]
+            suspicion = self._suspicions[int(ids[row])]
             suspicion.two += float(now_first[i] + now_second[i] - then_first[i] - then_second[i])
             suspicion.one += float(now[i] - then[i])
             suspicion.doubt += PACE
-            if suspicion.two - suspicion.one > SPLIT:
+            if suspicion.two - suspicion.one <= SPLIT:
+                suspicions[int(ids[row])] = suspicion
+                continue
+            leaving = self._cut(row, second)
+            if leaving is not None:
                 grounds = LogEvidence(suspicion.one, suspicion.two, float(at_rest[i]), float(self._misfits[row]))
-                found.append(Split(row, self._cut(row, second), grounds))
-        for one in found:
-            del suspicions[int(ids[one.node])]
+                found.append(Split(row, leaving, grounds))
         self._suspicions = suspicions
         return found
 
-    def _cut(self, row: int, second: Bool) -> Bool:
-        """[c] which cells leave the node in `row`, by all that has been said up to now; `second` [c] were suspected."""
+    def _cut(self, row: int, second: Bool) -> Bool | None:
+        """[c] which cells leave the node in `row`, by all that has been said up to now; `second` [c] were suspected.
+
+        None where they do not lie apart.
+        """
         own = np.flatnonzero(self._cells.nodes == row)
+        part = redealt(self._said.of(own), self._cells.centres[own], second[own], float(self._misfits[row]))
+        if not lie_apart(self._cells.centres[own], part[None])[0]:
+            return None
         leaving = np.zeros(len(second), bool)
-        leaving[own] = redealt(self._said.of(own), self._cells.centres[own], second[own], float(self._misfits[row]))
+        leaving[own] = part
         return leaving
 
     def _search(self, ids: NDArray[np.int64], middles: Float64) -> None:
