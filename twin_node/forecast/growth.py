@@ -133,18 +133,20 @@ def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach:
 
 def _layer_plainly(grid: Grid, places: NDArray[np.int32], reach: UInt16, core_points: Bool) -> Spread:
     reached, core = np.zeros((2, *grid.dims), np.bool_)
+    dims = np.array(grid.dims)[:, None]
     for level in np.unique(reach):
         margin = int(level) // PER_VOXEL
-        mine = places[:, reach == level] + margin
-        dims = np.array(grid.dims) + 2 * margin
-        mine = mine[:, ((mine >= 0) & (mine < dims[:, None])).all(axis=0)]
+        mine = places[:, reach == level]
+        mine = mine[:, ((mine >= -margin) & (mine < dims + margin)).all(axis=0)]
         if mine.shape[1] == 0:
             continue
-        away = np.ones(dims, np.bool_)
-        away[tuple(mine)] = False
-        inner = tuple(slice(margin, margin + n) for n in grid.dims)
+        first = np.minimum(mine.min(axis=1), 0)
+        past = np.maximum(mine.max(axis=1) + 1, grid.dims)
+        away = np.ones(past - first, np.bool_)
+        away[tuple(mine - first[:, None])] = False
+        inner = tuple(slice(start, start + n) for start, n in zip(-first, grid.dims, strict=True))
         reached |= distance_transform_edt(away)[inner] <= level / PER_VOXEL
-    inside = ((places >= 0) & (places < np.array(grid.dims)[:, None])).all(axis=0) & core_points
+    inside = ((places >= 0) & (places < dims)).all(axis=0) & core_points
     core[tuple(places[:, inside])] = True
     indices = np.flatnonzero(reached).astype(np.uint32)
     return Spread(indices, core.ravel()[indices])
