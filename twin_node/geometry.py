@@ -71,3 +71,11 @@ def project(K: NDArray[np.floating], viewmat: NDArray[np.floating], points: NDAr
     u = K[0, 0] * p[:, 0] / safe + K[0, 2]
     v = K[1, 1] * p[:, 1] / safe + K[1, 2]
     return np.stack([u, v, z], axis=1)
+
+
+def distance_to_segment(points: NDArray[np.floating], ends: NDArray[np.floating]) -> Float:
+    """Distances [...] in metres of points [..., 3] to the segment between ends [2, 3]."""
+    axis = ends[1] - ends[0]
+    t = np.clip((points - ends[0]) @ axis / max(float(axis @ axis), 1e-18), 0.0, 1.0)
+    distances: Float = np.linalg.norm(points - ends[0] - t[..., None] * axis, axis=-1)
+    return distances

@@ -8,7 +8,6 @@ from pathlib import Path
 from twin_node.bag import LogWriter, open_log
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import TF_STATIC
 
 
 def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callable[..., Path], tmp_path: Path) -> None:
@@ -16,8 +15,7 @@ def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callabl
     plain = tmp_path / "plain.mcap"
     with open_log(cell_log(0.3)) as log, LogWriter(plain) as written:
         for message in log.messages():
-            topic = message.topic if message.topic == TF_STATIC else message.topic.removeprefix("/")
-            written.write_raw(topic, message.msgtype, message.data, message.stamp)
+            written.write_raw(message.topic.removeprefix("/"), message.msgtype, message.data, message.stamp)
     remaps = {"/cam_left/image_raw/compressed": "/cam_left/image_rect/compressed"}
     with LogSession(plain, remaps=remaps) as session:
         assert "/cam_left/image_rect/compressed" in session.topics.values()

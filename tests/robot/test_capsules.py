@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from twin_node.geometry import distance_to_segment
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules, ur_model
-from twin_node.robot.capsule_fit import distance_to_segment, fit_capsule, fit_capsules
+from twin_node.robot.capsule_fit import fit_capsule, fit_capsules
 
 UR10E_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e_model"
 needs_meshes = pytest.mark.skipif(not UR10E_DATA.exists(), reason=f"no UR10e meshes at {UR10E_DATA}")

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from twin_node.geometry import distance_to_segment
 from twin_node.resources import ResourceError, find
 from twin_node.robot import UR_NAMES, RobotError, arm_model, forward_kinematics, place_capsules, ur_model
-from twin_node.robot.capsule_fit import distance_to_segment
 from twin_node.robot.mjcf import geom_names, load_arm, write_mjcf
 
 UR10E_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e_model"

@@ -7,6 +7,7 @@ import numpy as np
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernel_requests import TakeRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.geometry import distance_to_segment
 from twin_node.native_library import addresses_of
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import Float64, Grid, JointSample
@@ -50,13 +51,5 @@ def within_plainly(grid: Grid, ends: Float64, radii: Float64) -> Bits:
         axes = [grid.origin[i] + (np.arange(start[i], stop[i]) + 0.5) * grid.voxel_size for i in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         box = tuple(slice(a, b) for a, b in zip(start, stop, strict=True))
-        taken[box] |= _distances(points, own) <= radius
+        taken[box] |= distance_to_segment(points, own) <= radius
     return Bits.of_mask(grid.dims, taken.reshape(-1))
-
-
-def _distances(points: Float64, ends: Float64) -> Float64:
-    """Distances [...] of points [..., 3] from the segment between two ends [2, 3]."""
-    along = ends[1] - ends[0]
-    share = np.clip((points - ends[0]) @ along / max(float(along @ along), 1e-12), 0, 1)
-    distances: Float64 = np.linalg.norm(points - ends[0] - share[..., None] * along, axis=-1)
-    return distances

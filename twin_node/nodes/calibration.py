@@ -11,7 +11,7 @@ from twin_node.bag import LogReader
 from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
-from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError
+from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, absolute
 from twin_node.rig import load_rig
 from twin_node.scene import Rig
 
@@ -83,8 +83,9 @@ def _calibration_messages(log: LogReader, cameras: Sequence[CameraTopics]) -> tu
     wanted = {camera.info for camera in cameras}
     infos: dict[str, Any] = {}
     tree = TransformTree()
-    for message in log.messages([*wanted, TF_STATIC]):
-        if message.topic == TF_STATIC:
+    placing = {topic.name for topic in log.topics if absolute(topic.name) == TF_STATIC}
+    for message in log.messages([*wanted, *placing]):
+        if message.topic in placing:
             tree.add(message.message)
         elif message.topic not in infos:
             infos[message.topic] = message.message

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.geometry import distance_to_segment
 from twin_node.scene import Float64
 
 _LLOYD_ROUNDS = 6
@@ -66,14 +67,6 @@ def fit_capsules(triangles: NDArray[np.floating], count: int) -> tuple[Capsule, 
     along = (along - along.min()) / max(float(np.ptp(along)), 1e-12)
     fits = [_lloyd(pieces, np.searchsorted(cuts, along)) for cuts in _first_cuts(count)]
     return min(fits, key=_total_volume)
-
-
-def distance_to_segment(points: NDArray[np.floating], ends: NDArray[np.floating]) -> Float64:
-    """Distances [...] in metres of points [..., 3] to the segment between ends [2, 3]."""
-    axis = ends[1] - ends[0]
-    t = np.clip((points - ends[0]) @ axis / max(float(axis @ axis), 1e-18), 0.0, 1.0)
-    distances: Float64 = np.linalg.norm(points - ends[0] - t[..., None] * axis, axis=-1)
-    return distances
 
 
 def _first_cuts(count: int) -> list[Float64]:

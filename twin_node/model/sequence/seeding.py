@@ -15,6 +15,7 @@ from twin_node.model.sequence.field import Box
 from twin_node.model.sequence.recording import ColouredPoints, Recording
 from twin_node.model.sweep import shell_around
 from twin_node.scene import Float64, View
+from twin_node.thinning import thinned
 
 POINT_OPACITY = 0.1
 """Opacity of a Gaussian that stands for a point, as published."""
@@ -32,7 +33,7 @@ def start_gaussians(recording: Recording, count: int, degree: int, random_seed: 
     if recording.points is not None:
         return _from_points(recording.points, count, degree, random_seed)
     if len(first) > 1 or first[0].depth is not None:
-        found = _from_images(_spread(first), count, degree)
+        found = _from_images(tuple(thinned(first, SWEPT_VIEWS)), count, degree)
         if len(found.means):
             return found
     return _from_points(_random_points(recording, count, random_seed), count, degree, random_seed)
@@ -52,12 +53,6 @@ def box_around(recording: Recording, gaussians: StoredGaussians) -> Box:
         return torch.tensor(corner, dtype=torch.float32)
 
     return Box(tensor(lower - margin), tensor(lower + sides + margin))
-
-
-def _spread(views: tuple[View, ...]) -> tuple[View, ...]:
-    """`SWEPT_VIEWS` of the views, evenly."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(len(views), SWEPT_VIEWS)).round().astype(int))
-    return tuple(views[index] for index in chosen)
 
 
 def _from_images(views: tuple[View, ...], count: int, degree: int) -> StoredGaussians:

@@ -17,6 +17,7 @@ from twin_node.nodes.spool import Tick
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import OBSERVED_NS, LaterTruth, VoxelTruth
 from twin_node.scene import HORIZONS_NS, Grid, Occupancy, TwinState, UInt32
+from twin_node.thinning import thinned
 
 OURS = "ours"
 
@@ -77,7 +78,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, examples: int) -> For
             recalls.append((tick.stamp, float(held.mean())))
             shown.append(Foreseen(tick, ours.grid, foreseen.layers[-1].indices, seen))
         due.append(ours)
-    return Foresight(comparison.scores(), truth.source, tuple(_spread(shown, examples)), tuple(recalls))
+    return Foresight(comparison.scores(), truth.source, tuple(thinned(shown, examples)), tuple(recalls))
 
 
 def _observe(truth: LaterTruth, state: TwinState, grid: Grid, seen: UInt32) -> None:
@@ -94,10 +95,3 @@ def _come_due(due: deque[Occupancy], stamp: int) -> Occupancy | None:
     if found is None or found.publish_stamp + HORIZONS_NS[-1] < stamp - OBSERVED_NS:
         return None
     return found
-
-
-def _spread(items: list[Foreseen], count: int) -> list[Foreseen]:
-    """`count` of the items, evenly spread."""
-    if len(items) <= count:
-        return items
-    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.lens import pixel_rays
 from twin_node.scene import Bool, Float64, FrameSet, Rig, RigCamera, UInt8
+from twin_node.thinning import thinned
 
 MOVING_LEVELS = 25
 """Difference from the median image, 8-bit levels in some channel, from which a pixel counts as moving."""
@@ -39,7 +40,7 @@ class Barcodes:
         """`sets` of raw images, distorted as the cameras see them, of any size."""
         images = _by_set(rig, sets)
         self._shapes = [next((row[i].shape[:2] for row in images if i in row), (0, 0)) for i in range(len(rig.cameras))]
-        self._moving = _some(_moving(images, len(rig.cameras)))
+        self._moving = thinned(_moving(images, len(rig.cameras)), MOST_SETS)
         self._known_rays: dict[bytes, Float64] = {}
         self._known_scores: dict[tuple[int, int, bytes], Float64] = {}
 
@@ -114,11 +115,6 @@ def _moving(images: Sequence[dict[int, UInt8]], cameras: int) -> list[dict[int, 
             if mask.mean() > LEAST_MOVING:
                 found[number][i] = np.flatnonzero(mask)
     return [row for row in found if len(row) > 1]
-
-
-def _some(moving: list[dict[int, NDArray[np.int64]]]) -> list[dict[int, NDArray[np.int64]]]:
-    chosen = np.linspace(0, len(moving) - 1, min(MOST_SETS, len(moving))).round().astype(int)
-    return [moving[i] for i in chosen]
 
 
 def _half_planes(a: RigCamera, b: RigCamera, rays: Float64, width: int) -> NDArray[np.int64]:

@@ -12,12 +12,13 @@ from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
 from twin_node.rig.calibrate.contradictions import check_fit
-from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, evenly, usable
+from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import islands
 from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
+from twin_node.thinning import thinned
 
 MISREAD_PX = 2.0
 """A corner further than this from the plane of its board is misread: sub-pixel corners and a first lens err by less."""
@@ -153,7 +154,7 @@ def _lens(board: Board, camera: CameraRecording, model: str) -> Lens:
         for name, corners in zip(camera.images, camera.found, strict=True)
         if corners is not None and usable(board, corners)
     ]
-    chosen = [views[i] for i in evenly(len(views), SETS_PER_PAIR)]
+    chosen = thinned(views, SETS_PER_PAIR)
     return calibrate_lens(board, chosen, camera.size, model, source=f"camera {camera.name}").lens
 
 

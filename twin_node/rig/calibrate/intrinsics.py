@@ -146,11 +146,6 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
     return np.asarray(counts, dtype=np.int64)
 
 
-def evenly(count: int, limit: int) -> list[int]:
-    """At most `limit` of `count` places, evenly spread."""
-    return sorted(set(np.linspace(0, count - 1, min(count, limit)).round().astype(int).tolist()))
-
-
 def _refined(
     board: Board, views: Sequence[BoardView], start: _Solution, dropped: Sequence[DroppedView]
 ) -> LensCalibration:

@@ -13,10 +13,11 @@ from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import BundleState, Sighting
 from twin_node.rig.calibrate.course import smooth_course, still_course
-from twin_node.rig.calibrate.intrinsics import evenly, usable
+from twin_node.rig.calibrate.intrinsics import usable
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.calibrate.pose_graph import board_pose, build_pose_graph
 from twin_node.rig.calibrate.tracks import CameraRecording, source_of
+from twin_node.thinning import thinned
 
 SETS_PER_PAIR = 25
 """Sets used of each pair of cameras (and of each camera alone), evenly spread: more add nothing new to a first guess,
@@ -139,7 +140,7 @@ def _spread(sightings: Sequence[Sighting], cameras: int, limit: int) -> list[int
     chosen: set[int] = set()
     for group in [*combinations(range(cameras), 2), *((camera,) for camera in range(cameras))]:
         sets = [board for board, seen in seen_by.items() if seen.issuperset(group)]
-        chosen.update(sets[i] for i in evenly(len(sets), limit))
+        chosen.update(thinned(sets, limit))
     return sorted(chosen)
 
 

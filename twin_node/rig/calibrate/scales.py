@@ -12,6 +12,7 @@ from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, FrameSet, Rig, RigCamera, View
+from twin_node.thinning import thinned
 
 MOST_SETS = 12
 """Sets looked at, evenly picked."""
@@ -30,7 +31,7 @@ def depth_agreement(rig: Rig, sets: Sequence[FrameSet]) -> float | None:
     """
     agreed = judged = 0
     cameras = {camera.name: camera for camera in rig.cameras}
-    for frames in _some(sets):
+    for frames in thinned(sets, MOST_SETS):
         for a, b in permutations([view for view in frames.views if view.depth is not None], 2):
             near = _near(cameras[a.camera.name], a, cameras[b.camera.name], b)
             agreed, judged = agreed + int(near.sum()), judged + len(near)
@@ -60,7 +61,7 @@ class ArmInSight:
     def __init__(self, arm: ArmModel, rig: Rig, sets: Iterable[FrameSet]) -> None:
         """`sets` of raw images of any size."""
         self._arm = arm
-        self._sets = _some([frames for frames in sets if frames.joints is not None])
+        self._sets = thinned([frames for frames in sets if frames.joints is not None], MOST_SETS)
         views = [view for frames in self._sets for view in frames.views]
         by_camera = {c.name: [view.rgb for view in views if view.camera.name == c.name] for c in rig.cameras}
         self._still = {name: np.median(own, axis=0) for name, own in by_camera.items() if own}
@@ -107,8 +108,3 @@ def _pinhole(camera: RigCamera, width: int, height: int) -> Camera:
     K[:2, 2] += 0.5
     K[:2] *= width / camera.width
     return Camera(camera.name, width, height, K, camera.T_base_cam)
-
-
-def _some(sets: Sequence[FrameSet]) -> list[FrameSet]:
-    chosen = np.linspace(0, len(sets) - 1, min(MOST_SETS, len(sets))).round().astype(int)
-    return [sets[i] for i in chosen]
