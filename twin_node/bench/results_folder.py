@@ -34,11 +34,12 @@ def prepared(folder: Path) -> Path:
 def save_chart(figure: Figure, folder: Path, name: str) -> Path:
     """Writes a chart as NAME.png and NAME.svg; gives the former's path. Raises `BenchError` where it cannot."""
     path = prepared(folder) / f"{name}.png"
-    try:
-        figure.savefig(path, dpi=100)
-        figure.savefig(path.with_suffix(".svg"))
-    except OSError as error:
-        raise _unwritable(folder, path.name, error) from error
+    for wanted in (path, path.with_suffix(".svg")):
+        try:
+            with whole_file(wanted, BenchError) as partial:
+                figure.savefig(partial, format=wanted.suffix[1:], dpi=100)
+        except OSError as error:
+            raise _unwritable(folder, wanted.name, error) from error
     return path
 
 
