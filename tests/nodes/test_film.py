@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import cv2
@@ -15,11 +15,13 @@ from twin_node.bag.rig import write_rig
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.nodes.film import FilmError, write_film, write_picture
+from twin_node.nodes.film.film import Film
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.topics import GAUSSIANS, SEPARATION
 from twin_node.rig import RigFile, save_rig
+from twin_node.robot import arm_model
 from twin_node.scene import Rig, RigCamera, Separation
 
 pytest.importorskip("av")
@@ -168,13 +170,26 @@ def test_a_caption_does_not_go_on_telling_an_old_decision(tmp_path: Path, monkey
     assert captions == ["  2.00 s   speed 100%   1.00 m   nothing near", "  6.00 s   no decision about the arm for 6 s"]
 
 
+def test_a_camera_that_sends_no_more_is_said_to_and_compared_with_nothing(tmp_path: Path) -> None:
+    log = write_images(tmp_path / "a.mcap", {"quiet": (160, 120), "seen": (160, 120)}, again={"seen": 9})
+    with Playback([log], 160) as played:
+        film = Film(played, "beside", 160, arm_model("ur5e"))
+        at_once, late = (film.beside(played.at(START + after * 10**9)).reshape(2, 120, 4, 160, 3) for after in (1, 9))
+    assert at_once[0, :, 0].min() == 128
+    assert at_once[0, :, 2].max() > 0, "the image and what the twin shows, nothing, differ"
+    assert late[0, 60:, 0].max() == 64
+    assert late[0, :20, 0].max() > 200, "words"
+    assert late[0, :, 2].max() == 0
+    assert np.array_equal(late[1], at_once[1])
+
+
 def camera_of(name: str, size: tuple[int, int]) -> RigCamera:
     width, height = size
     return RigCamera(name, width, height, np.array([[50.0, 0, width / 2], [0, 50, height / 2], [0, 0, 1]]), np.eye(4))
 
 
-def write_images(path: Path, sizes: dict[str, tuple[int, int]]) -> Path:
-    """A log of one grey image per camera, of sizes (width, height), with their calibration."""
+def write_images(path: Path, sizes: dict[str, tuple[int, int]], again: Mapping[str, int] | None = None) -> Path:
+    """A log of one grey image per camera, of sizes (width, height), with their calibration; `again`: s of another."""
     rig = Rig(tuple(camera_of(name, size) for name, size in sizes.items()))
     with LogWriter(path) as log:
         write_rig(log, rig, START)
@@ -182,4 +197,8 @@ def write_images(path: Path, sizes: dict[str, tuple[int, int]]) -> Path:
             image = np.full((camera.height, camera.width, 3), 128, np.uint8)
             log.write(f"/{camera.name}/image_raw", convert.raw_image(camera.name, START, image), START)
             log.write(f"/{camera.name}/camera_info", convert.camera_info(camera, START), START)
+        for name, after in (again or {}).items():
+            stamp, (width, height) = START + after * 10**9, sizes[name]
+            image = np.full((height, width, 3), 128, np.uint8)
+            log.write(f"/{name}/image_raw", convert.raw_image(name, stamp, image), stamp)
     return path

@@ -168,6 +168,10 @@ class Snapshot:
         stamps = [self.said[topic].stamp for topic in topics if topic in self.said]
         return (self.stamp - max(stamps)) / 1e9 if stamps else 0.0
 
+    def camera_silent_s(self, camera: str) -> float:
+        """For how long the camera has sent no image, s; 0 where it never sent one."""
+        return self.silent_s((self.cameras[camera].image,))
+
     @cached_property
     def frames(self) -> FrameSet | None:
         """The newest image of every camera, undistorted."""

@@ -59,7 +59,7 @@ class Film:
 
     def beside(self, snapshot: Snapshot) -> UInt8:
         """Per camera a row: the image, the twin's rendering, where they differ, and what was foreseen for 200 ms."""
-        views = {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
+        views = _views(snapshot)
         return np.vstack([self._row(camera, views.get(camera.name), snapshot) for camera in self._cameras])
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
@@ -68,7 +68,7 @@ class Film:
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
-        views = {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
+        views = _views(snapshot)
         return _side_by_side([self._foreseen(camera, views.get(camera.name), snapshot) for camera in self._cameras])
 
     def orbit(self, snapshot: Snapshot) -> UInt8:
@@ -83,14 +83,13 @@ class Film:
         ours = self._rendering(camera, snapshot)
         if view is None:
             return np.hstack([_blank(camera), _pixels(ours), _blank(camera), _blank(camera)])
-        error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
-        heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
-        heat = cv2.cvtColor(heat, cv2.COLOR_BGR2RGB)
-        return np.hstack([view.rgb, _pixels(ours), heat, self._foreseen(camera, view, snapshot)])
+        is_old = snapshot.camera_silent_s(camera.name) > SILENT_S
+        differs = _blank(camera) if is_old else _difference(ours, view)
+        return np.hstack([_image(view, snapshot), _pixels(ours), differs, self._foreseen(camera, view, snapshot)])
 
     def _foreseen(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined."""
-        picture = _blank(camera) if view is None else view.rgb
+        picture = _blank(camera) if view is None else _image(view, snapshot)
         foreseen, moving = moving_mask(snapshot, camera, -1), moving_mask(snapshot, camera, 0)
         arm = arm_mask(snapshot, camera, self._arm)
         if foreseen is not None:
@@ -125,6 +124,29 @@ VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
     "forecast": Film.forecast,
     "orbit": Film.orbit,
 }
+
+
+def _views(snapshot: Snapshot) -> dict[str, View]:
+    return {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
+
+
+def _image(view: View, snapshot: Snapshot) -> UInt8:
+    """[H, W, 3] what a camera saw last; it says so where that is long ago."""
+    silent_s = snapshot.camera_silent_s(view.camera.name)
+    if silent_s <= SILENT_S:
+        return view.rgb
+    picture = np.asarray(view.rgb // 2)
+    cv2.putText(
+        picture, f"no image for {silent_s:.0f} s", (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3, 1, cv2.LINE_AA
+    )
+    return picture
+
+
+def _difference(ours: Float32, view: View) -> UInt8:
+    """[H, W, 3] how much the rendering [H, W, 3] differs from the image, in false colours."""
+    error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
+    heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
+    return np.asarray(cv2.cvtColor(heat, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def _side_by_side(pictures: Sequence[UInt8]) -> UInt8:
