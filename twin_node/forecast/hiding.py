@@ -47,7 +47,8 @@ class HidingPlaces:
 
     People are in one piece and larger than any shadow: an unseen hand hangs on an arm that is unseen as far as the
     grid's side, or until where it is seen to move. Unknown space is therefore reachable where a hand's width of unknown
-    or moving space leads to either. A hand may also go from one such place to another between two sets, if that is no
+    or moving space leads to either, as far as a hand has got since at a person's speed: of a shadow that somebody
+    begins to touch, not yet the far end. It may also go from one such place to another between two sets, if that is no
     farther than `HOP_M` and it fits in there: specks are no stepping stones. What is loose, such as a ball, gets in
     only where something was seen to move. It may lie there from then on; where it rolls out again, it is seen to move.
     All else keeps what it had when it was last seen. Nothing comes through the grid's bottom, which is a table or a
@@ -111,7 +112,8 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     given = tuple(np.ascontiguousarray(mask.words) for mask in (seen.unknown, seen.moving, seen.standing))
     kept: tuple[NDArray[np.generic], ...] = (memory.ages_s, memory.reached.words, memory.maybe_full.words)
     arrays = (*given, *kept, reachable.words)
-    steps = (_hand(grid), _reach(grid, seen.elapsed_s), _fewest(grid))
+    hop = _hop(grid, seen.elapsed_s)
+    steps = (_hand(grid), hop, _way(grid, seen.elapsed_s) - hop, _fewest(grid))
     compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses_of(*arrays)))
     return reachable
 
@@ -135,9 +137,16 @@ def _hand(grid: Grid) -> int:
     return min(max(1, int(HAND_M / grid.voxel_size)), WORD)
 
 
-def _reach(grid: Grid, elapsed_s: float) -> int:
-    """Cells that a hand gets on since the state before."""
+def _hop(grid: Grid, elapsed_s: float) -> int:
+    """Cells that a hand gets on since the state before, whatever lies between."""
     return int(np.ceil(min(PERSON_SPEED * elapsed_s, HOP_M) / (2 * grid.voxel_size)))
+
+
+def _way(grid: Grid, elapsed_s: float) -> int:
+    """Cells that a hand gets on since the state before, unseen: any number where nothing is known of before."""
+    if not 0 < elapsed_s <= LONGEST_GAP_S:
+        return sum(grid.dims)
+    return int(np.ceil(PERSON_SPEED * elapsed_s / (2 * grid.voxel_size)))
 
 
 def _fewest(grid: Grid) -> int:
@@ -160,13 +169,16 @@ def _spread(grid: Grid, ages: Float32, elapsed_s: float, ways: Bool, moving: Wor
     ages[_halved(grid, moving)] = 0
     for face in (ages[0], ages[-1], ages[:, 0], ages[:, -1], ages[:, :, -1]):
         face[...] = 0
-    ages = _least_around(ages, _reach(grid, elapsed_s))
+    hop = _hop(grid, elapsed_s)
+    ages = _least_around(np.where(ages <= ATTACHED_S, ages, _NEVER), hop)
     labels, count = ndimage.label(ways, np.ones((3, 3, 3), np.bool_))
-    newest = np.full(count + 1, _NEVER)
-    np.minimum.at(newest, labels[ways], ages[ways])
-    newest[newest > ATTACHED_S] = _NEVER
-    newest[(newest > 0) & (np.bincount(labels[ways], minlength=count + 1) < _fewest(grid))] = _NEVER
-    return np.where(ways, newest[labels], _NEVER)
+    holds_hand = np.bincount(labels[ways], minlength=count + 1) >= _fewest(grid)
+    ages = np.where(ways & ((ages == 0) | holds_hand[labels]), ages, _NEVER)
+    for _ in range(_way(grid, elapsed_s) - hop):
+        before, ages = ages, np.where(ways, _least_around(ages, 1), _NEVER)
+        if np.array_equal(before, ages):
+            break
+    return ages
 
 
 def _halved(grid: Grid, words: Words) -> Bool:

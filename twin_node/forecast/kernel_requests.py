@@ -167,7 +167,7 @@ class HideRequest(ctypes.Structure):
     """`forecast::HideRequest`."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("nx", "ny", "nz", "width", "reach", "fewest")),
+        *((name, c_int32) for name in ("nx", "ny", "nz", "width", "hop", "way", "fewest")),
         *((name, c_float) for name in ("elapsed_s", "rest_s", "never")),
         *((name, c_void_p) for name in ("unknown", "moving", "standing", "ages", "reached", "maybe_full", "reachable")),
     )

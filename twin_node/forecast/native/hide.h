@@ -14,8 +14,7 @@ namespace forecast {
 // Cells one above the other.
 struct Stretch {
   int64_t begin, end;  // first cell and one past the last
-  float least;
-  int64_t cells;  // of its piece, where it is the root
+  int64_t cells;       // of its piece, where it is the root
 };
 
 // The cells that what is attached reached last so long ago, s.
@@ -24,15 +23,13 @@ struct Reached {
   Bits cells;
 };
 
-// Pieces of cells that touch at faces, edges or corners, and the least value in each.
+// Pieces of cells that touch at faces, edges or corners.
 class Pieces {
  public:
-  // `reached`: the youngest first; what none of them holds has the value `otherwise`.
-  Pieces(const Bits &cells, int64_t nz, const std::vector<Reached> &reached, float otherwise)
-      : starts_(cells.nx * cells.ny + 1) {
+  Pieces(const Bits &cells, int64_t nz) : starts_(cells.nx * cells.ny + 1) {
     for (int64_t column = 0; column < cells.nx * cells.ny; column++) {
       starts_[column] = static_cast<int64_t>(stretches_.size());
-      find(cells, column, nz, reached, otherwise);
+      find(cells, column, nz);
     }
     starts_.back() = static_cast<int64_t>(stretches_.size());
     parents_.resize(stretches_.size());
@@ -48,27 +45,20 @@ class Pieces {
     }
   }
 
-  // Gives every cell its piece's least value; the cells whose values are not `otherwise`, which stays with all others,
-  // and with pieces of fewer cells than `fewest` that were reached before, not now.
-  Bits write(float *values, int64_t nx, int64_t ny, int64_t nz, float otherwise, int64_t fewest) {
-    Bits written(nx, ny, nz);
+  // Takes away the cells of pieces of fewer than `fewest`.
+  void drop_small(Bits &cells, int64_t fewest) {
     for (int64_t column = 0; column + 1 < static_cast<int64_t>(starts_.size()); column++) {
       for (int64_t i = starts_[column]; i < starts_[column + 1]; i++) {
-        const Stretch &piece = stretches_[root(i)];
-        const float least = piece.least;
-        if (least == otherwise || (least > 0 && piece.cells < fewest)) continue;
+        if (stretches_[root(i)].cells >= fewest) continue;
         for (int64_t z = stretches_[i].begin; z < stretches_[i].end; z++) {
-          values[column * nz + z] = least;
-          written.bits[column * written.words + z / 64] |= uint64_t{1} << z % 64;
+          cells.bits[column * cells.words + z / 64] &= ~(uint64_t{1} << z % 64);
         }
       }
     }
-    return written;
   }
 
  private:
-  void find(
-      const Bits &cells, int64_t column, int64_t nz, const std::vector<Reached> &reached, float otherwise) {
+  void find(const Bits &cells, int64_t column, int64_t nz) {
     const uint64_t *words = cells.bits.data() + column * cells.words;
     for (int64_t z = 0; z < nz;) {
       const uint64_t left = words[z / 64] >> z % 64;
@@ -79,21 +69,8 @@ class Pieces {
       z += __builtin_ctzll(left);
       const int64_t begin = z;
       while (z < nz && words[z / 64] >> z % 64 & 1) z++;
-      const auto one = std::find_if(reached.begin(), reached.end(), [&](const Reached &r) {
-        return any_of(r.cells.bits.data() + column * r.cells.words, begin, z);
-      });
-      stretches_.push_back({begin, z, one == reached.end() ? otherwise : one->age, z - begin});
+      stretches_.push_back({begin, z, z - begin});
     }
-  }
-
-  // Whether any of the bits from the first to one before the last is set.
-  static bool any_of(const uint64_t *words, int64_t begin, int64_t end) {
-    for (int64_t z = begin; z < end; z = (z / 64 + 1) * 64) {
-      const int64_t count = end - z;
-      const uint64_t wanted = count < 64 ? (uint64_t{1} << count) - 1 : ~uint64_t{0};
-      if (words[z / 64] >> z % 64 & wanted) return true;
-    }
-    return false;
   }
 
   int64_t root(int64_t i) {
@@ -107,10 +84,8 @@ class Pieces {
       const Stretch &one = stretches_[i], &two = stretches_[j];
       if (one.begin <= two.end && two.begin <= one.end) {
         const int64_t a = root(i), b = root(j);
-        const float least = std::min(stretches_[a].least, stretches_[b].least);
         if (a != b) stretches_[std::min(a, b)].cells += stretches_[std::max(a, b)].cells;
         parents_[std::max(a, b)] = std::min(a, b);
-        stretches_[std::min(a, b)].least = least;
       }
       (one.end < two.end ? i : j)++;
     }
@@ -178,14 +153,51 @@ inline void clear(const HideRequest &r, int64_t cz, int64_t words) {
   }
 }
 
+// Keeps those of the bits that others have too.
+inline void keep(Bits &b, const Bits &others) {
+  for (size_t i = 0; i < b.bits.size(); i++) b.bits[i] &= others.bits[i];
+}
+
+// Spreads cells to their neighbours, within `ways`, so many times or until there is no more.
+inline void spread(Bits &cells, const Bits &ways, int64_t times) {
+  for (; times > 0; times--) {
+    const std::vector<uint64_t> before = cells.bits;
+    widen(cells, 1);
+    keep(cells, ways);
+    if (cells.bits == before) return;
+  }
+}
+
+// Writes ages into cells, each its least: the youngest of `reached` come first. Returns all that have one.
+inline Bits write_ages(const HideRequest &r, const std::vector<Reached> &reached, int64_t cz) {
+  Bits written(reached[0].cells.nx, reached[0].cells.ny, cz);
+  for (const Reached &one : reached) {
+    for (size_t word = 0; word < written.bits.size(); word++) {
+      float *ages = r.ages + word / written.words * cz + word % written.words * 64;
+      for (uint64_t left = one.cells.bits[word] & ~written.bits[word]; left; left &= left - 1) {
+        ages[__builtin_ctzll(left)] = one.age;
+      }
+      written.bits[word] |= one.cells.bits[word];
+    }
+  }
+  return written;
+}
+
 inline void hide(const HideRequest &r) {
   const Bits moving(r.nx, r.ny, r.nz, r.moving);
   std::vector<Reached> reached = reached_lately(r, halved(moving, r.nz));
-  for (Reached &one : reached) widen(one.cells, r.reach);
   const Bits ways = halved(passable(r, moving), r.nz);
   const int64_t cz = (r.nz + 1) / 2;
+  Bits roomy = ways;  // where a hand fits in
+  Pieces(ways, cz).drop_small(roomy, r.fewest);
+  for (Reached &one : reached) {
+    const Bits &own = one.age > 0 ? roomy : ways;
+    widen(one.cells, r.hop);
+    keep(one.cells, own);
+    spread(one.cells, own, r.way);
+  }
   clear(r, cz, ways.words);
-  Bits open = Pieces(ways, cz, reached, r.never).write(r.ages, ways.nx, ways.ny, cz, r.never, r.fewest);
+  Bits open = write_ages(r, reached, cz);
   std::copy(open.bits.begin(), open.bits.end(), r.reached);
   join_around<Join::kAny>(open, -1, 1);
   for (int64_t x = 0; x < r.nx; x++) {
