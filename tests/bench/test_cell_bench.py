@@ -121,6 +121,8 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
     assert "nowhere" in capsys.readouterr().err
     assert main(["bench", "cell", str(short), "--same-eyes"]) == 2
     assert "add it" in capsys.readouterr().err
+    assert main(["bench", "cell", str(short), "--twin", "--set-rate", "20"]) == 2
+    assert "--set-rate: expected --twin and --latency beside it" in capsys.readouterr().err
     assert main(["bench", "cell", str(short), "--latency", "33000000"]) == 2
     assert "latency_ms: expected 0 to 10000, found 33000000" in capsys.readouterr().err
     with pytest.raises(SystemExit):

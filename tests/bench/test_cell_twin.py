@@ -9,7 +9,7 @@ import pytest
 
 from twin_node.arm import ArmCollisionChecker
 from twin_node.bench.cell_case import CellCase
-from twin_node.bench.cell_twin import BySight, TwinPerception, TwinTiming, run_twin, taught_region
+from twin_node.bench.cell_twin import BySight, Pace, TwinPerception, TwinTiming, run_twin, taught_region
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.scenario import Scenario
@@ -32,7 +32,7 @@ def briefly_fitted() -> ChainParameters:
 
 
 def test_the_chain_answers_after_its_latency(scenario: Scenario) -> None:
-    run = run_twin(CellCase(scenario, 33.0, LoopParameters()), width=96, latency_ms=50.0)
+    run = run_twin(CellCase(scenario, 33.0, LoopParameters()), width=96, pace=Pace.of(50.0))
     assert run.timing.sets >= 3
     assert run.timing.dropped + run.timing.sets <= 12
     assert run.timing.latencies_ms[1:] == pytest.approx(50.0, abs=1.0)
@@ -41,6 +41,16 @@ def test_the_chain_answers_after_its_latency(scenario: Scenario) -> None:
     ages_ms = [(decision.stamp - decision.evidence_stamp) / 1e6 for decision in run.record.decisions]
     assert min(ages_ms[4:]) >= 49.9
     assert 0 <= run.first_seen_s < 0.3 or run.first_seen_s == np.inf
+
+
+def test_sets_may_come_more_often_than_their_latency_lasts(scenario: Scenario) -> None:
+    pace = Pace.of(100.0, rate_hz=40.0)
+    run = run_twin(CellCase(scenario, 33.0, LoopParameters()), width=96, pace=pace)
+    assert run.timing.sets >= 8  # of nine
+    assert run.timing.latencies_ms[1:] == pytest.approx(100.0, abs=1.0)
+    evidence = sorted({decision.evidence_stamp for decision in run.record.decisions})
+    assert len(evidence) >= 5
+    assert np.diff(evidence).max() < 40_000_000
 
 
 def test_measured_latency_is_simulated_time(scenario: Scenario) -> None:
@@ -60,7 +70,7 @@ def test_measured_latency_is_simulated_time(scenario: Scenario) -> None:
 
 def test_sight_alone_knows_nothing_of_motion(scenario: Scenario) -> None:
     case = CellCase(replace(scenario, duration_s=0.9), 33.0, LoopParameters())
-    seen = BySight(TwinPerception(case, briefly_fitted(), 50_000_000))
+    seen = BySight(TwinPerception(case, briefly_fitted(), Pace.of(50.0)))
     program = RunningProgram(case.arm.cycle, case.table, scenario.start_ns, 0)
     known: list[Obstacles] = []
     while program.now < scenario.start_ns + 300_000_000:

@@ -94,6 +94,36 @@ def test_equal_inputs_give_equal_bytes() -> None:
         assert values.tobytes() == getattr(clouds[1], name).tobytes(), name
 
 
+def test_looked_at_and_followed_is_brought_up_to_date() -> None:
+    whole, apart = WindowModel(QUICK), WindowModel(QUICK)
+    for one in sliding(6, CAMERAS, depth=True):
+        expected = whole.update(one)
+        seen = apart.look(one)
+        before = seen.gaussians
+        found = apart.follow(seen)
+        for a, b in zip(expected.moving_masks, seen.moving_masks, strict=True):
+            assert np.array_equal(a, b)
+        for name, values in vars(expected.gaussians).items():
+            assert np.array_equal(values, getattr(found.gaussians, name)), name
+    assert not np.array_equal(before.means, found.gaussians.means)
+
+
+def test_a_set_that_is_only_looked_at_shows_the_model_of_the_set_before() -> None:
+    model, sets = WindowModel(QUICK), list(sliding(6, CAMERAS, depth=True))
+    assert model.update(sets[0]).model_stamp == sets[0].stamp
+    for one in sets[1:4]:
+        last = model.update(one)
+    seen = model.look(sets[4])
+    assert (seen.stamp, seen.model_stamp) == (sets[4].stamp, sets[3].stamp)
+    assert seen.gaussians is last.gaussians
+    seen = model.look(sets[5])
+    assert (seen.stamp, seen.model_stamp) == (sets[5].stamp, sets[3].stamp)
+    found = model.follow(seen)
+    assert (found.stamp, found.model_stamp) == (sets[5].stamp, sets[5].stamp)
+    with pytest.raises(ModelError, match=f"expected a stamp of {sets[5].stamp} ns or later"):
+        model.look(sets[4])
+
+
 def test_capacity_is_never_passed(followed: tuple[WindowModel, list[TwinState]]) -> None:
     _, states = followed
     capacity = int(3 * 80 * 60 * QUICK.gaussians_per_pixel)

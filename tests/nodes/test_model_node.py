@@ -12,7 +12,7 @@ import pytest
 from twin_node.model import ModelParameters, SeedParameters, TrackParameters, WindowModel
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.model import ModelNode
-from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
+from twin_node.nodes.topics import SEEN, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import Camera, FrameSet, TwinState, View
@@ -49,9 +49,64 @@ def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: 
     bus.subscribe(STATE, lambda state: order.append(f"{state.stamp} published after {len(model.done)}"))
     for index in range(8):
         bus.publish(TRUSTED_FRAMES, frames(index))
+        node.follow()
         node.rest(lambda: not waits)
     assert model.done == expected
     assert order == [f"{index} published after {index}" for index in range(8)]
+
+
+def test_where_sets_wait_every_other_one_is_followed() -> None:
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model)
+    node.configure()
+    node.activate()
+    seen: list[int] = []
+    followed: list[int] = []
+    bus.subscribe(SEEN, lambda state: seen.append(state.stamp))
+    bus.subscribe(STATE, lambda state: followed.append(state.stamp))
+    for index in range(8):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+        node.rest(lambda: False)
+    assert seen == list(range(8))
+    assert followed == [1, 3, 5, 7]
+    assert node.followed == 4
+    for index in range(8, 12):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+        node.rest(lambda: True)
+    assert followed[4:] == [8, 9, 10, 11]
+
+
+def test_a_live_set_does_not_wait_until_the_one_before_is_followed() -> None:
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model, is_live=True)
+    node.configure()
+    node.activate()
+    told: list[tuple[str, int]] = []
+    for topic in (SEEN, STATE):
+        bus.subscribe(topic, lambda state, topic=topic: told.append((topic, state.stamp)))
+    for index in range(3):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+    node.rest()
+    assert told == [(SEEN, 0), (SEEN, 1), (SEEN, 2), (STATE, 2)]
+
+
+def test_what_a_set_shows_is_out_before_the_model_follows_it() -> None:
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model)
+    node.configure()
+    node.activate()
+    told: list[tuple[str, int, int]] = []
+    for topic in (SEEN, STATE):
+        bus.subscribe(topic, lambda state, topic=topic: told.append((topic, state.stamp, state.model_stamp)))
+    for index in range(2):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+    bus.publish(TRUSTED_FRAMES, frames(2))
+    assert told[-1] == (SEEN, 2, 1)
+    node.follow()
+    node.follow()
+    node.rest()
+    assert told == [(SEEN, 0, 0), (STATE, 0, 0), (SEEN, 1, 0), (STATE, 1, 1), (SEEN, 2, 1), (STATE, 2, 2)]
+    assert model.done == ["refine"]
 
 
 class Asked(Watched):
@@ -62,9 +117,9 @@ class Asked(Watched):
         self.parameters = replace(self.parameters, track=TrackParameters(latency_ms=latency_ms))
         self.left_s: list[float] = []
 
-    def update(self, frames: FrameSet, left_s: LeftS = endless) -> TwinState:
+    def follow(self, seen: TwinState, left_s: LeftS = endless) -> TwinState:
         self.left_s.append(left_s())
-        return super().update(frames)
+        return super().follow(seen)
 
 
 @pytest.mark.parametrize(
@@ -79,6 +134,7 @@ def test_a_live_set_is_left_what_is_left_of_the_latency_wished_for(
     node.activate()
     clock.advance_to(10_000_000)
     bus.publish(TRUSTED_FRAMES, frames(0))
+    node.follow()
     assert model.left_s == [pytest.approx(expected)]
 
 

@@ -89,6 +89,7 @@ def test_moving_clouds_hold_no_static_gaussian(lockstep: Path) -> None:
 def test_the_report_holds_every_figure_by_its_name(lockstep: Path) -> None:
     figures = json.loads((lockstep / "report.json").read_text())
     assert figures["sets"] >= 15
+    assert figures["followed"] == figures["sets"]
     assert figures["dropped"] == 0
     assert set(figures["latency_ms"]) == {"p50", "p95", "p99"}
     quality = figures["quality"]
@@ -123,6 +124,7 @@ def test_real_time_counts_what_it_drops(cell_log: Callable[..., Path], tmp_path:
     assert figures["dropped"] > 0
     assert figures["sets"] >= 2
     assert 30 <= figures["sets"] + figures["dropped"] <= 40
+    assert figures["sets"] // 2 <= figures["followed"] <= figures["sets"]
 
 
 def test_start_and_duration_choose_a_part_of_the_log(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -28,6 +28,8 @@ BY_SIGHT = "by_sight"
 
 MOST_LATENCY = Range(0, 10_000)
 """ms: whoever gives more means another unit."""
+RATE = Range(1, 1000)
+"""Hz."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class CellBenchParameters:
     """The real chain in the loop as `ours`: rendered images, model and forecast."""
     twin_latency_ms: float | None = None
     """From the images to the twin's obstacles; None: as long as the chain takes on this machine."""
+    twin_rate_hz: float | None = None
+    """Sets per second that the twin takes, beside its latency; None: each when the one before is done."""
     same_eyes: bool = False
     """Also the worst case with the twin's own perception, as `by_sight`: what a user without forecasts has."""
     twin_width: int = 160
@@ -57,6 +61,8 @@ class CellBenchParameters:
         check_ranges(self, BenchError, "bench cell: ", latency_ms=MOST_LATENCY)
         if self.twin_latency_ms is not None:
             check_ranges(self, BenchError, "bench cell: ", twin_latency_ms=MOST_LATENCY)
+        if self.twin_rate_hz is not None:
+            check_ranges(self, BenchError, "bench cell: ", twin_rate_hz=RATE)
 
 
 @dataclass(frozen=True)
@@ -108,14 +114,16 @@ def run_case(job: Job) -> CaseResult:
     case, timing = CellCase(scenario, parameters.latency_ms, parameters.loop), None
     twins: dict[str, Outcome] = {}
     if parameters.twin:
-        from twin_node.bench.cell_twin import run_twin  # imports torch, which takes as long as a run without the twin
+        from twin_node.bench.cell_twin import Pace, run_twin  # imports torch, which takes as long as a run without it
 
-        twin = run_twin(case, parameters.twin_width, parameters.twin_latency_ms)
+        latency_ms = parameters.twin_latency_ms
+        pace = None if latency_ms is None else Pace.of(latency_ms, parameters.twin_rate_hz)
+        twin = run_twin(case, parameters.twin_width, pace)
         timing = twin.timing
         case = CellCase(scenario, timing.usual_ms, parameters.loop)
         twins[OURS] = score(case, twin.record, twin.first_seen_s, with_delays=True)
         if parameters.same_eyes:
-            seen = run_twin(case, parameters.twin_width, parameters.twin_latency_ms, by_sight=True)
+            seen = run_twin(case, parameters.twin_width, pace, by_sight=True)
             twins[BY_SIGHT] = score(case, seen.record, seen.first_seen_s)
     perfect = {
         policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not twins) for policy in POLICIES

@@ -58,19 +58,19 @@ class TwinRun:
     """When some camera first saw somebody, s after the start; infinite where none did."""
 
 
-def run_twin(case: CellCase, width: int, latency_ms: float | None, by_sight: bool = False) -> TwinRun:
+def run_twin(case: CellCase, width: int, pace: Pace | None, by_sight: bool = False) -> TwinRun:
     """The arm at work, knowing what the real chain, as shipped, tells of images that are `width` pixels wide.
 
-    `latency_ms` None: as late as the chain is on one core of this machine. `by_sight`: the arm knows where things were
-    seen and nothing of how they move, as under the worst case. Raises `BenchError` for an arm that the chain does not
-    know.
+    `pace` None: as late and as often as the chain is on one core of this machine. `by_sight`: the arm knows where
+    things were seen and nothing of how they move, as under the worst case. Raises `BenchError` for an arm that the
+    chain does not know.
     """
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     chain = load_parameters(None)
     arm = replace(chain.arm, model=case.arm.model.name)
     parameters = replace(chain, arm=arm, synchronizer=replace(chain.synchronizer, width=width))
-    seen = TwinPerception(case, parameters, None if latency_ms is None else round(latency_ms * 1e6))
+    seen = TwinPerception(case, parameters, pace)
     known = BySight(seen) if by_sight else seen
     checker = ArmCollisionChecker(case.arm.model, allowed=(taught_region(case),))
     record = case.run_with(known, case.parameters.separation.human_speed, checker)
@@ -120,14 +120,30 @@ def taught_region(case: CellCase, margin_m: float = 0.05) -> AllowedRegion:
     return AllowedRegion(lower, upper, case.arm.model.link_names)
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How late the chain is, and how often it takes a set, where that is not measured."""
+
+    latency_ns: int
+    """From a set's newest image to its obstacles."""
+    period_ns: int | None
+    """From one set to the next; None: each is taken when the one before is done."""
+
+    @classmethod
+    def of(cls, latency_ms: float, rate_hz: float | None = None) -> Pace:
+        """So late, and so many sets per second; None: each is taken when the one before is done."""
+        return cls(round(latency_ms * 1e6), None if rate_hz is None else round(1e9 / rate_hz))
+
+
 class TwinPerception:
     """The twin as the loop's perception: it sees the arm where the loop has driven it, and answers when it is done.
 
     The chain takes the newest set whenever it is free. The processor time that it then takes, decoding and transport
-    included, is when its obstacles become known; `latency_ns` replaces that by a fixed time from the images on.
+    included, is when its obstacles become known, and what the model takes after that is when it is free again; a `pace`
+    replaces both.
     """
 
-    def __init__(self, case: CellCase, parameters: ChainParameters, latency_ns: int | None = None) -> None:
+    def __init__(self, case: CellCase, parameters: ChainParameters, pace: Pace | None = None) -> None:
         """Raises `BenchError` for an arm that the chain does not know."""
         scenario = case.scenario
         if scenario.arm is None or scenario.arm.model not in UR_NAMES:
@@ -136,7 +152,7 @@ class TwinPerception:
         self._arm = DrivenArm(scenario.arm, scenario)
         self._rig.world.arm = self._arm
         self._due: deque[Exposure] = deque(self._rig.exposures())
-        self._fixed_ns = latency_ns
+        self._pace = pace
         self._reading, self._working = LocalBus(), LocalBus()
         self._reading_clock, self._clock = SteppedClock(scenario.start_ns), _WorkClock(scenario.start_ns)
         synchronizer = SynchronizerNode(
@@ -144,17 +160,21 @@ class TwinPerception:
         )
         synchronizer.configure()
         synchronizer.activate()
-        self._latency = Latency(round(case.timing.latency_ns), latency_ns is None)
+        self._latency = Latency(round(case.timing.latency_ns), pace is None)
         workspace = np.array(scenario.workspace)
-        chain = Chain(self._working, self._clock, workspace, parameters, self._latency, lambda: self._dropped, False)
-        chain.start()
+        self._chain = Chain(
+            self._working, self._clock, workspace, parameters, self._latency, lambda: self._dropped, False
+        )
+        self._chain.start()
         self._newest: FrameSet | None = None
         self._decoding_ns = 0
-        self._found: Any = None
-        self._known_from = scenario.start_ns
+        self._found: deque[tuple[int, Any]] = deque()
+        """Obstacles, and when each become known, ns."""
+        self._free_from = scenario.start_ns
         self._is_built = False
         self._dropped = 0
         self._latencies_ms: list[float] = []
+        self._made: Any = None
         self._reading.subscribe(FRAMES, self._on_frames)
         self._working.subscribe(OBSTACLES, self._on_obstacles)
         self.first_seen_ns: int | None = None
@@ -168,12 +188,12 @@ class TwinPerception:
         self._reading.publish(JOINT_STATES, convert.joint_sample_to_message(self._arm.sample(now)))
         while self._due and self._due[0].stamp <= now:
             self._take(self._due.popleft())
-        if now < self._known_from:
-            return None
-        found, self._found = self._found, None
-        if self._newest is not None:
+        known = None
+        while self._found and self._found[0][0] <= now:
+            known = self._found.popleft()[1]
+        if self._newest is not None and now >= self._free_from:
             self._work(now)
-        return None if found is None else convert.obstacles_from_message(found)
+        return None if known is None else convert.obstacles_from_message(known)
 
     @property
     def timing(self) -> TwinTiming:
@@ -202,21 +222,34 @@ class TwinPerception:
         self._newest = frames
 
     def _on_obstacles(self, message: Any) -> None:
-        self._found = message
+        self._made = message
 
     def _work(self, now: int) -> None:
         """Puts the newest set through the chain, from now on; building the model from the first set takes no time."""
         frames, self._newest = self._newest, None
         assert frames is not None
+        self._made = None
         self._clock.begin(now + self._decoding_ns + TRANSPORT_NS)
         self._working.publish(FRAMES, frames)
-        done = self._clock.end()
+        known = self._clock.now()
+        self._chain.rest(self._has_time)
+        free = self._clock.end()
         if not self._is_built:
             self._is_built = True
             self._latency.start()
-            done = now
-        self._known_from = done if self._fixed_ns is None else max(now, frames.stamp + self._fixed_ns)
-        self._latencies_ms.append((self._known_from - frames.stamp) * 1e-6)
+            known = free = now
+        if self._pace is not None:
+            known = free = max(now, frames.stamp + self._pace.latency_ns)
+            if self._pace.period_ns is not None:
+                free = max(self._free_from, frames.stamp) + self._pace.period_ns
+        self._free_from = free
+        if self._made is not None:
+            self._found.append((known, self._made))
+        self._latencies_ms.append((known - frames.stamp) * 1e-6)
+
+    def _has_time(self) -> bool:
+        """Whether no other image has come meanwhile, or the pace says when the next one is taken."""
+        return self._pace is not None or not self._due or self._due[0].stamp > self._clock.now()
 
 
 class BySight:

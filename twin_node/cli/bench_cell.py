@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import not_negative, whole
+from twin_node.cli.arguments import not_negative, positive, whole
 from twin_node.json_text import json_text
 
 REFERENCE = Path("../shared/data/ur10e_model")
@@ -49,6 +49,12 @@ def add_bench_cell(benches: Any) -> None:
         help="from images to obstacles (default 33; with --twin: measured on one core)",
     )
     cell.add_argument(
+        "--set-rate",
+        type=positive,
+        metavar="HZ",
+        help="with --twin --latency: sets per second it takes (default: each when the one before is done)",
+    )
+    cell.add_argument(
         "--unknown",
         choices=("law", "clearance", "ignore"),
         default="law",
@@ -74,6 +80,10 @@ def _bench_cell(options: argparse.Namespace) -> None:
 
     if options.same_eyes and not options.twin:
         raise BenchError("--same-eyes: expected --twin beside it, whose eyes are meant; add it, or leave both out")
+    if options.set_rate is not None and (not options.twin or options.latency is None):
+        raise BenchError(
+            "--set-rate: expected --twin and --latency beside it, for else both are measured; add them, or leave it out"
+        )
     names = [name for given in options.scenarios for name in (cell.SUITE if given == "all" else (given,))]
     law = SeparationParameters(unknown=UnknownPolicy(options.unknown))
     parameters = cell.CellBenchParameters(
@@ -83,6 +93,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         twin=options.twin,
         same_eyes=options.same_eyes,
         twin_latency_ms=options.latency,
+        twin_rate_hz=options.set_rate,
         processes=options.processes,
         loop=LoopParameters(separation=law),
     )
@@ -110,6 +121,7 @@ def _bench_rig(options: argparse.Namespace) -> None:
         "--twin": options.twin,
         "--same-eyes": options.same_eyes,
         "--latency": options.latency is not None,
+        "--set-rate": options.set_rate is not None,
         "--out": options.out is not None,
     }
     names = [name for name, is_given in given.items() if is_given]

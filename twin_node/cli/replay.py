@@ -119,7 +119,8 @@ def _run(session: Any, parameters: Any, rate: float | None, output: Path | None,
                 print(f"twin_node: warning: {run.damage}", file=sys.stderr)
             for warning in run.collector.drift[-1].warnings if run.collector.drift else ():
                 print(f"twin_node: warning: {warning}", file=sys.stderr)
-            print(f"{session.log.path}: {run.sets} sets, {run.dropped} dropped, in {run.seconds:.1f} s")
+            told = f"{run.sets} sets ({run.followed} followed by the model), {run.dropped} dropped"
+            print(f"{session.log.path}: {told}, in {run.seconds:.1f} s")
             if output is not None:
                 print(f"topics: {output}")
             if report is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, 
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_masks
-from twin_node.scene import Bool, Camera, Float32, FrameSet, Tier, TwinState
+from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, NodeStates, Tier, TwinState
 from twin_node.splat.library import torch_alone
 
 SEED_SHARE = 0.6
@@ -47,6 +47,16 @@ class ModelImage:
     """[H, W] m along the optical axis; 0 where nothing is."""
     alpha: Float32
     """[H, W] 0 to 1."""
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """The model as it is shown."""
+
+    stamp: int
+    """Of the set that it follows, ns."""
+    gaussians: GaussianCloud
+    nodes: NodeStates
 
 
 class WindowModel:
@@ -76,6 +86,10 @@ class WindowModel:
         self._tracker: Tracker | None = None
         self._exposures = Exposures()
         self._haste = Haste({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
+        self._newest: _Shown | None = None
+        """None before the first set has been followed."""
+        self._looked_at = 0
+        """Stamp of the set that was looked at last, ns."""
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
         """Which nodes have merged, split and come to rest since the `update` before the last one, or were woken by
@@ -118,19 +132,20 @@ class WindowModel:
         return self._bytes_per_frame
 
     def update(self, frames: FrameSet, left_s: LeftS = endless) -> TwinState:
-        """Brings the model up to date with a set, which takes fewer steps where else it would not be out in `left_s()`.
+        """Brings the model up to date with a set: `look` at it, and `follow` what it shows.
 
-        Raises `ModelError` for one without views, older than the last, or with images that are not of their camera's
-        size.
+        Raises what these raise.
+        """
+        return self.follow(self.look(frames), left_s)
+
+    def look(self, frames: FrameSet) -> TwinState:
+        """What a set shows, with the model of the set before: its images levelled, and what moves in them.
+
+        A forecast of what measured depth shows needs no more, and has it long before the model. The first set is
+        modelled whole at once. Raises `ModelError` for a set without views, older than the last, or with images that
+        are not of their camera's size.
         """
         self._check(frames)
-        self._haste.begin(left_s)
-        if self._tracker is None:
-            return self._update(frames)
-        with torch_alone():
-            return self._update(frames)
-
-    def _update(self, frames: FrameSet) -> TwinState:
         robots = robot_masks(self._arm, frames)
         is_first = self._tracker is None
         levelled = self._begin(frames, robots) if is_first else self._exposures.level(frames, robots)
@@ -139,25 +154,48 @@ class WindowModel:
         moving = self._mask.update(frames, robots)
         self._exposures.heed(frames, moving)
         self.on_stage("mask")
-        warnings = () if is_first else self._follow(frames, moving, robots)
-        assert self._motion is not None and self._past is not None
-        self._past.remember(self._gaussians, self._nodes)
-        state = TwinState(
+        self._looked_at = frames.stamp
+        model = self._newest or self._shown()
+        return TwinState(
             frames.stamp,
             frames,
-            cloud_of(self._gaussians, self._motion),
-            node_states_of(self._gaussians, self._nodes),
+            model.gaussians,
+            model.nodes,
             moving,
             robots,
-            warnings + levelled.warnings,
+            levelled.warnings,
             levelled.exposures,
+            None if is_first else model.stamp,
         )
-        self._haste.end()
-        self.on_stage("publish")
+
+    def follow(self, seen: TwinState, left_s: LeftS = endless) -> TwinState:
+        """Brings the model up to date with what `look` saw, and returns that with the model of now.
+
+        Sets that were looked at and not followed are left out, as if they had been dropped. A set takes fewer steps
+        where else its state would not be out in `left_s()`.
+        """
+        self._haste.begin(left_s)
+        warnings: tuple[str, ...] = ()
+        with torch_alone():
+            if seen.followed is not None:
+                warnings = self._track(seen)
+            assert self._past is not None
+            self._past.remember(self._gaussians, self._nodes)
+            model = self._newest = self._shown()
+            state = replace(
+                seen, gaussians=model.gaussians, nodes=model.nodes, warnings=warnings + seen.warnings, followed=None
+            )
+            self._haste.end()
+            self.on_stage("publish")
         return state
 
+    def _shown(self) -> _Shown:
+        assert self._motion is not None
+        cloud, nodes = cloud_of(self._gaussians, self._motion), node_states_of(self._gaussians, self._nodes)
+        return _Shown(self._nodes.stamp, cloud, nodes)
+
     def refine(self, proceed: Proceed = unhurried) -> bool:
-        """Lets be born what the last set shows, and refines what stands still; once per set, by the next `update`
+        """Lets be born what the last set shows, and refines what stands still; once per set, by the next `follow`
         where nobody has called it.
 
         A live node calls it when the state is published, so that it costs no latency. It takes some milliseconds; every
@@ -192,9 +230,9 @@ class WindowModel:
         for view in frames.views:
             if misfit := view.misfit():
                 raise ModelError(f"set {frames.sequence}: {misfit}")
-        if self._tracker is not None and frames.stamp < self._nodes.stamp:
+        if self._tracker is not None and frames.stamp < self._looked_at:
             raise ModelError(
-                f"set {frames.sequence}: expected a stamp of {self._nodes.stamp} ns or later, found {frames.stamp} ns; "
+                f"set {frames.sequence}: expected a stamp of {self._looked_at} ns or later, found {frames.stamp} ns; "
                 "sort the source or start a new model"
             )
 
@@ -248,12 +286,14 @@ class WindowModel:
         links.bind(self._gaussians, frames.joints, masks, [view.camera for view in frames.views])
         tracker.follow_arm(links)
 
-    def _follow(self, frames: FrameSet, moving: tuple[Bool, ...], robots: tuple[Bool | None, ...]) -> tuple[str, ...]:
+    def _track(self, seen: TwinState) -> tuple[str, ...]:
+        """Follows what was seen; what went wrong with it."""
         assert self._tracker is not None
+        frames, robots = seen.frames, seen.robot_masks
         self._bind_arm(self._tracker, frames, robots)
         refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
-        tracked = self._tracker.track(frames, moving, robots, dt_s, self.on_stage)
+        tracked = self._tracker.track(frames, seen.moving_masks, robots, dt_s, self.on_stage)
         self.decisions = tracked.decisions
         moved = len(self._gaussians.moving_rows)
         self._bytes_per_frame = 4 * (14 * (tracked.born + moved) + 7 * len(self._nodes.rows))

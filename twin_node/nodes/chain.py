@@ -73,6 +73,15 @@ class Chain:
             node.configure()
             node.activate()
 
+    @property
+    def followed(self) -> int:
+        """Sets that the model has followed, of those that were forecast."""
+        return self._model_node.followed
+
+    def follow(self) -> None:
+        """Lets the model follow the newest set, see `ModelNode.follow`."""
+        self._model_node.follow()
+
     def rest(self, proceed: Proceed = unhurried) -> None:
         """Uses the time between two sets, see `ModelNode.rest`."""
         self._model_node.rest(proceed)

@@ -12,12 +12,12 @@ from twin_node.forecast import ForecastQuality
 from twin_node.messages import convert
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.spool import Spool, Tick
-from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEPARATION, STATE, TRUSTED_FRAMES
+from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEEN, SEPARATION, STATE, TRUSTED_FRAMES
 from twin_node.rig.drift import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
-from twin_node.scene import FrameSet, Separation, TwinState
+from twin_node.scene import FrameSet, Separation, Tier, TwinState
 
 
 class CollectorNode(Node):
@@ -36,6 +36,7 @@ class CollectorNode(Node):
         self.quality: ForecastQuality | None = None
         """The forecaster's own record, as of the newest set."""
         self.newest_state: TwinState | None = None
+        """That the model has followed."""
         self.warnings: dict[str, int] = {}
         """Warning -> number of sets it was given with."""
         self.drift: list[DriftReport] = []
@@ -45,13 +46,17 @@ class CollectorNode(Node):
         self._distrusted: tuple[str, ...] = ()
         self._spool = spool
         self._frames: FrameSet | None = None
+        self._seen: TwinState | None = None
         self._forecast: Forecast | None = None
+        self._open: Tick | None = None
+        """Of the newest set, which the model has not followed yet."""
         self._begun = 0.0
 
     def on_configure(self) -> None:
         self.bus.subscribe(FRAMES, self._on_arrival)
         self.bus.subscribe(DRIFT, self._on_drift)
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
+        self.bus.subscribe(SEEN, self._on_seen)
         self.bus.subscribe(STATE, self._on_state)
         self.bus.subscribe(FORECAST, self._on_forecast)
         self.bus.subscribe(SEPARATION, self._on_separation)
@@ -81,9 +86,22 @@ class CollectorNode(Node):
         for camera in report.distrusted:
             self.withheld[camera] = self.withheld.get(camera, 0) + 1
 
+    def _on_seen(self, state: TwinState) -> None:
+        self._seen = state
+
     def _on_state(self, state: TwinState) -> None:
         self.newest_state = state
         self._count(state.warnings)
+        if self._open is not None and self._open.stamp == state.stamp:
+            self._open = replace(self._open, state=state)
+            self.tier_counts[-1] = _tiers_of(state)
+            self._close()
+
+    def _close(self) -> None:
+        """Spools the newest set, whether or not the model has followed it."""
+        tick, self._open = self._open, None
+        if tick is not None and self._spool is not None and self._spool.keeps(tick.stamp):
+            self._spool.add(tick)
 
     def _on_forecast(self, forecast: Forecast) -> None:
         self._forecast = forecast
@@ -95,14 +113,20 @@ class CollectorNode(Node):
             self.warnings[warning] = self.warnings.get(warning, 0) + 1
 
     def _on_separation(self, message: Any) -> None:
-        frames, state, forecast = self._frames, self.newest_state, self._forecast
-        if frames is None or state is None or forecast is None:
+        frames, seen, forecast = self._frames, self._seen, self._forecast
+        if frames is None or seen is None or forecast is None:
             return
         separation = convert.separation_from_message(message)
         self.stamps.append(frames.stamp)
         self.latencies_ms.append((self.clock.now() - frames.stamp) / 1e6)
         self.work_ms.append((time.perf_counter() - self._begun) * 1e3)
-        self.tier_counts.append(np.bincount(state.gaussians.tiers, minlength=5).tolist())
+        self._close()
+        self.tier_counts.append(_tiers_of(seen))
         self.separations.append(separation)
-        if self._spool is not None and self._spool.keeps(frames.stamp):
-            self._spool.add(Tick(frames, state, forecast.occupancy))
+        self._open = Tick(frames, seen, forecast.occupancy)
+
+
+def _tiers_of(state: TwinState) -> list[int]:
+    """Gaussians of each tier."""
+    counts: list[int] = np.bincount(state.gaussians.tiers, minlength=len(Tier)).tolist()
+    return counts

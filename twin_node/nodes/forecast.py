@@ -1,4 +1,4 @@
-"""The forecast node: the twin's state in, occupancy up to 200 ms ahead and obstacles out."""
+"""The forecast node: what images show in, occupancy up to 200 ms ahead and obstacles out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from twin_node.forecast import CoverParameters, Forecaster, ForecastQuality, cover
 from twin_node.messages import convert
 from twin_node.nodes.latency import Latency
-from twin_node.nodes.topics import FORECAST, OBSTACLES, OCCUPANCY, STATE
+from twin_node.nodes.topics import FORECAST, OBSTACLES, OCCUPANCY, SEEN
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.image_threads import image_loops_alone
@@ -25,7 +25,7 @@ class Forecast:
 
 
 class ForecastNode(Node):
-    """Forecasts each state as of the time it will be read."""
+    """Forecasts each set as of the time it will be read: from what it shows, before the model has followed it."""
 
     def __init__(
         self, bus: Bus, clock: Clock, forecaster: Forecaster, cover_parameters: CoverParameters, latency: Latency
@@ -38,9 +38,9 @@ class ForecastNode(Node):
 
     def on_configure(self) -> None:
         image_loops_alone()
-        self.bus.subscribe(STATE, self._on_state)
+        self.bus.subscribe(SEEN, self._on_seen)
 
-    def _on_state(self, state: TwinState) -> None:
+    def _on_seen(self, state: TwinState) -> None:
         occupancy = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
         forecaster = self._forecaster
         self._obstacles = cover(

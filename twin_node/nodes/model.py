@@ -1,4 +1,4 @@
-"""The model node: frame sets in, the state of the twin and its Gaussian clouds out."""
+"""The model node: frame sets in, what they show, the state of the twin and its Gaussian clouds out."""
 
 from __future__ import annotations
 
@@ -8,20 +8,27 @@ from twin_node.messages import convert
 from twin_node.model import WindowModel
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.sizing import Trial
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
 from twin_node.rig import Narrower
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.node import Node
-from twin_node.scene import FrameSet, Tier
+from twin_node.scene import FrameSet, Tier, TwinState
 
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
-"""The whole cloud goes out latched at 1 Hz; what moves goes out with every set."""
+"""The whole cloud goes out latched at 1 Hz; what moves goes out with every set that the model follows."""
+MOST_LET_BE = 1
+"""Sets in a row that are looked at and not followed where the next one waits already: to follow takes as long as all
+else, and the arm is told of people so much more often."""
 
 
 class ModelNode(Node):
-    """Keeps a `WindowModel` up to date with the newest frame set."""
+    """Keeps a `WindowModel` up to date with the newest frame set.
+
+    What a set shows goes out before the model has followed it, for that takes twice as long: the arm waits for no more
+    than the forecast of it. `follow` does the rest, and `rest` what can wait.
+    """
 
     def __init__(
         self, bus: Bus, clock: Clock, model: WindowModel, trial: Trial | None = None, is_live: bool = False
@@ -35,6 +42,12 @@ class ModelNode(Node):
         self._is_live = is_live
         self._trial = trial
         self._narrower: Narrower | None = None
+        self._seen: TwinState | None = None
+        """What has been looked at and waits to be followed."""
+        self.followed = 0
+        """Sets that the model has followed."""
+        self._let_be = 0
+        """Sets in a row that it has not."""
         self._next_whole = 0
         self._is_first = True
 
@@ -48,10 +61,23 @@ class ModelNode(Node):
             return
         if self._narrower is not None:
             frames = self._narrower.narrowed(frames)
-        state = self.model.update(frames, self._left_s(frames))
+        if not self._is_live:
+            self.follow()
+        self._seen = self.model.look(frames)
+        self.bus.publish(SEEN, self._seen)  # on a bus within the process this is when the forecast is made
+
+    def follow(self) -> None:
+        """Brings the model up to date with what the newest set has shown, and publishes it; called once all that comes
+        of that before is delivered. Where nobody calls it the next set does, unless live. Nothing where no set waits.
+        """
+        seen, self._seen = self._seen, None
+        if seen is None:
+            return
+        self.followed += 1
+        state = self.model.follow(seen, self._left_s(seen.frames))
         moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
-        self.bus.publish(STATE, state)  # on a bus within the process this is when the forecast is made
+        self.bus.publish(STATE, state)
         if self._is_first:
             self._is_first = False
             gc.collect()
@@ -74,10 +100,16 @@ class ModelNode(Node):
             self._trial, self._narrower, self.model = None, sized.narrower, sized.model
 
     def rest(self, proceed: Proceed = unhurried) -> None:
-        """Uses the time between two sets for what they show anew and to refine what stands still.
+        """Follows the newest set where that has not been done, and uses the time until the next for what it shows anew
+        and to refine what stands still.
 
-        Called by whoever runs the node once everything that came of a set is delivered; where nobody calls it the next
-        update refines first. `proceed()` says whether no other set waits, see `WindowModel.refine`; in lockstep none
-        does, so every set gets its share.
+        Called by whoever runs the node once everything that came of a set is delivered; where nobody calls it this is
+        done when the next one comes. `proceed()` says whether no other set waits, see `WindowModel.refine`: of sets
+        that come faster every other one is let be. In lockstep none waits, so every set gets its share.
         """
+        if self._seen is not None and self._let_be < MOST_LET_BE and not proceed():
+            self._let_be, self._seen = self._let_be + 1, None
+            return
+        self._let_be = 0
+        self.follow()
         self.model.refine(proceed)

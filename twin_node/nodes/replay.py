@@ -41,6 +41,8 @@ class Run:
 
     sets: int
     """Sets that went through the chain."""
+    followed: int
+    """Sets of these that the model has followed; the others it had no time for."""
     dropped: int
     """Sets that a newer one replaced before the chain had time for them."""
     seconds: float
@@ -119,6 +121,7 @@ class _Engine:
         chain = self._chain(collector, synchronizer, Latency(ASSUMED_LATENCY_NS, False), lambda: 0)
         begun = time.perf_counter()
         for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+            chain.follow()
             self._progress((stamp - self._session.span.start_ns) / 1e9)
         return self._finish(chain, collector, 0, time.perf_counter() - begun, is_lockstep=True)
 
@@ -136,6 +139,7 @@ class _Engine:
         chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped)
         first = self._first_set()
         working.publish(FRAMES, first)
+        chain.follow()
 
         def hand_over(frames: FrameSet) -> None:
             if frames.stamp > first.stamp:
@@ -211,6 +215,7 @@ class _Engine:
         chain.stop()
         return Run(
             sets=chain.status.sets,
+            followed=chain.followed,
             dropped=dropped,
             seconds=seconds,
             peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,

@@ -11,7 +11,7 @@ import numpy as np
 from twin_node.messages import convert, serialize
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.latency import Latency
-from twin_node.nodes.topics import DRIFT, FORECAST, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, STATE, STATUS
+from twin_node.nodes.topics import DRIFT, FORECAST, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEEN, STATE, STATUS
 from twin_node.rig.drift import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
@@ -36,7 +36,9 @@ class StatusNode(Node):
         self._latency = latency
         self._parameters = parameters
         self._dropped = dropped
+        self._seen: TwinState | None = None
         self._state: TwinState | None = None
+        """That of the set before, or of this one: the newest that the model has followed."""
         self._forecast: Forecast | None = None
         self._drift: DriftReport | None = None
         self._newest: dict[str, Any] = {}
@@ -50,19 +52,23 @@ class StatusNode(Node):
 
     def on_configure(self) -> None:
         self.bus.subscribe(DRIFT, self._on_drift)
+        self.bus.subscribe(SEEN, self._on_seen)
         self.bus.subscribe(STATE, self._on_state)
         for topic in PER_SET:
             self.bus.subscribe(topic, partial(self._newest.__setitem__, topic))
         self.bus.subscribe(FORECAST, self._on_forecast)
 
-    def _on_state(self, state: TwinState) -> None:
+    def _on_seen(self, state: TwinState) -> None:
         self.sets += 1
+        self._seen = state
+
+    def _on_state(self, state: TwinState) -> None:
         self._state = state
 
     def _on_forecast(self, forecast: Forecast) -> None:
         self._forecast = forecast
-        if self._state is not None:
-            self._tell(self._state.stamp)
+        if self._seen is not None:
+            self._tell(self._seen.stamp)
 
     def _on_drift(self, report: DriftReport) -> None:
         """Where no camera may be used no forecast comes, and its status neither: why is said nevertheless."""
@@ -72,15 +78,16 @@ class StatusNode(Node):
 
     def _tell(self, stamp: int) -> None:
         """Publishes the status where it is due at a stamp."""
-        state, forecast = self._state, self._forecast
-        if state is None or forecast is None or stamp < self._next:
+        seen, forecast = self._seen, self._forecast
+        if seen is None or forecast is None or stamp < self._next:
             return
+        model = self._state or seen
         self._next = stamp + PERIOD_NS
         if len(self._newest) == len(PER_SET):
             self._sizes.append(sum(len(serialize(message)) for message in self._newest.values()))
         status = convert.Status(
-            stamp=state.stamp,
-            tier_counts=tuple(np.bincount(state.gaussians.tiers, minlength=len(Tier)).tolist()),
+            stamp=seen.stamp,
+            tier_counts=tuple(np.bincount(model.gaussians.tiers, minlength=len(Tier)).tolist()),
             parameters=self._parameters(),
             sets=self.sets,
             dropped=self._dropped(),
@@ -90,8 +97,8 @@ class StatusNode(Node):
             latency_p99_ms=self._latency.percentile_ms(99),
             coverage=forecast.quality.coverage,
             coverage_target=forecast.quality.target,
-            cameras=tuple(view.camera.name for view in state.frames.views[: len(state.exposures)]),
-            exposures=tuple(exposure.brightness for exposure in state.exposures),
-            warnings=(self._drift.warnings if self._drift else ()) + state.warnings + forecast.quality.warnings,
+            cameras=tuple(view.camera.name for view in seen.frames.views[: len(seen.exposures)]),
+            exposures=tuple(exposure.brightness for exposure in seen.exposures),
+            warnings=(self._drift.warnings if self._drift else ()) + model.warnings + forecast.quality.warnings,
         )
         self.bus.publish(STATUS, convert.status_to_message(status))

@@ -121,6 +121,13 @@ class TwinState:
     warnings: tuple[str, ...] = ()
     exposures: tuple[Exposure, ...] = ()
     """Per view how its camera was exposed; empty: all as the model is."""
+    followed: int | None = None
+    """Stamp (ns) of the set that Gaussians and nodes follow, where that is an older one; None: they follow this one."""
+
+    @property
+    def model_stamp(self) -> int:
+        """Stamp of the set that Gaussians and nodes follow, ns."""
+        return self.stamp if self.followed is None else self.followed
 
     def exposure_of(self, camera: str) -> Exposure:
         """How a camera was exposed; `PLAIN` where that is not known."""

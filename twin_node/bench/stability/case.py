@@ -125,6 +125,7 @@ class _Followed:
         self._state = self._forecast = None
         self._clock.advance_to(frames.stamp)
         self._bus.publish(FRAMES, frames)
+        self._chain.follow()
         if self._drift is None:
             return
         shared = (*self._drift.warnings, *(self._state.warnings if self._state is not None else ()))

@@ -76,7 +76,7 @@ class Pictures:
             if name not in self._first:
                 self._first[name], self._frozen[name] = exact.rgb, render_frozen(view.camera).rgb
             elif self._sets % PICTURE_EVERY == 0:
-                ours = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
+                ours = render_cloud(state.gaussians, view.camera, (view.stamp - state.model_stamp) * 1e-9)
                 without = dict(zip(PICTURES, (self._frozen[name], unit(self._previous[name])), strict=True))
                 self._score(self._first[name], past[0], past[-1], {OURS: ours, **without})
             self._previous[name] = view

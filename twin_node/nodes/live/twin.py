@@ -10,7 +10,7 @@ from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import FORECAST, FRAMES, TRUSTED_FRAMES
+from twin_node.nodes.topics import FORECAST, FRAMES, SEEN, TRUSTED_FRAMES
 from twin_node.runtime.node import Node
 
 
@@ -54,4 +54,4 @@ class TwinNode(Node):
     def _on_forecast(self, _: Any) -> None:
         """All that comes of a set is out: what is left of its time is the model's."""
         self._latency.start()
-        self._chain.rest(lambda: not any(self._bus.is_waiting(topic) for topic in (FRAMES, TRUSTED_FRAMES)))
+        self._chain.rest(lambda: not any(self._bus.is_waiting(topic) for topic in (FRAMES, TRUSTED_FRAMES, SEEN)))

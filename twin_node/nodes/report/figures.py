@@ -25,6 +25,7 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
     figures: dict[str, Any] = {
         "mode": "lockstep" if run.is_lockstep else "real time",
         "sets": run.sets,
+        "followed": run.followed,
         "dropped": run.dropped,
         "rate_hz": run.sets / run.seconds if run.seconds > 0 else None,
         "latency_ms": _percentiles(latencies),

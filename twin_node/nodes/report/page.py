@@ -125,7 +125,7 @@ def _lead(session: LogSession, run: Run) -> str:
     pace = "in lockstep" if run.is_lockstep else "in real time"
     return (
         f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {run.sets} sets went through the twin, "
-        f"{run.dropped} were dropped because a newer one was there."
+        f"whose model followed {run.followed} of them; {run.dropped} were dropped because a newer one was there."
     )
 
 

@@ -94,7 +94,7 @@ def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Imag
             image = unit(view)
             if name not in first:
                 first[name], still[name] = image, frozen(view.camera)
-            seen = render_cloud(state.gaussians, view.camera, (view.stamp - state.stamp) * 1e-9)
+            seen = render_cloud(state.gaussians, view.camera, (view.stamp - state.model_stamp) * 1e-9)
             ours = state.exposure_of(name).of(seen)
             yield Renderings(tick.stamp, view, mask, arm, image, first[name], ours, still[name], previous.get(name))
             previous[name] = image
@@ -176,7 +176,7 @@ def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator
         image = unit(hidden)
         if first is None or still is None:
             first, still = image, model.render_frozen(hidden.camera).rgb
-        ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.stamp) * 1e-9)
+        ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.model_stamp) * 1e-9)
         yield Renderings(frames.stamp, hidden, None, None, image, first, ours, still, previous, state)
         previous = image
 
