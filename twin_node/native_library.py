@@ -97,11 +97,15 @@ def kernel_threads(count: int) -> Iterator[None]:
         vars(_told).update(before)
 
 
+def processors() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @cache
 def _openmp_threads() -> int:
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
-    return min(int(asked), processors) if asked.isdecimal() and int(asked) else processors
+    return min(int(asked), processors()) if asked.isdecimal() and int(asked) else processors()
 
 
 Loaded = TypeVar("Loaded", bound=NativeLibrary)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Generic, TypeVar
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 from twin_node.native_library import kernel_threads, thread_count
 from twin_node.splat.library import native_library
@@ -30,6 +31,10 @@ class Begun(Generic[Result]):
             return self._work()
         return self._done.result()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """In another process: what it comes to, for what it is made of may be changed once it has its end."""
+        return Begun, (partial(_itself, self.end()), None)
+
 
 class Aside:
     """A thread beside the one that asks. Worth it for compiled calls, which leave the interpreter to others."""
@@ -44,6 +49,14 @@ class Aside:
         all (see `thread_count`) it is done when it is asked for.
         """
         return Begun(work, self._threads.submit(_alone, work) if thread_count() > 1 else None)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """In another process: another thread."""
+        return Aside, ()
+
+
+def _itself(result: Result) -> Result:
+    return result
 
 
 def _keep_torch_alone() -> None:

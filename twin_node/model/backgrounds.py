@@ -149,7 +149,7 @@ class Backgrounds:
         """
         if waits or (self._begun is not None and self._begun[1].is_done):
             self._take()
-        known = all(camera.name in self._known and self._known[camera.name].camera is camera for camera in cameras)
+        known = all(camera.name in self._known and self._known[camera.name].camera.sees_as(camera) for camera in cameras)
         if self._outdated or not known:
             self._renew(gaussians, cameras)
         self._wanted = cameras
@@ -209,7 +209,7 @@ class Backgrounds:
         drawings: list[Callable[[], _Shown]] = []
         for camera in cameras:
             known = self._known.get(camera.name)
-            if known is None or known.camera is not camera:
+            if known is None or not known.camera.sees_as(camera):
                 behind = _Behind(camera, self._surface(camera), pixel_rays(camera))
             else:
                 behind = _Behind(camera, known.surface, known.rays)

@@ -82,6 +82,7 @@ class Haste:
             self._credit = min(self._credit + SPARED, IN_A_ROW)
         elif not self._is_hurried:
             self._credit = max(self._credit - 1, 0.0)
+        self._left_s = endless
 
     def _lap(self) -> float:
         before, self._since_s = self._since_s, self._left_s()

@@ -103,7 +103,7 @@ class Mapper:
     def _rest_of(self, one: Observed) -> Rest:
         """What a view's camera sees at rest."""
         camera, rest = one.view.camera, self._rests.get(one.view.camera.name)
-        if rest is None or rest.camera is not camera:
+        if rest is None or not rest.camera.sees_as(camera):
             rest = self._rests[camera.name] = Rest(one)
         return rest
 

@@ -189,6 +189,13 @@ class WindowModel:
             self.on_stage("publish")
         return state
 
+    def hear_of(self, state: TwinState) -> None:
+        """What a copy of this model in another process has followed: `look` goes on with that.
+
+        From then on sets are looked at here and followed there.
+        """
+        self._newest = _Shown(state.stamp, state.gaussians, state.nodes)
+
     def _shown(self) -> _Shown:
         assert self._motion is not None
         cloud, nodes = cloud_of(self._gaussians, self._motion), node_states_of(self._gaussians, self._nodes)

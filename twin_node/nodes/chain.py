@@ -40,20 +40,24 @@ class Chain:
         dropped: Callable[[], int],
         with_arm: bool = True,
         say: Callable[[str], None] | None = None,
+        own_process: bool = False,
     ) -> None:
         """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status.
+
+        `own_process`: sets come by the wall clock, so the model may follow them in one, see `ModelNode`.
 
         The arm's node reads messages only, so it can stand in another process: `with_arm` False leaves it out. Where
         the size is to be measured it is if there is a user to `say` it to; else the parameters stand as they are.
         """
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
-        self.status = StatusNode(bus, clock, latency, lambda: self.model.parameters_count, dropped)
+        self.status = StatusNode(bus, clock, latency, lambda: self.parameters_count, dropped)
         trial = None
         if say is not None and parameters.size.name is SizeChoice.AUTO:
             arm, budget_ms = parameters.arm.arm(), parameters.size.budget_ms
             trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say)
-        self._model_node = ModelNode(bus, clock, make_model(parameters), trial, latency.is_measured)
+        own_process = own_process and parameters.model.own_process
+        self._model_node = ModelNode(bus, clock, make_model(parameters), trial, latency.is_measured, own_process)
         self.nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),
@@ -78,6 +82,11 @@ class Chain:
         """Sets that the model has followed, of those that were forecast."""
         return self._model_node.followed
 
+    @property
+    def parameters_count(self) -> int:
+        """Numbers that describe the scene now, see `WindowModel.parameters_count`."""
+        return self._model_node.parameters_count
+
     def follow(self) -> None:
         """Lets the model follow the newest set, see `ModelNode.follow`."""
         self._model_node.follow()
@@ -85,6 +94,10 @@ class Chain:
     def rest(self, proceed: Proceed = unhurried) -> None:
         """Uses the time between two sets, see `ModelNode.rest`."""
         self._model_node.rest(proceed)
+
+    def settle(self) -> None:
+        """Waits for what begins with the first set, see `ModelNode.settle`."""
+        self._model_node.settle()
 
     def stop(self) -> None:
         """Deactivate and clean up every node, the first of the chain first."""

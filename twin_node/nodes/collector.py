@@ -48,8 +48,8 @@ class CollectorNode(Node):
         self._frames: FrameSet | None = None
         self._seen: TwinState | None = None
         self._forecast: Forecast | None = None
-        self._open: Tick | None = None
-        """Of the newest set, which the model has not followed yet."""
+        self._open: dict[int, Tick] = {}
+        """By their places among the stamps: of the sets that the model may follow yet."""
         self._begun = 0.0
 
     def on_configure(self) -> None:
@@ -90,17 +90,27 @@ class CollectorNode(Node):
         self._seen = state
 
     def _on_state(self, state: TwinState) -> None:
-        self.newest_state = state
         self._count(state.warnings)
-        if self._open is not None and self._open.stamp == state.stamp:
-            self._open = replace(self._open, state=state)
-            self.tier_counts[-1] = _tiers_of(state)
-            self._close()
+        for place in [place for place, tick in self._open.items() if tick.stamp < state.stamp]:
+            self._close(place)
+        self.newest_state = state
+        for place in [place for place, tick in self._open.items() if tick.stamp == state.stamp]:
+            self._close(place)
 
-    def _close(self) -> None:
-        """Spools the newest set, whether or not the model has followed it."""
-        tick, self._open = self._open, None
-        if tick is not None and self._spool is not None and self._spool.keeps(tick.stamp):
+    def end(self) -> None:
+        """No more will come: sets that the model has not followed it will not follow."""
+        for place in tuple(self._open):
+            self._close(place)
+
+    def _close(self, place: int) -> None:
+        """Spools a set with the newest that the model has followed up to it."""
+        tick, model = self._open.pop(place), self.newest_state
+        if model is not None and tick.state is not None:
+            followed = None if model.stamp == tick.stamp else model.stamp
+            state = replace(tick.state, gaussians=model.gaussians, nodes=model.nodes, followed=followed)
+            tick = replace(tick, state=state)
+            self.tier_counts[place] = _tiers_of(state)
+        if self._spool is not None and self._spool.keeps(tick.stamp):
             self._spool.add(tick)
 
     def _on_forecast(self, forecast: Forecast) -> None:
@@ -120,10 +130,9 @@ class CollectorNode(Node):
         self.stamps.append(frames.stamp)
         self.latencies_ms.append((self.clock.now() - frames.stamp) / 1e6)
         self.work_ms.append((time.perf_counter() - self._begun) * 1e3)
-        self._close()
         self.tier_counts.append(_tiers_of(seen))
         self.separations.append(separation)
-        self._open = Tick(frames, seen, forecast.occupancy)
+        self._open[len(self.stamps) - 1] = Tick(frames, seen, forecast.occupancy)
 
 
 def _tiers_of(state: TwinState) -> list[int]:

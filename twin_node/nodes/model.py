@@ -6,6 +6,7 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
+from twin_node.model.apart import Apart, is_worth_it
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
@@ -27,33 +28,62 @@ class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set.
 
     What a set shows goes out before the model has followed it, for that takes twice as long: the arm waits for no more
-    than the forecast of it. `follow` does the rest, and `rest` what can wait.
+    than the forecast of it. `follow` does the rest, and `rest` what can wait; with `own_process` another process does
+    both, as soon as it has loaded, and the model here only looks.
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, model: WindowModel, trial: Trial | None = None, is_live: bool = False
+        self,
+        bus: Bus,
+        clock: Clock,
+        model: WindowModel,
+        trial: Trial | None = None,
+        is_live: bool = False,
+        own_process: bool = False,
     ) -> None:
         """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`.
 
-        `is_live`: `clock` runs while a set is worked on, so that one can be late.
+        `is_live`: `clock` runs while a set is worked on, so that one can be late. `own_process`: where it is worth it,
+        and only live.
         """
         super().__init__("model", bus, clock)
         self.model = model
         self._is_live = is_live
+        self._own_process = own_process and is_live and is_worth_it()
+        self._apart: Apart | None = None
         self._trial = trial
         self._narrower: Narrower | None = None
         self._seen: TwinState | None = None
         """What has been looked at and waits to be followed."""
         self.followed = 0
         """Sets that the model has followed."""
+        self._followed: TwinState | None = None
+        """What another process has followed, until it is published: that can wait for the arm."""
         self._let_be = 0
         """Sets in a row that it has not."""
         self._next_whole = 0
         self._is_first = True
 
+    @property
+    def parameters_count(self) -> int:
+        """Numbers that describe the scene now, see `WindowModel.parameters_count`."""
+        apart = self._apart
+        return self.model.parameters_count if apart is None or not apart.has_model else apart.parameters_count
+
     def on_configure(self) -> None:
         image_loops_alone()
+        if self._own_process:
+            self._apart = Apart()
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
+
+    def on_deactivate(self) -> None:
+        """What is followed now still goes out."""
+        self._collect(wait=True)
+        self._publish_followed()
+
+    def on_cleanup(self) -> None:
+        if self._apart is not None:
+            self._apart.close()
 
     def _on_frames(self, frames: FrameSet) -> None:
         if self._trial is not None:
@@ -63,6 +93,7 @@ class ModelNode(Node):
             frames = self._narrower.narrowed(frames)
         if not self._is_live:
             self.follow()
+        self._collect()
         self._seen = self.model.look(frames)
         self.bus.publish(SEEN, self._seen)  # on a bus within the process this is when the forecast is made
 
@@ -73,8 +104,11 @@ class ModelNode(Node):
         seen, self._seen = self._seen, None
         if seen is None:
             return
+        self._publish(self.model.follow(seen, self._left_s(seen.frames)))
+
+    def _publish(self, state: TwinState) -> None:
+        """Sends out what the model has followed."""
         self.followed += 1
-        state = self.model.follow(seen, self._left_s(seen.frames))
         moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
         self.bus.publish(STATE, state)
@@ -107,9 +141,41 @@ class ModelNode(Node):
         done when the next one comes. `proceed()` says whether no other set waits, see `WindowModel.refine`: of sets
         that come faster every other one is let be. In lockstep none waits, so every set gets its share.
         """
+        if self._apart is not None and self._apart.has_model:
+            self._hand_over(self._apart)
+            return
         if self._seen is not None and self._let_be < MOST_LET_BE and not proceed():
             self._let_be, self._seen = self._let_be + 1, None
             return
         self._let_be = 0
         self.follow()
         self.model.refine(proceed)
+        if self._apart is not None and self.followed and self._apart.is_loaded():
+            self._apart.take(self.model)
+
+    def settle(self) -> None:
+        """Waits until the process of its own follows the sets that come from now on, where there is to be one; called
+        after the first set by who does not want that to happen while later ones come."""
+        if self._apart is not None and self.followed and self._apart.is_loaded(wait=True):
+            self._apart.take(self.model)
+
+    def _hand_over(self, apart: Apart) -> None:
+        """Publishes what the other process has followed, and lets it follow the newest set where it is free."""
+        self._collect()
+        self._publish_followed()
+        seen = self._seen
+        if seen is not None and apart.is_free:
+            self._seen = None
+            apart.follow(seen)
+
+    def _collect(self, wait: bool = False) -> None:
+        """Takes in what the other process has followed, if it has."""
+        state = None if self._apart is None else self._apart.result(wait)
+        if state is not None:
+            self.model.hear_of(state)
+            self._followed = state
+
+    def _publish_followed(self) -> None:
+        state, self._followed = self._followed, None
+        if state is not None:
+            self._publish(state)

@@ -51,6 +51,9 @@ class Run:
     bytes_per_frame: float
     """What is published with a set, mean, bytes."""
     model: WindowModel
+    """As it was fitted to the first set; what it had become at the end tell the collector's states."""
+    parameters_count: int
+    """Numbers that described the scene at the end."""
     collector: CollectorNode
     spool: Spool | None
     is_lockstep: bool
@@ -118,7 +121,8 @@ class _Engine:
         bus = LocalBus(is_latched)
         synchronizer = self._synchronizer(bus, clock)
         collector = CollectorNode(bus, clock, self._spool)
-        chain = self._chain(collector, synchronizer, Latency(ASSUMED_LATENCY_NS, False), lambda: 0)
+        latency = Latency(ASSUMED_LATENCY_NS, False)
+        chain = self._chain(collector, synchronizer, latency, lambda: 0, own_process=False)
         begun = time.perf_counter()
         for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
             chain.follow()
@@ -136,10 +140,11 @@ class _Engine:
         latency = Latency(ASSUMED_LATENCY_NS, True)
         collector = CollectorNode(working, clock, self._spool)
         bridge = Bridge(collector.keep_dropped, PATIENCE)
-        chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped)
+        chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped, own_process=True)
         first = self._first_set()
         working.publish(FRAMES, first)
         chain.follow()
+        chain.settle()
 
         def hand_over(frames: FrameSet) -> None:
             if frames.stamp > first.stamp:
@@ -194,12 +199,17 @@ class _Engine:
         return synchronizer
 
     def _chain(
-        self, collector: CollectorNode, synchronizer: SynchronizerNode, latency: Latency, dropped: Callable[[], int]
+        self,
+        collector: CollectorNode,
+        synchronizer: SynchronizerNode,
+        latency: Latency,
+        dropped: Callable[[], int],
+        own_process: bool,
     ) -> Chain:
         """The chain, the collector and the recorder, started on the collector's bus."""
         bus, clock = collector.bus, collector.clock
         workspace = workspace_for(self._session.rig, synchronizer.cameras)
-        chain = Chain(bus, clock, workspace, self._parameters, latency, dropped)
+        chain = Chain(bus, clock, workspace, self._parameters, latency, dropped, own_process=own_process)
         observers: list[Node] = [collector]
         if self._log is not None:
             observers.append(RecorderNode(bus, clock, self._log, RECORDED))
@@ -213,6 +223,7 @@ class _Engine:
         if collector.newest_state is None:
             raise _no_sets(self._session)
         chain.stop()
+        collector.end()
         return Run(
             sets=chain.status.sets,
             followed=chain.followed,
@@ -221,6 +232,7 @@ class _Engine:
             peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
             bytes_per_frame=chain.status.bytes_per_frame,
             model=chain.model,
+            parameters_count=chain.parameters_count,
             collector=collector,
             spool=self._spool,
             is_lockstep=is_lockstep,

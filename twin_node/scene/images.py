@@ -79,6 +79,14 @@ class Camera:
         """[4, 4] maps `base_link` to the optical frame."""
         return inverse_pose(self.T_base_cam)
 
+    def sees_as(self, other: Camera) -> bool:
+        """Whether the same pixels of both see the same, as of one camera that has come by another way."""
+        return self is other or (
+            (self.name, self.width, self.height) == (other.name, other.width, other.height)
+            and np.array_equal(self.K, other.K)
+            and np.array_equal(self.T_base_cam, other.T_base_cam)
+        )
+
 
 @dataclass(frozen=True)
 class View:

@@ -28,7 +28,10 @@ class TwinNode(Node):
         bus = setup.bus
         workspace = working_volume(source, parameters.synchronizer.width)
         chain = Chain(
-            bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES), False, setup.say
+            *(bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES)),
+            with_arm=False,
+            say=setup.say,
+            own_process=True,
         )
         self._chain = chain
         self._nodes: Sequence[Node] = chain.nodes

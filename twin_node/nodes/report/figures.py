@@ -32,7 +32,7 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "work_ms": _percentiles(collector.work_ms),
         "quality": {**asdict(quality), "left_out": {name: asdict(scores) for name, scores in left_out.items()}},
         "tiers": {tier.name.lower(): counts[tier] for tier in Tier},
-        "parameters": run.model.parameters_count,
+        "parameters": run.parameters_count,
         "bytes_per_frame": run.bytes_per_frame,
         "peak_rss_mb": run.peak_rss_mb,
         "forecast": {**foresight.figures(), **_coverage(collector.quality)},
