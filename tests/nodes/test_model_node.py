@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 
@@ -146,3 +147,123 @@ def test_a_configured_node_keeps_opencv_to_one_thread() -> None:
         assert cv2.getNumThreads() == 1
     finally:
         cv2.setNumThreads(before)
+
+
+class InTurn:
+    """Stands in for the process of a model: what it is handed is followed when it is asked to."""
+
+    def __init__(self) -> None:
+        self.loaded = self.has_model = self.is_closed = False
+        self.parameters_count = 0
+        self._seen: TwinState | None = None
+        self._result: TwinState | None = None
+
+    def is_loaded(self, wait: bool = False) -> bool:
+        self.loaded |= wait
+        return self.loaded
+
+    def take(self, model: WindowModel) -> None:
+        self.has_model, self._model = True, copy.deepcopy(model)
+        self.parameters_count = self._model.parameters_count
+
+    @property
+    def is_free(self) -> bool:
+        return self.has_model and self._seen is None and self._result is None
+
+    def follow(self, seen: TwinState) -> None:
+        assert self.is_free
+        self._seen = seen
+
+    def work(self) -> None:
+        """Follows what it was handed."""
+        assert self._seen is not None
+        self._result, self._seen = self._model.follow(self._seen), None
+
+    def result(self, wait: bool = False) -> TwinState | None:
+        if wait and self._seen is not None:
+            self.work()
+        result, self._result = self._result, None
+        return result
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.fixture
+def apart(monkeypatch: pytest.MonkeyPatch) -> InTurn:
+    """What a node takes for the process of its model."""
+    one = InTurn()
+    monkeypatch.setattr("twin_node.nodes.model.Apart", lambda: one)
+    monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
+    return one
+
+
+def told_of(bus: LocalBus) -> list[tuple[str, int, int]]:
+    """What goes out of each set: topic, stamp, and that of the set which the model follows."""
+    told: list[tuple[str, int, int]] = []
+    for topic in (SEEN, STATE):
+        bus.subscribe(topic, lambda state, topic=topic: told.append((topic, state.stamp, state.model_stamp)))
+    return told
+
+
+def test_another_process_follows_sets_as_soon_as_it_has_loaded(apart: InTurn) -> None:
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model, is_live=True, own_process=True)
+    node.configure()
+    node.activate()
+    told = told_of(bus)
+    for index in range(3):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+        node.rest()
+        assert not apart.has_model
+    apart.loaded = True
+    bus.publish(TRUSTED_FRAMES, frames(3))
+    node.rest()
+    assert apart.has_model
+    assert model.done == ["refine"] * 4
+    followed = [(topic, index, max(index - (topic == SEEN), 0)) for index in range(4) for topic in (SEEN, STATE)]
+    assert told == followed
+    told.clear()
+    bus.publish(TRUSTED_FRAMES, frames(4))
+    node.rest()
+    for index in (5, 6):  # the process is not done with 4
+        bus.publish(TRUSTED_FRAMES, frames(index))
+        node.rest()
+    apart.work()
+    bus.publish(TRUSTED_FRAMES, frames(7))
+    assert told == [(SEEN, 4, 3), (SEEN, 5, 3), (SEEN, 6, 3), (SEEN, 7, 4)]
+    told.clear()
+    node.rest()
+    assert told == [(STATE, 4, 4)]
+    assert node.parameters_count == apart.parameters_count
+    node.deactivate()
+    assert told == [(STATE, 4, 4), (STATE, 7, 7)], "what is followed still goes out"
+    assert model.done == ["refine"] * 4, "the process does"
+    assert node.followed == 6
+    assert not apart.is_closed
+    node.cleanup()
+    assert apart.is_closed
+
+
+def test_who_settles_has_every_later_set_followed_elsewhere(apart: InTurn) -> None:
+    bus = LocalBus()
+    node = ModelNode(bus, SteppedClock(), Watched(), is_live=True, own_process=True)
+    node.configure()
+    node.activate()
+    node.settle()
+    assert not apart.has_model, "there is no model before the first set"
+    bus.publish(TRUSTED_FRAMES, frames(0))
+    node.follow()
+    node.settle()
+    assert apart.has_model
+
+
+@pytest.mark.parametrize(("is_live", "is_worth_it"), [(False, True), (True, False)])
+def test_in_lockstep_or_without_another_processor_there_is_no_other_process(
+    is_live: bool, is_worth_it: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[int] = []
+    monkeypatch.setattr("twin_node.nodes.model.Apart", lambda: begun.append(1))
+    monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: is_worth_it)
+    ModelNode(LocalBus(), SteppedClock(), Watched(), is_live=is_live, own_process=True).configure()
+    assert not begun

@@ -117,14 +117,28 @@ def test_the_page_stands_alone_and_shows_pictures(lockstep: Path) -> None:
 
 
 def test_real_time_counts_what_it_drops(cell_log: Callable[..., Path], tmp_path: Path) -> None:
-    report = tmp_path / "report"
-    arguments = ["--rate", "20", "--width", WIDTH, "--report", str(report)]
+    report, alone = tmp_path / "report", tmp_path / "alone.yaml"
+    alone.write_text("model: {ros__parameters: {own_process: false}}\n")
+    arguments = ["--rate", "20", "--width", WIDTH, "--report", str(report), "--params", str(alone)]
     assert main(["replay", str(cell_log(SECONDS)), *arguments]) == 0
     figures = json.loads((report / "report.json").read_text())
     assert figures["dropped"] > 0
     assert figures["sets"] >= 2
     assert 30 <= figures["sets"] + figures["dropped"] <= 40
     assert figures["sets"] // 2 <= figures["followed"] <= figures["sets"]
+
+
+def test_in_real_time_the_model_follows_in_a_process_of_its_own(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    report, out = tmp_path / "report", tmp_path / "out.mcap"
+    arguments = ["--rate", "1", "--width", WIDTH, "--report", str(report), "-o", str(out)]
+    assert main(["replay", str(cell_log(SECONDS)), *arguments]) == 0
+    figures = json.loads((report / "report.json").read_text())
+    assert 2 <= figures["followed"] <= figures["sets"]
+    assert figures["quality"]["psnr_db"] > 15
+    assert figures["parameters"] > 14 * 500
+    with open_log(out) as log:
+        counts = {topic.name: topic.count for topic in log.topics}
+    assert (counts[OCCUPANCY], counts[GAUSSIANS_MOVING]) == (figures["sets"], figures["followed"])
 
 
 def test_start_and_duration_choose_a_part_of_the_log(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin_node.errors import TwinError
-from twin_node.model.parameters import ModelError
 from twin_node.native_library import processors, thread_count
 from twin_node.scene import GaussianCloud, NodeStates, TwinState
 
@@ -29,9 +28,16 @@ GRACE_S = 2.0
 """How long the process may take to end when it is told to, s, before it is killed."""
 
 
+class EndedError(RuntimeError):
+    """The process has ended before it was told to: no fault of a set, as a `TwinError` is, and no other will do."""
+
+
 def is_worth_it() -> bool:
-    """Whether there is a processor for such a process: with only one it would take the time of who hands it sets."""
-    return processors() > 1
+    """Whether there is a processor for such a process: with only one it would take the time of who hands it sets.
+
+    Nowhere but on POSIX: a file descriptor is handed on.
+    """
+    return processors() > 1 and os.name == "posix"
 
 
 @dataclass(frozen=True)
@@ -47,10 +53,10 @@ class Followed:
 
 @dataclass(frozen=True)
 class Failed:
-    """What the process says last, where something went wrong with a set."""
+    """What the process says where something went wrong with a set."""
 
     error: TwinError | str
-    """What it was, or where nothing given to it explains it the trace."""
+    """What it was, and it goes on with the next; or where nothing given to it explains it the trace, and it ends."""
 
 
 def send(connection: Connection, thing: object) -> None:
@@ -87,7 +93,7 @@ class Apart:
         return self._process.pid
 
     def is_loaded(self, wait: bool = False) -> bool:
-        """Whether a model can be handed over; with `wait` once it can. Raises `ModelError` where it has ended."""
+        """Whether a model can be handed over; with `wait` once it can. Raises `EndedError`."""
         if not self._is_loaded and (wait or self._connection.poll()):
             self._receive()
             self._is_loaded = True
@@ -98,7 +104,6 @@ class Apart:
 
         `model` goes on to `look`, and hears of what has become of its copy: see `WindowModel.hear_of`.
         """
-        model.refine()  # what has begun cannot be handed over
         self._send(model)
         self.has_model = True
         self.parameters_count = model.parameters_count
@@ -109,14 +114,14 @@ class Apart:
         return self.has_model and self._seen is None
 
     def follow(self, seen: TwinState) -> None:
-        """Hands over what was seen; only while it is free. Raises `ModelError` where the process has ended."""
+        """Hands over what was seen; only while it is free. Raises `EndedError`."""
         self._send(replace(seen, gaussians=seen.gaussians.only(np.empty(0, np.int64))))
         self._seen = seen
 
     def result(self, wait: bool = False) -> TwinState | None:
         """What it was given last, with the model of now; None where it has not come so far, or has been given nothing.
 
-        With `wait` once it has come. Raises what following raises, and `ModelError` where the process has ended.
+        With `wait` once it has come. Raises the `TwinError` that following raises, and `EndedError`.
         """
         seen = self._seen
         if seen is None or not (wait or self._connection.poll()):
@@ -149,7 +154,7 @@ class Apart:
             return said
         if isinstance(said.error, TwinError):
             raise said.error
-        raise RuntimeError(f"the model's process failed:\n{said.error}")
+        raise EndedError(f"the model's process failed:\n{said.error}")
 
     @contextlib.contextmanager
     def _gone_is_told(self) -> Iterator[None]:
@@ -158,7 +163,8 @@ class Apart:
         except (EOFError, OSError):
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(GRACE_S)
-            raise ModelError(
+            raise EndedError(
                 f"model: expected its process ({self.pid}) to go on, found that it has ended with status "
-                f"{self._process.returncode}; see what it has said before, or set own_process of 'model' to false"
+                f"{self._process.returncode}; see what it has said before, give it more memory, or set own_process of "
+                "'model' to false"
             ) from None

@@ -149,7 +149,9 @@ class Backgrounds:
         """
         if waits or (self._begun is not None and self._begun[1].is_done):
             self._take()
-        known = all(camera.name in self._known and self._known[camera.name].camera.sees_as(camera) for camera in cameras)
+        known = all(
+            camera.name in self._known and self._known[camera.name].camera.sees_as(camera) for camera in cameras
+        )
         if self._outdated or not known:
             self._renew(gaussians, cameras)
         self._wanted = cameras
@@ -208,13 +210,17 @@ class Backgrounds:
         values = gaussians.values.index_select(0, gaussians.static_rows)
         drawings: list[Callable[[], _Shown]] = []
         for camera in cameras:
-            known = self._known.get(camera.name)
-            if known is None or not known.camera.sees_as(camera):
-                behind = _Behind(camera, self._surface(camera), pixel_rays(camera))
-            else:
+            if self._knows(camera):
+                known = self._known[camera.name]
                 behind = _Behind(camera, known.surface, known.rays)
+            else:
+                behind = _Behind(camera, self._surface(camera), pixel_rays(camera))
             drawings.append(partial(_drawn, values, behind))
         return drawings
+
+    def _knows(self, camera: Camera) -> bool:
+        known = self._known.get(camera.name)
+        return known is not None and known.camera.sees_as(camera)
 
     def beneath(self, points: NDArray[np.floating], radii: NDArray[np.floating]) -> Bool:
         """[n] points [n, 3] that lie under the plane by more than their radius [n] (m)."""

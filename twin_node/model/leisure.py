@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from twin_node.model.stages import Proceed, unhurried
 
 AT_EASE = 3
@@ -19,6 +21,10 @@ class Leisure:
         """Sets in a row after which none waited."""
         self._gives_way = False
         self._proceed: Proceed = unhurried
+
+    def __getstate__(self) -> dict[str, Any]:
+        """In another process nobody asks what was asked here."""
+        return {**vars(self), "_proceed": unhurried}
 
     def begin(self, proceed: Proceed) -> None:
         """A set is out; `proceed()` says whether none waits."""

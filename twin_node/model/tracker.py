@@ -199,6 +199,10 @@ class Tracker:
         keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
         return keep_up(granted(HURRIED))
 
+    def end(self) -> None:
+        """Ends what `refine` has begun and not been left the time for."""
+        self._upkeep.learn(unhurried)
+
     def _align(self, observed: Sequence[Observed], dt_s: float) -> _Aligned:
         """Node poses from the flow between the predicted rendering and the images."""
         poses = self._placer.poses(observed)

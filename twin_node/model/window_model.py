@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -96,6 +97,14 @@ class WindowModel:
         that, and what spoke for it."""
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy in another process goes on with, as this one would: slices of work that have begun come to their
+        end first."""
+        if self._tracker is not None:
+            with torch_alone():
+                self._tracker.end()
+        return vars(self)
 
     @property
     def tier_counts(self) -> Mapping[Tier, int]:

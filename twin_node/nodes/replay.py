@@ -14,6 +14,7 @@ from pathlib import Path
 from twin_node.bag import LogWriter
 from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
+from twin_node.model.apart import EndedError
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
@@ -164,6 +165,8 @@ class _Engine:
                     working.publish(topic, message)
                 working.publish(FRAMES, frames)
                 chain.rest(lambda: not bridge.is_waiting)
+        except EndedError as error:
+            raise GraphError(str(error)) from error
         finally:
             bridge.close()
             reader.join()

@@ -1,0 +1,147 @@
+"""A model that goes on in another process is the one that it would have been."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from model_scenes import BLOCK_SPEED, rig, sliding
+
+from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.apart import Apart, EndedError, Failed, Followed, send
+from twin_node.model.apart_process import serve
+from twin_node.model.stages import LeftS, endless, granted
+from twin_node.scene import TwinState
+
+SETS = 16
+HANDED_OVER = 8
+PARAMETERS = ModelParameters(seed=SeedParameters(steps=20))
+
+
+def anew(state: TwinState) -> TwinState:
+    """As another process gets it: nothing of it is what it was."""
+    return pickle.loads(pickle.dumps(state))
+
+
+def hurried_model() -> tuple[WindowModel, int]:
+    """A model that has followed some sets live, and after how many of them it was not left the time for all."""
+    model, unfinished = WindowModel(PARAMETERS), 0
+    for index, one in enumerate(sliding(SETS, rig())[:HANDED_OVER]):
+        since = time.perf_counter()
+        model.follow(model.look(one), lambda since=since: 0.033 - (time.perf_counter() - since))
+        unfinished += not model.refine(granted(1 + index % 4))
+    return model, unfinished
+
+
+def test_a_copy_goes_on_as_the_model_does() -> None:
+    model, unfinished = hurried_model()
+    assert unfinished > 1
+    copy = pickle.loads(pickle.dumps(model))
+    for one in sliding(SETS, rig())[HANDED_OVER:]:
+        seen = model.look(one)
+        theirs, ours = copy.follow(anew(seen)), model.follow(seen)
+        for record in ("gaussians", "nodes"):
+            for name, values in vars(getattr(ours, record)).items():
+                assert values.tobytes() == vars(getattr(theirs, record))[name].tobytes(), name
+        assert copy.refine() == model.refine()
+    assert len(ours.nodes.ids), "something moves"
+    assert copy.parameters_count == model.parameters_count
+
+
+def test_it_can_be_handed_over_after_any_slice() -> None:
+    model, whole = WindowModel(PARAMETERS), 0
+    for index, one in enumerate(sliding(SETS, rig())):
+        model.update(one)
+        whole += model.refine(granted(index % 5))
+        pickle.dumps(model)
+    assert 0 < whole < SETS
+
+
+@pytest.fixture
+def apart() -> Iterator[Apart]:
+    """A process without a model."""
+    one = Apart()
+    yield one
+    one.close()
+
+
+def test_a_process_follows_what_is_seen_here(apart: Apart) -> None:
+    model, sets = WindowModel(PARAMETERS), sliding(SETS, rig())
+    model.update(sets[0])
+    assert not apart.is_free
+    assert apart.is_loaded(wait=True)
+    apart.take(model)
+    assert apart.is_free
+    assert apart.parameters_count == model.parameters_count
+    assert apart.result() is None
+    for one in sets[1:]:
+        seen = model.look(one)
+        apart.follow(seen)
+        assert not apart.is_free
+        state = apart.result(wait=True)
+        assert state is not None
+        assert (state.stamp, state.model_stamp) == (one.stamp, one.stamp)
+        assert state.frames is seen.frames
+        model.hear_of(state)
+    assert state.nodes.velocities[:, 0].max() > BLOCK_SPEED / 3
+    later = model.look(sets[-1])
+    assert (later.model_stamp, len(later.gaussians.means)) == (sets[-1].stamp, len(state.gaussians.means))
+    assert apart.parameters_count > 14 * len(state.gaussians.means)
+
+
+def test_a_process_that_dies_is_told_of(apart: Apart) -> None:
+    assert apart.is_loaded(wait=True)
+    os.kill(apart.pid, signal.SIGKILL)
+    with pytest.raises(EndedError, match=r"process \(\d+\) .* ended with status -9; .*own_process"):
+        while True:  # what it does not take may fit into the pipe
+            apart.take(_first())
+
+
+def test_a_process_ends_with_who_began_it(apart: Apart) -> None:
+    apart.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(apart.pid, 0)
+
+
+class Stubborn(WindowModel):
+    """A model that refuses the second set, and fails of the third."""
+
+    def follow(self, seen: TwinState, left_s: LeftS = endless) -> TwinState:
+        if seen.frames.sequence == 1:
+            raise ModelError("set 1: expected another; give that")
+        if seen.frames.sequence == 2:
+            raise ValueError("a fault of its own")
+        return super().follow(seen)
+
+
+def test_a_set_that_is_refused_costs_no_more_than_itself() -> None:
+    ours, its = multiprocessing.Pipe()
+    thread = threading.Thread(target=serve, args=(its,), daemon=True)
+    thread.start()
+    model = Stubborn(ModelParameters(seed=SeedParameters(steps=1)))
+    sets = sliding(4, rig())
+    model.update(sets[0])
+    ours.send_bytes(pickle.dumps(model))
+    answers = []
+    for one in (sets[1], sets[3], sets[2]):
+        send(ours, model.look(replace(one, stamp=sets[3].stamp)))
+        answers.append(ours.recv())
+    thread.join(10)
+    assert not thread.is_alive(), "a fault ends it"
+    refused, followed, failed = answers
+    assert isinstance(refused, Failed) and str(refused.error) == "set 1: expected another; give that"
+    assert isinstance(followed, Followed) and len(followed.gaussians.means)
+    assert isinstance(failed, Failed) and "ValueError: a fault of its own" in str(failed.error)
+
+
+def _first() -> WindowModel:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=1)))
+    model.update(sliding(1, rig())[0])
+    return model
