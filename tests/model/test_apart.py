@@ -94,6 +94,7 @@ def test_a_process_follows_what_is_seen_here(apart: Apart) -> None:
     later = model.look(sets[-1])
     assert (later.model_stamp, len(later.gaussians.means)) == (sets[-1].stamp, len(state.gaussians.means))
     assert apart.parameters_count > 14 * len(state.gaussians.means)
+    assert 50 < apart.peak_rss_mb < 2000
 
 
 def test_a_process_that_dies_is_told_of(apart: Apart) -> None:

@@ -154,7 +154,7 @@ class InTurn:
 
     def __init__(self) -> None:
         self.loaded = self.has_model = self.is_closed = False
-        self.parameters_count = 0
+        self.parameters_count, self.peak_rss_mb = 0, 0.0
         self._seen: TwinState | None = None
         self._result: TwinState | None = None
 
@@ -178,6 +178,7 @@ class InTurn:
         """Follows what it was handed."""
         assert self._seen is not None
         self._result, self._seen = self._model.follow(self._seen), None
+        self.peak_rss_mb = 400.0
 
     def result(self, wait: bool = False) -> TwinState | None:
         if wait and self._seen is not None:
@@ -240,6 +241,7 @@ def test_another_process_follows_sets_as_soon_as_it_has_loaded(apart: InTurn) ->
     assert told == [(STATE, 4, 4), (STATE, 7, 7)], "what is followed still goes out"
     assert model.done == ["refine"] * 4, "the process does"
     assert node.followed == 6
+    assert node.peak_rss_mb_elsewhere == 400.0
     assert not apart.is_closed
     node.cleanup()
     assert apart.is_closed

@@ -136,6 +136,7 @@ def test_in_real_time_the_model_follows_in_a_process_of_its_own(cell_log: Callab
     assert 2 <= figures["followed"] <= figures["sets"]
     assert figures["quality"]["psnr_db"] > 15
     assert figures["parameters"] > 14 * 500
+    assert figures["peak_rss_mb"] > 300, "of both processes"
     with open_log(out) as log:
         counts = {topic.name: topic.count for topic in log.topics}
     assert (counts[OCCUPANCY], counts[GAUSSIANS_MOVING]) == (figures["sets"], figures["followed"])

@@ -49,6 +49,8 @@ class Followed:
     warnings: tuple[str, ...]
     parameters_count: int
     """See `WindowModel.parameters_count`."""
+    peak_rss_mb: float
+    """Most memory that the process has held so far, MB."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ class Apart:
         self.has_model = False
         self.parameters_count = 0
         """Numbers that described the scene after the newest result, see `WindowModel.parameters_count`."""
+        self.peak_rss_mb = 0.0
+        """Most memory that the process had held by then, MB."""
 
     @property
     def pid(self) -> int:
@@ -129,7 +133,7 @@ class Apart:
         self._seen = None
         followed = self._receive()
         assert isinstance(followed, Followed)
-        self.parameters_count = followed.parameters_count
+        self.parameters_count, self.peak_rss_mb = followed.parameters_count, followed.peak_rss_mb
         return replace(
             seen, gaussians=followed.gaussians, nodes=followed.nodes, warnings=followed.warnings, followed=None
         )

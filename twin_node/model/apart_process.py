@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import resource
 import signal
 import sys
 import traceback
@@ -57,7 +58,8 @@ def follow(model: WindowModel, seen: TwinState) -> Followed | Failed:
         state = model.follow(seen)
     except TwinError as error:
         return Failed(error)
-    return Followed(state.gaussians, state.nodes, state.warnings, model.parameters_count)
+    peak_rss_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return Followed(state.gaussians, state.nodes, state.warnings, model.parameters_count, peak_rss_mb)
 
 
 if __name__ == "__main__":

@@ -171,7 +171,7 @@ class ModelParameters:
     """Torch device that the Gaussians live on."""
     own_process: bool = True
     """In real time sets are followed in a process of its own, where there are two processors or more: the arm is told
-    of a third more sets, for some 300 MB. In lockstep never."""
+    of a sixth to a half more sets, for some 400 MB. In lockstep never."""
     gaussians_per_pixel: float = 0.3
     """Capacity in Gaussians per pixel of a set; fixed at the first set."""
     most_gaussians: int = 24_000

@@ -87,6 +87,11 @@ class Chain:
         """Numbers that describe the scene now, see `WindowModel.parameters_count`."""
         return self._model_node.parameters_count
 
+    @property
+    def peak_rss_mb_elsewhere(self) -> float:
+        """Most memory that the model's process has held, MB; 0 without."""
+        return self._model_node.peak_rss_mb_elsewhere
+
     def follow(self) -> None:
         """Lets the model follow the newest set, see `ModelNode.follow`."""
         self._model_node.follow()

@@ -70,6 +70,11 @@ class ModelNode(Node):
         apart = self._apart
         return self.model.parameters_count if apart is None or not apart.has_model else apart.parameters_count
 
+    @property
+    def peak_rss_mb_elsewhere(self) -> float:
+        """Most memory that a process of its own has held, MB; 0 without."""
+        return 0.0 if self._apart is None else self._apart.peak_rss_mb
+
     def on_configure(self) -> None:
         image_loops_alone()
         if self._own_process:

@@ -49,6 +49,7 @@ class Run:
     seconds: float
     """Length of the span in real time, wall-clock time in lockstep."""
     peak_rss_mb: float
+    """Of the process and of the model's beside it."""
     bytes_per_frame: float
     """What is published with a set, mean, bytes."""
     model: WindowModel
@@ -232,7 +233,7 @@ class _Engine:
             followed=chain.followed,
             dropped=dropped,
             seconds=seconds,
-            peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 + chain.peak_rss_mb_elsewhere,
             bytes_per_frame=chain.status.bytes_per_frame,
             model=chain.model,
             parameters_count=chain.parameters_count,
