@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +16,9 @@ from twin_node.bag import open_log
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import convert
+from twin_node.model.apart import Apart
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
-from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier
+from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier, TwinState
 
 SECONDS = 1.2
 WIDTH = "96"
@@ -140,6 +143,23 @@ def test_in_real_time_the_model_follows_in_a_process_of_its_own(cell_log: Callab
     with open_log(out) as log:
         counts = {topic.name: topic.count for topic in log.topics}
     assert (counts[OCCUPANCY], counts[GAUSSIANS_MOVING]) == (figures["sets"], figures["followed"])
+
+
+def test_where_the_models_process_dies_the_run_ends_in_one_line(
+    cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Killed(Apart):
+        def follow(self, seen: TwinState) -> None:
+            os.kill(self.pid, signal.SIGKILL)
+            super().follow(seen)
+
+    monkeypatch.setattr("twin_node.nodes.model.Apart", Killed)
+    monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
+    out = tmp_path / "out.mcap"
+    assert main(["replay", str(cell_log(SECONDS)), "--rate", "1", "--width", WIDTH, "-o", str(out)]) == 2
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+    assert "ended with status -9" in line and "own_process" in line
+    assert not list(tmp_path.iterdir()), "nothing half-written is left"
 
 
 def test_start_and_duration_choose_a_part_of_the_log(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -96,6 +96,34 @@ def test_the_model_begins_when_its_size_is_known(monkeypatch: pytest.MonkeyPatch
     assert node.model.parameters == SIZES["tiny"].model(MODEL)
 
 
+def test_the_models_process_is_begun_once_its_size_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+
+    class Loading:
+        has_model = False
+
+        def __init__(self) -> None:
+            begun.append(index)
+
+        def is_loaded(self) -> bool:
+            return False
+
+        def result(self, wait: bool) -> None:
+            return None
+
+    monkeypatch.setattr(sizing, "TRIED_SETS", 2)
+    monkeypatch.setattr("twin_node.nodes.model.Apart", Loading)
+    monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
+    bus, one = LocalBus(), trial([], budget_ms=1e-6)
+    node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), one, is_live=True, own_process=True)
+    node.configure()
+    node.activate()
+    for index in range(4):
+        bus.publish(TRUSTED_FRAMES, frames(index))
+        node.rest()
+    assert begun == [1], "sizes are not timed beside what loads"
+
+
 def test_a_size_that_is_named_is_taken_as_it_is() -> None:
     chain = fill(ChainParameters, {"size": {"name": "small"}}, "here")
     changed = sized(chain, "here")

@@ -52,7 +52,7 @@ class TrackParameters:
     """Gradient steps per set on the Gaussians that move, for a set that has time for all: time traded for quality."""
     latency_ms: float = 33.0
     """Wished for from a set's newest image to its state. Live, a set that would be later takes fewer steps, where that
-    helps and few are late; 0: never. In lockstep nothing is late."""
+    helps and few are late; 0: never. In lockstep nothing is late, and in a process of its own nothing is hurried."""
     learning_rate: float = 6.0
     """Multiplies all rates of `descending.RATES`."""
     selects: bool = True

@@ -77,8 +77,8 @@ class ModelNode(Node):
 
     def on_configure(self) -> None:
         image_loops_alone()
-        if self._own_process:
-            self._apart = Apart()
+        if self._trial is None:  # else it would be timed beside what loads
+            self._begin_process()
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
 
     def on_deactivate(self) -> None:
@@ -137,6 +137,11 @@ class ModelNode(Node):
         sized = trial.take(frames)
         if sized is not None:
             self._trial, self._narrower, self.model = None, sized.narrower, sized.model
+            self._begin_process()
+
+    def _begin_process(self) -> None:
+        if self._own_process:
+            self._apart = Apart()
 
     def rest(self, proceed: Proceed = unhurried) -> None:
         """Follows the newest set where that has not been done, and uses the time until the next for what it shows anew

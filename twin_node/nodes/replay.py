@@ -85,7 +85,10 @@ def replay(
         with contextlib.ExitStack() as writing:
             log = writing.enter_context(LogWriter(output)) if output is not None else None
             engine = _Engine(session, parameters, spool, log, progress)
-            run = engine.in_lockstep() if rate is None else engine.in_real_time(rate)
+            try:
+                run = engine.in_lockstep() if rate is None else engine.in_real_time(rate)
+            except EndedError as error:
+                raise GraphError(str(error)) from error
         yield run
 
 
@@ -166,8 +169,6 @@ class _Engine:
                     working.publish(topic, message)
                 working.publish(FRAMES, frames)
                 chain.rest(lambda: not bridge.is_waiting)
-        except EndedError as error:
-            raise GraphError(str(error)) from error
         finally:
             bridge.close()
             reader.join()
