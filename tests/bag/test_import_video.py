@@ -125,6 +125,7 @@ UNSORTED = np.array([0, 10, 20, 20, 30, 40, 50, 60, 70, 80], dtype=np.int64)
         ({"stamps": None, "fps": None}, "camera bad: expected stamps or a positive frame rate, found None"),
         ({"stamps": None, "fps": 0.0}, "camera bad: expected stamps or a positive frame rate, found 0.0"),
         ({"camera": camera("2bad")}, "camera '2bad': .*rename it, for example to cam_2bad"),
+        ({"camera": camera("left/rgb")}, "camera 'left/rgb': .*rename it, for example to left_rgb"),
         ({"camera": camera("good")}, "every name once, found good, good"),
         ({"camera": camera("bad", width=48, height=64)}, "camera bad: video is 64x48, calibration is for 48x64"),
     ],

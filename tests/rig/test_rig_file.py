@@ -149,6 +149,9 @@ MISTAKES = {
     ),
     "world-to-camera poses": (lambda d, c: reposed(d, inverse_pose), r"cameras left, right, top: .*invert them"),
     "OpenGL axes": (lambda d, c: reposed(d, lambda T: T @ np.diag([1.0, -1, -1, 1])), r"left, right, top: .*OpenGL"),
+    "name that is no topic's": (lambda d, c: c.update(name="front cam"), r"name: .*'front cam'; .* to front_cam$"),
+    "name with a number first": (lambda d, c: c.update(name="2nd"), r"name: .*found '2nd'; .* to cam_2nd$"),
+    "name of depth": (lambda d, c: c.update(name="depth_left"), r"name: .*'depth', as topics.* to range_left$"),
     "duplicate names": (lambda d, c: c.update(name="right"), r"distinct names, found 'right' 2 times"),
     "workspace": (
         lambda d, c: d.update(workspace={"min": [0, 0, 0], "max": [1, -1, 1]}),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,11 +16,9 @@ from twin_node.bag.log import BagError
 from twin_node.bag.rig import write_rig
 from twin_node.bag.writer import LogWriter
 from twin_node.messages import convert
-from twin_node.scene import Float64, Rig, RigCamera, UInt8
+from twin_node.scene import NAME_WANTED, Float64, Rig, RigCamera, UInt8, as_camera_name, is_camera_name
 
 NS_PER_S = 1_000_000_000
-ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-"""Names that ROS 2 accepts in topics (design.ros2.org, topic and service names)."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +116,10 @@ class _Clip:
 
     def __init__(self, source: VideoCamera) -> None:
         name = source.camera.name
-        if not ROS_NAME.fullmatch(name):
+        if not is_camera_name(name):
             raise BagError(
-                f"camera {name!r}: a name in ROS topics starts with a letter and goes on with letters, digits and _; "
-                f"rename it, for example to cam_{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
+                f"camera {name!r}: expected {NAME_WANTED}, as topics are named after it; rename it, for example to "
+                f"{as_camera_name(name)}"
             )
         if not source.video.is_file():
             raise BagError(f"camera {name}: video {source.video} does not exist; correct the path in the rig file")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from twin_node.cell.motion import Path
 from twin_node.cell.shapes import Form
 from twin_node.cell.textures import Texture
 from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
+from twin_node.scene import NAME_WANTED, is_camera_name
 
 Triple = tuple[float, float, float]
 
@@ -142,8 +142,8 @@ class CameraSpec:
     """Brightness of its images: cameras are rarely set alike."""
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
-            raise CellError(f"camera: name must be letters, digits and _ (it names topics), found '{self.name}'")
+        if not is_camera_name(self.name):
+            raise CellError(f"camera: expected {NAME_WANTED}, as topics are named after it, found '{self.name}'")
         if not 0 < self.fov_deg < 180:
             raise CellError(f"camera '{self.name}': fov_deg must lie between 0 and 180, found {self.fov_deg}")
         if not 0 < self.gain <= 16:

@@ -14,7 +14,7 @@ from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.stamps import LATEST_S, UNITS_NS, StampsFile
 from twin_node.rig.yaml_fields import Fields
-from twin_node.scene import Float64, Rig, RigCamera
+from twin_node.scene import NAME_WANTED, Float64, Rig, RigCamera, as_camera_name, is_camera_name
 from twin_node.yaml_file import read_yaml, write_yaml
 
 CAMERA_FIELDS = (
@@ -149,6 +149,11 @@ def save_rig(rig_file: RigFile, path: str | Path) -> None:
 def _camera(fields: Fields) -> RigCamera:
     fields.only(*CAMERA_FIELDS)
     name = fields.text("name")
+    if not is_camera_name(name):
+        raise RigError(
+            f"{fields.where}.name: expected {NAME_WANTED}, as topics are named after it, found {name!r}; rename it, "
+            f"for example to {as_camera_name(name)}"
+        )
     fields = fields.named(f"{fields.where} ({name})")
     size = fields.array("size", (2,))
     if (size < 1).any() or (size > MOST_PX).any() or (size % 1 != 0).any():

@@ -1,6 +1,7 @@
 """What flows between the rooms: frozen records over numpy arrays, in `base_link`, SI units, stamps in int ns."""
 
 from twin_node.scene.arrays import Bool, Float32, Float64, UInt8, UInt32
+from twin_node.scene.camera_names import NAME_WANTED, as_camera_name, is_camera_name
 from twin_node.scene.future import (
     HORIZONS_NS,
     NO_EVIDENCE,
@@ -18,6 +19,7 @@ from twin_node.scene.twin import PLAIN, Exposure, GaussianCloud, NodeStates, Tie
 
 __all__ = [
     "HORIZONS_NS",
+    "NAME_WANTED",
     "NO_EVIDENCE",
     "PLAIN",
     "Bool",
@@ -46,4 +48,6 @@ __all__ = [
     "UInt8",
     "UInt32",
     "View",
+    "as_camera_name",
+    "is_camera_name",
 ]

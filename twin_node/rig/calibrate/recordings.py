@@ -17,7 +17,7 @@ from twin_node.rig.calibrate.lenses import lens_of
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
 from twin_node.rig.stamps import SharedColumns, StampsFile, read_shared_stamps, read_stamps
-from twin_node.scene import Rig, UInt8
+from twin_node.scene import Rig, UInt8, as_camera_name
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 VIDEO_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v"}
@@ -162,7 +162,7 @@ def _video_camera(path: Path, number: int, board: Board, every: int, progress: P
             f"{path}: expected stamps in seconds, found {period_s:g} s from frame to frame; write them in seconds "
             "(milliseconds divided by 1000)"
         )
-    return CameraRecording(_name(path.stem), search.size, stamps, search.images, search.found)
+    return CameraRecording(as_camera_name(path.stem), search.size, stamps, search.images, search.found)
 
 
 def _video_stamps(path: Path, number: int) -> NDArray[np.int64]:
@@ -202,13 +202,7 @@ def _still_camera(name: str, numbered: dict[int, Path], board: Board, progress: 
     pictures = (_image(numbered[number]) for number in numbers)
     search = find_in_pictures(board, pictures, f"camera {name}", progress)
     stamps = np.array(numbers, dtype=np.int64) * STILL_PERIOD_NS
-    return CameraRecording(_name(name), search.size, stamps, search.images, search.found, moving=False)
-
-
-def _name(text: str) -> str:
-    """A camera's name as rig files want it."""
-    name = re.sub(r"\W", "_", text, flags=re.ASCII)
-    return name if name[:1].isalpha() else f"cam_{name}"
+    return CameraRecording(as_camera_name(name), search.size, stamps, search.images, search.found, moving=False)
 
 
 def _frames(path: Path, every: int) -> Iterator[Picture]:

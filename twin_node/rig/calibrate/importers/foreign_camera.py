@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +10,7 @@ from twin_node.geometry import inverse_pose, pose
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
 from twin_node.rig.rig_file import RigFile
-from twin_node.scene import Float64, Rig, RigCamera
+from twin_node.scene import Float64, Rig, RigCamera, as_camera_name
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> Float64:
@@ -28,14 +27,12 @@ def foreign_camera(
     where: str, name: str, size: tuple[int, int], K: Float64, T_base_cam: Float64, model: str, D: Float64
 ) -> RigCamera:
     """A camera of a rig; its name is made fit for topics. Raises `RigError` for values that no camera has."""
-    clean = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
-    clean = clean if clean[:1].isalpha() else f"cam_{clean}"
     if not len(D):
         model, D = "plumb_bob", np.zeros(5)
     check_intrinsics(where, K, size)
     check_distortion(where, model, D)
     check_pose(where, T_base_cam)
-    return RigCamera(clean, *size, K, T_base_cam, model, D)
+    return RigCamera(as_camera_name(name), *size, K, T_base_cam, model, D)
 
 
 def foreign_rig(where: str, cameras: Sequence[RigCamera], frame: str, notes: str) -> RigFile:
