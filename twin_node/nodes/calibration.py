@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from twin_node.bag import LogReader
 from twin_node.bag.rig import read_rig_record
@@ -13,7 +15,10 @@ from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
 from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, absolute
 from twin_node.rig import load_rig
-from twin_node.scene import Rig
+from twin_node.scene import Float64, Rig
+
+ANOTHER_LENS = 0.05
+"""Difference of focal length or principal point, by the image's size, that no rounding and no rectifying makes."""
 
 
 def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None) -> Rig:
@@ -52,6 +57,41 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path
             "give the rig file of this log, or --remap its topic to /<camera>/image_raw"
         )
     return rig
+
+
+def check_depth(log: LogReader, cameras: Sequence[CameraTopics]) -> None:
+    """Depth is taken for that of the colour image's pixels: raises `GraphError` where its own calibration says no."""
+    measured = {camera: camera.depth_info for camera in cameras if camera.depth_info is not None}
+    wanted = {topic for camera, depth_info in measured.items() for topic in (camera.info, depth_info)}
+    infos = _first_messages(log, wanted) if wanted else {}
+    for camera, depth_info in measured.items():
+        if camera.info not in infos or depth_info not in infos:
+            continue
+        colour, depth = (_pinhole(infos[topic]) for topic in (camera.info, depth_info))
+        if np.abs(colour - depth).max() > ANOTHER_LENS:
+            raise GraphError(
+                f"{log.path}: camera '{camera.name}': expected depth aligned with its colour image, found that of "
+                f"another lens on {camera.depth} (fx of {depth[0]:.2f} widths for {colour[0]:.2f}); record aligned "
+                "depth (realsense2_camera: align_depth.enable:=true), or leave it out with --remap "
+                f"{camera.depth}:=/unaligned/depth/image"
+            )
+
+
+def _first_messages(log: LogReader, topics: Collection[str]) -> dict[str, Any]:
+    """The first message of each of the topics that has any."""
+    found: dict[str, Any] = {}
+    for message in log.messages(list(topics)):
+        found.setdefault(message.topic, message.message)
+        if len(found) == len(topics):
+            break
+    return found
+
+
+def _pinhole(info: Any) -> Float64:
+    """[4] fx, cx by the image's width and fy, cy by its height."""
+    K = np.asarray(info.k, np.float64).reshape(3, 3)
+    width, height = max(info.width, 1), max(info.height, 1)
+    return np.array([K[0, 0] / width, K[1, 1] / height, K[0, 2] / width, K[1, 2] / height])
 
 
 def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:

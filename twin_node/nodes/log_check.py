@@ -11,7 +11,7 @@ import numpy as np
 from twin_node.bag import LogMessage, LogReader
 from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
-from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
@@ -153,12 +153,18 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         return [str(error)]
     stamps = {camera.image: seen[camera.image].stamps for camera in cameras}
     try:
+        check_depth(log, cameras)
+    except GraphError as error:
+        faults = [str(error)]
+    else:
+        faults = []
+    try:
         rig = rig_for(log, cameras, None)
     except TwinError as error:
-        return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), str(error)]
+        return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), *faults, str(error)]
     known = {camera.name: camera for camera in rig.cameras}
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
-    return [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig)]
+    return [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig), *faults]
 
 
 def _image_faults(

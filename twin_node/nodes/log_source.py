@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from twin_node.bag import LogReader, open_log
-from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError, absolute, find_cameras
@@ -40,6 +40,7 @@ class LogSession:
             self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
             in_log = tuple(_originals(camera, original) for camera in self.cameras)
             self.rig: Rig = rig_for(self.log, in_log, rig_file)
+            check_depth(self.log, in_log)
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
         except BaseException:
             self.log.close()
@@ -124,4 +125,5 @@ def _originals(camera: CameraTopics, original: Mapping[str, str]) -> CameraTopic
         info=original.get(camera.info, camera.info),
         depth=None if camera.depth is None else original.get(camera.depth, camera.depth),
         depth_type=camera.depth_type,
+        depth_info=None if camera.depth_info is None else original.get(camera.depth_info, camera.depth_info),
     )

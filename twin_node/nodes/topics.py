@@ -86,6 +86,8 @@ _SUFFIXES = {
 """What the topics of cameras carry, by the end of their names (REP-104, image_transport)."""
 
 
+_ALIGNED_DEPTH = ("aligned_depth", "depth_registered", "depth_to_")
+"""In the names of depth that a driver has aligned with the colour image (realsense2_camera, openni2_camera, Azure)."""
 _NO_PART_OF_A_NAME = re.compile(r"[*$?#%\s]")
 """What keys and tokens of the wire give a meaning of its own, and what no name of ROS has."""
 
@@ -104,6 +106,8 @@ class CameraTopics:
     info: str
     depth: str | None = None
     depth_type: str | None = None
+    depth_info: str | None = None
+    """Where the depth's own calibration is; None where there is none."""
 
 
 def parse_remaps(remaps: list[str]) -> dict[str, str]:
@@ -150,12 +154,13 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
     """Cameras among the topics (name -> type) of a log, by ROS naming, sorted by name.
 
     A topic of an image type is a depth image when its path says `depth`, else a colour image; the camera is the path
-    before `image...`, `color...` or `rgb...`. A camera with both a raw and a compressed colour topic is read from the
-    compressed one. Raises `GraphError` naming `source` when there is no colour image at all.
+    before `image...`, `color...` or `rgb...`. Of several depth topics that is taken which drivers have aligned with the
+    colour image, by its name. A camera with both a raw and a compressed colour topic is read from the compressed one.
+    Raises `GraphError` naming `source` when there is no colour image at all.
     """
     colour: dict[str, str] = {}
     depth: dict[str, str] = {}
-    for topic in sorted(types, key=lambda t: (types[t] != COMPRESSED, t)):
+    for topic in sorted(types, key=lambda t: (not _is_aligned_depth(t), types[t] != COMPRESSED, t)):
         if types[topic] in (COMPRESSED, RAW):
             (depth if "depth" in topic else colour).setdefault(camera_of(topic), topic)
     if not colour:
@@ -172,24 +177,38 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
             info=_info_topic(name, topic, types),
             depth=depth.get(name),
             depth_type=types[depth[name]] if name in depth else None,
+            depth_info=_depth_info_topic(depth[name], types) if name in depth else None,
         )
         for name, topic in sorted(colour.items())
     )
 
 
 def camera_of(topic: str) -> str:
-    """Camera name of an image topic: the path before `image...`, `color`, `rgb` or `depth`, joined by `_`."""
+    """Camera name of an image topic: the path before `image...`, `color`, `rgb`, `depth` or the like, joined by `_`."""
     parts = topic.strip("/").split("/")
     for i, part in enumerate(parts):
-        if i and part.startswith(("image", "color", "rgb", "depth", "compressed")):
+        if i and part.startswith(("image", "color", "rgb", "depth", "aligned_depth", "compressed")):
             return "_".join(parts[:i])
     return "_".join(parts[:-1]) or parts[0]
 
 
 def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:
-    beside = image.removesuffix("/compressed").rpartition("/")[0] + "/camera_info"
+    beside = _info_beside(image)
     candidates = [beside, *sorted(t for t in types if types[t] == CAMERA_INFO and camera_of(t) == name)]
     return next((t for t in candidates if types.get(t) == CAMERA_INFO and "depth" not in t), beside)
+
+
+def _depth_info_topic(depth: str, types: Mapping[str, str]) -> str | None:
+    beside = _info_beside(depth)
+    return beside if "depth" in beside and types.get(beside) == CAMERA_INFO else None
+
+
+def _info_beside(image: str) -> str:
+    return re.sub("/compressed(Depth)?$", "", image).rpartition("/")[0] + "/camera_info"
+
+
+def _is_aligned_depth(topic: str) -> bool:
+    return any(word in topic for word in _ALIGNED_DEPTH)
 
 
 def absolute(topic: str) -> str:

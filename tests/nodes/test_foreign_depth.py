@@ -1,0 +1,87 @@
+"""Depth as drivers of others record it: that of the colour image's pixels is taken, another lens's is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bag import LogWriter, open_log
+from twin_node.cli import main
+from twin_node.messages import convert
+from twin_node.nodes.log_check import check_log
+from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, GraphError, find_cameras
+from twin_node.scene import RigCamera
+
+CAMERA = "/camera/camera"
+COLOUR, DEPTH, ALIGNED = f"{CAMERA}/color", f"{CAMERA}/depth", f"{CAMERA}/aligned_depth_to_color"
+
+
+@pytest.mark.parametrize(
+    ("others", "depth"),
+    [
+        ({f"{DEPTH}/image_rect_raw": RAW}, f"{DEPTH}/image_rect_raw"),
+        ({f"{DEPTH}/image_rect_raw": RAW, f"{ALIGNED}/image_raw": RAW}, f"{ALIGNED}/image_raw"),
+        (
+            {f"{DEPTH}/image_rect_raw/compressedDepth": COMPRESSED, f"{ALIGNED}/image_raw": RAW},
+            f"{ALIGNED}/image_raw",
+        ),
+        (
+            {f"{CAMERA}/depth/image_raw": RAW, f"{CAMERA}/depth_registered/image_raw": RAW},
+            f"{CAMERA}/depth_registered/image_raw",
+        ),
+    ],
+)
+def test_aligned_depth_is_the_cameras(others: dict[str, str], depth: str) -> None:
+    infos = {f"{folder}/camera_info": CAMERA_INFO for folder in (COLOUR, DEPTH)}
+    [camera] = find_cameras({f"{COLOUR}/image_raw": RAW, **others, **infos}, "log")
+    assert (camera.name, camera.image, camera.depth) == ("camera_camera", f"{COLOUR}/image_raw", depth)
+    assert camera.depth_info == (f"{DEPTH}/camera_info" if depth.startswith(f"{DEPTH}/") else None)
+
+
+def foreign_log(path: Path, depth_fx: float) -> Path:
+    """One set of a camera whose colour has an fx of 64 pixels of 64; its depth comes with a calibration too."""
+    with LogWriter(path) as log:
+        for folder, fx in ((COLOUR, 64.0), (DEPTH, depth_fx)):
+            K = np.array([[fx, 0, 31.5], [0, fx, 23.5], [0, 0, 1]])
+            log.write(
+                f"{folder}/camera_info", convert.camera_info(RigCamera("camera_camera", 64, 48, K, np.eye(4)), 5), 5
+            )
+        log.write(f"{COLOUR}/image_raw", convert.raw_image("camera_camera", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+        depth = np.ones((48, 64), np.float32)
+        log.write(f"{DEPTH}/image_rect_raw", convert.depth_image("camera_camera", 5, depth), 5)
+    return path
+
+
+def rig_of(path: Path) -> Path:
+    path.write_text(
+        "cameras:\n- {name: camera_camera, size: [64, 48], K: [[64, 0, 31.5], [0, 64, 23.5], [0, 0, 1]],\n"
+        "   T_base_cam: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}\n"
+        "workspace: {min: [-1, -1, 0.2], max: [1, 1, 2]}\n"
+    )
+    return path
+
+
+def test_depth_of_another_lens_is_refused_unless_it_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, rig = foreign_log(tmp_path / "log.mcap", 48.0), rig_of(tmp_path / "rig.yaml")
+    with pytest.raises(GraphError, match=r"fx of 0.75 widths for 1.00\); record aligned depth") as caught:
+        LogSession(log, rig)
+    remap = str(caught.value).split("--remap ")[1]
+    assert main(["replay", str(log), "--rig", str(rig), "--duration", "1", "--report", str(tmp_path / "report")]) == 2
+    assert remap in capsys.readouterr().err
+    with LogSession(log, rig, dict([remap.split(":=")])) as session:
+        assert session.cameras[0].depth is None
+
+
+def test_depth_of_the_same_lens_is_taken(tmp_path: Path) -> None:
+    with LogSession(foreign_log(tmp_path / "log.mcap", 64.5), rig_of(tmp_path / "rig.yaml")) as session:
+        assert session.cameras[0].depth == f"{DEPTH}/image_rect_raw"
+
+
+def test_a_check_of_the_log_names_it(tmp_path: Path) -> None:
+    for fx, others in ((48.0, 1), (64.5, 0)):
+        with open_log(foreign_log(tmp_path / f"{fx}.mcap", fx)) as log:
+            check = check_log(log)
+        assert len([fault for fault in check.faults if "depth aligned with its colour image" in fault]) == others
