@@ -22,7 +22,8 @@ class RigParameters:
     image: str = "image_raw/compressed"
     """Topic of a camera's images below its name; compressed where it ends so."""
     depth: str = ""
-    """Topic of its depth images below its name; empty: none."""
+    """Topic of its depth images below its name, aligned with the colour images (`aligned_depth_to_color/image_raw` of
+    realsense2_camera); empty: none."""
 
 
 @dataclass(frozen=True)
