@@ -75,8 +75,9 @@ def test_depth_of_another_lens_is_refused_unless_it_is_left_out(
         assert session.cameras[0].depth is None
 
 
-def test_depth_of_the_same_lens_is_taken(tmp_path: Path) -> None:
-    with LogSession(foreign_log(tmp_path / "log.mcap", 64.5), rig_of(tmp_path / "rig.yaml")) as session:
+@pytest.mark.parametrize("fx", [64.5, 0.0])
+def test_depth_of_the_same_lens_and_of_one_that_is_not_calibrated_is_taken(tmp_path: Path, fx: float) -> None:
+    with LogSession(foreign_log(tmp_path / "log.mcap", fx), rig_of(tmp_path / "rig.yaml")) as session:
         assert session.cameras[0].depth == f"{DEPTH}/image_rect_raw"
 
 

@@ -48,7 +48,7 @@ def serve(connection: Connection) -> None:
             model.refine(lambda: not connection.poll())
         except ConnectionError:
             raise
-        except Exception:
+        except Exception:  # whatever it is ends this process, and who has begun it raises it
             return send(connection, Failed(traceback.format_exc()))
 
 

@@ -149,10 +149,7 @@ class Backgrounds:
         """
         if waits or (self._begun is not None and self._begun[1].is_done):
             self._take()
-        known = all(
-            camera.name in self._known and self._known[camera.name].camera.sees_as(camera) for camera in cameras
-        )
-        if self._outdated or not known:
+        if self._outdated or not all(map(self._knows, cameras)):
             self._renew(gaussians, cameras)
         self._wanted = cameras
         self._age += 1

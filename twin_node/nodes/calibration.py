@@ -60,7 +60,10 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path
 
 
 def check_depth(log: LogReader, cameras: Sequence[CameraTopics]) -> None:
-    """Depth is taken for that of the colour image's pixels: raises `GraphError` where its own calibration says no."""
+    """Depth is taken for that of the colour image's pixels: raises `GraphError` where its own calibration says no.
+
+    A CameraInfo without a calibration says nothing.
+    """
     measured = {camera: camera.depth_info for camera in cameras if camera.depth_info is not None}
     wanted = {topic for camera, depth_info in measured.items() for topic in (camera.info, depth_info)}
     infos = _first_messages(log, wanted) if wanted else {}
@@ -68,12 +71,12 @@ def check_depth(log: LogReader, cameras: Sequence[CameraTopics]) -> None:
         if camera.info not in infos or depth_info not in infos:
             continue
         colour, depth = (_pinhole(infos[topic]) for topic in (camera.info, depth_info))
-        if np.abs(colour - depth).max() > ANOTHER_LENS:
+        if colour[0] > 0 and depth[0] > 0 and np.abs(colour - depth).max() > ANOTHER_LENS:
             raise GraphError(
                 f"{log.path}: camera '{camera.name}': expected depth aligned with its colour image, found that of "
                 f"another lens on {camera.depth} (fx of {depth[0]:.2f} widths for {colour[0]:.2f}); record aligned "
-                "depth (realsense2_camera: align_depth.enable:=true), or leave it out with --remap "
-                f"{camera.depth}:=/unaligned/depth/image"
+                "depth (realsense2_camera: align_depth.enable:=true), or replay without it: --remap "
+                f"{camera.depth}:=/unaligned{camera.depth}"
             )
 
 
