@@ -84,6 +84,21 @@ def test_rims_grow_little_and_what_rests_grows_by_its_own_radius() -> None:
 
 
 @pytest.mark.parametrize("find", [layers_of, layers_of_plainly])
+@pytest.mark.parametrize(("radius", "grows"), [(0.017, False), (0.018, True)])
+def test_rims_keep_their_size_while_the_bound_is_within_the_rounding_to_voxels(
+    find: Find, radius: float, grows: bool
+) -> None:
+    layers, no, nothing = len(HORIZONS_NS), np.zeros(1, np.bool_), np.zeros((3, 0), np.int32)
+    places = np.array([[6, 20]] * 3, np.int32)
+    parts = Parts(np.arange(2), places, np.zeros(2, np.int64), np.array([True, False]), np.ones((1, 3)))
+    still = np.zeros((layers, 1, 3))
+    case = Ahead(parts, still, np.full((layers, 1), radius), no, _nowhere(still), nothing, np.zeros(layers))
+    found = np.stack(np.unravel_index(find(GRID, case)[0].indices, GRID.dims))
+    assert np.count_nonzero(found[0] < 13) > 1, "what is likely grows"
+    assert (np.count_nonzero(found[0] > 13) > 1) == grows
+
+
+@pytest.mark.parametrize("find", [layers_of, layers_of_plainly])
 def test_what_accelerates_is_held_as_far_as_that_leads_and_its_rim_is_not(find: Find) -> None:
     layers, no = len(HORIZONS_NS), np.zeros(1, np.bool_)
     places = np.stack([np.full(3, 6), [6, 20, 6]], axis=1).astype(np.int32)

@@ -49,6 +49,7 @@ def layers_of(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     """Every part moved on, widened by the bound and held where it may turn back or swerve, per horizon.
 
     Rims, which only errors of the carving add, go with their parts and are widened little: what moves is elsewhere.
+    Bounds within the rounding to voxels, as those of now are, do not widen them: they are errors already.
     What leaves is outside already, where a wider bound blocks nothing, and what matters is that it may return: it is
     held along all of its way. Compiled; `layers_of_plainly` where that cannot be.
     """
@@ -75,7 +76,7 @@ def layers_of_plainly(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     """What `layers_of` does."""
     parts, still = ahead.parts, np.zeros((len(ahead.started), 1, 3))
     moved = np.concatenate([ahead.displacements, ahead.displacements, still], axis=1)
-    rims = np.minimum(ahead.radii, RIM_RADIUS)
+    rims = np.where(ahead.radii > ROUNDING * grid.voxel_size, np.minimum(ahead.radii, RIM_RADIUS), 0.0)
     radii = np.concatenate([ahead.radii, rims, ahead.started[:, None]], axis=1)
     may_turn = np.append(np.tile(ahead.turning | _leaves(grid, ahead), 2), False)
     points = parts.points_and_rims.beside(ahead.resting, 2 * parts.count)

@@ -83,12 +83,17 @@ class Ways {
     return std::min<int64_t>(static_cast<int64_t>(std::ceil(length / r_.part_size)), r_.most_steps);
   }
 
+  // How far a rim goes beside its part, whose bound is given: nowhere while that is within the rounding to voxels.
+  double rim(double radius) const {
+    return radius > r_.rounding * r_.voxel_size ? std::min(radius, r_.rim_radius) : 0.0;
+  }
+
   void place(int64_t layer) {
     int64_t row = layer * rows_;
     const double *radii = r_.radii + layer * r_.parts;
     for (int64_t part = 0; part < r_.parts; part++) set(row++, displacement(layer, part), 1, radii[part]);
     for (int64_t part = 0; part < r_.parts; part++) {
-      set(row++, displacement(layer, part), 1, std::min(radii[part], r_.rim_radius));
+      set(row++, displacement(layer, part), 1, rim(radii[part]));
     }
     constexpr double kStill[3] = {};
     set(row++, kStill, 1, r_.started[layer]);
@@ -96,7 +101,7 @@ class Ways {
       const double share = 1 - 2.0 * static_cast<double>(step) / static_cast<double>(steps_);
       for (const int64_t part : turning_) set(row++, displacement(layer, part), share, r_.narrower * radii[part]);
       for (const int64_t part : turning_) {
-        set(row++, displacement(layer, part), share, r_.narrower * std::min(radii[part], r_.rim_radius));
+        set(row++, displacement(layer, part), share, r_.narrower * rim(radii[part]));
       }
     }
     for (int64_t step = 1; step <= aside_steps_; step++) {
