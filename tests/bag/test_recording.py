@@ -13,8 +13,9 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log
+from twin_node.bag.latched import standing_before
 from twin_node.bag.repair import repair
-from twin_node.messages import builtin_types, message_type, serialize
+from twin_node.messages import builtin_types, deserialize, message_type, serialize
 
 STRING = "std_msgs/msg/String"
 STEP = 100_000_000
@@ -50,15 +51,20 @@ def test_a_folder_is_split_by_time_and_each_file_stands_alone(tmp_path: Path) ->
         assert sum(1 for _ in bag.messages()) == 29 + 3
 
 
-def test_every_file_has_the_transforms_of_all_their_publishers(tmp_path: Path) -> None:
+@pytest.mark.parametrize("topic", ["/tf_static", "tf_static", "/cell_2/tf_static"])
+def test_every_file_has_the_transforms_of_all_their_publishers(tmp_path: Path, topic: str) -> None:
     """Cameras and robot say theirs each by itself; one that says the same again adds nothing."""
     types = builtin_types()
     with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
         for said in ("cameras", "robot", "cameras"):
-            writer.write("/tf_static", STRING, text(said), STEP, types)
+            writer.write(topic, STRING, text(said), STEP, types, latched=True)
         fill(writer, 15)
     with open_log(tmp_path / "run" / "run_1.mcap") as log:
-        assert [m.message.data for m in log.messages(["/tf_static"])] == ["robot", "cameras", "where things are"]
+        said_again = [m.message.data for m in log.messages([topic])]
+        standing = [deserialize(data, STRING).data for data in standing_before(log, [topic], log.end_ns)[topic]]
+    own = ["where things are"] if topic == "/tf_static" else []
+    assert said_again == ["robot", "cameras", *own]
+    assert standing == said_again
 
 
 def test_topics_of_any_name_may_be_latched(tmp_path: Path) -> None:

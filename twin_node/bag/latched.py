@@ -7,17 +7,20 @@ from collections.abc import Collection, Sequence
 from twin_node.bag.log import LogMessage
 from twin_node.bag.reader import LogReader
 
-OF_SEVERAL = ("/tf_static",)
-"""Latched topics whose last message is not all: each publisher of transforms tells of its own."""
 SEVERAL = 100
 """Messages of such a topic that are kept, the newest."""
 FIRST_REACH_NS = 2_000_000_000
 """How far back a first look goes: twice the period of what is published once a second."""
 
 
+def is_of_several(topic: str) -> bool:
+    """Whether a latched topic's last message is not all: each publisher of transforms tells of its own."""
+    return topic.rpartition("/")[2] == "tf_static"
+
+
 def kept_with(kept: Sequence[bytes], topic: str, data: bytes) -> list[bytes]:
     """What stands of a latched topic once `data` has come: that; of several publishers' also what is not the same."""
-    others = [one for one in kept if one != data] if topic in OF_SEVERAL else []
+    others = [one for one in kept if one != data] if is_of_several(topic) else []
     return [*others, data][-SEVERAL:]
 
 
@@ -34,7 +37,7 @@ def newest_before(log: LogReader, topics: Collection[str], stop_ns: int) -> dict
 
 def standing_before(log: LogReader, topics: Collection[str], stop_ns: int) -> dict[str, list[bytes]]:
     """Latched topic -> what stands of it at a log time, ns, of what was said before: CDR bytes, oldest first."""
-    several = [topic for topic in topics if topic in OF_SEVERAL]
+    several = [topic for topic in topics if is_of_several(topic)]
     newest = newest_before(log, set(topics) - set(several), stop_ns)
     standing = {topic: [bytes(entry.data)] for topic, entry in newest.items()}
     for entry in log.messages(several, stop_ns=stop_ns) if several else ():
