@@ -112,11 +112,11 @@ class _Pace:
         else:
             player, start_ns = _player(decisions, bus, stack)
             self.clock = PacedClock(start_ns, 1.0)
-            self._steps = player.steps(self.clock)
+            self._steps = player.steps(self.clock, TICK_S)
             self._is_waiting_for_arm = True
 
     def end(self, *_: object) -> None:
-        """Let time be up, as a handler of signals; the next SIGINT does not wait for a log's next message."""
+        """Let time be up, as a handler of signals; the next SIGINT waits for nothing."""
         self._is_ended = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -51,15 +52,19 @@ class Player:
         self._topics = topics
         self._span = span
 
-    def steps(self, clock: SteppedClock | PacedClock) -> Iterator[int]:
+    def steps(self, clock: SteppedClock | PacedClock, patience_s: float = math.inf) -> Iterator[int]:
         """Publish the span's messages in the log's order; yields the log time, ns, after each.
 
-        A stepped clock is moved to each message's time, a paced one is waited for.
+        A stepped clock is moved to each message's time, a paced one is waited for: where that takes longer than
+        `patience_s`, the time is yielded so often meanwhile.
         """
         for message in self._log.messages(list(self._topics), self._span.start_ns, self._span.stop_ns):
             if isinstance(clock, SteppedClock):
                 clock.advance_to(message.stamp)
             else:
-                time.sleep(max(0.0, clock.seconds_until(message.stamp)))
+                while (left_s := clock.seconds_until(message.stamp)) > patience_s:
+                    time.sleep(patience_s)
+                    yield clock.now()
+                time.sleep(max(0.0, left_s))
             self._bus.publish(self._topics[message.topic], message.message)
             yield message.stamp

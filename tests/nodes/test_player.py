@@ -1,0 +1,30 @@
+"""A log played onto a bus at its own pace."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from twin_node.bag import LogWriter, open_log
+from twin_node.messages import message_type
+from twin_node.nodes.player import Player, span_of
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import PacedClock
+
+HOUR_NS = 3_600_000_000_000
+
+
+def test_who_is_impatient_is_told_the_time_while_a_log_has_nothing_to_say(tmp_path: Path) -> None:
+    """Whoever plays a log beside other duties, as the driver of an arm does, sees to them in its gaps."""
+    said, spoken = message_type("std_msgs/msg/String"), []
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for stamp in (0, HOUR_NS):
+            writer.write("/chatter", said(data=str(stamp)), stamp)
+    bus, clock = LocalBus(), PacedClock(0, 1.0)
+    bus.subscribe("/chatter", lambda message: spoken.append(message.data))
+    with open_log(tmp_path / "log.mcap") as log:
+        clock.start()
+        steps = Player(log, bus, {"/chatter": "/chatter"}, span_of(log)).steps(clock, patience_s=0.001)
+        times = [next(steps) for _ in range(5)]
+    assert spoken == ["0"]
+    assert times[0] == 0
+    assert 0 < times[1] < times[2] < times[3] < times[4] < HOUR_NS
