@@ -39,6 +39,14 @@ def test_aligned_depth_is_the_cameras(others: dict[str, str], depth: str) -> Non
     assert camera.depth_info == (f"{DEPTH}/camera_info" if depth.startswith(f"{DEPTH}/") else None)
 
 
+def test_colour_images_that_are_taken_for_depth_can_be_renamed() -> None:
+    """All of a cell's topics below a namespace that says depth."""
+    with pytest.raises(GraphError, match=r"says depth is taken for depth.*--remap"):
+        find_cameras({"/depth_rig/left/image_raw": COMPRESSED}, "log")
+    with pytest.raises(GraphError, match="record the cameras too"):
+        find_cameras({"/depth_rig/left/camera_info": CAMERA_INFO}, "log")
+
+
 def foreign_log(path: Path, depth_fx: float) -> Path:
     """One set of a camera whose colour has an fx of 64 pixels of 64; its depth comes with a calibration too."""
     with LogWriter(path) as log:
