@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from twin_node.model.backgrounds import OCCLUSION
 from twin_node.model.deaths import (
-    NEAREST_M,
     REACH,
     SEEN_THROUGH,
     Shapes,
@@ -29,16 +28,16 @@ from twin_node.scene import Bool
 def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
-    `shapes` holds them for each view, turned as in the first: nothing turns much between two views. `carried` [n]
-    says which have a node: a view that shows nothing moving where they reach speaks against them; against others, one
-    that shows the background. That holds at the image's edge too, for what reaches in from beyond.
+    `shapes` holds them for each view, as large as in the first. `carried` [n] says which have a node: a view that shows
+    nothing moving where their centres are speaks against them; against others, one that shows the background. That
+    holds at the image's edge too, for what reaches in from beyond.
     """
     library = kernels()
     if library is None:
         return refuted_moving_plainly(observed, shapes, carried)
     views = _Views(observed, None)
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
-    held = (means, np.ascontiguousarray(shapes[0].quats), np.ascontiguousarray(shapes[0].scales), carried, refuted)
+    held = (means, np.ascontiguousarray(shapes[0].radii), carried, refuted)
     counts = (len(carried), len(observed), thread_count())
     library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *addresses_of(*held)))
     return refuted
@@ -62,7 +61,7 @@ def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], 
 
 
 def _rules(threshold: float) -> DeathRules:
-    return DeathRules(OCCLUSION, SEEN_THROUGH, REACH, NEAREST_M, threshold)
+    return DeathRules(OCCLUSION, SEEN_THROUGH, REACH, threshold)
 
 
 class _Views:

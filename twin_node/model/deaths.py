@@ -7,22 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.geometry import rotation_from_quat
 from twin_node.model.backgrounds import OCCLUSION, on_surface, pixels_reached
 from twin_node.model.observation import Observed
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
-from twin_node.scene import Bool, Camera, Float32, Float64
+from twin_node.scene import Bool, Float32, Float64
 
 SEEN_THROUGH = 0.05
 """Share of its depth by which a measured surface must lie behind a Gaussian to refute it."""
 
 REACH = 2.2
 """Sigmas from its centre at which a tenth of a Gaussian is left."""
-RIM = REACH * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Where a Gaussian is looked for, in sigmas along the axes of its ellipse in the image: its centre and its rim."""
-NEAREST_M = 0.02
-"""Depth under which nothing is in front of a camera, m."""
 
 
 @dataclass(frozen=True)
@@ -31,42 +26,26 @@ class Shapes:
 
     means: Float32
     """[n, 3] m."""
-    quats: Float32
-    """[n, 4] w, x, y, z."""
-    scales: Float32
-    """[n, 3] m."""
-
-    @property
-    def axes(self) -> Float64:
-        """[3, 3, n] m, of 1 sigma: coordinates in `base_link` of the three axes of each."""
-        return np.ascontiguousarray(np.moveaxis(rotation_from_quat(self.quats) * self.scales[:, None, :], 0, -1))
-
-    @property
-    def radii(self) -> Float64:
-        """[n] m, 1 sigma, mean over the axes."""
-        radii: Float64 = self.scales.astype(np.float64).mean(-1)
-        return radii
+    radii: Float64
+    """[n] m, 1 sigma, mean over the axes."""
 
 
 def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
-    `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where they
-    reach speaks against them; against others, one that shows the background. That holds at the image's edge too, for
-    what reaches in from beyond. In NumPy: the reference of `compiled_deaths.refuted_moving`.
+    `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where
+    their centres are speaks against them; against others, one that shows the background. That holds at the image's edge
+    too, for what reaches in from beyond. Rims that hang over are for the fit to mend: what was taken away for that was
+    born again, as a guess. In NumPy: the reference of `compiled_deaths.refuted_moving`.
     """
     refuted = np.zeros(len(carried), bool)
     for one, shape in zip(observed, shapes, strict=True):
         seen = look(one.view.camera, shape.means)
-        surface = (one.background.depth * (1 + OCCLUSION)).ravel()
-        empty = np.concatenate([one.usable & ~one.active, one.usable & ~one.near_moving]).ravel()
-        own = surface.size * carried
-        rim = _around(seen, _half_axes(one.view.camera, shape), one.usable.shape)
-        at_rim = rim.rows * one.usable.shape[1] + rim.columns
-        refuted |= (rim.inside & ~(seen.depth > surface.take(at_rim)) & empty.take(at_rim + own)).any(0)
+        at = seen.rows * one.usable.shape[1] + seen.columns
         looms = ~seen.inside & (pixels_reached(one.view.camera, seen, shape.means, REACH * shape.radii) > 1)
-        at_edge = seen.rows * one.usable.shape[1] + seen.columns
-        refuted |= looms & ~(seen.depth > surface.take(at_edge)) & empty.take(at_edge + own)
+        behind = seen.depth > (one.background.depth * (1 + OCCLUSION)).take(at)
+        empty = one.usable.take(at) & ~np.where(carried, one.near_moving.take(at), one.active.take(at))
+        refuted |= (seen.inside | looms) & ~behind & empty
         refuted |= _seen_through(one, seen)
     return refuted
 
@@ -85,30 +64,6 @@ def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes], threshold
             needed |= seen.inside & seen.within(one.surprise > threshold) & (apart < SEEN_THROUGH * seen.depth)
             refuted |= _seen_through(one, seen)
     return needed & ~refuted
-
-
-def _half_axes(camera: Camera, shape: Shapes) -> Float64:
-    """[2, 2, n] pixels: the long and the short half axis of 1 sigma, (u, v), of the ellipses that a camera sees."""
-    R = camera.viewmat[:3, :3]
-    x, y, z = R @ shape.means.T + camera.viewmat[:3, 3:]
-    z = np.maximum(z, NEAREST_M)
-    axes = (R @ shape.axes.reshape(3, -1)).reshape(shape.axes.shape)
-    u, v = (camera.K[k, k] / z * (axes[k] - at / z * axes[2]) for k, at in ((0, x), (1, y)))
-    uu, uv, vv = (u * u).sum(0), (u * v).sum(0), (v * v).sum(0)
-    middle, apart = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)
-    turn = np.arctan2(2 * uv, uu - vv) / 2
-    way, across = np.stack([np.cos(turn), np.sin(turn)]), np.stack([-np.sin(turn), np.cos(turn)])
-    return np.stack([np.sqrt(middle + apart) * way, np.sqrt(np.maximum(middle - apart, 0)) * across])
-
-
-def _around(seen: Seen, half_axes: Float64, shape: tuple[int, ...]) -> Seen:
-    """[5, n] the pixels at the middles and on the rims of what is seen, of `half_axes` [2, 2, n] px, at one depth."""
-    offsets = (RIM @ half_axes.reshape(2, -1)).reshape(len(RIM), *half_axes.shape[1:])
-    shifts = np.rint(np.clip(offsets, -1e6, 1e6)).astype(np.int64)
-    columns, rows = seen.columns + shifts[:, 0], seen.rows + shifts[:, 1]
-    inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
-    clipped = np.clip(columns, 0, shape[1] - 1), np.clip(rows, 0, shape[0] - 1)
-    return Seen(*clipped, seen.depth, inside & seen.inside)
 
 
 @dataclass(frozen=True)

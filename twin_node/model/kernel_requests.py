@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 19
+INTERFACE_VERSION = 20
 
 
 class MaskRules(ctypes.Structure):
@@ -238,7 +238,7 @@ class SmoothRequest(ctypes.Structure):
 class DeathRules(ctypes.Structure):
     """`model::DeathRules`."""
 
-    _fields_ = tuple((name, c_double) for name in ("occlusion", "seen_through", "reach", "nearest_m", "threshold"))
+    _fields_ = tuple((name, c_double) for name in ("occlusion", "seen_through", "reach", "threshold"))
 
 
 class DeathView(ctypes.Structure):
@@ -259,7 +259,7 @@ class RefutedRequest(ctypes.Structure):
         *((name, c_int32) for name in ("view_count", "threads")),
         ("rules", ctypes.POINTER(DeathRules)),
         ("views", ctypes.POINTER(DeathView)),
-        *((name, c_void_p) for name in ("means", "quats", "scales", "carried", "refuted")),
+        *((name, c_void_p) for name in ("means", "radii", "carried", "refuted")),
     )
 
 

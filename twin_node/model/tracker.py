@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -34,12 +35,19 @@ from twin_node.model.pruning import MovingPruner
 from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
+from twin_node.model.rhythm import Rhythm
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.stages import OnStage, Proceed, granted, unhurried, unwatched
 from twin_node.model.unselected import fit_unselected
 from twin_node.model.upkeep import Seen, Upkeep
 from twin_node.scene import Bool, FrameSet, Tier
 
+STANDING_JUDGED_S, MOVING_JUDGED_S = 0.06, 0.4
+"""Time between two looks for what stands and has left, and for what moves and is seen through, s. Masks err for a few
+sets at a time: what is taken away for that is missed until others are born and fitted."""
+TURNOVER = 0.05
+"""Share of the Gaussians that move that newborns may replace per set where no room is left: they are guesses, and what
+they replace was fitted."""
 HURRIED = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
 NEEDED_LIVES = 6.0
@@ -84,6 +92,14 @@ class _Due:
     """What stood before what moves, and the arm, at each view's time."""
 
 
+class _Room(NamedTuple):
+    """Room for Gaussians that move."""
+
+    most: int
+    left: int
+    """Negative where there are more than `most`."""
+
+
 class Tracker:
     """Keeps Gaussians and nodes up to date with the newest images; a set is `track`."""
 
@@ -110,7 +126,7 @@ class Tracker:
         self._placer = Placer(gaussians, motion)
         self._aligner = Aligner(parameters.track, gaussians, motion.nodes, self._placer, self._bodies)
         self._decisions: list[Decision] = []
-        self._turn = 0
+        self._judging, self._burying = Rhythm(STANDING_JUDGED_S), Rhythm(MOVING_JUDGED_S)
         self._pace = 1.0
         self._born = 0
         self._due: _Due | None = None
@@ -139,7 +155,6 @@ class Tracker:
         """Follows `frames`, taken `dt_s` after the set before."""
         self.refine(on_stage=on_stage)
         born, self._born = self._born, 0
-        self._turn += 1
         cameras, waits = [view.camera for view in frames.views], not self._haste.may_be_late
         backgrounds = self._backgrounds.of(self._gaussians, cameras, waits)
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
@@ -215,11 +230,11 @@ class Tracker:
         return _Aligned(renderings, before, around, told_of)
 
     def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
-        """What the images refute goes: what stands still and what moves in turn, one of the two per set."""
-        if self._turn % 2:
-            self._judge_static(observed, renderings)
-        else:
+        """What the images refute goes: now and then what moves, else what stands, at most one of the two per set."""
+        if self._burying.is_due(self._nodes.stamp):
             self._bury_moving(observed)
+        elif self._judging.is_due(self._nodes.stamp):
+            self._judge_static(observed, renderings)
         g = self._gaussians
         self._house(rows_where(g.alive & g.homeless))
 
@@ -297,11 +312,11 @@ class Tracker:
         g = self._gaussians
         rows = g.moving_rows
         splats = self._placer.place(rows, observed, self._placer.poses(observed))
-        quats, scales = splats.quats[0].cpu().numpy(), splats.scales.cpu().numpy()  # none turns much between two views
-        shapes = [Shapes(means, quats, scales) for means in splats.means.cpu().numpy()]
+        radii = splats.scales.double().mean(-1).cpu().numpy()
+        shapes = [Shapes(means, radii) for means in splats.means.cpu().numpy()]
         carriers = g.nodes.index_select(0, rows).cpu().numpy()
         gone = refuted_moving(observed, shapes, carriers >= 0)
-        gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), shapes[0].radii)
+        gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), radii)
         refuted = g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)
         age_s = (self._nodes.stamp - g.births.index_select(0, rows)).double() * 1e-9
         life_s = self._parameters.birth.transient_s
@@ -328,7 +343,10 @@ class Tracker:
 
     def _bear(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> int:
         """Gaussians and nodes for what `renderings` leave unexplained; returns how many Gaussians."""
-        births = find_births(observed, renderings, self._parameters.track.residual, self._parameters.birth)
+        room = self._room()
+        wanted = min(self._parameters.birth.per_set, max(room.left, int(TURNOVER * room.most), len(observed)))
+        rules = replace(self._parameters.birth, per_set=wanted)
+        births = find_births(observed, renderings, self._parameters.track.residual, rules)
         if not len(births):
             return 0
         self._decisions += self._resting.rouse(births, self._parameters.birth.kin_m)
@@ -338,13 +356,20 @@ class Tracker:
             self._backgrounds.mark()
         return len(store(births, adopted, self._placer.poses(observed), self._nodes, self._gaussians))
 
+    def _room(self) -> _Room:
+        """For what moves."""
+        g = self._gaussians
+        most = min(
+            int(self._parameters.birth.moving_share * g.capacity),
+            g.capacity - len(g.static_rows) - len(g.robot_rows),
+        )
+        return _Room(most, most - len(g.moving_rows))
+
     def _make_room(self, wanted: int) -> None:
         """Retires the moving Gaussians that matter least to the images where `wanted` more would pass the cap."""
-        rows = self._gaussians.moving_rows
-        room = self._gaussians.capacity - len(self._gaussians.static_rows) - len(self._gaussians.robot_rows)
-        limit = min(int(self._parameters.birth.moving_share * self._gaussians.capacity), room)
-        excess = len(rows) + wanted - limit
+        excess = wanted - self._room().left
         if excess > 0:
+            rows = self._gaussians.moving_rows
             least = self._gaussians.influence(rows).argsort(stable=True)[:excess]
             self._gaussians.retire(rows[least])
 

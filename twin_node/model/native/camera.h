@@ -25,13 +25,6 @@ class Pinhole {
 
   double focal() const { return K_[0]; }
 
-  // A direction of the world in the camera's axes.
-  void turn(const double *direction, double *out) const {
-    for (int i = 0; i < 3; i++) {
-      out[i] = m_[4 * i] * direction[0] + m_[4 * i + 1] * direction[1] + m_[4 * i + 2] * direction[2];
-    }
-  }
-
   void to_camera(const double *point, double *out) const {
     for (int i = 0; i < 3; i++) {
       out[i] = m_[4 * i] * point[0] + m_[4 * i + 1] * point[1] + m_[4 * i + 2] * point[2] + m_[4 * i + 3];

@@ -7,7 +7,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 19;
+constexpr int32_t kInterfaceVersion = 20;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -221,7 +221,7 @@ struct SmoothRequest {
 
 // What refutes a Gaussian; see `deaths.py`.
 struct DeathRules {
-  double occlusion, seen_through, reach, nearest_m, threshold;
+  double occlusion, seen_through, reach, threshold;
 };
 
 // One view of what is there, and of the STATIC Gaussians.
@@ -244,8 +244,8 @@ struct RefutedRequest {
   int32_t view_count, threads;
   const DeathRules *rules;
   const DeathView *views;              // [view_count]
-  const float *means;          // [view_count, count, 3] m
-  const float *quats, *scales; // [count, 4] w, x, y, z and [count, 3] m, alike in all views
+  const float *means;                  // [view_count, count, 3] m
+  const double *radii;                 // [count] m, alike in all views
   const uint8_t *carried;              // [count]
   uint8_t *refuted;                    // [count] written
 };
