@@ -107,8 +107,8 @@ class BirthParameters:
     stale_s: float = 0.15
     """The background is learnt anew where it has been wrong for this long and nothing moves."""
     carve_sets: int = 2
-    """Looks in a row in which a camera sees through a Gaussian before it dies. What moves is looked at every 0.4 s, what
-    stands every 0.06 s."""
+    """Looks in a row in which a camera sees through a Gaussian before it dies: every 0.4 s at what moves, every 0.06 s
+    at what stands."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` for a number that is none of its kind."""
