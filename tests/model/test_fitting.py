@@ -127,7 +127,7 @@ def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> Non
     (plain, of_plain), (fused, of_fused) = outcomes
     alike = 1.0 if steps == 1 else 0.98  # the order in depth is that of the first step, which a few Gaussians leave
     assert share_close(of_plain.sheets[0].rgbd, of_fused.sheets[0].rgbd, 0.0, 1e-3) >= alike
-    assert share_close(plain.moment1[rows], fused.moment1[rows], 2e-2, 1e-6) >= alike - 0.1 * (steps > 1)
+    assert share_close(plain.moment1[rows], fused.moment1[rows], 4e-2, 1e-6) >= alike - 0.1 * (steps > 1)
     assert share_close(plain.steps.float(), fused.steps.float(), 0.0, 0.0) >= alike
     assert fused.steps[rows].max() == steps
     moved = plain.moment1.abs() > 1e-5

@@ -23,7 +23,7 @@ RATES[MEAN] = 0.08
 RATES[QUAT] = 5e-3
 RATES[LOG_SCALE] = 1.5e-2
 RATES[LOGIT] = 5e-2
-RATES[RGB] = 1.5e-2
+RATES[RGB] = 8e-3
 """Adam's rate per column; that of the mean is in units of the Gaussian's own size, so that no scene scale is needed."""
 
 

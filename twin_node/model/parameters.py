@@ -53,7 +53,7 @@ class TrackParameters:
     latency_ms: float = 33.0
     """Wished for from a set's newest image to its state. Live, a set that would be later takes fewer steps, where that
     helps and few are late; 0: never. In lockstep nothing is late, and in a process of its own nothing is hurried."""
-    learning_rate: float = 6.0
+    learning_rate: float = 4.0
     """Multiplies all rates of `descending.RATES`."""
     selects: bool = True
     """False: what stands still takes the gradient steps too, on whole images, as methods do that select nothing."""
