@@ -53,6 +53,14 @@ def test_what_moves_is_followed_and_beats_the_frozen_first_set(followed: tuple[W
     assert model.tier_counts[Tier.RIGID] > 20
 
 
+def test_what_moves_in_the_second_set_boards_in_it() -> None:
+    model = WindowModel(QUICK)
+    model.update(frames(0, -0.15, CAMERAS, depth=True))
+    state = model.update(frames(1, -0.08, CAMERAS, depth=True))
+    assert (state.gaussians.tiers == Tier.RIGID).sum() > 10
+    assert len(state.nodes.ids)
+
+
 def test_nodes_carry_the_speed_of_the_block(followed: tuple[WindowModel, list[TwinState]]) -> None:
     _, states = followed
     nodes = states[-1].nodes

@@ -230,11 +230,12 @@ class Tracker:
         return _Aligned(renderings, before, around, told_of)
 
     def _judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
-        """What the images refute goes: now and then what moves, else what stands, at most one of the two per set."""
+        """What the images refute goes: what stands often, for what begins to move must board at once; what moves now
+        and then."""
+        if self._judging.is_due(self._nodes.stamp):
+            self._judge_static(observed, renderings)
         if self._burying.is_due(self._nodes.stamp):
             self._bury_moving(observed)
-        elif self._judging.is_due(self._nodes.stamp):
-            self._judge_static(observed, renderings)
         g = self._gaussians
         self._house(rows_where(g.alive & g.homeless))
 
