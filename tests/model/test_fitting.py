@@ -100,7 +100,10 @@ def test_more_pixels_take_fewer_steps(share: float, steps: int) -> None:
     assert affordable_steps(1, masks) == 1
 
 
-@pytest.mark.parametrize(("steps", "decays"), [(1, QUICK), (3, QUICK), (3, splat.Decays())])
+@pytest.mark.parametrize(
+    ("steps", "decays"),
+    [(1, QUICK), (2, QUICK), (3, splat.Decays(0.8, 0.95)), (3, splat.Decays())],  # moments that remember, as steps part
+)
 def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> None:
     if not splat.can_descend(torch.device("cpu")):
         pytest.skip("the compiled library is not at hand")
@@ -127,7 +130,7 @@ def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> Non
     (plain, of_plain), (fused, of_fused) = outcomes
     alike = 1.0 if steps == 1 else 0.98  # the order in depth is that of the first step, which a few Gaussians leave
     assert share_close(of_plain.sheets[0].rgbd, of_fused.sheets[0].rgbd, 0.0, 1e-3) >= alike
-    assert share_close(plain.moment1[rows], fused.moment1[rows], 4e-2, 1e-6) >= alike - 0.1 * (steps > 1)
+    assert share_close(plain.moment1[rows], fused.moment1[rows], 2e-2, 1e-6) >= alike - 0.1 * (steps > 1)
     assert share_close(plain.steps.float(), fused.steps.float(), 0.0, 0.0) >= alike
     assert fused.steps[rows].max() == steps
     moved = plain.moment1.abs() > 1e-5
