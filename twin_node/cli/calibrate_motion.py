@@ -81,8 +81,9 @@ def _add_clock_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _hand_eye(options: argparse.Namespace) -> None:
-    from twin_node.rig.calibrate.hand_eye import HandEyeParameters, Mount, solve_hand_eye
+    from twin_node.rig.calibrate.hand_eye import Mount, solve_hand_eye
     from twin_node.rig.calibrate.hand_eye_files import detect_target, read_stops
+    from twin_node.rig.calibrate.hand_eye_fit import HandEyeParameters
     from twin_node.robot import arm_model
 
     stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 from simulated_boards import a_lens, picture
 
@@ -19,9 +20,10 @@ from twin_node.cli import main
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig import RigError, RigFile, load_rig, save_rig
 from twin_node.rig.calibrate.boards import CharucoBoard
-from twin_node.rig.calibrate.hand_eye import HandEyeParameters, HandEyeView, Mount, solve_hand_eye
+from twin_node.rig.calibrate.hand_eye import HandEyeView, Mount, solve_hand_eye
 from twin_node.rig.calibrate.hand_eye_files import detect_target, read_lens, read_stops, read_target
-from twin_node.rig.calibrate.hand_eye_start import target_symmetries
+from twin_node.rig.calibrate.hand_eye_fit import HandEyeFit, HandEyeParameters
+from twin_node.rig.calibrate.hand_eye_start import Stops, target_symmetries
 from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
 from twin_node.scene import Float64, Rig, RigCamera
 
@@ -65,6 +67,29 @@ def test_both_mounts_are_solved(seed: int, mount: Mount) -> None:
     result = solve_hand_eye(CAMERA, OBLONG, views, mount, FIXED)
     assert result.mean_px < 1e-3
     np.testing.assert_allclose(result.T_carrier_camera, X, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("model", "D"),
+    [
+        ("plumb_bob", (0.05, -0.1, 0.001, 0.0)),
+        ("rational_polynomial", (0.3, 0.1, 0.001, 0.001, 0.01, 0.5, 0.1, 0.02)),
+        ("equidistant", (-0.03, 0.01, 0.002, 0.0)),
+    ],
+)
+@pytest.mark.parametrize("parameters", [FIXED, HandEyeParameters(refine_scale=False), HandEyeParameters()])
+def test_derivatives_are_those_of_the_residuals(
+    model: str, D: tuple[float, ...], parameters: HandEyeParameters
+) -> None:
+    rng = np.random.default_rng(0)
+    _, views = session(rng, OBLONG, Mount.TARGET, noise_px=0.3, stops=4)
+    stops = Stops(np.stack([view.T_base_flange for view in views]), np.stack([view.pixels for view in views]))
+    stops.pixels[1, :9] = np.nan
+    camera = replace(CAMERA, distortion_model=model, D=np.array(D))
+    fit = HandEyeFit(camera, OBLONG, stops, parameters)
+    for x in (np.zeros(fit.size), rng.normal(0, 0.05, fit.size)):
+        numeric = approx_fprime(x, fit.residuals, 1e-7)
+        np.testing.assert_allclose(fit.jacobian(x), numeric, rtol=1e-3, atol=2e-3)
 
 
 def test_the_stated_error_covers_the_true_one() -> None:

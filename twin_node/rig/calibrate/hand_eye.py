@@ -13,11 +13,11 @@ from enum import Enum
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, pose
-from twin_node.rig.calibrate.hand_eye_start import Loop, Stops, closed_form, numbered_alike, offsets
+from twin_node.geometry import inverse_pose
+from twin_node.rig.calibrate.hand_eye_fit import HandEyeFit, HandEyeParameters
+from twin_node.rig.calibrate.hand_eye_start import Stops, numbered_alike
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, RigCamera
 
@@ -29,20 +29,11 @@ MIN_TURN = np.radians(3)
 """Turns between views below this say more of noise than of an axis."""
 MIN_AXES_SPREAD = 0.02
 """Second-largest share of the axes of turns: below it (8 degrees) the robot has turned about one axis alone."""
-ROBUST_PX = 1.0
-"""Residuals above this count linearly: corners are found to a tenth of it, the arm is true to about as much."""
 OUTLIER = 2.5
 """A view whose mean error is so many times the median view's is left out: its pose or its picture is wrong."""
-FOCAL_SIGMA, CENTRE_SIGMA_PX, DISTORTION_SIGMA = 0.05, 20.0, 0.3
-"""1 sigma of what refined intrinsics may change by: share of the focal length, pixels, coefficients."""
-SCALE_SIGMA = 0.05
-"""1 sigma of the target's printed size: printers that fit to the page are off by a few per cent."""
-
 MOST_OFF = 0.003
 """Half of all corners fit within this share of the focal length (0.17 degrees): an arm whose stops are true to 2 mm and
 0.2 degrees leaves a third of it, another mount than said, or other units, twice as much and more."""
-MOST_STEPS = 200
-"""Of a fit: poses of the pictures take up to 30, others would go on for thousands and be refused in the end."""
 MOST_SIGMA_M = 0.1
 """A camera's place that is open by more than this is none."""
 
@@ -52,16 +43,6 @@ class Mount(Enum):
 
     CAMERA = "camera"
     TARGET = "target"
-
-
-@dataclass(frozen=True)
-class HandEyeParameters:
-    """What is solved for beside the two poses."""
-
-    refine_intrinsics: bool = True
-    """Free the focal lengths, the principal point and the distortion coefficients."""
-    refine_scale: bool = True
-    """Free the size of the target: the robot's own moves are the better ruler."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +121,11 @@ def solve_hand_eye(
     stops = Stops(np.stack(G), np.stack([view.pixels for view in views]))
     if not numbered:
         stops = numbered_alike(camera, target, stops)
-    solution = _Adjustment(camera, target, stops, parameters).solve()
+    solution = HandEyeFit(camera, target, stops, parameters).solve()
     worst = np.nanmean(solution.errors, axis=1)
     kept = worst <= OUTLIER * np.median(worst)
     if not kept.all() and kept.sum() >= MIN_VIEWS:
-        solution = _Adjustment(camera, target, stops.chosen(kept), parameters).solve()
+        solution = HandEyeFit(camera, target, stops.chosen(kept), parameters).solve()
     else:
         kept = np.ones(len(views), dtype=bool)
     refined, X = solution.camera, solution.loop.X
@@ -193,88 +174,3 @@ def _check(target: Float64, views: Sequence[HandEyeView]) -> None:
             f"hand-eye: expected turns of the flange about at least two axes, found {'one' if len(axes) else 'none'}; "
             "add stops with the wrist tilted both ways by 20 degrees or more"
         )
-
-
-@dataclass(frozen=True)
-class _Solution:
-    camera: RigCamera
-    loop: Loop
-    scale: float
-    covariance: Float64
-    errors: Float64
-
-
-class _Adjustment:
-    """Both poses, and the lens and the target's size where asked for, by robust least squares on the reprojection."""
-
-    def __init__(self, camera: RigCamera, target: Float64, stops: Stops, parameters: HandEyeParameters) -> None:
-        self._camera, self._target, self._stops = camera, target, stops
-        self._start = closed_form(camera, target, stops)
-        lens = [FOCAL_SIGMA * camera.K[0, 0]] * 2 + [CENTRE_SIGMA_PX] * 2 + [DISTORTION_SIGMA] * len(camera.D)
-        self._sigmas = np.array([SCALE_SIGMA, *lens])
-        """Of everything beside the poses: the target's scale, fx, fy, cx, cy, then the distortion."""
-        self._free = np.array([parameters.refine_scale] + [parameters.refine_intrinsics] * len(lens))
-
-    def solve(self) -> _Solution:
-        """The best fit and how well it is known."""
-        solved = least_squares(
-            self._residuals,
-            np.zeros(12 + self._free.sum()),
-            loss="soft_l1",
-            tr_solver="lsmr",
-            x_scale="jac",
-            max_nfev=MOST_STEPS,
-        )
-        stops, points, _ = self._stops.pixels.shape
-        covariance = _covariance(np.asarray(solved.jac), np.asarray(solved.fun), stops, 2 * points)
-        distances = np.linalg.norm(self._offsets(solved.x), axis=2)
-        return _Solution(
-            self._lens(solved.x), self._loop(solved.x), self._scale(solved.x), covariance[:6, :6], distances
-        )
-
-    def _residuals(self, x: Float64) -> Float64:
-        priors = self._changes(x) / self._sigmas
-        return np.concatenate([np.nan_to_num(self._offsets(x).ravel()) / ROBUST_PX, priors])
-
-    def _offsets(self, x: Float64) -> Float64:
-        return offsets(self._lens(x), self._target * self._scale(x), self._stops, self._loop(x))
-
-    def _changes(self, x: Float64) -> Float64:
-        out = np.zeros(len(self._sigmas))
-        out[self._free] = x[12:]
-        return out
-
-    def _scale(self, x: Float64) -> float:
-        return float(1 + self._changes(x)[0])
-
-    def _lens(self, x: Float64) -> RigCamera:
-        change = self._changes(x)[1:]
-        K = self._camera.K.copy()
-        K[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
-        return replace(self._camera, K=K, D=self._camera.D + change[4:])
-
-    def _loop(self, x: Float64) -> Loop:
-        return Loop(_nudged(self._start.X, x[:6]), _nudged(self._start.Y, x[6:12]))
-
-
-def _covariance(jac: Float64, residuals: Float64, stops: int, rows: int) -> Float64:
-    """[n, n] of a fit to the residuals [M] of stops, `rows` each, then of priors; `jac` [M, n] as SciPy bends it.
-
-    An arm that errs at a stop moves all corners there alike: stops count as one witness each, and their spread is what
-    the fit would leave over without them (the jackknife; MacKinnon and White, J. Econometrics 1985, HC3 by clusters).
-    """
-    bent = residuals * (1 + residuals**2) ** 0.25  # J^T bent is the slope of the soft L1 cost
-    inverse = np.linalg.pinv(jac.T @ jac)
-    priors = jac[stops * rows :]
-    spread = priors.T @ priors
-    for i in range(stops):
-        own = jac[i * rows : (i + 1) * rows]
-        alone = np.eye(rows) - own @ inverse @ own.T
-        slope = own.T @ np.linalg.lstsq(alone, bent[i * rows : (i + 1) * rows], rcond=1e-9)[0]
-        spread += (stops - 1) / stops * np.outer(slope, slope)
-    return np.asarray(inverse @ spread @ inverse)
-
-
-def _nudged(T: Float64, change: Float64) -> Float64:
-    """A pose turned by a rotation vector (rad) about its own origin, then moved (m), both in the outer frame."""
-    return pose(Rotation.from_rotvec(change[:3]).as_matrix() @ T[:3, :3], T[:3, 3] + change[3:6])

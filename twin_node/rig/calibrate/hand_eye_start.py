@@ -47,10 +47,16 @@ class Stops:
 
 def offsets(camera: RigCamera, target: Float64, stops: Stops, loop: Loop) -> Float64:
     """[N, P, 2] pixels from where the target [P, 3] (m) is seen to where the loop puts it; NaN where it is not seen."""
-    poses = inverse_pose(loop.X) @ stops.carried @ loop.Y
-    points = np.einsum("nij,pj->npi", poses[:, :3, :3], target) + poses[:, None, :3, 3]
+    points = seen_points(target, stops, loop)
     out: Float64 = raw_pixels(camera, points.reshape(-1, 3)).reshape(stops.pixels.shape) - stops.pixels
     return out
+
+
+def seen_points(target: Float64, stops: Stops, loop: Loop) -> Float64:
+    """[N, P, 3] places of the target's points [P, 3] (m) in the optical frame at every stop, as the loop puts them."""
+    poses = inverse_pose(loop.X) @ stops.carried @ loop.Y
+    points: Float64 = target @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    return points
 
 
 def numbered_alike(camera: RigCamera, target: Float64, stops: Stops) -> Stops:
