@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.sparse import csr_array
 
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.course import ACCELERATION, TURN_ACCELERATION, Placed
 from twin_node.rig.calibrate.lenses import project
 from twin_node.rig.calibrate.normal_equations import NOWHERE, NormalEquations
-from twin_node.rig.calibrate.rotations import moved, quat_product
+from twin_node.rig.calibrate.rotations import cross_matrix, moved, quat_product
 from twin_node.scene import Bool, Float64
 
 BOARD_TOLERANCE = 0.01
@@ -38,14 +40,13 @@ class Look:
 
     placed: Placed
     """The board at every image's time."""
-    in_rig: Float64
-    """[V, P, 3] corners in the rig's frame, m."""
     residuals: Float64
     """[V, P, 2] found minus projected, pixels."""
     by_point: Float64
     """[V, P, 2, 3] of the projection by the corner's place in the optical frame."""
     by_lens: Float64
-    """[V, P, 2, L] of the projection by the longest lens's parameters; shorter ones leave zeros."""
+    """[V, P, 2, L] of the projection by the longest lens's parameters; shorter ones leave zeros. L is 0 where they are
+    fixed."""
 
 
 class BundleProblem:
@@ -70,7 +71,10 @@ class BundleProblem:
             options.clocks and moves and cameras > 1,
             len(start.points) if options.board else 0,
         )
-        self._columns = self._outer_columns(max(len(lens.parameters) for lens in start.lenses))
+        self._columns = self._outer_columns(max(self.layout.lens_sizes, default=0))
+        places = self.seen & (self.camera == np.arange(cameras)[:, None])[..., None]
+        self._places = [np.flatnonzero(own) for own in places]
+        """Per camera: [N] of all V * P corners the ones that it found."""
         self._step = _step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
 
@@ -84,16 +88,20 @@ class BundleProblem:
         blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
         placed = state.course.at(blend)
         in_rig = state.points @ placed.rotations.swapaxes(1, 2) + placed.positions[:, None]
-        residuals = np.zeros_like(self._pixels)
+        in_rig, pixels = in_rig.reshape(-1, 3), self._pixels.reshape(-1, 2)
+        residuals = np.zeros_like(pixels)
         by_point = np.zeros((*residuals.shape, 3))
         by_lens = np.zeros((*residuals.shape, self._columns.shape[1] - 8))
-        for i, (lens, T) in enumerate(zip(state.lenses, state.T_cam_rig, strict=True)):
-            where = self.seen & (self.camera == i)[:, None]
-            projection = project(lens, in_rig[where] @ T[:3, :3].T + T[:3, 3])
-            residuals[where] = self._pixels[where] - projection.pixels
-            by_point[where] = projection.by_point
-            by_lens[where, :, : projection.by_lens.shape[-1]] = projection.by_lens
-        return Look(placed, in_rig, residuals, by_point, by_lens)
+        for lens, T, own in zip(state.lenses, state.T_cam_rig, self._places, strict=True):
+            projection = project(lens, in_rig[own] @ T[:3, :3].T + T[:3, 3])
+            residuals[own] = pixels[own] - projection.pixels
+            by_point[own] = projection.by_point
+            if self.layout.lens_sizes:
+                by_lens[own, :, : projection.by_lens.shape[-1]] = projection.by_lens
+        shape = self._pixels.shape
+        return Look(
+            placed, residuals.reshape(shape), by_point.reshape(*shape, 3), by_lens.reshape(*shape, by_lens.shape[-1])
+        )
 
     def cost(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> float:
         """Half the robust sum of squares, in sigmas, of the corners that are kept and of all priors."""
@@ -106,7 +114,8 @@ class BundleProblem:
 
     def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> NormalEquations:
         """The normal equations about a state."""
-        equations = NormalEquations(6 * len(state.course.quats), 23, self.layout.size)
+        reach = 4 if any(stretch.count > 1 for stretch in state.course.stretches) else 1
+        equations = NormalEquations(6 * len(state.course.quats), 6 * reach - 1, self.layout.size)
         square = (look.residuals**2).sum(-1) / noise_px[self.camera, None] ** 2
         weights = np.where(kept, (1 + square / ROBUST_SIGMAS**2) ** -0.25, 0.0) / noise_px[self.camera, None]
         blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
@@ -171,40 +180,51 @@ class BundleProblem:
         """The images `views` of one camera, in the order of the `controls` that their boards' poses are made of."""
         if not len(views):
             return
-        camera, count = self.camera[views[0]], 2 * len(state.points)
-        R_cam_rig, placed = state.T_cam_rig[camera, :3, :3], look.placed
+        camera, placed = self.camera[views[0]], look.placed
         by_point = look.by_point[views] * weights[views, :, None, None]
-        by_rig = (by_point.reshape(-1, 3) @ R_cam_rig).reshape(by_point.shape)
-        by_board = (by_rig.reshape(len(views), count, 3) @ placed.rotations[views]).reshape(by_point.shape)
+        by_rig = by_point @ state.T_cam_rig[camera, :3, :3]
+        by_board = (by_rig.reshape(len(views), -1, 3) @ placed.rotations[views]).reshape(by_point.shape)
         # Where a point x is turned about the origin, a row a of derivatives by its place becomes x cross a.
-        by_pose = np.concatenate([np.cross(state.points[:, None], by_board), by_rig], axis=-1)
-        turned = look.in_rig[views] @ R_cam_rig.T
-        parts = [by_pose.reshape(len(views), count, 6) @ placed.by_control[views]]
-        parts += [np.cross(turned[:, :, None], by_point).reshape(len(views), count, 3)]
-        parts += [by_point.reshape(len(views), count, 3)]
-        flow = by_pose.reshape(len(views), count, 6) @ placed.speeds[views, :, None]
-        parts += [flow, flow * (self._times[views] - state.reference_s)[:, None, None]]
-        parts += [(look.by_lens[views] * weights[views, :, None, None]).reshape(len(views), count, -1)]
-        parts += [(look.residuals[views] * weights[views, :, None]).reshape(len(views), count, 1)]
+        parts = [np.cross(state.points[:, None], by_board), by_rig]
+        parts += [part[views] * weights[views, :, None, None] for part in (look.by_lens, look.residuals[..., None])]
         J = np.concatenate(parts, axis=-1)
+        rows = J.reshape(len(views), -1, J.shape[-1])
+        squares = rows.swapaxes(1, 2) @ rows
+        # An image's whole board moves alike, whatever moves it: the first six columns hold all that there is to know.
+        steered, own = placed.by_control[views].swapaxes(1, 2), self._own_motions(state, placed, views, J.shape[-1])
+        by_own = squares @ own
+        outer_squares = (own.swapaxes(1, 2) @ by_own).sum(0)
+        by_inner = [squares[:, :6, :6] @ placed.by_control[views], by_own[:, :6]]
         groups = np.flatnonzero(np.diff(controls[:, 0], prepend=-1))
-        squares = np.add.reduceat(J.swapaxes(1, 2) @ J, groups)
+        inner_squares = _summed(steered @ np.concatenate(by_inner, axis=2), groups)
         inner = (6 * controls[groups, :, None] + np.arange(6)).reshape(len(groups), 24)
         outer = self._columns[camera]
-        equations.add_inner(inner, squares[:, :24, :24], squares[:, :24, -1])
-        equations.add_outer(outer, squares[:, 24:-1, 24:-1].sum(0), squares[:, 24:-1, -1].sum(0))
-        equations.add_mixed(inner, outer, squares[:, :24, 24:-1])
+        equations.add_inner(inner, inner_squares[:, :, :24], inner_squares[:, :, -1])
+        equations.add_outer(outer, outer_squares[:-1, :-1], outer_squares[:-1, -1])
+        equations.add_mixed(inner, outer, inner_squares[:, :, 24:-1])
         if self.layout.points:
-            each = J.reshape(len(views), -1, 2, J.shape[-1]).swapaxes(2, 3)
-            products = np.add.reduceat(each @ by_board, groups).swapaxes(1, 2)
-            products = products.reshape(*products.shape[:2], -1)  # [G, 24 + m + 1, 3 P]
+            products = np.einsum("vpai,vpaj->vipj", J, by_board).reshape(len(views), J.shape[-1], -1)
+            by_corners = (own.swapaxes(1, 2) @ products).sum(0)
             corners = np.arange(self.layout.corners.start, self.layout.corners.stop)
-            equations.add_mixed(inner, corners, products[:, :24])
-            equations.add_between(outer, corners, products[:, 24:-1].sum(0))
-            own = (by_board.swapaxes(2, 3) @ by_board).sum(0)
-            for corner, square in enumerate(own):
-                equations.add_outer(corners[3 * corner : 3 * corner + 3], square, np.zeros(3))
-            equations.add_outer(corners, np.zeros((len(corners), len(corners))), products[:, -1].sum(0))
+            equations.add_mixed(inner, corners, _summed(steered @ products[:, :6], groups))
+            equations.add_between(outer, corners, by_corners[:-1])
+            alone = np.einsum("vpai,vpaj->pij", by_board, by_board)
+            equations.add_outer(corners, block_diag(*alone), by_corners[-1])
+
+    def _own_motions(self, state: BundleState, placed: Placed, views: NDArray[np.int64], columns: int) -> Float64:
+        """[V, columns, columns + 2] from the board's turn and position to what moves it before one camera.
+
+        That is the camera's pose and clock; what follows, its lens and the residuals, is left as it is.
+        """
+        T = state.T_cam_rig[self.camera[views[0]]]
+        out = np.zeros((len(views), columns, columns + 2))
+        out[:, :3, :3] = (T[:3, :3] @ placed.rotations[views]).swapaxes(1, 2)
+        out[:, 3:6, :3] = (T[:3, :3] @ cross_matrix(placed.positions[views])).swapaxes(1, 2)
+        out[:, 3:6, 3:6] = T[:3, :3].T
+        out[:, :6, 6] = placed.speeds[views]
+        out[:, :6, 7] = placed.speeds[views] * (self._times[views] - state.reference_s)[:, None]
+        out[:, 6:, 8:] = np.eye(columns - 6)
+        return out
 
     def _roughness(self, state: BundleState) -> Float64:
         """[B, 7] second differences of the course's control quaternions and positions, in sigmas."""
@@ -249,6 +269,15 @@ class BundleProblem:
             columns = np.arange(layout.corners.start, layout.corners.stop)
             off = (state.points - self._start.points).ravel() / self._tolerance**2
             equations.add_outer(columns, np.eye(len(columns)) / self._tolerance**2, -off)
+
+
+def _summed(values: Float64, groups: NDArray[np.int64]) -> Float64:
+    """[G, ...] sums of values [V, ...] from each of the rows `groups` to the next."""
+    if len(groups) == len(values):
+        return values
+    counts = np.append(groups, len(values))
+    adder = csr_array((np.ones(len(values)), np.arange(len(values)), counts))
+    return np.asarray(adder @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
 def _step(points: Float64) -> float:

@@ -119,7 +119,9 @@ def calibrate_lens(
             break
         used, more = _usable(board, [_thinned(v, own) for v, own in zip(used, kept, strict=True)], "fits no other view")
         dropped += more
-    return _refined(board, used, _solve(board, used, size, model, source), dropped)
+    else:
+        solution = _solve(board, used, size, model, source)
+    return _refined(board, used, solution, dropped)
 
 
 def usable(board: Board, corners: Corners) -> bool:

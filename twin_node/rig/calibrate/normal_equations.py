@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.sparse import csc_array
 
 from twin_node.scene import Float64
 
 NOWHERE = -1
-"""Column of what is not an unknown."""
+"""Outer column of what is not an unknown."""
 
 HELD = 1e-6
 """Weight with which inner unknowns are held that nothing speaks of: a board's course where all images were misread."""
@@ -24,55 +25,55 @@ class NormalEquations:
 
     def __init__(self, inner: int, band: int, outer: int) -> None:
         """`inner`: unknowns of which no block holds two more than `band` apart; `outer`: all others."""
-        self._band = band
-        # One more of each, at the end, takes what goes nowhere.
-        self._A = np.zeros((inner + 1, band + 1))
-        self._B = np.zeros((inner + 1, outer + 1))
+        self._A = np.zeros((inner, band + 1))
+        self._a = np.zeros(inner)
+        # One more outer unknown, at the end, takes what goes nowhere.
+        self._B = np.zeros((inner, outer + 1))
         self._C = np.zeros((outer + 1, outer + 1))
-        self._a = np.zeros(inner + 1)
         self._c = np.zeros(outer + 1)
 
     def add_inner(self, columns: NDArray[np.int64], squares: Float64, slopes: Float64) -> None:
         """Blocks [V, n, n] and [V, n] at rising inner columns [V, n]."""
         np.add.at(self._a, columns, slopes)
         lower = columns[:, :, None] - columns[:, None, :]
-        rows = np.broadcast_to(columns[:, None, :], lower.shape)
-        kept = (lower >= 0) & (columns[:, None, :] >= 0)
-        np.add.at(self._A, (rows[kept], lower[kept]), squares[kept])
+        kept = lower >= 0
+        places = (columns[:, None, :] * self._A.shape[1] + lower)[kept]
+        self._A += np.bincount(places, squares[kept], self._A.size).reshape(self._A.shape)
 
     def add_outer(self, columns: NDArray[np.int64], squares: Float64, slopes: Float64) -> None:
-        """A block [m, m] and [m] at outer columns [m]."""
-        np.add.at(self._c, columns, slopes)
-        np.add.at(self._C, (columns[:, None], columns), squares)
+        """A block [m, m] and [m] at outer columns [m], all others than each other."""
+        self._c[columns] += slopes
+        self._C[columns[:, None], columns] += squares
 
     def add_between(self, rows: NDArray[np.int64], columns: NDArray[np.int64], products: Float64) -> None:
         """A block [m, n] between outer unknowns [m] and others [n]."""
-        np.add.at(self._C, (rows[:, None], columns), products)
-        np.add.at(self._C, (columns[:, None], rows), products.T)
+        self._C[rows[:, None], columns] += products
+        self._C[columns[:, None], rows] += products.T
 
     def add_mixed(self, inner: NDArray[np.int64], outer: NDArray[np.int64], products: Float64) -> None:
-        """Blocks [V, n, m] at inner columns [V, n] and outer columns [m]."""
-        np.add.at(self._B, (inner[:, :, None], outer), products)
+        """Blocks [V, n, m] at inner columns [V, n] and outer columns [m], these all others than each other."""
+        adder = csc_array((np.ones(inner.size), inner.ravel(), np.arange(inner.size + 1)), (len(self._B), inner.size))
+        self._B[:, outer] += adder @ products.reshape(inner.size, -1)
 
     @property
     def slopes(self) -> tuple[Float64, Float64]:
         """J^T r of the inner and the outer unknowns."""
-        return self._a[:-1], self._c[:-1]
+        return self._a, self._c[:-1]
 
     def solution(self, damping: float) -> tuple[Float64, Float64]:
         """Changes of the inner and the outer unknowns that the slopes call for, the diagonal raised by a share."""
-        A, B, C = self._A[:-1].T.copy(), self._B[:-1, :-1], self._C[:-1, :-1].copy()
+        A, B, C = self._A.T.copy(), self._B[:, :-1], self._C[:-1, :-1].copy()
         A[0] = A[0] * (1 + damping) + HELD
         C[np.diag_indices_from(C)] *= 1 + damping
         factor = (cholesky_banded(A, lower=True), True)
-        reach = cho_solve_banded(factor, np.concatenate([B, self._a[:-1, None]], axis=1))
+        reach = cho_solve_banded(factor, np.concatenate([B, self._a[:, None]], axis=1))
         schur = C - B.T @ reach[:, :-1]
         outer = np.asarray(cho_solve(cho_factor(schur), self._c[:-1] - B.T @ reach[:, -1]))
         return np.asarray(reach[:, -1] - reach[:, :-1] @ outer), outer
 
     def outer_covariance(self) -> Float64:
         """[outer, outer] inverse of the Schur complement."""
-        A, B, C = self._A[:-1].T.copy(), self._B[:-1, :-1], self._C[:-1, :-1]
+        A, B, C = self._A.T.copy(), self._B[:, :-1], self._C[:-1, :-1]
         A[0] += HELD
         reach = cho_solve_banded((cholesky_banded(A, lower=True), True), B)
         return np.asarray(np.linalg.pinv(C - B.T @ reach, hermitian=True))
