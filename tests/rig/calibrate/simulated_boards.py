@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -74,18 +75,31 @@ def _aprilgrid(board: AprilGrid, border: int = 2) -> Texture:
     return Texture(image, np.array([scale, -scale]), origin)
 
 
+@cache
+def blurred_texture_of(board: Board) -> Texture:
+    """A board's picture as blurred as lenses leave it."""
+    texture = texture_of(board)
+    return replace(texture, image=cv2.GaussianBlur(texture.image, (0, 0), 1.5))
+
+
+@cache
+def rays_of_all_pixels(width: int, height: int, model: str, parameters: tuple[float, ...]) -> Float64:
+    """[width * height, 3] rays (x/z, y/z, 1), row by row, of a lens."""
+    lens = Lens(width, height, np.eye(3), model, np.zeros(0)).with_parameters(np.array(parameters))
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    rays = rays_of(lens, np.stack([u.ravel(), v.ravel()], axis=1))
+    return np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+
+
 def picture(board: Board, lens: Lens, T_cam_board: Float64, noise: float = 2.0) -> UInt8:
     """What a camera sees of a board in front of grey."""
-    texture = texture_of(board)
-    v, u = np.mgrid[: lens.height, : lens.width].astype(np.float64)
-    rays = rays_of(lens, np.stack([u.ravel(), v.ravel()], axis=1))
-    rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    texture = blurred_texture_of(board)
+    rays = rays_of_all_pixels(lens.width, lens.height, lens.model, tuple(lens.parameters.tolist()))
     T = inverse_pose(T_cam_board)
     origin, directions = T[:3, 3], rays @ T[:3, :3].T
     on_board = origin + directions * (-origin[2] / directions[:, 2])[:, None]
     at = ((on_board[:, :2] - texture.origin) * texture.scale).astype(np.float32).reshape(lens.height, lens.width, 2)
-    blurred = cv2.GaussianBlur(texture.image, (0, 0), 1.5)
-    seen = cv2.remap(blurred, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(128,))
+    seen = cv2.remap(texture.image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(128,))
     rng = np.random.default_rng(0)
     return np.clip(seen + rng.normal(0, noise, seen.shape), 0, 255).astype(np.uint8)
 

@@ -48,7 +48,8 @@ class Ground:
 
     def pixels(self, camera: RigCamera, sheet: Float64) -> Float64:
         """Raw pixels [N, 2] at which a camera sees sheet pixels [N, 2]; far off the image for those behind it."""
-        local = transform(inverse_pose(camera.T_base_cam), self.points(sheet))
+        T = inverse_pose(camera.T_base_cam)
+        local = sheet @ (self.pixel_m * self.axes @ T[:3, :3].T) + transform(T, self.origin)
         out = raw_pixels(camera, local)
         out[local[:, 2] <= 0] = -1e6
         return out

@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import Sighting
+from twin_node.rig.calibrate.lens import raw_pixels
 from twin_node.rig.calibrate.lenses import Lens, lens_of, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.rig_start import set_stamps, simultaneous
 from twin_node.rig.calibrate.rotations import cross_matrix, turning
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
-from twin_node.scene import Float64, Rig
+from twin_node.scene import Float64, Rig, RigCamera
 
 BEHIND_PX = 1e4
 """What a corner counts that a camera would have to see behind itself: more than any image is wide."""
@@ -133,28 +134,28 @@ class _Eyes:
 
     points: Float64
     """[P, 3] corners of the board, m."""
-    lenses: tuple[Lens, ...]
+    cameras: tuple[RigCamera, ...]
     T_cam_base: Float64
     """[C, 4, 4]."""
 
     @classmethod
     def of(cls, board: Board, rig: Rig) -> _Eyes:
         T_base_cam = np.stack([camera.T_base_cam for camera in rig.cameras])
-        return cls(board.points, tuple(map(lens_of, rig.cameras)), inverse_pose(T_base_cam))
+        return cls(board.points, rig.cameras, inverse_pose(T_base_cam))
 
     def residuals(self, sightings: Sequence[Sighting], places: Sequence[Float64 | None]) -> list[Float64]:
         """Per sighting [N, 2] found minus projected, pixels, the board lying at a place `T_base_board` of its own."""
         out: list[Float64] = [np.zeros((0, 2))] * len(sightings)
-        for camera, lens in enumerate(self.lenses):
-            rows = [row for row, sighting in enumerate(sightings) if sighting.camera == camera]
+        for number, camera in enumerate(self.cameras):
+            rows = [row for row, sighting in enumerate(sightings) if sighting.camera == number]
             if not rows:
                 continue
             seen = [sightings[row].corners for row in rows]
             counts = [len(corners.ids) for corners in seen]
-            T = np.repeat(self.T_cam_base[camera] @ np.array([places[row] for row in rows]), counts, axis=0)
+            T = np.repeat(self.T_cam_base[number] @ np.array([places[row] for row in rows]), counts, axis=0)
             corners = self.points[np.concatenate([corners.ids for corners in seen])]
             local = (T[:, :3, :3] @ corners[:, :, None])[:, :, 0] + T[:, :3, 3]
-            offset = np.concatenate([corners.pixels for corners in seen]) - project(lens, local).pixels
+            offset = np.concatenate([corners.pixels for corners in seen]) - raw_pixels(camera, local)
             offset = np.where(local[:, 2:] <= 0, BEHIND_PX, np.clip(offset, -BEHIND_PX, BEHIND_PX))
             offset = np.nan_to_num(offset, nan=BEHIND_PX)
             for row, own in zip(rows, np.split(offset, np.cumsum(counts)[:-1]), strict=True):
@@ -169,7 +170,7 @@ class _Eyes:
             T = self.T_cam_base[sighting.camera] @ start
             turned = self.points[sighting.corners.ids] @ rotation.T
             local = transform(T, turned + step[3:])
-            seen = project(self.lenses[sighting.camera], local)
+            seen = project(lens_of(self.cameras[sighting.camera]), local)
             by_step = np.concatenate([-cross_matrix(turned) @ back, np.broadcast_to(np.eye(3), (len(turned), 3, 3))], 2)
             told = (np.abs(sighting.corners.pixels - seen.pixels) < BEHIND_PX) & (local[:, 2:] > 0)
             slopes.append(np.where(told[:, :, None], -seen.by_point @ T[:3, :3] @ by_step, 0.0))
