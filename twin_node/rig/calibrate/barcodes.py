@@ -83,14 +83,15 @@ class Barcodes:
         bins = [_half_planes(a, b, self._rays(i, rig.cameras[i]), self._shapes[i][1]) for i in pair]
         size = 1 + max((int(own.max()) for own in bins if len(own)), default=0)
         common = np.all([np.bincount(own, minlength=size) >= LEAST_PIXELS for own in bins], axis=0)
-        counts = np.zeros((len(self._moving), 4))
-        if common.sum() < LEAST_PLANES:
+        counts, planes = np.zeros((len(self._moving), 4)), np.count_nonzero(common)
+        if planes < LEAST_PLANES:
             return counts
         for row, moving in zip(counts, self._moving, strict=True):
             if pair[0] in moving and pair[1] in moving:
                 in_a, in_b = (_hit(own[moving[i]], size)[common] for own, i in zip(bins, pair, strict=True))
-                row[:] = [(x & y).mean() for x in (in_a, ~in_a) for y in (in_b, ~in_b)]
-        return counts
+                both, first, second = (np.count_nonzero(hit) for hit in (in_a & in_b, in_a, in_b))
+                row[:] = both, first - both, second - both, planes - first - second + both
+        return counts / planes
 
 
 def _identity(camera: RigCamera) -> bytes:
@@ -109,8 +110,10 @@ def _moving(images: Sequence[dict[int, UInt8]], cameras: int) -> list[dict[int, 
     for i in range(cameras):
         own = [(number, row[i]) for number, row in enumerate(images) if i in row]
         still = np.median([image for _, image in own], axis=0) if own else np.zeros(0)
+        bounds = np.ceil(still - MOVING_LEVELS), np.floor(still + MOVING_LEVELS)
+        low, high = (np.clip(bound, 0, 255).astype(np.uint8) for bound in bounds)
         for number, image in own:
-            off = np.abs(image.astype(np.int16) - still).max(-1) > MOVING_LEVELS
+            off = cv2.inRange(image, low, high) == 0
             mask = cv2.morphologyEx(off.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
             if mask.mean() > LEAST_MOVING:
                 found[number][i] = np.flatnonzero(mask)

@@ -241,17 +241,17 @@ def _match(
     there = (v[rows] * camera.width + u[rows]).astype(np.int64)
     known = other.known.ravel()[there]
     rows, there = rows[known], there[known]
-    normals = other.normals.reshape(-1, 3)[there]
-    gaps = np.einsum("ni,ni->n", local[rows] - other.points.reshape(-1, 3)[there], normals)
-    alike = np.einsum("ni,ni->n", own.normals[rows] @ T_b_a[:3, :3].T, normals) > ALIKE
+    normals, surface = (field.reshape(-1, 3).take(there, axis=0) for field in (other.normals, other.points))
+    gaps = np.einsum("ni,ni->n", local.take(rows, axis=0) - surface, normals)
+    alike = np.einsum("ni,ni->n", own.normals.take(rows, axis=0) @ T_b_a[:3, :3].T, normals) > ALIKE
     kept = alike & (np.abs(gaps) < GATES_M[level])
     rows, R = rows[kept], poses[b, :3, :3]
-    projection = project(lens_of(camera), local[rows])
+    projection = project(lens_of(camera), local.take(rows, axis=0))
     seen = _sampled(other.patterns[level], projection.pixels[:, None] + AROUND_PX)
     by_pixel = np.stack([seen[:, 1] - seen[:, 2], seen[:, 3] - seen[:, 4]], axis=1)
     slopes = np.einsum("ni,nij->nj", by_pixel, projection.by_point)
     contrasts = seen[:, 0] - own.patterns[level][rows]
-    places = transform(poses[a], own.points[rows])
+    places = transform(poses[a], own.points.take(rows, axis=0))
     return _Match(a, b, places, normals[kept] @ R.T, gaps[kept], slopes @ R.T, contrasts)
 
 
@@ -270,18 +270,24 @@ def _system(matches: Sequence[_Match], poses: Float64) -> tuple[Float64, Float64
         if not len(match.gaps):
             continue
         own = np.r_[6 * match.a : 6 * match.a + 6, 6 * match.b : 6 * match.b + 6]
+        by_poses = _apart(poses[match.a], poses[match.b])
         for directions, off, least in (
             (match.normals, match.gaps, SURFACE_SIGMA_M),
             (match.slopes, match.contrasts, CONTRAST_SIGMA),
         ):
             sigma = max(1.4826 * float(np.median(np.abs(off))), least)
             weights = 1 / np.sqrt(1 + (off / sigma / ROBUST_SIGMAS) ** 2) / sigma**2 / TOGETHER
-            about = np.cross(match.places, directions)
-            turns = [about - directions @ cross_matrix(poses[i, :3, 3]).T for i in (match.a, match.b)]
-            J = np.hstack([turns[0], directions, -turns[1], -directions])
-            H[np.ix_(own, own)] += J.T @ (J * weights[:, None])
-            g[own] -= J.T @ (weights * off)
+            J = np.hstack([np.cross(match.places, directions), directions])
+            weighted = J * weights[:, None]
+            H[np.ix_(own, own)] += by_poses.T @ (J.T @ weighted) @ by_poses
+            g[own] -= by_poses.T @ (off @ weighted)
     return H, g
+
+
+def _apart(a: Float64, b: Float64) -> Float64:
+    """[6, 12] motion between surfaces, a turn about the base's origin and a shift, by changes of poses [4, 4]."""
+    one, none = np.eye(3), np.zeros((3, 3))
+    return np.block([[one, none, -one, none], [cross_matrix(a[:3, 3]), one, -cross_matrix(b[:3, 3]), -one]])
 
 
 def _pairs(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from twin_node.rig.errors import RigError
@@ -64,7 +65,7 @@ def _still(camera: RigCamera, views: list[View]) -> Still:
     median = np.median(stack, axis=0).astype(np.uint8)
     near = np.zeros(median.shape[:2])
     for image in stack:
-        near += np.abs(image.astype(np.int16) - median).max(-1) < STILL_LEVELS
+        near += cv2.inRange(cv2.absdiff(image, median), (0, 0, 0), (STILL_LEVELS - 1,) * 3) > 0
     return Still(camera, median, near > STILL_SHARE * len(stack), _median_depth(views))
 
 
