@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,8 @@ SECONDS = 6.0
 CLOCKS_S = (0.0, 0.05, -0.03)
 
 
-def a_rig(seed: int, cameras: int = 3, outliers: float = 0.2) -> list[CameraRecording]:
+@cache
+def a_rig(seed: int, cameras: int = 3, outliers: float = 0.2) -> tuple[CameraRecording, ...]:
     rng = np.random.default_rng(seed)
     lenses = [a_lens(focal=rng.uniform(450, 700)) for _ in range(cameras)]
     spoiled = [Spoiled(0.2, outliers, CLOCKS_S[i % 3]) for i in range(cameras)]
@@ -35,7 +38,7 @@ def a_rig(seed: int, cameras: int = 3, outliers: float = 0.2) -> list[CameraReco
         record(BOARD, lens, T, f"cam{i}", rng, spoiled[i], seconds=SECONDS)
         for i, (lens, T) in enumerate(zip(lenses, around(cameras), strict=True))
     ]
-    return [replace(camera, lens=lens) for camera, lens in zip(made, lenses, strict=True)]
+    return tuple(replace(camera, lens=lens) for camera, lens in zip(made, lenses, strict=True))
 
 
 def errors_of(solution: RigSolution) -> Float64:
@@ -182,12 +185,17 @@ def test_a_camera_that_a_check_cannot_judge_is_named(solution: RigSolution) -> N
         common_sightings(BOARD, replace(rig, cameras=(larger, *rig.cameras[1:])), recordings)
 
 
-@pytest.mark.parametrize("fault", ["seconds off", "jumps", "backwards", "too fast"])
-def test_stamps_of_other_moments_are_refused(fault: str) -> None:
-    first, second, third = (
+@pytest.fixture(scope="module")
+def true_stamps() -> list[CameraRecording]:
+    return [
         replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i), seconds=20.0), lens=a_lens())
         for i, T in enumerate(around(3))
-    )
+    ]
+
+
+@pytest.mark.parametrize("fault", ["seconds off", "jumps", "backwards", "too fast"])
+def test_stamps_of_other_moments_are_refused(fault: str, true_stamps: list[CameraRecording]) -> None:
+    first, second, third = true_stamps
     half = np.arange(len(third.stamps)) >= len(third.stamps) // 2
     wrong = {
         "seconds off": replace(third, stamps=third.stamps + 4 * 10**9),
@@ -246,7 +254,7 @@ def test_stills_taken_at_once_need_no_clocks() -> None:
         ([replace(a_rig(0)[0], found=(None,) * 60, lens=None), a_rig(0)[1]], BOARD, "camera cam0"),
     ],
 )
-def test_what_cannot_be_calibrated_is_refused(cameras: list[CameraRecording], board: Board, message: str) -> None:
+def test_what_cannot_be_calibrated_is_refused(cameras: Sequence[CameraRecording], board: Board, message: str) -> None:
     with pytest.raises(RigError, match=message):
         calibrate_rig(board, cameras)
 
