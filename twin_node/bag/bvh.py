@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from twin_node.bag.log import BagError
 from twin_node.bag.trajectories import Trajectories, checked, number, read_lines
 from twin_node.scene import Float64
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
@@ -127,6 +130,8 @@ def _motion(path: Path, lines: list[str], start: int, channels: int) -> tuple[Fl
 
 def _positions(joints: list[BvhJoint], values: Float64) -> Float64:
     """Positions [T, joints, 3] by forward kinematics, in the file's unit."""
+    from scipy.spatial.transform import Rotation  # loads slowly, and few read such files
+
     frames = len(values)
     positions = np.zeros((frames, len(joints), 3))
     turns: list[Rotation] = []

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from twin_node.cell.errors import CellError
 from twin_node.geometry import pose
 from twin_node.scene import Float64
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -60,10 +62,14 @@ class Path:
 
     @cached_property
     def _spline(self) -> CubicSpline:
+        from scipy.interpolate import CubicSpline  # loads slowly, and who only reads a scenario never asks
+
         return CubicSpline(self.times_s, self._knots, bc_type="clamped")
 
     def pose(self, t: float) -> Float64:
         """Pose [4, 4] in `base_link` at `t` seconds after the start."""
+        from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
+
         values = self._values(t)
         return pose(Rotation.from_euler("xyz", values[3:], degrees=True).as_matrix(), values[:3])
 

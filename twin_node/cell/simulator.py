@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from twin_node.cell.raycast import RayCaster
 from twin_node.cell.renderer import Renderer, Rendering
@@ -106,6 +105,8 @@ class SimulatedRig:
     def _renderer_of(self, fault: Fault) -> Renderer:
         """That of a bumped camera, made once."""
         if fault not in self._bumped:
+            from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
+
             camera = next(camera for camera in self.cameras if camera.name == fault.camera)
             turn = np.eye(4)
             turn[:3, :3] = Rotation.from_euler("y", fault.turn_deg, degrees=True).as_matrix()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from twin_node.cell.scenario import Body
 from twin_node.cell.shapes import Form, Placed, Shape
@@ -26,6 +25,8 @@ class Solid:
 
 def body_solids(body: Body, T_base_body: Float64, owner: int) -> list[Solid]:
     """The parts of a body at pose [4, 4]."""
+    from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
+
     solids = []
     for part in body.parts:
         T = pose(Rotation.from_euler("xyz", part.rpy_deg, degrees=True).as_matrix(), np.array(part.position))

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from twin_node.forecast.bits import Masks, all_told
 from twin_node.forecast.kernel_requests import GrowRequest
@@ -132,6 +131,8 @@ def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach:
 
 
 def _layer_plainly(grid: Grid, places: NDArray[np.int32], reach: UInt16, core_points: Bool) -> Spread:
+    from scipy.ndimage import distance_transform_edt  # loads slowly, and kernels do without
+
     reached, core = np.zeros((2, *grid.dims), np.bool_)
     dims = np.array(grid.dims)[:, None]
     for level in np.unique(reach):

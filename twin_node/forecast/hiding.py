@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twin_node.forecast.bits import WORD, Bits, Words
 from twin_node.forecast.bound import PERSON_SPEED
@@ -166,6 +165,8 @@ def _ways(grid: Grid, unknown: Words, moving: Words, standing: Words) -> Bool:
 
 def _spread(grid: Grid, ages: Float32, elapsed_s: float, ways: Bool, moving: Words) -> Float32:
     """How long ago each cell was reached by what is attached, s; `_NEVER` where that is over, or never was."""
+    from scipy import ndimage  # loads slowly, and who only reads parameters never asks
+
     ages[_halved(grid, moving)] = 0
     for face in (ages[0], ages[-1], ages[:, 0], ages[:, -1], ages[:, :, -1]):
         face[...] = 0

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.part_requests import NearestRequest
@@ -49,6 +48,8 @@ def _nearest_by(compiled: Kernels, points: Float64, among: Float64, count: int, 
 
 def nearest_plainly(points: Float64, among: Float64, count: int = 1, within: float = np.inf) -> Nearest:
     """What `nearest` does, by a tree for each group."""
+    from scipy.spatial import cKDTree  # loads slowly, and kernels do without
+
     if among.ndim > 2:
         groups = [nearest_plainly(points, group, count, within) for group in among]
         return Nearest(np.stack([group.distances for group in groups]), np.stack([group.rows for group in groups]))

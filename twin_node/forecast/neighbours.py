@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from twin_node.scene import Float64
 
@@ -35,6 +33,8 @@ class Neighbours:
 
     def __init__(self, positions: Float64, near: Closest | None = None) -> None:
         """`positions` [M, 3] m; `near`: what `closest` says of them, if that is known."""
+        from scipy.spatial.distance import cdist  # loads slowly, and who only reads parameters never asks
+
         count = len(positions)
         distances, self._nearest = closest(positions) if near is None else near
         self._near_weights = _weights(distances**2, NEAR_SCALE)
@@ -70,6 +70,8 @@ class Closest(NamedTuple):
 
 def closest(positions: Float64) -> Closest:
     """Of nodes at `positions` [M, 3] (m), those that the nearer average is taken over."""
+    from scipy.spatial import cKDTree  # loads slowly, and who only reads parameters never asks
+
     count = len(positions)
     if count < 2:
         return Closest(np.zeros((count, 1)), np.zeros((count, 1), np.int64))

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
@@ -238,4 +237,6 @@ _LEAST_SPEED = 1e-3
 
 def _nearest(points: Float64, others: Float64) -> NDArray[np.int64]:
     """Row of `others` [m, 3] nearest to each of `points` [n, 3]."""
+    from scipy.spatial.distance import cdist  # loads slowly, and who only reads parameters never asks
+
     return np.asarray(cdist(points, others, "sqeuclidean").argmin(axis=1), dtype=np.int64)

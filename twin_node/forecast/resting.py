@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernel_requests import RestRequest
@@ -68,6 +67,8 @@ class Resting:
 
     def _is_within_reach(self, voxels: NDArray[np.int64], others: NDArray[np.int64]) -> Bool:
         """[n] which `voxels` are at most `LIMB_M` from any of the `others`, to a cell; both are flat indices."""
+        from scipy import ndimage  # loads slowly, and who only reads parameters never asks
+
         if len(voxels) == 0 or len(others) == 0:
             return np.zeros(len(voxels), np.bool_)
         is_apart = np.ones(tuple(-(-size // _CELL) for size in self._grid.dims), np.bool_)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.grid import decode_runs
 from twin_node.geometry import project
@@ -95,6 +94,8 @@ def nearest_error(grid: Grid, layer: OccupancyLayer, points: Float64) -> Float64
     Points outside the grid are left out, and of more than `MOST_POINTS` an even sample is taken; infinite where the
     layer is empty.
     """
+    from scipy.spatial import cKDTree  # loads slowly, and who only reads parameters never asks
+
     places = grid.indices(points)
     kept = np.flatnonzero(places >= 0)
     kept = kept[:: -(-len(kept) // MOST_POINTS) or 1]

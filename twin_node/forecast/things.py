@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from twin_node.forecast.flights import Course
 from twin_node.forecast.kernels import kernels
@@ -206,6 +203,10 @@ def pieces_of(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
 
 def pieces_of_plainly(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
     """What `pieces_of` does."""
+    from scipy.sparse import coo_array  # loads slowly, and kernels do without
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     count, pairs = len(centers), cKDTree(centers).query_pairs(reach, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     pieces: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64)
