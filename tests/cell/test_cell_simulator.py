@@ -56,6 +56,15 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(small: Scenario
         assert np.array_equal(first.depth, same.depth)
 
 
+def test_sets_with_others_left_out_are_the_same(small: Scenario, sets: list[FrameSet]) -> None:
+    some = list(CellSource(small, stride=4))
+    assert [s.sequence for s in some] == [0, 4, 8, 12]
+    for one, same in zip(some, sets[::4], strict=True):
+        assert one.stamp == same.stamp
+        assert all(np.array_equal(a.rgb, b.rgb) for a, b in zip(one.views, same.views, strict=True))
+        assert all(np.array_equal(a.depth, b.depth) for a, b in zip(one.views, same.views, strict=True))
+
+
 def test_noise_is_as_strong_as_the_scenario_says(small: Scenario) -> None:
     rig = SimulatedRig(small)
     exposure = rig.exposures()[0]

@@ -53,6 +53,8 @@ class SimulatedRig:
         self._stamps = self._draw_stamps()
         self._arrivals = self._draw_arrivals()
         self._bumped: dict[Fault, Renderer] = {}
+        self._newest: dict[int, tuple[int, Rendering]] = {}
+        """Per camera, what was asked for last, and when it was seen, ns."""
 
     @property
     def ticks(self) -> int:
@@ -74,8 +76,14 @@ class SimulatedRig:
         return self.see(exposure.camera, exposure.stamp)
 
     def see(self, camera: int, stamp: int) -> Rendering:
-        """The noiseless image of a camera of the rig, where it was calibrated, at any time."""
-        return self._shown(self.renderers[camera], stamp)
+        """The noiseless image of a camera of the rig, where it was calibrated, at any time; to be read only.
+
+        Rendered once where it is asked for twice in a row, as the sensor's and as truth.
+        """
+        newest = self._newest.get(camera)
+        if newest is None or newest[0] != stamp:
+            newest = self._newest[camera] = (stamp, self._shown(self.renderers[camera], stamp))
+        return newest[1]
 
     def take(self, exposure: Exposure) -> RawImage:
         """The image as the camera sends it, with its noise and its faults."""
@@ -92,7 +100,8 @@ class SimulatedRig:
         """What the sensor, which may have been bumped, collects while the shutter is open, as bright as it is set."""
         fault = self._fault(exposure, "bumped")
         renderer = self.renderers[exposure.camera] if fault is None else self._renderer_of(fault)
-        sharp, gain = self._shown(renderer, exposure.stamp), self.scenario.cameras[exposure.camera].gain
+        sharp = self.render(exposure) if fault is None else self._shown(renderer, exposure.stamp)
+        gain = self.scenario.cameras[exposure.camera].gain
         open_ns = self.scenario.sensing.exposure_ms * 1e6
         if open_ns == 0 and gain == 1:
             return sharp
@@ -155,10 +164,14 @@ class SimulatedRig:
 class CellSource:
     """The simulated rig as a source of synchronised sets; see `scene.FrameSource`."""
 
-    def __init__(self, scenario: Scenario, threads: int = 1) -> None:
-        """`threads`: cameras that are rendered at once; the images are the same for any number."""
+    def __init__(self, scenario: Scenario, threads: int = 1, stride: int = 1) -> None:
+        """`threads`: cameras that are rendered at once; the images are the same for any number.
+
+        `stride`: every so many ticks give a set, the same as without.
+        """
         self.simulated = SimulatedRig(scenario)
         self._threads = threads
+        self._stride = stride
 
     @property
     def rig(self) -> Rig:
@@ -171,10 +184,11 @@ class CellSource:
         return self.simulated.cameras
 
     def __iter__(self) -> Iterator[FrameSet]:
-        """One set per tick of the rig; a tick that no camera answers gives none."""
+        """One set per tick of the rig that is wanted; a tick that no camera answers gives none."""
         by_tick: dict[int, list[Exposure]] = {}
         for exposure in self.simulated.exposures():
-            by_tick.setdefault(exposure.tick, []).append(exposure)
+            if exposure.tick % self._stride == 0:
+                by_tick.setdefault(exposure.tick, []).append(exposure)
         arm = self.simulated.world.arm
         with ThreadPoolExecutor(self._threads) as pool:
             for tick in sorted(by_tick):

@@ -166,7 +166,7 @@ def _sets_per_span(parameters: LengthParameters) -> int:
 
 def _spans(parameters: LengthParameters, seed_steps: int) -> Iterator[Span]:
     scenario, narrower = one_box(circling(SPEED), CLIP_S), Narrower(SIZES[parameters.size].width)
-    sets = [narrower.narrowed(one) for one in CellSource(scenario) if one.sequence % parameters.stride == 0]
+    sets = [narrower.narrowed(one) for one in CellSource(scenario, stride=parameters.stride)]
     followed = _Followed(scenario, parameters, seed_steps)
     whole, per_span = parameters.sets, _sets_per_span(parameters)
     laps: list[float] = []

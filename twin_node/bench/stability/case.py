@@ -73,12 +73,10 @@ def run_case(case: Case) -> CaseResult:
     failure = FAILURES[case.failure]
     scenario = failure.scene(case.level, failure.seconds(case.level, case.seconds)).with_seed(case.seed)
     sensing = replace(scenario.sensing, width=case.width, height=round(case.width * HEIGHT / WIDTH))
-    stage = Stage(replace(scenario, sensing=sensing))
+    stage = Stage(replace(scenario, sensing=sensing), case.stride)
     twin = _Followed(stage, case.chain)
     sets = 0
     for shot in stage:
-        if shot.frames.sequence % case.stride:
-            continue
         sets += 1
         rng = np.random.default_rng([case.seed, shot.frames.sequence])
         frames = failure.perturb(shot, case.level, rng)

@@ -29,10 +29,10 @@ class Shot:
 
 
 class Stage:
-    """A scenario's shots in rising order of time."""
+    """A scenario's shots in rising order of time, one of every `stride` sets of the rig."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.source = CellSource(scenario)
+    def __init__(self, scenario: Scenario, stride: int = 1) -> None:
+        self.source = CellSource(scenario, stride=stride)
 
     def __iter__(self) -> Iterator[Shot]:
         rig = self.source.simulated
