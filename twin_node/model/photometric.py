@@ -13,7 +13,7 @@ from twin_node import splat
 from twin_node.model.rendering import Sheet, Splats, by_size, draw
 from twin_node.scene import Bool, Camera, Float32, View
 
-DEPTH_WEIGHT = 0.2
+DEPTH_WEIGHT = 0.05
 """Weight of a metre of depth error beside the photometric loss."""
 
 
@@ -77,13 +77,15 @@ def _weights(views: Sequence[View], counted: Sequence[Bool | None]) -> Float32:
 
 
 def photometric(sheets: Sequence[Sheet], targets: Sequence[Targets]) -> Tensor:
-    """Sum over views of 0.8 L1 + 0.2 (1 - SSIM), and Huber-free L1 on depth where it is measured."""
+    """Sum over views of L1, on depth too where it is measured."""
     total = sheets[0].rgbd.new_zeros(())
     for sheet, target in zip(sheets, targets, strict=True):
         loss = splat.image_loss(
             sheet.rgbd,
             target.rgb,
             weights=target.weights,
+            l1=1.0,
+            ssim=0.0,
             target_depth=target.depth,
             depth_weight=0.0 if target.depth is None else DEPTH_WEIGHT,
         )

@@ -119,7 +119,7 @@ class Course:
 
 
 def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Course) -> Descended:
-    """Takes steps of Adam down `image_loss` (0.8 L1 + 0.2 (1 - SSIM) + depth) of what is seen.
+    """Takes steps of Adam down `image_loss` (L1, of depth too) of what is seen.
 
     Gaussians that nothing pulls at are left alone; those that would not stay finite keep their values and forget their
     moments. Float32 tensors on the CPU.
@@ -229,7 +229,7 @@ class _Call:
         tensors = (self.seen, self.rgb, self.weights, self.depth, self.v_seen, self.loss)
         return native.LossRequest(
             *(times, height, width, 4, thread_count()),
-            *(times * weight for weight in (0.8, 0.2, self.aims.depth_weight)),
+            *(times * weight for weight in (1.0, 0.0, self.aims.depth_weight)),
             *(_pointer(t) for t in tensors),
         )
 

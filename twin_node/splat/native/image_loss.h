@@ -242,44 +242,49 @@ inline Factors factors_of(const LossRequest &r, const LossWorkspace &w) {
 
 inline float sign(float x) { return x > 0.f ? 1.f : (x < 0.f ? -1.f : 0.f); }
 
-// Gradient of row `y` of the box, channel q; returns the row's sum of weighted absolute differences.
-inline float gradient_row(const LossRequest &r, const Factors &f, const Window &window, int index, LossImage &image,
-                          int q, int y, Filtered &filtered) {
+// L1 term of row `y` of the box, value and gradient.
+inline float l1_row(const LossRequest &r, const Factors &f, int index, const LossImage &image, int y) {
+  const int64_t first = (static_cast<int64_t>(index) * r.height + image.y0 + y) * r.width + image.x0;
+  float total = 0.f;
+  for (int64_t at = first; at < first + image.columns(); at++) {
+    const float weight = weight_at(r, at);
+    if (!(weight > 0.f)) continue;
+    for (int q = 0; q < 3; q++) {
+      const float difference = r.render[r.channels * at + q] - r.target[3 * at + q];
+      total += weight * std::fabs(difference);
+      r.gradient[r.channels * at + q] = f.l1 * weight * sign(difference);
+    }
+  }
+  return total;
+}
+
+// Adds the gradient of 1 - SSIM to row `y` of the box, channel q.
+inline void ssim_gradient_row(const LossRequest &r, const Factors &f, const Window &window, int index,
+                              const LossImage &image, int q, int y, Filtered &filtered) {
   const int stride = image.stride;
   const float *weights = &image.weights[static_cast<int64_t>(y) * stride];
-  if (f.ssim != 0.f) {
-    for (int x = 0; x < image.columns() + 2 * kRadius; x += kLanes) {
-      if (!needed(weights, x, image.columns())) continue;
-      for (int map = 0; map < kMaps; map++) {
-        const float *rows = &image.maps[(q * kMaps + map) * image.plane() + static_cast<int64_t>(y) * stride + x];
-        Vec sum{};
-        for (int k = 0; k < kTaps; k++) sum += window.tap[k] * load(rows + k * stride);
-        store(filtered.row(map) + x, sum);
-      }
+  for (int x = 0; x < image.columns() + 2 * kRadius; x += kLanes) {
+    if (!needed(weights, x, image.columns())) continue;
+    for (int map = 0; map < kMaps; map++) {
+      const float *rows = &image.maps[(q * kMaps + map) * image.plane() + static_cast<int64_t>(y) * stride + x];
+      Vec sum{};
+      for (int k = 0; k < kTaps; k++) sum += window.tap[k] * load(rows + k * stride);
+      store(filtered.row(map) + x, sum);
     }
   }
   const int64_t in_plane = q * image.plane() + static_cast<int64_t>(y + kRadius) * stride + kRadius;
   const int64_t first = (static_cast<int64_t>(index) * r.height + image.y0 + y) * r.width + image.x0;
   float *to = r.gradient + first * r.channels + q;
-  Vec total{};
   for (int x = 0; x < image.columns(); x += kLanes) {
-    const Vec weight = load(weights + x);
-    if (!any(gt(weight, Vec{}))) continue;
-    const Vec a = load(&image.x[in_plane + x]), b = load(&image.y[in_plane + x]), difference = a - b;
-    total += weight * abs(difference);
-    const Vec direction =
-        select(gt(difference, Vec{}), broadcast(1.f), select(gt(Vec{}, difference), broadcast(-1.f), Vec{}));
-    Vec gradient = f.l1 * weight * direction;
-    if (f.ssim != 0.f) {
-      const Vec through =
-          filtered.across(window, 0, x) + 2.f * a * filtered.across(window, 1, x) + b * filtered.across(window, 2, x);
-      gradient -= f.ssim * through;
-    }
-    gradient = select(gt(weight, Vec{}), gradient, Vec{});
+    const Mask counts = gt(load(weights + x), Vec{});
+    if (!any(counts)) continue;
+    const Vec a = load(&image.x[in_plane + x]), b = load(&image.y[in_plane + x]);
+    const Vec through =
+        filtered.across(window, 0, x) + 2.f * a * filtered.across(window, 1, x) + b * filtered.across(window, 2, x);
+    const Vec gradient = select(counts, f.ssim * through, Vec{});
     for (int lane = 0; lane < std::min(kLanes, image.columns() - x); lane++)
-      to[(x + lane) * r.channels] = gradient[lane];
+      to[(x + lane) * r.channels] -= gradient[lane];
   }
-  return sum(total);
 }
 
 // Depth term of row `y` of the box, value and gradient.
@@ -324,6 +329,7 @@ inline int rows_of(const LossWorkspace &w, int index) { return std::max(0, w.ima
 inline void hold_to_target(const LossRequest &r, LossWorkspace &w) {
   while (static_cast<int>(w.images.size()) < r.images) w.images.push_back(std::make_unique<LossImage>());
   parallel_for(r.threads, r.images, [&](int64_t i) { measure_weights(r, static_cast<int>(i), *w.images[i]); });
+  if (r.ssim == 0.f) return;
   for (int i = 0; i < r.images; i++) reserve_planes(*w.images[i]);
   sum_over_bands(
       r, w, [&](int i) { return rows_of(w, i) == 0 ? 0 : w.images[i]->padded_rows; },
@@ -333,34 +339,39 @@ inline void hold_to_target(const LossRequest &r, LossWorkspace &w) {
       });
 }
 
-// The loss of a render beside the targets that were taken in. Its gradient is written where pixels count, nowhere else.
-inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
-  static const Window window;
-  const Factors f = factors_of(r, w);
+// The weighted sum of 1 - SSIM over the pixels that count, times three; leaves its derivatives in the maps.
+inline double unlike_terms(const LossRequest &r, LossWorkspace &w, const Window &window) {
   const auto rows = [&](int i) { return rows_of(w, i); };
   sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
     fill_render(r, i, *w.images[i], begin, end);
     return 0.;
   });
-  double unlike = 0;
-  if (f.ssim != 0.f) {
-    unlike = sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
-      LossImage &image = *w.images[i];
-      Filtered filtered(4, image.stride);
-      Vec like{};
-      for (int y = begin; y < end; y++) {
-        for (int q = 0; q < 3; q++) like += ssim_row(window, image, q, y, filtered);
-      }
-      return -static_cast<double>(sum(like));
-    });
-    for (int i = 0; i < r.images; i++) unlike += 3 * w.images[i]->weight;
-  }
-  const double rest = sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
+  double unlike = sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
     LossImage &image = *w.images[i];
-    Filtered filtered(kMaps, image.stride);
+    Filtered filtered(4, image.stride);
+    Vec like{};
+    for (int y = begin; y < end; y++) {
+      for (int q = 0; q < 3; q++) like += ssim_row(window, image, q, y, filtered);
+    }
+    return -static_cast<double>(sum(like));
+  });
+  for (int i = 0; i < r.images; i++) unlike += 3 * w.images[i]->weight;
+  return unlike;
+}
+
+// The loss of a render beside the targets that were taken in. Its gradient is written where pixels count, nowhere else.
+inline double loss_terms(const LossRequest &r, LossWorkspace &w) {
+  static const Window window;
+  const Factors f = factors_of(r, w);
+  const double unlike = f.ssim == 0.f ? 0. : unlike_terms(r, w, window);
+  const auto rows = [&](int i) { return rows_of(w, i); };
+  const double rest = sum_over_bands(r, w, rows, [&](int i, int begin, int end) {
+    const LossImage &image = *w.images[i];
+    Filtered filtered(kMaps, f.ssim == 0.f ? 0 : image.stride);
     double total = 0;
     for (int y = begin; y < end; y++) {
-      for (int q = 0; q < 3; q++) total += f.l1 * gradient_row(r, f, window, i, image, q, y, filtered);
+      total += f.l1 * l1_row(r, f, i, image, y);
+      for (int q = 0; q < 3 && f.ssim != 0.f; q++) ssim_gradient_row(r, f, window, i, image, q, y, filtered);
       if (f.depth != 0.f) total += f.depth * depth_row(r, f, i, image, y);
     }
     return total;
