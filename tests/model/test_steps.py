@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from model_scenes import block, frames, joined, rig, table
 from twin_node.model.adoption import Adopted, as_newborns, store
 from twin_node.model.alignment import solve_twists
 from twin_node.model.backgrounds import Backgrounds, grow
-from twin_node.model.births import Births, find_births_plainly
+from twin_node.model.births import Births, block_side, find_births_plainly
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
@@ -89,6 +90,26 @@ def test_unexplained_pixels_become_gaussians_inside_the_block() -> None:
     assert inside.mean() > 0.85
 
 
+@pytest.mark.parametrize("find", [find_births, find_births_plainly])
+def test_large_blocks_cover_what_small_ones_do_with_a_quarter_as_many(find: Callable[..., Births]) -> None:
+    given = (observe(table(), 0.1, depth=True), look_at(table()), THRESHOLD, BirthParameters(per_set=10_000))
+    small, large = (find(*given, side) for side in (2, 4))
+    assert len(large) == pytest.approx(len(small) / 4, rel=0.2)
+    assert np.square(large.radii).sum() == pytest.approx(np.square(small.radii).sum(), rel=0.2)
+    assert large.means.mean(0) == pytest.approx(small.means.mean(0), abs=0.01)
+
+
+@pytest.mark.parametrize("find", [find_births, find_births_plainly])
+def test_blocks_larger_than_the_image_bear_nothing(find: Callable[..., Births]) -> None:
+    assert len(find(observe(table(), 0.1), look_at(table()), THRESHOLD, BirthParameters(), 121)) == 0
+
+
+def test_blocks_grow_with_the_images_that_the_same_room_must_cover() -> None:
+    sizes = [block_side(3 * width * width * 9 // 16, 1000) for width in (80, 160, 320, 640, 1280)]
+    assert sizes == [2, 2, 4, 10, 18]
+    assert block_side(3 * 160 * 90, 0) > 32, "no room at all"
+
+
 def test_nothing_is_born_where_a_camera_sees_through_it() -> None:
     observed = observe(table(), 0.1, blind=1)
     births = find_births(observed, look_at(table()), THRESHOLD, BirthParameters())
@@ -108,7 +129,10 @@ def test_measured_depth_places_births_on_the_surface() -> None:
 @pytest.mark.parametrize("depth", [False, True])
 @pytest.mark.parametrize("blind", [None, 1])
 @pytest.mark.parametrize("shown_x", [None, 0.05])
-def test_compiled_births_are_those_found_in_numpy(depth: bool, blind: int | None, shown_x: float | None) -> None:
+@pytest.mark.parametrize("side", [2, 4, 7])
+def test_compiled_births_are_those_found_in_numpy(
+    depth: bool, blind: int | None, shown_x: float | None, side: int
+) -> None:
     noise = np.random.default_rng(4)
     shown = look_at(table() if shown_x is None else joined(table(), block(shown_x)))
     observed = []
@@ -116,9 +140,9 @@ def test_compiled_births_are_those_found_in_numpy(depth: bool, blind: int | None
         rgb = np.clip(one.rgb + noise.normal(0, 0.02, one.rgb.shape), 0, 1).astype(np.float32)
         usable, stale = (noise.random(one.usable.shape) < share for share in (0.95, 0.1))
         observed.append(replace(one, rgb=rgb, usable=one.usable & usable, stale=stale))
-    given = (observed, shown, THRESHOLD, BirthParameters(per_set=150))
+    given = (observed, shown, THRESHOLD, BirthParameters(per_set=150), side)
     found, expected = find_births(*given), find_births_plainly(*given)
-    assert len(expected) > 30
+    assert len(expected) > 120 / side**2
     assert len(found) == len(expected)
     for name, values in vars(expected).items():
         assert vars(found)[name] == pytest.approx(values, rel=1e-6), name

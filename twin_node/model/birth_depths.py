@@ -14,11 +14,11 @@ from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float32, Float64
 
 BLOCK = 2
-"""Side in pixels of the block that one newborn stands for."""
+"""Side in pixels of the block that one newborn stands for, where there is room for as many."""
 COLOUR_SIGMA = 0.12
 """Difference of colour (0 to 1) at which another view half agrees: what one surface shows to two exposures."""
-HUGE_PX = 2.5
-"""1 sigma in another view's pixels at which a newborn stands too close to that camera to be real."""
+HUGE = 2.5
+"""Times its block's size that a newborn has in another view where it stands too close to that camera to be real."""
 REFUTED = 10.0
 """What it costs a depth that a view sees through it: more than all other views can make good."""
 LOCALITY = 0.6
@@ -42,11 +42,13 @@ class Pixels:
     """n blocks of one view that need explaining, worst first."""
 
     rows: NDArray[np.int64]
-    """[n] first row."""
+    """[n] row of the pixel in the middle, or of the one above and left of it."""
     columns: NDArray[np.int64]
-    """[n] first column."""
+    """[n] its column."""
     rgb: Float32
     """[n, 3] mean colour, 0 to 1."""
+    side: int = BLOCK
+    """Of each block."""
 
 
 @dataclass(frozen=True)
@@ -133,21 +135,21 @@ def _votes(observed: Sequence[Observed], index: int, pixels: Pixels, rays: Float
     """[n, L] how much the other views speak for blocks at each of their `levels` [n, L] m."""
     camera = observed[index].view.camera
     points = (camera.T_base_cam[:3, 3] + rays[:, None] * levels[..., None]).reshape(-1, 3)
-    radii = (0.5 * BLOCK / camera.K[0, 0] * levels).ravel()
+    radii = (0.5 * pixels.side / camera.K[0, 0] * levels).ravel()
     rgb = np.repeat(pixels.rgb, levels.shape[1], axis=0)
-    votes = np.zeros(len(points))
+    votes, huge_px = np.zeros(len(points)), HUGE * 0.5 * pixels.side
     for other_index, other in enumerate(observed):
         if other_index != index:
-            votes += _support(other, points, radii, rgb)
+            votes += _support(other, points, radii, rgb, huge_px)
     return votes.reshape(levels.shape)
 
 
-def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32) -> Float64:
-    """[n] how much one view speaks for each point: 0 where it cannot see it, against what would fill much of it."""
+def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32, huge_px: float) -> Float64:
+    """[n] how much one view speaks for each point: 0 where it cannot see it, against what is larger than `huge_px`."""
     seen = look(other.view.camera, points)
     visible = seen.inside & ~other.background.occluded(seen) & other.usable[seen.rows, seen.columns]
     moving = other.near_moving[seen.rows, seen.columns]
     difference = np.abs(other.rgb[seen.rows, seen.columns] - rgb).mean(-1)
     agreement = 0.5 + np.exp(-((difference / COLOUR_SIGMA) ** 2))
-    huge = (seen.depth > -radii) & (radii * other.view.camera.K[0, 0] > HUGE_PX * np.maximum(seen.depth, 0.02))
+    huge = (seen.depth > -radii) & (radii * other.view.camera.K[0, 0] > huge_px * np.maximum(seen.depth, 0.02))
     return np.where(huge | (visible & ~moving), -REFUTED, np.where(visible, agreement, 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ SOLID = 0.5
 """Opacity of the background from which it can be learnt anew by colour alone; under it Gaussians are missing."""
 SAME_DEPTH = 0.02
 """Share of its depth by which a measured surface may lie before the background and still be it."""
+BUSY = 1 / 8
+"""Share of all pixels that moves where much does: what newborns must be able to cover."""
 
 
 @dataclass(frozen=True)
@@ -50,36 +53,54 @@ def joined(parts: Sequence[Births]) -> Births:
     return Births(*(np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])))
 
 
+def block_side(pixels: int, room: int) -> int:
+    """Side in pixels, a multiple of `BLOCK`, of the blocks of which about `room` cover what moves of `pixels` in all.
+
+    Larger images show more detail than there is room for: of small blocks as many would leave gaps between them.
+    """
+    return BLOCK * max(1, round(math.sqrt(BUSY * pixels / max(room, 1)) / BLOCK))
+
+
 def find_births_plainly(
     observed: Sequence[Observed],
     renderings: Sequence[Rendering],
     threshold: float,
     parameters: BirthParameters,
+    side: int = BLOCK,
 ) -> Births:
     """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
 
-    In NumPy: the reference of `compiled_births.find_births`.
+    One stands for a block of `side` pixels squared. In NumPy: the reference of `compiled_births.find_births`.
     """
     quota = parameters.per_set // max(len(observed), 1)
     parts = []
     for index, one in enumerate(observed):
-        pixels = _unexplained(one, renderings[index], threshold, quota)
+        pixels = _unexplained(one, renderings[index], threshold, quota, side)
         parts.append(_lift(observed, renderings[index], index, pixels, parameters.ray_samples, threshold))
     return joined(parts)
 
 
-def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int) -> Pixels:
+def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int, side: int) -> Pixels:
     image = one.rgb
     counts = one.active & (one.surprise > 0.5 * threshold) & (~one.stale | (one.background.alpha < SOLID))
     at = np.nonzero(counts)
     error = np.zeros_like(one.surprise)
     error[at] = largest_channel(image[at], rendering.rgb.detach().cpu().numpy()[at])
-    blocks = cv2.resize(error, (error.shape[1] // BLOCK, error.shape[0] // BLOCK), interpolation=cv2.INTER_AREA)
-    colours = cv2.resize(image, (blocks.shape[1], blocks.shape[0]), interpolation=cv2.INTER_AREA)
+    blocks, colours = _block_means(error, side), _block_means(image, side)
     wrong = np.flatnonzero(blocks > threshold)
     order = wrong[np.argsort(-blocks.ravel()[wrong], kind="stable")[:quota]]
     rows, columns = np.unravel_index(order, blocks.shape)
-    return Pixels(rows * BLOCK, columns * BLOCK, colours[rows, columns].astype(np.float32))
+    middle = (side - 1) // 2
+    return Pixels(rows * side + middle, columns * side + middle, colours[rows, columns], side)
+
+
+def _block_means(image: Float32, side: int) -> Float32:
+    """[H // side, W // side, ...] of whole blocks of an image [H, W, ...]."""
+    rows, columns = (of // side for of in image.shape[:2])
+    if not rows * columns:
+        return np.zeros((rows, columns, *image.shape[2:]), np.float32)
+    whole = image[: rows * side, : columns * side]
+    return cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
 def _lift(
@@ -87,16 +108,16 @@ def _lift(
 ) -> Births:
     one = observed[index]
     camera = one.view.camera
-    rows, columns = pixels.rows, pixels.columns
+    rows, columns, even = pixels.rows, pixels.columns, 1 - pixels.side % 2
     far = one.background.depth[rows, columns]
-    rays = (one.background.rays[rows, columns] + one.background.rays[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
+    rays = (one.background.rays[rows, columns] + one.background.rays[rows + even, columns + even]) / 2
     if one.view.depth is not None:
         lying = _measured(one, rows, columns, far)
     else:
         lying = agreed(observed, rendering, index, pixels, rays, samples)
     depth, on_background = lying.depths, lying.on_background
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
-    radii = SPREAD * BLOCK * depth / camera.K[0, 0]
+    radii = SPREAD * pixels.side * depth / camera.K[0, 0]
     lasting = on_background & (one.background.alpha[rows, columns] < SOLID)
     kept = ~(on_background & ~lasting & _contradicted(observed, index, means, threshold))
     return Births(

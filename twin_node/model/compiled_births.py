@@ -20,17 +20,31 @@ from twin_node.native_library import addresses_of
 
 
 def find_births(
-    observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float, parameters: BirthParameters
+    observed: Sequence[Observed],
+    renderings: Sequence[Rendering],
+    threshold: float,
+    parameters: BirthParameters,
+    side: int = BLOCK,
 ) -> Births:
-    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`."""
+    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
+
+    One stands for a block of `side` pixels squared.
+    """
     library = kernels()
-    if library is None or any(side % BLOCK for one in observed for side in one.usable.shape):
-        return find_births_plainly(observed, renderings, threshold, parameters)
+    if library is None:
+        return find_births_plainly(observed, renderings, threshold, parameters, side)
     quota = parameters.per_set // max(len(observed), 1)
     rules = BirthRules(
-        *(threshold, SOLID, birth_depths.COLOUR_SIGMA, births.SAME_DEPTH, birth_depths.HUGE_PX, birth_depths.REFUTED),
+        *(
+            threshold,
+            SOLID,
+            birth_depths.COLOUR_SIGMA,
+            births.SAME_DEPTH,
+            birth_depths.HUGE * 0.5 * side,
+            birth_depths.REFUTED,
+        ),
         *(birth_depths.LOCALITY, birth_depths.NEIGHBOUR_PX, birth_depths.FEWEST, birth_depths.DISSENT),
-        *(OCCLUSION, SPREAD, quota, parameters.ray_samples),
+        *(OCCLUSION, SPREAD, quota, parameters.ray_samples, side),
     )
     calls = [_Call(one, rendering, quota) for one, rendering in zip(observed, renderings, strict=True)]
     library.births(rules, [call.view for call in calls])

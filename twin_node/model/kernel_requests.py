@@ -47,7 +47,7 @@ class BirthRules(ctypes.Structure):
         *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge_px", "refuted")),
         *((name, c_double) for name in ("locality", "neighbour_px", "fewest", "dissent", "occlusion", "spread")),
         ("quota", c_int64),
-        ("samples", c_int32),
+        *((name, c_int32) for name in ("samples", "side")),
     )
 
 

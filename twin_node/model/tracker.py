@@ -14,6 +14,7 @@ from twin_node.model.adoption import Members, adopt, adopt_points, store
 from twin_node.model.aligning import Aligner
 from twin_node.model.arm_skin import ArmSkin
 from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.births import block_side
 from twin_node.model.bodies import Bodies
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
@@ -347,7 +348,8 @@ class Tracker:
         room = self._room()
         wanted = min(self._parameters.birth.per_set, max(room.left, int(TURNOVER * room.most), len(observed)))
         rules = replace(self._parameters.birth, per_set=wanted)
-        births = find_births(observed, renderings, self._parameters.track.residual, rules)
+        side = block_side(sum(one.usable.size for one in observed), room.most)
+        births = find_births(observed, renderings, self._parameters.track.residual, rules, side)
         if not len(births):
             return 0
         self._decisions += self._resting.rouse(births, self._parameters.birth.kin_m)

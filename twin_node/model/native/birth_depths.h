@@ -9,7 +9,6 @@
 
 namespace model {
 
-constexpr int kBlock = 2;                              // side of the block of pixels that one newborn stands for
 constexpr double kCloser = 0.95, kUnknownShare = 0.9;  // of the background's depth
 constexpr double kNearest = 0.15, kFarthest = 0.97;    // shares of it that are tried
 constexpr double kBeforeIt = 0.995, kHalf = 0.5;
@@ -17,7 +16,7 @@ constexpr int kStride = 2, kReach = 6;  // every how many pixels the rendering i
 
 struct Block {
   float error;
-  int row, column;  // its first pixel
+  int row, column;  // of the pixel in its middle, or of the one above and left of it
   float rgb[3];
   double ray[3];
 };
@@ -60,9 +59,9 @@ class BirthDepths {
   }
 
  private:
-  int64_t first(const Block &block) const { return static_cast<int64_t>(block.row) * v_.width + block.column; }
+  int64_t middle(const Block &block) const { return static_cast<int64_t>(block.row) * v_.width + block.column; }
 
-  double far(size_t i) const { return v_.far[first(blocks_[i])]; }
+  double far(size_t i) const { return v_.far[middle(blocks_[i])]; }
 
   double *votes_of(size_t i) { return votes_.data() + i * shares_.size(); }
 
@@ -82,7 +81,7 @@ class BirthDepths {
         double point[3], vote = 0;
         point_at(v_, block.ray, depth, point);
         for (int other = 0; other < count_; other++) {
-          if (other != index_) vote += support(other, point, kHalf * kBlock / v_.K[0] * depth, block.rgb);
+          if (other != index_) vote += support(other, point, kHalf * rules_.side / v_.K[0] * depth, block.rgb);
         }
         votes_of(i)[k] = vote;
       }
@@ -177,7 +176,7 @@ class BirthDepths {
         best = k;
       }
     }
-    const bool on = most < -kHalf * rules_.refuted || !v_.near_moving[first(block)];
+    const bool on = most < -kHalf * rules_.refuted || !v_.near_moving[middle(block)];
     return {far(i) * (on ? kBeforeIt : shares_[settled(votes_of(i), best)]), on};
   }
 

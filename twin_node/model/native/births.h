@@ -28,6 +28,9 @@ class ViewBirths {
   }
 
  private:
+  // From a block's first pixel to the one in its middle, or before that.
+  int middle() const { return (rules_.side - 1) / 2; }
+
   int64_t pixel(int row, int column) const { return static_cast<int64_t>(row) * v_.width + column; }
 
   float error(int64_t at) const {
@@ -38,13 +41,24 @@ class ViewBirths {
     return most;
   }
 
+  // The mean of `value` over the pixels of a block.
+  template <typename Value>
+  float mean_of_block(int row, int column, const Value &value) const {
+    float sum = 0.f;
+    for (int i = 0; i < rules_.side; i++) {
+      const int64_t first = pixel(row + i, column);
+      for (int k = 0; k < rules_.side; k++) sum += value(first + k);
+    }
+    return sum / static_cast<float>(rules_.side * rules_.side);
+  }
+
   // The worst blocks, at most as many as may be born.
   void find_blocks() {
-    for (int row = 0; row + kBlock <= v_.height; row += kBlock) {
-      for (int column = 0; column + kBlock <= v_.width; column += kBlock) {
-        const int64_t a = pixel(row, column), b = pixel(row + 1, column);
-        const float mean = (error(a) + error(a + 1) + error(b) + error(b + 1)) * 0.25f;
-        if (mean > rules_.threshold) blocks_.push_back({mean, row, column, {}, {}});
+    const int side = rules_.side;
+    for (int row = 0; row + side <= v_.height; row += side) {
+      for (int column = 0; column + side <= v_.width; column += side) {
+        const float mean = mean_of_block(row, column, [this](int64_t at) { return error(at); });
+        if (mean > rules_.threshold) blocks_.push_back({mean, row + middle(), column + middle(), {}, {}});
       }
     }
     std::stable_sort(blocks_.begin(), blocks_.end(), [](const Block &a, const Block &b) { return a.error > b.error; });
@@ -53,11 +67,11 @@ class ViewBirths {
 
   // A block's mean colour and the ray through its middle.
   void describe(Block &block) const {
-    const int64_t first = pixel(block.row, block.column), below = first + v_.width, last = below + 1;
+    const int row = block.row - middle(), column = block.column - middle(), even = 1 - rules_.side % 2;
+    const int64_t before = pixel(block.row, block.column), after = pixel(block.row + even, block.column + even);
     for (int k = 0; k < 3; k++) {
-      const float above = v_.rgb[3 * first + k] + v_.rgb[3 * first + 3 + k];
-      block.rgb[k] = (above + v_.rgb[3 * below + k] + v_.rgb[3 * last + k]) * 0.25f;
-      block.ray[k] = (v_.rays[3 * first + k] + v_.rays[3 * last + k]) / 2;
+      block.rgb[k] = mean_of_block(row, column, [this, k](int64_t at) { return v_.rgb[3 * at + k]; });
+      block.ray[k] = (v_.rays[3 * before + k] + v_.rays[3 * after + k]) / 2;
     }
   }
 
@@ -92,7 +106,7 @@ class ViewBirths {
     point_at(v_, block.ray, lying.depth, point);
     if (lying.on_background && !lasting && contradicted(point)) return 0;
     std::copy(block.rgb, block.rgb + 3, v_.colours + 3 * at);
-    v_.radii[at] = rules_.spread * kBlock * lying.depth / v_.K[0];
+    v_.radii[at] = rules_.spread * rules_.side * lying.depth / v_.K[0];
     v_.on_background[at] = lying.on_background;
     v_.lasting[at] = lasting;
     return 1;

@@ -135,6 +135,7 @@ struct BirthRules {
   double locality, neighbour_px, fewest, dissent, occlusion, spread;
   int64_t quota;  // births per view
   int32_t samples;
+  int32_t side;  // of the block of pixels that one newborn stands for
 };
 
 // One view, and the births that it needs.
