@@ -145,7 +145,7 @@ def test_newborns_take_the_room_that_is_free_and_then_replace_few_of_what_was_fi
     birth = replace(QUICK.birth, moving_share=most / int(3 * 80 * 60 * QUICK.gaussians_per_pixel))
     model, known, before = WindowModel(replace(QUICK, birth=birth)), np.zeros(0, np.int64), 0
     fulls = 0
-    for one in sliding(22, CAMERAS, depth=True):
+    for one in sliding(24, CAMERAS, depth=True):
         cloud = model.update(one).gaussians
         moving = np.isin(cloud.tiers, (Tier.RIGID, Tier.DEFORMABLE, Tier.TRANSIENT))
         born = np.setdiff1d(cloud.ids[moving], known)
