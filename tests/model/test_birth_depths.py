@@ -38,7 +38,9 @@ def two_things(one: Observed) -> Rendering:
 def test_the_depth_known_around_a_pixel_is_that_of_what_looks_like_it() -> None:
     one = observe(table(), 0.1)[0]
     assert one.background.depth.min() * CLOSER > 0.6
-    pixels = Pixels(np.array([40, 40, 80]), np.array([48, 50, 100]), np.stack([BLUE, RED, RED]).astype(np.float32))
+    pixels = Pixels(
+        np.array([40, 40, 80]), np.array([48, 50, 100]), np.stack([BLUE, RED, RED]).astype(np.float32), np.full(3, 2)
+    )
     known = known_depths(one, two_things(one), pixels, np.full(3, 1.0))
     assert known[:2] == pytest.approx([0.6, 0.5])
     assert 0.5 <= known[2] <= 0.6, "nothing around it: what moves anywhere"
@@ -46,7 +48,7 @@ def test_the_depth_known_around_a_pixel_is_that_of_what_looks_like_it() -> None:
 
 def test_where_nothing_is_known_to_move_a_newborn_is_looked_for_before_the_background() -> None:
     one = observe(table(), 0.1)[0]
-    pixels = Pixels(np.array([40]), np.array([48]), RED[None].astype(np.float32))
+    pixels = Pixels(np.array([40]), np.array([48]), RED[None].astype(np.float32), np.array([2]))
     assert known_depths(one, look_at(table())[0], pixels, np.array([2.0])) == pytest.approx([2.0 * UNKNOWN])
 
 

@@ -39,7 +39,7 @@ for shape in ((12, 17, 33), (1, 6, 4)):
     test_semi_global.test_compiled_sums_are_those_in_numpy(shape)
 for things in (0, 400):
     test_nodes.test_the_nearest_by_kernel_are_those_by_tree(6, 50, things)
-for depth, side in ((False, 2), (True, 2), (False, 7)):
+for depth, side in ((False, 2), (True, 2), (False, 6)):
     test_steps.test_compiled_births_are_those_found_in_numpy(depth, None, 0.05, side)
 for depth in (False, True):
     test_steps.test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth)

@@ -47,8 +47,8 @@ class Pixels:
     """[n] its column."""
     rgb: Float32
     """[n, 3] mean colour, 0 to 1."""
-    side: int = BLOCK
-    """Of each block."""
+    sides: NDArray[np.int64]
+    """[n] of each block."""
 
 
 @dataclass(frozen=True)
@@ -135,16 +135,17 @@ def _votes(observed: Sequence[Observed], index: int, pixels: Pixels, rays: Float
     """[n, L] how much the other views speak for blocks at each of their `levels` [n, L] m."""
     camera = observed[index].view.camera
     points = (camera.T_base_cam[:3, 3] + rays[:, None] * levels[..., None]).reshape(-1, 3)
-    radii = (0.5 * pixels.side / camera.K[0, 0] * levels).ravel()
+    halves: Float64 = 0.5 * pixels.sides.astype(np.float64)
+    radii = (halves[:, None] / camera.K[0, 0] * levels).ravel()
     rgb = np.repeat(pixels.rgb, levels.shape[1], axis=0)
-    votes, huge_px = np.zeros(len(points)), HUGE * 0.5 * pixels.side
+    votes, huge_px = np.zeros(len(points)), HUGE * halves.repeat(levels.shape[1])
     for other_index, other in enumerate(observed):
         if other_index != index:
             votes += _support(other, points, radii, rgb, huge_px)
     return votes.reshape(levels.shape)
 
 
-def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32, huge_px: float) -> Float64:
+def _support(other: Observed, points: Float64, radii: Float64, rgb: Float32, huge_px: Float64) -> Float64:
     """[n] how much one view speaks for each point: 0 where it cannot see it, against what is larger than `huge_px`."""
     seen = look(other.view.camera, points)
     visible = seen.inside & ~other.background.occluded(seen) & other.usable[seen.rows, seen.columns]

@@ -23,6 +23,8 @@ SOLID = 0.5
 """Opacity of the background from which it can be learnt anew by colour alone; under it Gaussians are missing."""
 SAME_DEPTH = 0.02
 """Share of its depth by which a measured surface may lie before the background and still be it."""
+ALIKE = 0.25
+"""Largest difference of a channel (0 to 1) within a block that is larger than the smallest: finer detail is kept."""
 BUSY = 1 / 8
 """Share of all pixels that moves where much does: what newborns must be able to cover."""
 
@@ -54,9 +56,9 @@ def joined(parts: Sequence[Births]) -> Births:
 
 
 def block_side(pixels: int, room: int) -> int:
-    """Side in pixels, a multiple of `BLOCK`, of the blocks of which about `room` cover what moves of `pixels` in all.
+    """Side in pixels, a multiple of `BLOCK`, of blocks of which about `room` cover what moves of `pixels` in all.
 
-    Larger images show more detail than there is room for: of small blocks as many would leave gaps between them.
+    Larger images have more pixels than there is room for: as many small blocks would leave gaps between them for good.
     """
     return BLOCK * max(1, round(math.sqrt(BUSY * pixels / max(room, 1)) / BLOCK))
 
@@ -70,7 +72,8 @@ def find_births_plainly(
 ) -> Births:
     """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
 
-    One stands for a block of `side` pixels squared. In NumPy: the reference of `compiled_births.find_births`.
+    One stands for a block of `BLOCK` pixels squared, or of `side` where all of that is wrong and looks alike. In NumPy:
+    the reference of `compiled_births.find_births`.
     """
     quota = parameters.per_set // max(len(observed), 1)
     parts = []
@@ -86,12 +89,30 @@ def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: i
     at = np.nonzero(counts)
     error = np.zeros_like(one.surprise)
     error[at] = largest_channel(image[at], rendering.rgb.detach().cpu().numpy()[at])
-    blocks, colours = _block_means(error, side), _block_means(image, side)
-    wrong = np.flatnonzero(blocks > threshold)
-    order = wrong[np.argsort(-blocks.ravel()[wrong], kind="stable")[:quota]]
-    rows, columns = np.unravel_index(order, blocks.shape)
-    middle = (side - 1) // 2
-    return Pixels(rows * side + middle, columns * side + middle, colours[rows, columns], side)
+    errors, colours = _block_means(error, BLOCK), _block_means(image, BLOCK)
+    wrong = errors > threshold
+    times = side // BLOCK
+    large = _united(wrong, colours, times) if times > 1 else np.zeros_like(wrong[:0, :0])
+    of_large = np.zeros_like(wrong)
+    of_large[: times * len(large), : times * large.shape[1]] = large.repeat(times, 0).repeat(times, 1)
+    found = (np.nonzero(large), np.nonzero(wrong & ~of_large))
+    sides = np.repeat([side, BLOCK], [len(rows) for rows, _ in found])
+    rows, columns = (np.concatenate(at) * sides for at in zip(*found, strict=True))
+    sums = np.concatenate([side**2 * _block_means(error, side)[found[0]], BLOCK**2 * errors[found[1]]])
+    rgb = np.concatenate([_block_means(image, side)[found[0]], colours[found[1]]])
+    worst = np.argsort(-sums, kind="stable")[:quota]
+    middle = (sides - 1) // 2
+    return Pixels((rows + middle)[worst], (columns + middle)[worst], rgb[worst], sides[worst])
+
+
+def _united(wrong: Bool, colours: Float32, times: int) -> Bool:
+    """[H // times, W // times] squares of `times` blocks each way that are all `wrong` [H, W] and look alike."""
+    rows, columns = (of // times for of in wrong.shape)
+    squares = (rows, times, columns, times)
+    whole = wrong[: rows * times, : columns * times].reshape(squares).all((1, 3))
+    looks = colours[: rows * times, : columns * times].reshape(*squares, 3)
+    alike: Bool = (np.ptp(looks, (1, 3)) <= ALIKE).all(-1)
+    return whole & alike
 
 
 def _block_means(image: Float32, side: int) -> Float32:
@@ -108,7 +129,7 @@ def _lift(
 ) -> Births:
     one = observed[index]
     camera = one.view.camera
-    rows, columns, even = pixels.rows, pixels.columns, 1 - pixels.side % 2
+    rows, columns, even = pixels.rows, pixels.columns, 1 - pixels.sides % 2
     far = one.background.depth[rows, columns]
     rays = (one.background.rays[rows, columns] + one.background.rays[rows + even, columns + even]) / 2
     if one.view.depth is not None:
@@ -117,7 +138,7 @@ def _lift(
         lying = agreed(observed, rendering, index, pixels, rays, samples)
     depth, on_background = lying.depths, lying.on_background
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
-    radii = SPREAD * pixels.side * depth / camera.K[0, 0]
+    radii = SPREAD * pixels.sides * depth / camera.K[0, 0]
     lasting = on_background & (one.background.alpha[rows, columns] < SOLID)
     kept = ~(on_background & ~lasting & _contradicted(observed, index, means, threshold))
     return Births(

@@ -28,7 +28,7 @@ def find_births(
 ) -> Births:
     """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
 
-    One stands for a block of `side` pixels squared.
+    One stands for a block of `BLOCK` pixels squared, or of `side` where all of that is wrong and looks alike.
     """
     library = kernels()
     if library is None:
@@ -44,7 +44,7 @@ def find_births(
             birth_depths.REFUTED,
         ),
         *(birth_depths.LOCALITY, birth_depths.NEIGHBOUR_PX, birth_depths.FEWEST, birth_depths.DISSENT),
-        *(OCCLUSION, SPREAD, quota, parameters.ray_samples, side),
+        *(OCCLUSION, SPREAD, births.ALIKE, quota, parameters.ray_samples, side),
     )
     calls = [_Call(one, rendering, quota) for one, rendering in zip(observed, renderings, strict=True)]
     library.births(rules, [call.view for call in calls])

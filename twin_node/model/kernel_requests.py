@@ -44,8 +44,11 @@ class BirthRules(ctypes.Structure):
     """`model::BirthRules`."""
 
     _fields_ = (
-        *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge_px", "refuted")),
-        *((name, c_double) for name in ("locality", "neighbour_px", "fewest", "dissent", "occlusion", "spread")),
+        *((name, c_double) for name in ("threshold", "solid", "colour_sigma", "same_depth", "huge", "refuted")),
+        *(
+            (name, c_double)
+            for name in ("locality", "neighbour_px", "fewest", "dissent", "occlusion", "spread", "alike")
+        ),
         ("quota", c_int64),
         *((name, c_int32) for name in ("samples", "side")),
     )

@@ -9,14 +9,16 @@
 
 namespace model {
 
+constexpr int kBlock = 2;                              // side of the smallest block of pixels that a newborn stands for
 constexpr double kCloser = 0.95, kUnknownShare = 0.9;  // of the background's depth
 constexpr double kNearest = 0.15, kFarthest = 0.97;    // shares of it that are tried
 constexpr double kBeforeIt = 0.995, kHalf = 0.5;
 constexpr int kStride = 2, kReach = 6;  // every how many pixels the rendering is looked at, and how many steps each way
 
 struct Block {
-  float error;
+  float error;      // summed over its pixels
   int row, column;  // of the pixel in its middle, or of the one above and left of it
+  int side;
   float rgb[3];
   double ray[3];
 };
@@ -81,24 +83,25 @@ class BirthDepths {
         double point[3], vote = 0;
         point_at(v_, block.ray, depth, point);
         for (int other = 0; other < count_; other++) {
-          if (other != index_) vote += support(other, point, kHalf * rules_.side / v_.K[0] * depth, block.rgb);
+          if (other != index_) vote += support(other, point, block, kHalf * block.side / v_.K[0] * depth);
         }
         votes_of(i)[k] = vote;
       }
     }
   }
 
-  // How much one view speaks for a point of colour `rgb` and `radius`.
-  double support(int other, const double *point, double radius, const float *rgb) const {
+  // How much one view speaks for a point that looks like `block` and has `radius`.
+  double support(int other, const double *point, const Block &block, double radius) const {
     const BirthView &view = views_[other];
     const Found found = cameras_[other].find(point);
+    const double most_px = rules_.huge * kHalf * block.side;
     const bool huge = found.depth > -radius &&
-                      radius * cameras_[other].focal() > rules_.huge_px * std::max(found.depth, kNearestSeen);
+                      radius * cameras_[other].focal() > most_px * std::max(found.depth, kNearestSeen);
     if (huge) return -rules_.refuted;
     if (!found.inside || occluded(view, found, rules_.occlusion) || !view.usable[found.at]) return 0;
     if (!view.near_moving[found.at]) return -rules_.refuted;
     float apart = 0.f;
-    for (int k = 0; k < 3; k++) apart += std::fabs(view.rgb[3 * found.at + k] - rgb[k]);
+    for (int k = 0; k < 3; k++) apart += std::fabs(view.rgb[3 * found.at + k] - block.rgb[k]);
     const double share = apart / 3 / rules_.colour_sigma;
     return kHalf + std::exp(-share * share);
   }

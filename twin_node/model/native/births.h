@@ -20,7 +20,6 @@ class ViewBirths {
 
   void run() {
     find_blocks();
-    for (Block &block : blocks_) describe(block);
     const std::vector<Lying> lying = v_.measured != nullptr ? measured() : depths();
     int64_t born = 0;
     for (size_t i = 0; i < blocks_.size(); i++) born += bear(blocks_[i], lying[i], born);
@@ -28,9 +27,6 @@ class ViewBirths {
   }
 
  private:
-  // From a block's first pixel to the one in its middle, or before that.
-  int middle() const { return (rules_.side - 1) / 2; }
-
   int64_t pixel(int row, int column) const { return static_cast<int64_t>(row) * v_.width + column; }
 
   float error(int64_t at) const {
@@ -41,38 +37,81 @@ class ViewBirths {
     return most;
   }
 
-  // The mean of `value` over the pixels of a block.
+  // The sum of `value` over the pixels of a square that begins at `first`.
   template <typename Value>
-  float mean_of_block(int row, int column, const Value &value) const {
-    float sum = 0.f;
-    for (int i = 0; i < rules_.side; i++) {
-      const int64_t first = pixel(row + i, column);
-      for (int k = 0; k < rules_.side; k++) sum += value(first + k);
+  float sum(int64_t first, int side, const Value &value) const {
+    float total = 0.f;
+    for (int i = 0; i < side; i++) {
+      for (int k = 0; k < side; k++) total += value(first + static_cast<int64_t>(i) * v_.width + k);
     }
-    return sum / static_cast<float>(rules_.side * rules_.side);
+    return total;
   }
 
-  // The worst blocks, at most as many as may be born.
+  // The worst blocks, at most as many as may be born: large ones where all of them is wrong and looks alike.
   void find_blocks() {
-    const int side = rules_.side;
-    for (int row = 0; row + side <= v_.height; row += side) {
-      for (int column = 0; column + side <= v_.width; column += side) {
-        const float mean = mean_of_block(row, column, [this](int64_t at) { return error(at); });
-        if (mean > rules_.threshold) blocks_.push_back({mean, row + middle(), column + middle(), {}, {}});
+    const int rows = v_.height / kBlock, columns = v_.width / kBlock, most = rules_.side / kBlock;
+    errors_.resize(static_cast<size_t>(rows) * columns);
+    for (int i = 0; i < rows; i++) {
+      for (int k = 0; k < columns; k++) {
+        errors_[i * columns + k] =
+            sum(pixel(i * kBlock, k * kBlock), kBlock, [this](int64_t at) { return error(at); });
+      }
+    }
+    if (most > 1) {
+      for (int i = 0; i + most <= rows; i += most) {
+        for (int k = 0; k + most <= columns; k += most) unite(i, k, most, columns);
+      }
+    }
+    for (int i = 0; i < rows; i++) {
+      for (int k = 0; k < columns; k++) {
+        if (is_wrong(errors_[i * columns + k])) add(errors_[i * columns + k], i * kBlock, k * kBlock, kBlock);
       }
     }
     std::stable_sort(blocks_.begin(), blocks_.end(), [](const Block &a, const Block &b) { return a.error > b.error; });
     if (static_cast<int64_t>(blocks_.size()) > rules_.quota) blocks_.resize(rules_.quota);
   }
 
-  // A block's mean colour and the ray through its middle.
-  void describe(Block &block) const {
-    const int row = block.row - middle(), column = block.column - middle(), even = 1 - rules_.side % 2;
-    const int64_t before = pixel(block.row, block.column), after = pixel(block.row + even, block.column + even);
+  // Of one of the smallest blocks.
+  bool is_wrong(float error) const { return error > rules_.threshold * kBlock * kBlock; }
+
+  // Makes one block of `most` squared small ones, the first of them in row `i` and column `k` of these, where it can.
+  void unite(int i, int k, int most, int columns) {
+    float low[3], high[3], total = 0.f;
+    for (int row = i; row < i + most; row++) {
+      for (int column = k; column < k + most; column++) {
+        const float error = errors_[row * columns + column];
+        if (!is_wrong(error)) return;
+        total += error;
+        for (int c = 0; c < 3; c++) {
+          const float mean = colour(pixel(row * kBlock, column * kBlock), kBlock, c);
+          const bool is_first = row == i && column == k;
+          low[c] = is_first ? mean : std::min(low[c], mean);
+          high[c] = is_first ? mean : std::max(high[c], mean);
+        }
+      }
+    }
+    for (int c = 0; c < 3; c++) {
+      if (!(high[c] - low[c] <= rules_.alike)) return;
+    }
+    for (int row = i; row < i + most; row++) std::fill_n(errors_.begin() + row * columns + k, most, 0.f);
+    add(total, i * kBlock, k * kBlock, most * kBlock);
+  }
+
+  float colour(int64_t first, int side, int channel) const {
+    const float total = sum(first, side, [this, channel](int64_t at) { return v_.rgb[3 * at + channel]; });
+    return total / static_cast<float>(side * side);
+  }
+
+  // Adds a block with its mean colour and the ray through its middle; `row` and `column` are those of its first pixel.
+  void add(float error, int row, int column, int side) {
+    const int middle = (side - 1) / 2, even = 1 - side % 2;
+    const int64_t before = pixel(row + middle, column + middle), after = before + even * (v_.width + 1);
+    Block block{error, row + middle, column + middle, side, {}, {}};
     for (int k = 0; k < 3; k++) {
-      block.rgb[k] = mean_of_block(row, column, [this, k](int64_t at) { return v_.rgb[3 * at + k]; });
+      block.rgb[k] = colour(pixel(row, column), side, k);
       block.ray[k] = (v_.rays[3 * before + k] + v_.rays[3 * after + k]) / 2;
     }
+    blocks_.push_back(block);
   }
 
   std::vector<Lying> depths() const { return BirthDepths(request_, index_, cameras_, blocks_).run(); }
@@ -106,7 +145,7 @@ class ViewBirths {
     point_at(v_, block.ray, lying.depth, point);
     if (lying.on_background && !lasting && contradicted(point)) return 0;
     std::copy(block.rgb, block.rgb + 3, v_.colours + 3 * at);
-    v_.radii[at] = rules_.spread * rules_.side * lying.depth / v_.K[0];
+    v_.radii[at] = rules_.spread * block.side * lying.depth / v_.K[0];
     v_.on_background[at] = lying.on_background;
     v_.lasting[at] = lasting;
     return 1;
@@ -119,6 +158,7 @@ class ViewBirths {
   const BirthView &v_;
   std::vector<Pinhole> cameras_;
   std::vector<Block> blocks_;
+  std::vector<float> errors_;  // of the smallest blocks, 0 where a larger one has taken it
 };
 
 }  // namespace model

@@ -131,11 +131,12 @@ struct OccluderRequest {
 
 // What counts as unexplained, and what speaks for a depth; see `births.py`.
 struct BirthRules {
-  double threshold, solid, colour_sigma, same_depth, huge_px, refuted;
+  double threshold, solid, colour_sigma, same_depth, huge, refuted;
   double locality, neighbour_px, fewest, dissent, occlusion, spread;
+  double alike;   // largest difference of a channel within a block that is larger than the smallest
   int64_t quota;  // births per view
   int32_t samples;
-  int32_t side;  // of the block of pixels that one newborn stands for
+  int32_t side;  // of the largest block of pixels that one newborn stands for
 };
 
 // One view, and the births that it needs.
