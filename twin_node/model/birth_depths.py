@@ -42,13 +42,13 @@ class Pixels:
     """n blocks of one view that need explaining, worst first."""
 
     rows: NDArray[np.int64]
-    """[n] row of the pixel in the middle, or of the one above and left of it."""
+    """[n] row of the pixel above and left of the middle."""
     columns: NDArray[np.int64]
     """[n] its column."""
     rgb: Float32
     """[n, 3] mean colour, 0 to 1."""
     sides: NDArray[np.int64]
-    """[n] of each block."""
+    """[n] of each block, pixels: multiples of `BLOCK`."""
 
 
 @dataclass(frozen=True)

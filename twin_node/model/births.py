@@ -101,7 +101,7 @@ def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: i
     sums = np.concatenate([side**2 * _block_means(error, side)[found[0]], BLOCK**2 * errors[found[1]]])
     rgb = np.concatenate([_block_means(image, side)[found[0]], colours[found[1]]])
     worst = np.argsort(-sums, kind="stable")[:quota]
-    middle = (sides - 1) // 2
+    middle = sides // 2 - 1
     return Pixels((rows + middle)[worst], (columns + middle)[worst], rgb[worst], sides[worst])
 
 
@@ -129,9 +129,9 @@ def _lift(
 ) -> Births:
     one = observed[index]
     camera = one.view.camera
-    rows, columns, even = pixels.rows, pixels.columns, 1 - pixels.sides % 2
+    rows, columns = pixels.rows, pixels.columns
     far = one.background.depth[rows, columns]
-    rays = (one.background.rays[rows, columns] + one.background.rays[rows + even, columns + even]) / 2
+    rays = (one.background.rays[rows, columns] + one.background.rays[rows + 1, columns + 1]) / 2
     if one.view.depth is not None:
         lying = _measured(one, rows, columns, far)
     else:

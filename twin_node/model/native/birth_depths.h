@@ -17,7 +17,7 @@ constexpr int kStride = 2, kReach = 6;  // every how many pixels the rendering i
 
 struct Block {
   float error;      // summed over its pixels
-  int row, column;  // of the pixel in its middle, or of the one above and left of it
+  int row, column;  // of the pixel above and left of its middle
   int side;
   float rgb[3];
   double ray[3];

@@ -104,8 +104,8 @@ class ViewBirths {
 
   // Adds a block with its mean colour and the ray through its middle; `row` and `column` are those of its first pixel.
   void add(float error, int row, int column, int side) {
-    const int middle = (side - 1) / 2, even = 1 - side % 2;
-    const int64_t before = pixel(row + middle, column + middle), after = before + even * (v_.width + 1);
+    const int middle = side / 2 - 1;
+    const int64_t before = pixel(row + middle, column + middle), after = before + v_.width + 1;
     Block block{error, row + middle, column + middle, side, {}, {}};
     for (int k = 0; k < 3; k++) {
       block.rgb[k] = colour(pixel(row, column), side, k);
