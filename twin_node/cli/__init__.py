@@ -24,6 +24,7 @@ from twin_node.cli.train import add_train
 from twin_node.cli.ur_driver import add_ur_driver
 from twin_node.cli.ur_sim import add_ur_sim
 from twin_node.cli.view import add_view
+from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
 
 
@@ -32,6 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     141 where who reads what it prints has gone (`twin_node info LOG | head -1`), as if SIGPIPE had ended it.
     """
+    collect_rarely()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: our products are too small to share
     options = _parser().parse_args(arguments)
     try:

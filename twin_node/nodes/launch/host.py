@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
 
 FAILED, REFUSED = 1, 2
@@ -46,6 +47,7 @@ class Order:
 
 def main() -> int:
     """The process; the only argument is the file descriptor that events go to."""
+    collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's group: the launcher leads through the shutdown
     events = os.fdopen(int(sys.argv[1]), "w", buffering=1)
     order = Order(**json.loads(sys.stdin.readline()))
