@@ -16,7 +16,7 @@ found = native_build.Kernels.best_library
 given = Path(sys.argv[1])
 native_build.Kernels.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
 import test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares, test_nodes, test_rendering
-import test_semi_global, test_steps, test_sweep, test_velocity_equations
+import test_births, test_semi_global, test_steps, test_sweep, test_velocity_equations
 test_carried.test_the_compiled_cloud_is_the_plain_one()
 test_carried.test_compiled_cells_are_the_plain_ones()
 test_carried.test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one()
@@ -40,7 +40,7 @@ for shape in ((12, 17, 33), (1, 6, 4)):
 for things in (0, 400):
     test_nodes.test_the_nearest_by_kernel_are_those_by_tree(6, 50, things)
 for depth, side in ((False, 2), (True, 2), (False, 6)):
-    test_steps.test_compiled_births_are_those_found_in_numpy(depth, None, 0.05, side)
+    test_births.test_compiled_births_are_those_found_in_numpy(depth, None, 0.05, side)
 for depth in (False, True):
     test_steps.test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth)
 test_steps.test_the_compiled_kernel_stores_newborns_as_torch_does(40, 4)

@@ -35,14 +35,7 @@ def find_births(
         return find_births_plainly(observed, renderings, threshold, parameters, side)
     quota = parameters.per_set // max(len(observed), 1)
     rules = BirthRules(
-        *(
-            threshold,
-            SOLID,
-            birth_depths.COLOUR_SIGMA,
-            births.SAME_DEPTH,
-            birth_depths.HUGE * 0.5 * side,
-            birth_depths.REFUTED,
-        ),
+        *(threshold, SOLID, birth_depths.COLOUR_SIGMA, births.SAME_DEPTH, birth_depths.HUGE, birth_depths.REFUTED),
         *(birth_depths.LOCALITY, birth_depths.NEIGHBOUR_PX, birth_depths.FEWEST, birth_depths.DISSENT),
         *(OCCLUSION, SPREAD, births.ALIKE, quota, parameters.ray_samples, side),
     )
