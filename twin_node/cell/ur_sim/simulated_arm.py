@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import cv2
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from twin_node.robot import ArmModel
 from twin_node.robot.mjcf import write_mjcf
@@ -60,5 +60,5 @@ def pose_in_base(T_base_link_flange: Float64, tcp_offset: Float64) -> Float64:
     """[6] metres and rotation vector in RTDE's `base` of a TCP, at an offset [6] from the flange, [4, 4]."""
     rotation = _BASE_LINK_BASE @ T_base_link_flange[:3, :3]
     position = _BASE_LINK_BASE @ T_base_link_flange[:3, 3] + rotation @ tcp_offset[:3]
-    turned = Rotation.from_matrix(rotation) * Rotation.from_rotvec(tcp_offset[3:])
-    return np.concatenate([position, turned.as_rotvec()])
+    turned = rotation @ cv2.Rodrigues(tcp_offset[3:])[0]
+    return np.concatenate([position, cv2.Rodrigues(turned)[0].ravel()])
