@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from model_scenes import camera, frames, with_joints
 
@@ -78,6 +79,38 @@ def test_an_arm_that_looks_as_it_did_is_given_nothing_more() -> None:
     assert counts[-1] == counts[20]
 
 
+def test_what_depth_shows_before_the_arm_takes_nothing_from_what_it_hides() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=24)), arm=ARM)
+    q = Q + HALF_ROUND * 0.02
+    for index in range(16):
+        one, on_arm = chequered(index, q if index % 2 else Q)
+        (view,) = one.views
+        post = np.zeros(on_arm.shape, bool)
+        middle = int(np.median(on_arm.nonzero()[1]))
+        post[:, middle - 3 : middle + 3] = index > 0
+        assert view.depth is not None
+        rgb, measured = np.where(post[..., None], np.uint8(20), view.rgb), np.where(post, np.float32(0.5), view.depth)
+        cloud = model.update(replace(one, views=(replace(view, rgb=rgb, depth=measured),))).gaussians
+        if index == 0:
+            first = cloud.only(cloud.tiers == Tier.ROBOT)
+            seen = look(CAMERA, first.means)
+            hidden = first.ids[seen.inside & (np.abs(seen.columns - middle) < 3)]
+    was, is_now = (one.opacities[np.isin(one.ids, hidden)] for one in (first, cloud))
+    assert len(hidden) > 5
+    assert is_now.mean() > 0.95 * was.mean()
+
+
+def test_an_arm_that_stands_is_soon_left_as_it_is_to_the_bit() -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=24)), arm=ARM)
+    looks = []
+    for index in range(40):
+        cloud = model.update(chequered(index, Q + 1e-4 * (index % 2))[0]).gaussians  # as encoders err
+        own = cloud.only(cloud.tiers == Tier.ROBOT)
+        looks.append((own.rgb.tobytes(), own.scales.tobytes(), own.opacities.tobytes()))
+    assert len(set(looks[25:])) == 1
+    assert looks[1] != looks[5]
+
+
 def test_what_is_learnt_lies_beneath_the_surface_so_that_it_does_not_stand_out_over_the_outline() -> None:
     model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)
     first = model.update(chequered(0, Q)[0]).gaussians.ids
@@ -92,6 +125,20 @@ def test_what_is_learnt_lies_beneath_the_surface_so_that_it_does_not_stand_out_o
     beneath = (seen.depth - depth[seen.rows, seen.columns])[shown]
     assert shown.sum() > 15
     assert np.median(beneath / learnt.scales[shown].mean(1)) > 0.5
+
+
+def test_nothing_of_an_arm_that_turns_stands_out_over_its_outline() -> None:
+    eyes = (CAMERA, camera("beside", (0.2, 1.5, 1.0), (0.0, 0, 0.3)))
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=24)), arm=ARM)
+    for index in range(16):
+        seen = [chequered(index, Q + HALF_ROUND * index / 24, seen_by=one) for one in eyes]
+        views = tuple(one.views[0] for one, _ in seen)
+        model.update(replace(seen[0][0], views=views))
+        model.refine()
+    for view, (_, on_arm) in zip(views, seen, strict=True):
+        off = np.abs(model.render(view.camera).rgb - view.rgb / np.float32(255)).mean(-1)
+        around = cv2.dilate(on_arm.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool) & ~on_arm
+        assert off[around].mean() < 0.05
 
 
 def test_a_set_that_is_left_after_the_arm_teaches_nothing_once_what_stands_is_another() -> None:

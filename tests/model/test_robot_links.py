@@ -11,9 +11,10 @@ from model_scenes import camera, frames, with_joints
 
 from twin_node.model import MapParameters, ModelError, ModelParameters, SeedParameters, WindowModel
 from twin_node.model.gaussians import Newborns
-from twin_node.model.robot_links import arm_depth, links_of
+from twin_node.model.nodes import Nodes
+from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
 from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
-from twin_node.scene import Float64, FrameSet, Tier
+from twin_node.scene import Float64, FrameSet, JointSample, Tier
 
 ARM = ur_model("ur5e")
 Q = np.array([0.3, -1.2, 1.4, -1.6, -1.5, 0.0])
@@ -149,3 +150,20 @@ def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
     """Single starts differ by a tenth between processors; their mean does not."""
     behind, beside = np.mean([errors_behind_and_beside(steps) for steps in (7, 8, 9, 10)], axis=0)
     assert behind < 2.5 * beside
+
+
+def test_what_lies_too_near_the_surface_of_a_link_sinks_into_it() -> None:
+    nodes = Nodes(16, 8)
+    sample = JointSample(0, ARM.joint_names, Q, np.zeros(6))
+    links = RobotLinks(ARM, nodes, sample)
+    capsules, rows = ARM.capsules, nodes.alive.nonzero()[:, 0].numpy()
+    one = int(np.flatnonzero(capsules.links == links_of(ARM)[1])[0])
+    (begin, end), radius = capsules.ends[one], capsules.radii[one]
+    across = np.cross(end - begin, [0.3, 0.5, 0.8])
+    across /= np.linalg.norm(across)
+    middle = (begin + end) / 2
+    points = middle + across * (radius * np.array([0.2, 0.99, 1.5, 0.5]))[:, None]
+    depths = np.array([0.1, 0.1, 0.1, 2.0]) * radius
+    sunk = links.beneath(np.full(4, rows[1]), points, depths)
+    assert np.allclose((sunk - middle) @ across / radius, [0.2, 0.9, 0.9, 0.0], atol=1e-6)
+    assert np.allclose(np.linalg.norm(sunk - middle, axis=1) / radius, [0.2, 0.9, 0.9, 0.0], atol=1e-6)

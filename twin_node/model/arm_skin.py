@@ -1,44 +1,59 @@
-"""The look of the arm: its Gaussians go where the joints say, and learn the sides that no camera had seen before."""
+"""The look of the arm: its Gaussians go where the joints say, and learn what the cameras see of it."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.births import SPREAD
-from twin_node.model.gaussians import RGB, Gaussians, Newborns
+from twin_node.model.carriage import carry
+from twin_node.model.descending import Path, descend, rates_of
+from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians, Newborns
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, largest_channel
-from twin_node.model.rays import look
-from twin_node.model.rendering import Rendering, Splats, render
+from twin_node.model.photometric import Goal, targets_of
+from twin_node.model.rendering import Rendering, render, split
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import conjugate, rotate
 from twin_node.scene import Bool, Float32, Float64, JointSample, Tier
 
-UPTAKE = 0.3
-"""Share of what a pixel misses that the Gaussian that shows there takes on: noise is averaged over about six looks."""
+RATE = 2.0
+"""What the rates of `descending.RATES` are multiplied by."""
+MEANS = 0.3
+"""Share of it that the means have: one camera alone would draw them towards itself."""
+TURNED_RAD = 0.02
+"""How far any joint turns until the arm shows the cameras something new."""
+CALMING, CALM = 0.85, 0.05
+"""What the rates are multiplied by with every look at an arm that does not turn, and when that is over."""
+BENEATH = 0.5
+"""How far under the surface of its link's capsules a Gaussian lies at least, in units of its own mean radius: half of
+one that lay on it would stand out over the arm's outline."""
+AROUND_PX = 3
+"""Pixels around the arm's mask in which nothing of it may show."""
 WRONG = 0.1
 """Difference of a channel (0 to 1) beyond which Gaussians are missing: what counts as change."""
 MOST_BORN = 60
 """Gaussians born per look at most: a side that turns to a camera is whole within half a second."""
-SHOWING_M = 0.01
-"""How far behind what the arm's rendering shows a Gaussian may lie and still be what is seen, m."""
-_AROUND = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+LONELY = 2.0
+"""Radii of a newborn within which there must be no other. Within one, they are half as many again and show no more."""
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_AROUND = np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)
 
 
 @dataclass(frozen=True)
 class _Skin:
-    """Blocks of pixels in which a camera sees the arm itself."""
+    """Where a camera sees the arm itself, in blocks of pixels."""
 
+    one: Observed
     rows: NDArray[np.intp]
     """[n] first row."""
     columns: NDArray[np.intp]
@@ -49,43 +64,87 @@ class _Skin:
     """[n] m along the optical axis."""
     links: NDArray[np.int64]
     """[n] row of the node of the nearest link."""
+    counted: Bool
+    """[H, W] pixels that tell how the arm looks: its own, and those around it that show what stands behind it."""
 
 
 class ArmSkin:
-    """Learns the colours of one arm's Gaussians, and makes new ones where none are; a set's share is `refine`."""
+    """Learns the look of one arm's Gaussians, and makes new ones where none are; a set's share is `refine`."""
 
     def __init__(self, links: RobotLinks, gaussians: Gaussians, motion: Motion) -> None:
         self._links = links
         self._gaussians = gaussians
         self._motion = motion
+        self._q: Float64 | None = None
+        """[J] rad, where the arm was when it had turned last."""
+        self._share = 1.0
+        """What the rates are multiplied by."""
 
     def refine(
-        self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None]
+        self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None], steps: int
     ) -> Generator[None]:
-        """Looks at the arm through one camera after another; `robots` are its masks [H, W].
+        """Takes `steps`, 1 or more, by what all cameras see of the arm; `robots` are its masks [H, W].
 
-        Called while the links are where the set shows them; what it returns may be gone on with once they are not.
+        Called while the links are where the set shows them; what it returns may be gone on with once they are not. An
+        arm that does not turn soon stays as it is, to the bit.
         """
-        poses = [self._motion.poses([one.offset_s]) for one in observed]
-        return self._slices(list(zip(observed, robots, poses, strict=True)), joints)
+        seen = [(one, mask) for one, mask in zip(observed, robots, strict=True) if mask is not None and mask.any()]
+        if seen and self._is_known(joints):
+            seen = []
+        poses = self._motion.poses([one.offset_s for one, _ in seen])
+        return self._slices(seen, joints, poses, steps)
 
-    def _slices(self, views: Sequence[tuple[Observed, Bool | None, Poses]], joints: JointSample) -> Generator[None]:
-        """The work of a look through each of `views`, which saw the links at the poses beside it."""
-        for one, mask, poses in views:
-            if mask is not None and mask.any():
-                yield from self._look(one, mask, joints, poses)
-                yield
+    def _is_known(self, joints: JointSample) -> bool:
+        """Whether another look would tell nothing new."""
+        q = self._links.angles(joints)
+        if self._q is None or np.abs(q - self._q).max() > TURNED_RAD:
+            self._q, self._share = q, 1.0
+        else:
+            self._share *= CALMING
+        return self._share < CALM
 
-    def _look(self, one: Observed, mask: Bool, joints: JointSample, poses: Poses) -> Generator[None]:
-        """Through one camera: drawn first, then learnt from."""
-        skin = self._skin(one, mask, joints)
-        rows = self._gaussians.robot_rows
-        with torch.no_grad():
-            placed = self._motion.place(self._gaussians, rows, poses, [one.view.stamp])
-            shown = render(placed, [one.view.camera], [mask])[0]
-        yield
-        self._recolour(one, rows, placed, shown, skin)
-        self._bear(one, placed, shown, skin, poses)
+    def _slices(
+        self, seen: Sequence[tuple[Observed, Bool]], joints: JointSample, poses: Poses, steps: int
+    ) -> Generator[None]:
+        """The work of a look through the views in `seen`, which saw the links at `poses`."""
+        skins = []
+        for one, mask in seen:
+            skins.append(self._skin(one, mask, joints))
+            yield
+        if not skins:
+            return
+        goal = self._goal(skins)
+        shown: list[Rendering] = []
+        for _ in range(steps):
+            shown = self._learn(goal, poses)
+            yield
+        for index, (skin, rendering) in enumerate(zip(skins, shown, strict=True)):
+            self._bear(skin, rendering, Poses(poses.positions[index : index + 1], poses.quats[index : index + 1]))
+
+    def _goal(self, skins: Sequence[_Skin]) -> Goal:
+        """The counted pixels of all views, before what stands behind the arm."""
+        views, masks = [skin.one.view for skin in skins], [skin.counted for skin in skins]
+        targets = targets_of(views, masks, self._gaussians.values.device, [skin.one.rgb for skin in skins])
+        backdrops = [skin.one.background.backdrop for skin in skins]
+        return Goal([view.camera for view in views], masks, targets, backdrops)
+
+    def _learn(self, goal: Goal, poses: Poses) -> list[Rendering]:
+        """One step of all that the Gaussians look like; what the views saw before it."""
+        g = self._gaussians
+        rows = g.robot_rows
+        nobody = g.standing(g.values[:0])
+        if not len(rows):
+            return render(nobody, goal.cameras, goal.masks, goal.backdrops)
+        carriers = g.nodes.index_select(0, rows)
+        rates = rates_of(g.values.index_select(0, rows), RATE * self._share)
+        rates[:, MEAN] *= MEANS
+        seen = descend(g, Path(rows, carry(poses, carriers), rates, nobody, goal), 1)
+        own = g.values.index_select(0, rows)
+        radii = own[:, LOG_SCALE].exp().mean(1).cpu().double().numpy()
+        means = self._links.beneath(carriers.cpu().numpy(), own[:, MEAN].cpu().double().numpy(), BENEATH * radii)
+        own[:, MEAN] = torch.from_numpy(means).to(own)
+        g.values.index_copy_(0, rows, own)
+        return split(seen.sheets)
 
     def _skin(self, one: Observed, mask: Bool, joints: JointSample) -> _Skin:
         """Where the camera sees the arm: what is measured lies on it, or nothing known lies before it.
@@ -94,65 +153,55 @@ class ArmSkin:
         """
         height, width = (BLOCK * (side // BLOCK) for side in mask.shape)
         rows, columns = (BLOCK * at for at in np.nonzero(mask[:height:BLOCK, :width:BLOCK]))
-        camera = one.view.camera
-        rays = (one.background.rays[rows, columns] + one.background.rays[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
+        camera, background = one.view.camera, one.background
+        rays = (background.rays[rows, columns] + background.rays[rows + BLOCK - 1, columns + BLOCK - 1]) / 2
         if one.view.depth is not None:
             depth = one.view.depth[rows, columns].astype(np.float64)
         else:
             depth = self._links.depths(joints, camera, rays)
-            depth[(one.background.depth[rows, columns] < depth) | one.near_moving[rows, columns]] = 0
+            depth[(background.depth[rows, columns] < depth) | one.near_moving[rows, columns]] = 0
         points = camera.T_base_cam[:3, 3] + rays * depth[:, None]
         links = self._links.nearest(joints, points)
-        own = np.zeros((height // BLOCK, width // BLOCK), np.uint8)
-        own[rows // BLOCK, columns // BLOCK] = (depth > 0) & (links >= 0)
-        inner = cv2.erode(own, _AROUND, borderType=cv2.BORDER_REPLICATE)[rows // BLOCK, columns // BLOCK] > 0
-        return _Skin(rows[inner], columns[inner], points[inner], depth[inner], links[inner])
+        depths = np.zeros((height // BLOCK, width // BLOCK), np.float32)
+        depths[rows // BLOCK, columns // BLOCK] = np.where(links >= 0, depth, 0)
+        whole = cv2.erode((depths > 0).astype(np.uint8), _CROSS, borderType=cv2.BORDER_REPLICATE) > 0
+        inner = whole[rows // BLOCK, columns // BLOCK]
+        own = mask if one.view.depth is not None else _pixels(whole, mask.shape)
+        counted = (own | _around(one, mask, depths)) & ~one.near_moving
+        return _Skin(one, rows[inner], columns[inner], points[inner], depth[inner], links[inner], counted)
 
-    def _recolour(self, one: Observed, rows: Tensor, placed: Splats, shown: Rendering, skin: _Skin) -> None:
-        """What shows takes on some of what its pixel misses."""
-        on_skin = np.zeros(one.usable.shape, bool)
-        for down in range(BLOCK):
-            for right in range(BLOCK):
-                on_skin[skin.rows + down, skin.columns + right] = True
-        seen = look(one.view.camera, placed.means[0].cpu().double().numpy())
-        at = (seen.rows, seen.columns)
-        depth = shown.depth.cpu().numpy()[at]
-        front = seen.inside & on_skin[at] & (seen.depth < depth + SHOWING_M)
-        missed = (one.rgb[at] - shown.rgb.cpu().numpy()[at])[front]
-        chosen = rows[torch.from_numpy(front).to(rows.device)]
-        rgb = self._gaussians.values[chosen, RGB] + UPTAKE * torch.from_numpy(missed).to(rows.device)
-        self._gaussians.values[chosen, RGB] = rgb.clamp(0, 1)
-
-    def _bear(self, one: Observed, placed: Splats, shown: Rendering, skin: _Skin, poses: Poses) -> None:
+    def _bear(self, skin: _Skin, shown: Rendering, poses: Poses) -> None:
         """New Gaussians where the arm looks otherwise than its Gaussians do and none of them is near.
 
-        They lie a radius behind what is seen: on the surface itself half of each would stand out over the arm's
-        outline as other cameras see it.
+        They lie a radius behind what is seen, see `BENEATH`.
         """
-        if not len(skin.rows):
-            return
+        one = skin.one
         at = (skin.rows, skin.columns)
         error = largest_channel(one.rgb[at], shown.rgb.cpu().numpy()[at])
         worst = np.argsort(-error, kind="stable")[:MOST_BORN]
         worst = worst[error[worst] > WRONG]
+        if not len(worst):
+            return
         radii = SPREAD * BLOCK * skin.depth[worst] / one.view.camera.K[0, 0]
         rays = skin.points[worst] - one.view.camera.T_base_cam[:3, 3]
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         points = skin.points[worst] + rays * radii[:, None]
-        apart = torch.cdist(torch.from_numpy(points), placed.means[0].cpu().double()).numpy()
-        lonely = apart.min(1, initial=np.inf) > radii  # nothing is near where the arm has no Gaussians yet
+        with torch.no_grad():
+            own = self._motion.place(self._gaussians, self._gaussians.robot_rows, poses, [one.view.stamp]).means[0]
+        apart = torch.cdist(torch.from_numpy(points), own.cpu().double()).numpy()
+        lonely = apart.min(1, initial=np.inf) > LONELY * radii
         if lonely.any():
-            born = self._newborns(one, skin, worst[lonely], points[lonely], radii[lonely], poses)
+            born = self._newborns(skin, worst[lonely], points[lonely], radii[lonely], poses)
             self._gaussians.spawn(born, one.view.stamp)
 
     def _newborns(
-        self, one: Observed, skin: _Skin, chosen: NDArray[np.intp], points: Float64, radii: Float64, poses: Poses
+        self, skin: _Skin, chosen: NDArray[np.intp], points: Float64, radii: Float64, poses: Poses
     ) -> Newborns:
         device = self._gaussians.values.device
         carriers = torch.from_numpy(skin.links[chosen])
         turn = conjugate(poses.quats[0, carriers])
         means = rotate(turn, torch.from_numpy(points) - poses.positions[0, carriers])
-        rgb: Float32 = one.rgb[skin.rows[chosen], skin.columns[chosen]]
+        rgb: Float32 = skin.one.rgb[skin.rows[chosen], skin.columns[chosen]]
         return Newborns(
             means.float().to(device),
             turn.float().to(device),
@@ -162,3 +211,20 @@ class ArmSkin:
             Tier.ROBOT,
             carriers.to(device),
         )
+
+
+def _around(one: Observed, mask: Bool, depths: Float32) -> Bool:
+    """[H, W] pixels around the arm's `mask` that show what stands behind the arm, whose blocks lie `depths` m deep."""
+    stands = one.background.depth
+    if one.nearest is not None:
+        stands = np.where(one.nearest > 0, one.nearest, stands)
+    behind = stands > _pixels(cv2.dilate(depths, _AROUND), mask.shape)
+    return cv2.dilate(mask.view(np.uint8), _AROUND).view(bool) & behind & one.usable
+
+
+def _pixels(blocks: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """[H, W] of values [H // BLOCK, W // BLOCK] of blocks; zero in the rows and columns that fill none."""
+    out = np.zeros(shape, blocks.dtype)
+    whole = blocks.repeat(BLOCK, 0).repeat(BLOCK, 1)
+    out[: whole.shape[0], : whole.shape[1]] = whole
+    return out

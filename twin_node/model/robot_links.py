@@ -19,8 +19,6 @@ SKIN_M = 0.03
 """Distance from the arm's capsules at which a Gaussian still belongs to it: the margin of the robot mask."""
 CLOSE_M = 0.015
 """Distance from them at which a measured point does: errors of depth cameras. Capsules enclose links, so any inside."""
-MARCH_STEPS = 32
-"""Steps of sphere tracing; a grazing ray at 2 m then ends within 2 mm of the surface."""
 
 
 class RobotLinks:
@@ -49,9 +47,13 @@ class RobotLinks:
             still = np.zeros((len(self._rows), 3))
             self._nodes.set_velocities(self._rows, still, still)
             return
-        poses = forward_kinematics(self._arm, self._arm.ordered_positions(joints))[self._links]
+        poses = forward_kinematics(self._arm, self.angles(joints))[self._links]
         quats = torch.from_numpy(quat_from_rotation(poses[:, :3, :3]))
         self._nodes.drive(self._rows, torch.from_numpy(poses[:, :3, 3].copy()), quats, elapsed_s)
+
+    def angles(self, joints: JointSample) -> Float64:
+        """[J] rad, in the arm's own order."""
+        return self._arm.ordered_positions(joints)
 
     def nearest(self, joints: JointSample, points: Float64) -> NDArray[np.int64]:
         """[n] rows of the nodes of the links on or in whose capsules points [n, 3] lie, -1 where they lie on none."""
@@ -60,12 +62,25 @@ class RobotLinks:
         rows = self._rows.numpy()[np.searchsorted(self._links, placed.links[distance.argmin(1)])]
         return np.where(distance.min(1) < CLOSE_M, rows, -1)
 
+    def beneath(self, carriers: NDArray[np.int64], points: Float64, depths: Float64) -> Float64:
+        """[n, 3] m: `points` [n, 3] in the frames of the links' nodes `carriers` [n], sunk into the nearest capsule of
+        their link where they lie less than `depths` [n] m under its surface, to its axis at most."""
+        capsules = self._arm.capsules
+        links = self._links[(carriers[:, None] == self._rows.numpy()).argmax(1)]
+        feet = _feet(capsules.ends, points)
+        apart = np.linalg.norm(points[:, None] - feet, axis=-1)
+        nearest = np.where(capsules.links == links[:, None], apart - capsules.radii, np.inf).argmin(1)
+        foot, off = (np.take_along_axis(of, nearest[:, None, None], 1)[:, 0] for of in (feet, apart[..., None]))
+        wanted = np.maximum(capsules.radii[nearest] - depths, 0)[:, None]
+        sunk: Float64 = foot + (points - foot) * np.minimum(1, wanted / np.maximum(off, 1e-9))
+        return sunk
+
     def depths(self, joints: JointSample, camera: Camera, rays: Float64) -> Float64:
         """[n] m along the optical axis of `rays` [n, 3] to the arm's capsules; 0 where a ray meets none."""
-        return _march(self._placed(joints), camera.T_base_cam[:3, 3], rays)
+        return _met(self._placed(joints), camera.T_base_cam[:3, 3], rays)
 
     def _placed(self, joints: JointSample) -> PlacedCapsules:
-        return place_capsules(self._arm, forward_kinematics(self._arm, self._arm.ordered_positions(joints)))
+        return place_capsules(self._arm, forward_kinematics(self._arm, self.angles(joints)))
 
     def bind(self, gaussians: Gaussians, joints: JointSample, masks: Sequence[Bool], cameras: Sequence[Camera]) -> None:
         """Makes STATIC Gaussians ROBOT that lie on the arm: within `SKIN_M` of a capsule and on a robot mask [H, W]."""
@@ -92,26 +107,50 @@ def arm_depth(arm: ArmModel, q: Float64, camera: Camera, mask: Bool) -> Float32:
     """[H, W] m along the optical axis to the arm's capsules inside `mask` [H, W]; 0 where a ray meets none."""
     out = np.zeros(mask.shape, np.float32)
     placed = place_capsules(arm, forward_kinematics(arm, q))
-    out[mask] = _march(placed, camera.T_base_cam[:3, 3], pixel_rays(camera)[mask])
+    out[mask] = _met(placed, camera.T_base_cam[:3, 3], pixel_rays(camera)[mask])
     return out
 
 
-def _march(placed: PlacedCapsules, origin: Float64, rays: Float64) -> Float64:
-    """[n] m along `rays` [n, 3] of length one along the optical axis from `origin` to the capsules; 0: none is met."""
-    length = np.linalg.norm(rays, axis=1)
-    depth = np.full(len(rays), 0.05)
-    gap = np.full(len(rays), np.inf)
-    for _ in range(MARCH_STEPS):
-        gap = _distances(placed, origin + rays * depth[:, None]).min(1)
-        depth += np.maximum(gap, 0) / length
-    return np.where(gap < 0.005, depth, 0)
+def _met(placed: PlacedCapsules, origin: Float64, rays: Float64) -> Float64:
+    """[n] m along `rays` [n, 3] of length one along the optical axis from `origin` [3] to the capsules; 0: none is met.
+
+    A capsule is met where the first is of its two balls and of the cylinder between them. What the origin lies in is
+    not met.
+    """
+    begins, ends, square = placed.ends[:, 0], placed.ends[:, 1], placed.radii**2
+    along = ends - begins
+    length = np.maximum((along**2).sum(1), 1e-12)
+    first = np.full((len(rays), len(square)), np.inf)
+    for middles in (begins, ends):
+        off = origin - middles
+        first = np.minimum(first, _entered((rays**2).sum(1)[:, None], rays @ off.T, (off**2).sum(1) - square))
+    off, slope = origin - begins, rays @ along.T
+    start = (off * along).sum(1)
+    across = (rays**2).sum(1)[:, None] - slope**2 / length, rays @ off.T - slope * start / length
+    walls = _entered(*across, (off**2).sum(1) - start**2 / length - square)
+    share = (start + np.where(np.isfinite(walls), walls, 0) * slope) / length
+    first = np.where((share >= 0) & (share <= 1), np.minimum(first, walls), first).min(1)
+    return np.where(np.isfinite(first), first, 0)
+
+
+def _entered(a: Float64, b: Float64, c: Float64) -> Float64:
+    """The lesser t with a t^2 + 2 b t + c = 0 (a >= 0) where it is positive, else infinite."""
+    root = b**2 - a * c
+    t = (-b - np.sqrt(np.maximum(root, 0))) / np.maximum(a, 1e-12)
+    return np.where((root >= 0) & (t > 0), t, np.inf)
 
 
 def _distances(placed: PlacedCapsules, points: NDArray[np.floating]) -> Float64:
     """[n, C] m from points [n, 3] to the capsules' surfaces; negative inside."""
-    a, b = placed.ends[:, 0], placed.ends[:, 1]
+    apart: Float64 = np.linalg.norm(points[:, None] - _feet(placed.ends, points), axis=-1) - placed.radii
+    return apart
+
+
+def _feet(ends: Float64, points: NDArray[np.floating]) -> Float64:
+    """[n, C, 3] m: the place on each axis between `ends` [C, 2, 3] that is nearest to each of `points` [n, 3]."""
+    a, b = ends[:, 0], ends[:, 1]
     along = b - a
     square = np.maximum((along**2).sum(1), 1e-12)
     share = np.clip(((points[:, None] - a) * along).sum(-1) / square, 0, 1)
-    apart: Float64 = np.linalg.norm(points[:, None] - a - share[..., None] * along, axis=-1) - placed.radii
-    return apart
+    feet: Float64 = a + share[..., None] * along
+    return feet
