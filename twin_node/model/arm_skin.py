@@ -26,7 +26,7 @@ from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import conjugate, rotate
 from twin_node.scene import Bool, Float32, Float64, JointSample, Tier
 
-RATE = 2.0
+RATE = 1.5
 """What the rates of `descending.RATES` are multiplied by."""
 MEANS = 0.3
 """Share of it that the means have: one camera alone would draw them towards itself."""
@@ -81,9 +81,9 @@ class ArmSkin:
         """What the rates are multiplied by."""
 
     def refine(
-        self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None], steps: int
+        self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None]
     ) -> Generator[None]:
-        """Takes `steps`, 1 or more, by what all cameras see of the arm; `robots` are its masks [H, W].
+        """Takes a step by what each camera sees of the arm; `robots` are its masks [H, W].
 
         Called while the links are where the set shows them; what it returns may be gone on with once they are not. An
         arm that does not turn soon stays as it is, to the bit.
@@ -92,7 +92,7 @@ class ArmSkin:
         if seen and self._is_known(joints):
             seen = []
         poses = self._motion.poses([one.offset_s for one, _ in seen])
-        return self._slices(seen, joints, poses, steps)
+        return self._slices(seen, joints, poses)
 
     def _is_known(self, joints: JointSample) -> bool:
         """Whether another look would tell nothing new."""
@@ -103,48 +103,39 @@ class ArmSkin:
             self._share *= CALMING
         return self._share < CALM
 
-    def _slices(
-        self, seen: Sequence[tuple[Observed, Bool]], joints: JointSample, poses: Poses, steps: int
-    ) -> Generator[None]:
-        """The work of a look through the views in `seen`, which saw the links at `poses`."""
-        skins = []
-        for one, mask in seen:
-            skins.append(self._skin(one, mask, joints))
+    def _slices(self, seen: Sequence[tuple[Observed, Bool]], joints: JointSample, poses: Poses) -> Generator[None]:
+        """The work of a look through the views in `seen`, which saw the links at `poses`, one after another."""
+        for index, (one, mask) in enumerate(seen):
+            skin, its = self._skin(one, mask, joints), Poses(*(of[index : index + 1] for of in vars(poses).values()))
             yield
-        if not skins:
-            return
-        goal = self._goal(skins)
-        shown: list[Rendering] = []
-        for _ in range(steps):
-            shown = self._learn(goal, poses)
+            shown = self._learn(skin, its)
             yield
-        for index, (skin, rendering) in enumerate(zip(skins, shown, strict=True)):
-            self._bear(skin, rendering, Poses(poses.positions[index : index + 1], poses.quats[index : index + 1]))
+            self._bear(skin, shown, its)
+        if seen:
+            self._sink()
 
-    def _goal(self, skins: Sequence[_Skin]) -> Goal:
-        """The counted pixels of all views, before what stands behind the arm."""
-        views, masks = [skin.one.view for skin in skins], [skin.counted for skin in skins]
-        targets = targets_of(views, masks, self._gaussians.values.device, [skin.one.rgb for skin in skins])
-        backdrops = [skin.one.background.backdrop for skin in skins]
-        return Goal([view.camera for view in views], masks, targets, backdrops)
-
-    def _learn(self, goal: Goal, poses: Poses) -> list[Rendering]:
-        """One step of all that the Gaussians look like; what the views saw before it."""
-        g = self._gaussians
-        rows = g.robot_rows
-        nobody = g.standing(g.values[:0])
+    def _learn(self, skin: _Skin, poses: Poses) -> Rendering:
+        """One step of all that the Gaussians look like, before what stands behind the arm; what was seen before it."""
+        g, one = self._gaussians, skin.one
+        rows, view, nobody = g.robot_rows, one.view, g.standing(g.values[:0])
+        targets = targets_of([view], [skin.counted], g.values.device, [one.rgb])
+        goal = Goal([view.camera], [skin.counted], targets, [one.background.backdrop])
         if not len(rows):
-            return render(nobody, goal.cameras, goal.masks, goal.backdrops)
-        carriers = g.nodes.index_select(0, rows)
+            return render(nobody, goal.cameras, goal.masks, goal.backdrops)[0]
         rates = rates_of(g.values.index_select(0, rows), RATE * self._share)
         rates[:, MEAN] *= MEANS
-        seen = descend(g, Path(rows, carry(poses, carriers), rates, nobody, goal), 1)
+        carriage = carry(poses, g.nodes.index_select(0, rows))
+        return split(descend(g, Path(rows, carriage, rates, nobody, goal), 1).sheets)[0]
+
+    def _sink(self) -> None:
+        """What has come too near the surface of its link sinks back."""
+        g = self._gaussians
+        rows = g.robot_rows
         own = g.values.index_select(0, rows)
         radii = own[:, LOG_SCALE].exp().mean(1).cpu().double().numpy()
-        means = self._links.beneath(carriers.cpu().numpy(), own[:, MEAN].cpu().double().numpy(), BENEATH * radii)
-        own[:, MEAN] = torch.from_numpy(means).to(own)
+        carriers, points = g.nodes.index_select(0, rows).cpu().numpy(), own[:, MEAN].cpu().double().numpy()
+        own[:, MEAN] = torch.from_numpy(self._links.beneath(carriers, points, BENEATH * radii)).to(own)
         g.values.index_copy_(0, rows, own)
-        return split(seen.sheets)
 
     def _skin(self, one: Observed, mask: Bool, joints: JointSample) -> _Skin:
         """Where the camera sees the arm: what is measured lies on it, or nothing known lies before it.

@@ -79,7 +79,7 @@ class Upkeep:
         learning = self._mapper.refine(seen.observed, seen.stamp, steps)
         skinning: Generator[None] | None = None
         if self.skin is not None and seen.joints is not None:
-            skinning = self.skin.refine(seen.observed, seen.joints, seen.robots, steps)
+            skinning = self.skin.refine(seen.observed, seen.joints, seen.robots)
         for _ in range(2):
             next(learning, None)
             yield
