@@ -55,6 +55,20 @@ def test_sides_of_the_arm_that_no_camera_had_seen_are_learnt_when_it_turns() -> 
         assert before < count < 4 * before
 
 
+def test_an_arm_is_learnt_though_the_next_set_comes_as_soon_as_there_is_time() -> None:
+    given, _ = missed_on_the_arm(0, True)
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)
+    busy: list[str] = []
+    model.on_stage = busy.append
+    for index in range(10):
+        one, on_arm = chequered(index, Q if index < 2 else Q + HALF_ROUND)
+        model.update(one)
+        busy.clear()
+        model.refine(lambda: "bear" not in busy)
+    off = np.abs(model.render(CAMERA).rgb - one.views[0].rgb / np.float32(255)).mean(-1)
+    assert off[on_arm].mean() < 0.8 * given
+
+
 def test_every_camera_teaches_the_arm_in_every_set() -> None:
     cameras = (CAMERA, camera("opposite", (-1.5, -0.3, 1.0), (0.0, 0, 0.3)))
     model = WindowModel(ModelParameters(seed=SeedParameters(steps=8)), arm=ARM)

@@ -133,6 +133,8 @@ class Tracker:
         self._due: _Due | None = None
         """A set that has been tracked and that nothing else has been made of yet."""
         self._leisure = Leisure()
+        self._is_cut_short = False
+        """Whether what could be let be of the set before was not done to its end."""
 
     @property
     def has_arm(self) -> bool:
@@ -186,8 +188,9 @@ class Tracker:
         better without; who merges and splits shows in what comes. Where `proceed` leaves no time nothing is done, and
         no more where a set comes meanwhile as none did lately: what is not born now is with the next set. If that goes
         on, neither is put off again, nothing is pruned, and what stands takes a step after one set and is drawn anew
-        after the next. Another thread looks at what a set's steps miss while this one regroups and prunes, and while it
-        bears.
+        after the next. A process of its own, which is handed a set as soon as one is out, never finds one waiting, and
+        yet has no time: what the set before has left goes on by `HURRIED` slices all the same. Another thread looks at
+        what a set's steps miss while this one regroups and prunes, and while it bears.
         """
         due, self._due = self._due, None
         if due is None:
@@ -211,7 +214,9 @@ class Tracker:
             self._nodes.begin()
             on_stage("bear")
         if leisure.hurried < 2:
-            return self._upkeep.go_on(proceed) and not leisure.hurried
+            whole = self._upkeep.go_on(proceed) or (self._is_cut_short and self._upkeep.go_on(granted(HURRIED)))
+            self._is_cut_short = not whole
+            return whole and not leisure.hurried
         keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
         return keep_up(granted(HURRIED))
 
