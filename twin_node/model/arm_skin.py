@@ -47,6 +47,8 @@ LONELY = 2.0
 """Radii of a newborn within which there must be no other. Within one, they are half as many again and show no more."""
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _AROUND = np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)
+_REACHED = np.ones((7, 7), np.uint8)
+"""Blocks about one that the arm's mask, which is grown, and the pixels around it reach to."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class _Skin:
     """Where a camera sees the arm itself, in blocks of pixels."""
 
     one: Observed
+    """The view."""
     rows: NDArray[np.intp]
     """[n] first row."""
     columns: NDArray[np.intp]
@@ -209,7 +212,7 @@ def _around(one: Observed, mask: Bool, depths: Float32) -> Bool:
     stands = one.background.depth
     if one.nearest is not None:
         stands = np.where(one.nearest > 0, one.nearest, stands)
-    behind = stands > _pixels(cv2.dilate(depths, _AROUND), mask.shape)
+    behind = stands > _pixels(cv2.dilate(depths, _REACHED), mask.shape)
     return cv2.dilate(mask.view(np.uint8), _AROUND).view(bool) & behind & one.usable
 
 
