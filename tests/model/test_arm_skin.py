@@ -64,7 +64,7 @@ def test_an_arm_is_learnt_though_the_next_set_comes_as_soon_as_there_is_time() -
         one, on_arm = chequered(index, Q if index < 2 else Q + HALF_ROUND)
         model.update(one)
         busy.clear()
-        model.refine(lambda: "bear" not in busy)
+        model.refine(lambda: "bear" not in busy, least=4)
     off = np.abs(model.render(CAMERA).rgb - one.views[0].rgb / np.float32(255)).mean(-1)
     assert off[on_arm].mean() < 0.8 * given
 

@@ -21,6 +21,8 @@ from twin_node.scene import TwinState
 NICENESS = 5
 """Of a processor that both want, who hands it sets gets three quarters: that is what the arm waits for. On two
 processors it is told of up to a tenth more sets than without, and as many are followed."""
+LEAST = 4
+"""Slices of what can wait after each set: the next is here as soon as one is out, so that there is hardly time."""
 
 
 def main() -> int:
@@ -45,7 +47,7 @@ def serve(connection: Connection) -> None:
         seen = connection.recv()
         try:
             send(connection, follow(model, seen))
-            model.refine(lambda: not connection.poll())
+            model.refine(lambda: not connection.poll(), LEAST)
         except ConnectionError:
             raise
         except Exception:  # whatever it is ends this process, and who has begun it raises it

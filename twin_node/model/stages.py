@@ -26,15 +26,20 @@ def unhurried() -> bool:
     return True
 
 
+def exhausted() -> bool:
+    """There never is."""
+    return False
+
+
 def endless() -> float:
     """Nobody waits for it."""
     return math.inf
 
 
-def granted(slices: int) -> Proceed:
-    """There is time for so many."""
+def granted(slices: int, then: Proceed = exhausted) -> Proceed:
+    """There is time for so many, and from then on where `then` says so."""
     left = iter(range(slices))
-    return lambda: next(left, None) is not None
+    return lambda: next(left, None) is not None or then()
 
 
 class Sliced:

@@ -133,8 +133,6 @@ class Tracker:
         self._due: _Due | None = None
         """A set that has been tracked and that nothing else has been made of yet."""
         self._leisure = Leisure()
-        self._is_cut_short = False
-        """Whether what could be let be of the set before was not done to its end."""
 
     @property
     def has_arm(self) -> bool:
@@ -181,16 +179,16 @@ class Tracker:
         decisions, self._decisions = self._decisions, []
         return Tracked(born, self._pace if fitted.diverged else None, decisions)
 
-    def refine(self, proceed: Proceed = unhurried, on_stage: OnStage = unwatched) -> bool:
+    def refine(self, proceed: Proceed = unhurried, least: int = 0, on_stage: OnStage = unwatched) -> bool:
         """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
         better without; who merges and splits shows in what comes. Where `proceed` leaves no time nothing is done, and
         no more where a set comes meanwhile as none did lately: what is not born now is with the next set. If that goes
         on, neither is put off again, nothing is pruned, and what stands takes a step after one set and is drawn anew
-        after the next. A process of its own, which is handed a set as soon as one is out, never finds one waiting, and
-        yet has no time: what the set before has left goes on by `HURRIED` slices all the same. Another thread looks at
-        what a set's steps miss while this one regroups and prunes, and while it bears.
+        after the next. Whoever never finds a set waiting, and yet has no time, has `least` slices of what can wait
+        done all the same. Another thread looks at what a set's steps miss while this one regroups and prunes, and while
+        it bears.
         """
         due, self._due = self._due, None
         if due is None:
@@ -214,9 +212,7 @@ class Tracker:
             self._nodes.begin()
             on_stage("bear")
         if leisure.hurried < 2:
-            whole = self._upkeep.go_on(proceed) or (self._is_cut_short and self._upkeep.go_on(granted(HURRIED)))
-            self._is_cut_short = not whole
-            return whole and not leisure.hurried
+            return self._upkeep.go_on(granted(least, proceed)) and not leisure.hurried
         keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
         return keep_up(granted(HURRIED))
 

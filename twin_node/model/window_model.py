@@ -210,18 +210,18 @@ class WindowModel:
         cloud, nodes = cloud_of(self._gaussians, self._motion), node_states_of(self._gaussians, self._nodes)
         return _Shown(self._nodes.stamp, cloud, nodes)
 
-    def refine(self, proceed: Proceed = unhurried) -> bool:
+    def refine(self, proceed: Proceed = unhurried, least: int = 0) -> bool:
         """Lets be born what the last set shows, and refines what stands still; once per set, by the next `follow`
         where nobody has called it.
 
         A live node calls it when the state is published, so that it costs no latency. It takes some milliseconds; every
         one or two of them `proceed()` says whether there is time for more, else it goes on after the next set where it
-        was. Returns whether nothing was left.
+        was; for `least` such slices there always is. Returns whether nothing was left.
         """
         if self._tracker is None:
             return True
         with torch_alone():
-            whole = self._tracker.refine(proceed, self.on_stage)
+            whole = self._tracker.refine(proceed, least, self.on_stage)
         self.on_stage("refine")
         return whole
 
