@@ -21,7 +21,7 @@ from twin_node.scene import TwinState
 NICENESS = 5
 """Of a processor that both want, who hands it sets gets three quarters: that is what the arm waits for. On two
 processors it is told of up to a tenth more sets than without, and as many are followed."""
-LEAST = 4
+LEAST = 8
 """Slices of what can wait after each set: the next is here as soon as one is out, so that there is hardly time."""
 
 
