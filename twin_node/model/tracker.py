@@ -214,7 +214,7 @@ class Tracker:
         if leisure.hurried < 2:
             return self._upkeep.go_on(granted(least, proceed)) and not leisure.hurried
         keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
-        return keep_up(granted(HURRIED))
+        return keep_up(granted(max(HURRIED, least)))
 
     def end(self) -> None:
         """Ends what `refine` has begun and not been left the time for."""
