@@ -17,6 +17,7 @@ from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.apart import Apart
+from twin_node.native_library import kernel_threads
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
 from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier, TwinState
 
@@ -26,10 +27,11 @@ WIDTH = "96"
 
 @pytest.fixture(scope="module")
 def lockstep(cell_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with `out.mcap` and the report of one lockstep replay."""
+    """Folder with `out.mcap` and the report of one lockstep replay, by one thread."""
     folder = tmp_path_factory.mktemp("lockstep")
     arguments = ["--lockstep", "--width", WIDTH, "--max-rate", "15", "--report", str(folder)]
-    assert main(["replay", str(cell_log(SECONDS)), "-o", str(folder / "out.mcap"), *arguments]) == 0
+    with kernel_threads(1):
+        assert main(["replay", str(cell_log(SECONDS)), "-o", str(folder / "out.mcap"), *arguments]) == 0
     return folder
 
 
@@ -42,10 +44,13 @@ def test_every_set_gives_a_cloud_a_forecast_obstacles_and_a_decision(lockstep: P
     assert counts[GAUSSIANS] == counts[STATUS] == 2
 
 
-def test_the_same_log_gives_the_same_bytes(lockstep: Path, cell_log: Callable[..., Path], tmp_path: Path) -> None:
+def test_the_same_log_gives_the_same_bytes_by_two_threads_as_by_one(
+    lockstep: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
     again = tmp_path / "again.mcap"
     arguments = ["--lockstep", "--width", WIDTH, "--max-rate", "15"]
-    assert main(["replay", str(cell_log(SECONDS)), "-o", str(again), *arguments]) == 0
+    with kernel_threads(2):
+        assert main(["replay", str(cell_log(SECONDS)), "-o", str(again), *arguments]) == 0
     assert again.read_bytes() == (lockstep / "out.mcap").read_bytes()
 
 
