@@ -33,9 +33,14 @@ from twin_node.cli import main
 from twin_node.json_text import json_text
 from twin_node.messages import convert
 
-SEND = (
-    "import socket; s = socket.create_server(('10.77.0.1', 5)); c = s.accept()[0]; c.sendall(b'x' * 300000); c.recv(1)"
-)
+SEND = """
+import socket
+s = socket.create_server(('10.77.0.1', 5))
+print("listens", flush=True)
+c = s.accept()[0]
+c.sendall(b'x' * 300000)
+c.recv(1)
+"""
 TAKE = """
 import socket, sys
 c = socket.create_connection(('10.77.0.1', 5), timeout=60)
@@ -55,7 +60,8 @@ def test_a_link_between_machines_loses_packets_and_no_bytes() -> None:
         pytest.skip(str(error))
     link = Link(near, far, 0.001, loss=0.05)
     link.is_cut = True
-    near.start([sys.executable, "-c", SEND])
+    listens = near.start([sys.executable, "-c", SEND]).stdout
+    assert listens is not None and listens.readline() == "listens\n"
     output = far.start([sys.executable, "-c", TAKE]).stdout
     assert output is not None
     assert not select.select([output], [], [], 0.3)[0]
