@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -13,12 +15,13 @@ from twin_node.model.descending import Path, descend_fused, descend_plain
 from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
 from twin_node.model.gaussians import LOG_SCALE, QUICK, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
-from twin_node.model.photometric import Goal, photometric, targets_of
+from twin_node.model.photometric import differentiate, goal_of, photometric
 from twin_node.model.rendering import Splats, draw
 from twin_node.model.rotations import quat_product, rotate
-from twin_node.scene import Tier
+from twin_node.scene import Tier, View
 
 CAMERAS = rig(64, 48)
+CPU = torch.device("cpu")
 
 
 def poses(times: int, count: int) -> Poses:
@@ -58,7 +61,7 @@ def test_a_carriage_takes_gradients_back_as_autograd_does() -> None:
 def stored(splats: Splats) -> Gaussians:
     """STATIC Gaussians `splats`."""
     count = splats.means.shape[1]
-    store = Gaussians(count, torch.device("cpu"))
+    store = Gaussians(count, CPU)
     nobody = torch.full((count,), -1, dtype=torch.int64)
     store.spawn(
         Newborns(splats.means[0], splats.quats[0], splats.scales, splats.opacities, splats.rgb, Tier.STATIC, nobody), 0
@@ -70,25 +73,32 @@ def test_the_first_step_goes_down_the_gradient_that_autograd_finds() -> None:
     store = stored(block(0.1))
     views = frames(0, None, CAMERAS).views
     values = store.values.clone().requires_grad_()
-    targets = targets_of(views, [None] * len(views), torch.device("cpu"))
-    torch.autograd.backward(photometric(draw(store.standing(values), CAMERAS), targets))
+    [sheet] = draw(store.standing(values), CAMERAS)
+    torch.autograd.backward(photometric(sheet, goal_of(views, [None] * len(views), None, CPU).targets))
     assert values.grad is not None
     fit_all(store, views, 1)
     expected = (1 - QUICK.first) * values.grad  # Adam's first moment after one step
     assert torch.allclose(store.moment1, expected, rtol=1e-3, atol=1e-7)
 
 
-def test_each_view_weighs_the_same_however_few_of_its_pixels_count() -> None:
-    views = frames(0, None, CAMERAS).views
-    sheets = draw(table(), CAMERAS)
-    mask = torch.zeros(48, 64, dtype=torch.bool)
+@pytest.mark.parametrize("rows", [48, 37])
+def test_each_view_weighs_the_same_however_few_of_its_pixels_there_are_and_count(rows: int) -> None:
+    first, *others = frames(0, None, CAMERAS).views
+    views = [shortened(first, rows), *others]
+    mask = np.zeros((rows, 64), bool)
     mask[20:30, 20:40] = True
-    whole = [targets_of([view], [None], torch.device("cpu")) for view in views]
-    alone = [photometric(draw(table(), [camera]), own) for camera, own in zip(CAMERAS, whole, strict=True)]
-    masks = [mask.numpy(), *([None] * (len(views) - 1))]
-    first = photometric(draw(table(), CAMERAS[:1]), targets_of(views[:1], masks[:1], torch.device("cpu")))
-    both = photometric(sheets, targets_of(views, masks, torch.device("cpu")))
-    assert torch.allclose(both, first + torch.stack(alone[1:]).sum(), rtol=1e-3)
+    masks = [mask, *([None] * len(others))]
+    alone = [differentiate(table(), goal_of([view], [own], None, CPU)) for view, own in zip(views, masks, strict=True)]
+    together = differentiate(table(), goal_of(views, masks, None, CPU))
+    assert together.loss == pytest.approx(sum(one.loss for one in alone), rel=1e-3)
+    of_means = torch.stack([one.gradient.means for one in alone]).sum(0)
+    assert share_close(together.gradient.means, of_means, 1e-3, 1e-7) > 0.99
+
+
+def shortened(view: View, rows: int) -> View:
+    """The view's first rows."""
+    depth = None if view.depth is None else view.depth[:rows]
+    return replace(view, camera=replace(view.camera, height=rows), rgb=view.rgb[:rows], depth=depth)
 
 
 @pytest.mark.parametrize(("share", "steps"), [(0.0, 3), (FULL_SHARE, 3), (0.75, 2), (1.0, 1)])
@@ -104,8 +114,9 @@ def test_more_pixels_take_fewer_steps(share: float, steps: int) -> None:
     ("steps", "decays"),
     [(1, QUICK), (2, QUICK), (3, splat.Decays(0.8, 0.95)), (3, splat.Decays())],  # moments that remember, as steps part
 )
-def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> None:
-    if not splat.can_descend(torch.device("cpu")):
+@pytest.mark.parametrize("rows_of_first", [48, 41])
+def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays, rows_of_first: int) -> None:
+    if not splat.can_descend(CPU):
         pytest.skip("the compiled library is not at hand")
     views = frames(0, -0.1, CAMERAS, depth=True).views
     generator = torch.Generator().manual_seed(2)
@@ -113,7 +124,9 @@ def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> Non
     for backdrop, view in zip(backdrops, views, strict=True):
         assert view.depth is not None
         backdrop[:, :32] = torch.from_numpy(np.dstack([view.rgb / 255, view.depth])[:, :32])
-    masks = [np.zeros((48, 64), bool) for _ in views]
+    views = (shortened(views[0], rows_of_first), *views[1:])
+    backdrops[0] = backdrops[0][:rows_of_first]
+    masks = [np.zeros(view.rgb.shape[:2], bool) for view in views]
     for mask in masks:
         mask[8:40, 10:60] = True
     outcomes = []
@@ -122,14 +135,16 @@ def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays) -> Non
         store.values[:, LOG_SCALE] += 0.2 * torch.randn(len(store), 3, generator=torch.Generator().manual_seed(3))
         rows = torch.arange(0, len(store), 2)
         still = store.standing(store.values[1::2])
-        goal = Goal(CAMERAS, masks, targets_of(views, masks, torch.device("cpu")), backdrops)
+        goal = goal_of(views, masks, backdrops, CPU)
         carriage = carry(poses(3, 1), torch.full((len(rows),), -1))
         rates = torch.full((len(rows), WIDTH), 1e-3)
         last = descend(store, Path(rows, carriage, rates, still, goal, decays), steps)
         outcomes.append((store, last))
     (plain, of_plain), (fused, of_fused) = outcomes
     alike = 1.0 if steps == 1 else 0.98  # the order in depth is that of the first step, which a few Gaussians leave
-    assert share_close(of_plain.sheets[0].rgbd, of_fused.sheets[0].rgbd, 0.0, 1e-3) >= alike
+    for view, seen, seen_fused in zip(views, of_plain.seen, of_fused.seen, strict=True):
+        assert seen.rgb.shape == seen_fused.rgb.shape == view.rgb.shape
+        assert share_close(seen.rgbd, seen_fused.rgbd, 0.0, 1e-3) >= alike
     assert share_close(plain.moment1[rows], fused.moment1[rows], 2e-2, 1e-6) >= alike - 0.1 * (steps > 1)
     assert share_close(plain.steps.float(), fused.steps.float(), 0.0, 0.0) >= alike
     assert fused.steps[rows].max() == steps
@@ -145,13 +160,12 @@ def share_close(a: torch.Tensor, b: torch.Tensor, rtol: float, atol: float) -> f
 
 
 def test_fused_steps_that_are_not_finite_are_refused_alone() -> None:
-    if not splat.can_descend(torch.device("cpu")):
+    if not splat.can_descend(CPU):
         pytest.skip("the compiled library is not at hand")
     store, views = stored(block(0.1)), frames(0, -0.1, CAMERAS).views
     store.moment2[3] = torch.nan
     before = store.values.clone()
-    targets = targets_of(views, [None] * len(views), torch.device("cpu"))
-    goal = Goal(CAMERAS, None, targets, [torch.rand(48, 64, 4) for _ in views])
+    goal = goal_of(views, [None] * len(views), [torch.rand(48, 64, 4) for _ in views], CPU)
     rows = torch.arange(len(store))
     carriage = carry(poses(3, 1), torch.full((len(rows),), -1))
     nobody = store.standing(store.values[:0])

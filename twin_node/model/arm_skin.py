@@ -20,8 +20,8 @@ from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians, Newborns
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, largest_channel
-from twin_node.model.photometric import Goal, targets_of
-from twin_node.model.rendering import Rendering, render, split
+from twin_node.model.photometric import goal_of
+from twin_node.model.rendering import Rendering, render
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import conjugate, rotate
 from twin_node.scene import Bool, Float32, Float64, JointSample, Tier
@@ -121,14 +121,13 @@ class ArmSkin:
         """One step of all that the Gaussians look like, before what stands behind the arm; what was seen before it."""
         g, one = self._gaussians, skin.one
         rows, view, nobody = g.robot_rows, one.view, g.standing(g.values[:0])
-        targets = targets_of([view], [skin.counted], g.values.device, [one.rgb])
-        goal = Goal([view.camera], [skin.counted], targets, [one.background.backdrop])
+        goal = goal_of([view], [skin.counted], [one.background.backdrop], g.values.device, [one.rgb])
         if not len(rows):
             return render(nobody, goal.cameras, goal.masks, goal.backdrops)[0]
         rates = rates_of(g.values.index_select(0, rows), RATE * self._share)
         rates[:, MEAN] *= MEANS
         carriage = carry(poses, g.nodes.index_select(0, rows))
-        return split(descend(g, Path(rows, carriage, rates, nobody, goal), 1).sheets)[0]
+        return descend(g, Path(rows, carriage, rates, nobody, goal), 1).seen[0]
 
     def _sink(self) -> None:
         """What has come too near the surface of its link sinks back."""

@@ -13,7 +13,7 @@ from twin_node import splat
 from twin_node.model.carriage import Carriage
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, QUICK, RGB, SMALLEST, WIDTH, Gaussians, activated
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate
-from twin_node.model.rendering import Sheet, Splats, join, stacked
+from twin_node.model.rendering import Rendering, Sheet, Splats, join, stacked
 
 WORSE, WORSE_FLOOR = 1.5, 1e-3
 """Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
@@ -44,9 +44,9 @@ class Path:
 
 @dataclass(frozen=True)
 class Descended:
-    """The last step: what was seen before it, and the gradient [T, n, ...] by carried means and quaternions."""
+    """The last step: what each view saw before it, and the gradient [T, n, ...] by carried means and quaternions."""
 
-    sheets: list[Sheet]
+    seen: list[Rendering]
     of_means: Tensor
     of_quats: Tensor
     losses: list[float]
@@ -66,7 +66,7 @@ def undo(gaussians: Gaussians, rows: Tensor, values: Tensor) -> None:
 
 def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """`steps` steps, 1 or more, by the fastest way there is."""
-    if splat.can_descend(gaussians.values.device) and len(path.goal.targets) == 1:
+    if splat.can_descend(gaussians.values.device):
         return descend_fused(gaussians, path, steps)
     return descend_plain(gaussians, path, steps)
 
@@ -87,13 +87,13 @@ def descend_plain(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         )
         descent.step(to_columns(moving, local), path.rates)
     descent.end()
-    return Descended(seen.sheets, gradient.means, gradient.quats, losses)
+    return Descended(path.goal.own(seen.sheet), gradient.means, gradient.quats, losses)
 
 
 def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
-    """The same in one call of the compiled library, for cameras of one size."""
+    """The same in one call of the compiled library."""
     rows, goal, times = path.rows, path.goal, len(path.goal.cameras)
-    target = goal.targets[0]
+    target = goal.targets
     assert goal.backdrops is not None
     learners = splat.Learners(
         rows,
@@ -126,7 +126,7 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.decays))
     gaussians.refused += done.refused
     sheet = Sheet(list(range(times)), done.seen, done.alphas)
-    return Descended([sheet], done.v_means, done.v_quats, done.losses.tolist())
+    return Descended(goal.own(sheet), done.v_means, done.v_quats, done.losses.tolist())
 
 
 def _tail(splats: Splats, count: int) -> Splats:

@@ -15,8 +15,8 @@ from twin_node.model.gaussians import MEAN, QUAT, Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
-from twin_node.model.photometric import Goal, targets_of
-from twin_node.model.rendering import Rendering, Splats, split
+from twin_node.model.photometric import goal_of
+from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.rotations import quat_product
 from twin_node.scene import Bool, View
 
@@ -41,8 +41,8 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
 
     Rates fall to a tenth on the way. Behind the Gaussians is black, as far as the view measures.
     """
-    targets = targets_of(views, [None] * len(views), gaussians.values.device)
-    goal = Goal([view.camera for view in views], None, targets, [_black(view, gaussians.values) for view in views])
+    backdrops = [_black(view, gaussians.values) for view in views]
+    goal = goal_of(views, [None] * len(views), backdrops, gaussians.values.device)
     rows = torch.nonzero(gaussians.alive)[:, 0]
     no_nodes = Poses(*(torch.zeros(len(views), 0, width, dtype=torch.float64) for width in (3, 4)))
     at_rest = carry(no_nodes, torch.full_like(rows, -1))
@@ -82,9 +82,8 @@ def fit_moving(
         return Fitted([], False)
     stamps = motion.stamps([one.offset_s for one in observed])
     views = [one.view for one in observed]
-    targets = targets_of(views, masks, gaussians.values.device, [one.rgb for one in observed])
     backdrops = [one.background.backdrop for one in observed]
-    goal = Goal([view.camera for view in views], masks, targets, backdrops)
+    goal = goal_of(views, masks, backdrops, gaussians.values.device, [one.rgb for one in observed])
     values = gaussians.values.index_select(0, rows)
     rates = rates_of(values, learning_rate)
     rates[:, MEAN] *= CANONICAL_SHARE * _looseness(gaussians, rows, motion.nodes.stamp)[:, None]
@@ -101,7 +100,7 @@ def fit_moving(
         last = descend(gaussians, path, 1)
         of_means = path.carriage.means_gradient(last.of_means)
         _learn_field(motion, bend, values, of_means, rigid.quats_gradient(last.of_quats))
-    return Fitted(split(last.sheets), False)
+    return Fitted(last.seen, False)
 
 
 @dataclass(frozen=True)

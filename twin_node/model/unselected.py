@@ -13,8 +13,7 @@ from twin_node.model.gaussians import Gaussians
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed
-from twin_node.model.photometric import Goal, targets_of
-from twin_node.model.rendering import split
+from twin_node.model.photometric import goal_of
 
 
 def fit_unselected(
@@ -47,9 +46,9 @@ def fit_unselected(
         )
         carriage = carriage if bend is None else carriage.bent(bend)
     values = gaussians.values[rows]
-    goal = Goal([view.camera for view in views], masks, targets_of(views, masks, device), backdrops)
+    goal = goal_of(views, masks, backdrops, device)
     done = descend(gaussians, Path(rows, carriage, rates_of(values, learning_rate), arm, goal), steps)
     if diverged(done.losses):
         undo(gaussians, rows, values)
         return Fitted([], True)
-    return Fitted(split(done.sheets), False)
+    return Fitted(done.seen, False)
