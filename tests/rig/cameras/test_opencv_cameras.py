@@ -27,12 +27,16 @@ def video(tmp_path: Path) -> Path:
 
 
 def test_a_video_is_played_again_and_again(video: Path) -> None:
+    """Where the test is kept waiting, images are left out."""
     source = OpenCvSource([OpenCvCamera("front", str(video))])
-    images = [image for image, _ in zip(source.images(), range(12), strict=False)]
+    images: list[CameraImage] = []
+    for image in itertools.islice(source.images(), 1000):
+        images.append(image)
+        steps = np.diff([one.rgb.mean() for one in images])
+        if (steps > 20).any() and (steps < -100).any():
+            break
     source.close()
-    levels = [int(image.rgb.mean()) for image in images]
-    assert levels[0] < levels[4]
-    assert max(np.diff(levels).min(), -300) < -100  # it has begun again
+    assert (steps > 20).any() and (steps < -100).any()  # it has gone on, and begun again
     assert all(a.stamp < b.stamp for a, b in itertools.pairwise(images))
     assert source.health[0].is_connected is False
 
