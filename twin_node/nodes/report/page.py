@@ -163,7 +163,7 @@ def _strips(taken: Sequence[Renderings], start: int) -> list[Captioned]:
         columns = [pictures.camera_column(one.image, one.ours, one.mask) for one in shown]
         names = ", ".join(one.view.camera.name for one in shown)
         captioned.append(
-            Captioned(_encoded(pictures.png(pictures.beside(columns))), f"{_seconds(stamp, start)}: {names}")
+            Captioned(_encoded(pictures.png(pictures.table(columns))), f"{_seconds(stamp, start)}: {names}")
         )
     return captioned
 

@@ -38,16 +38,20 @@ class Curve:
     colour: str | None = None
 
 
-def camera_column(image: Image, rendering: Image, moving: Bool | None) -> UInt8:
-    """Image, rendering, and the image with the moving mask outlined, one below the other, RGB."""
+def camera_column(image: Image, rendering: Image, moving: Bool | None) -> tuple[UInt8, UInt8, UInt8]:
+    """Image, rendering, and the image with the moving mask outlined, RGB."""
     outlined = enlarge(image)
     if moving is not None:
         outlined = outline(outlined, moving, MASK)
-    return np.vstack([enlarge(image), enlarge(rendering), outlined])
+    return enlarge(image), enlarge(rendering), outlined
 
 
-def beside(pictures: Sequence[UInt8]) -> UInt8:
-    """Pictures side by side on white, their tops in line."""
+def table(columns: Sequence[Sequence[UInt8]]) -> UInt8:
+    """Columns of pictures side by side on white; those of a row have their tops in line."""
+    return np.vstack([_beside(row) for row in zip(*columns, strict=True)])
+
+
+def _beside(pictures: Sequence[UInt8]) -> UInt8:
     height = max(picture.shape[0] for picture in pictures)
     padded = [np.pad(p, ((0, height - p.shape[0]), (0, 6), (0, 0)), constant_values=255) for p in pictures]
     return np.hstack(padded)[:, :-6]
