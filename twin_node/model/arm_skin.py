@@ -123,7 +123,7 @@ class ArmSkin:
         rows, view, nobody = g.robot_rows, one.view, g.standing(g.values[:0])
         goal = goal_of([view], [skin.counted], [one.background.backdrop], g.values.device, [one.rgb])
         if not len(rows):
-            return render(nobody, goal.cameras, goal.masks, goal.backdrops)[0]
+            return render(nobody, goal.cameras, [skin.counted], goal.backdrops)[0]
         rates = rates_of(g.values.index_select(0, rows), RATE * self._share)
         rates[:, MEAN] *= MEANS
         carriage = carry(poses, g.nodes.index_select(0, rows))

@@ -117,7 +117,7 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         torch.from_numpy(np.stack([camera.viewmat for camera in goal.cameras])).float(),
         torch.from_numpy(np.stack([camera.K for camera in goal.cameras])).float(),
         stacked(tuple(goal.backdrops)),
-        None if goal.masks is None else torch.from_numpy(np.stack(goal.masks)),
+        None if goal.masks is None else torch.from_numpy(goal.masks),
         target.rgb,
         target.weights,
         target.depth,

@@ -40,17 +40,17 @@ class Goal:
     """
 
     cameras: Sequence[Camera]
-    """All of one size."""
-    masks: Sequence[Bool] | None
-    """[H, W] pixels that are drawn."""
+    """C of one size."""
+    masks: Bool | None
+    """[C, H, W] pixels that are drawn; None: all."""
     targets: Targets
     backdrops: Sequence[Tensor] | None
-    """What stands behind all that is drawn, see `rendering.render`."""
+    """[H, W, 4] each, what stands behind all that is drawn, see `rendering.render`; None: black."""
     sizes: Sequence[tuple[int, int]]
     """Height and width of the views' own images."""
 
     def own(self, sheet: Sheet) -> list[Rendering]:
-        """What each view saw, in the size of its own images."""
+        """What the cameras saw on a sheet, view by view in the size of its own images."""
         of_each = zip(sheet.rgbd, sheet.alpha, self.sizes, strict=True)
         return [Rendering(rgbd[:h, :w].contiguous(), alpha[:h, :w].contiguous()) for rgbd, alpha, (h, w) in of_each]
 
@@ -62,54 +62,31 @@ def goal_of(
     device: torch.device,
     images: Sequence[Float32] | None = None,
 ) -> Goal:
-    """The views' images (and depths) inside `masks` [H, W], before `backdrops` [H, W, 4].
+    """The views' images (and depths) inside `masks` [H, W] (None: all pixels), before `backdrops` [H, W, 4].
 
     Each view weighs the same, however few of its pixels count: those inside its mask that are valid. `images`
-    [H, W, 3] are theirs, 0 to 1, if at hand.
+    [H, W, 3] are theirs, 0 to 1, if at hand. All of a view are of its own size.
     """
-    sizes = [view.rgb.shape[:2] for view in views]
-    height, width = (max(sides) for sides in zip(*sizes, strict=True))
-    if any(size != (height, width) for size in sizes):
-        views = [_widened(view, height, width) for view in views]
-        masks = [_padded(one, height, width) for one in _whole(masks, sizes)]
-        images = None if images is None else [_padded(image, height, width) for image in images]
-        if backdrops is not None:
-            backdrops = [pad(one, (0, 0, 0, width - one.shape[1], 0, height - one.shape[0])) for one in backdrops]
-    drawn = None if all(mask is None for mask in masks) else _whole(masks, [(height, width)] * len(views))
-    return Goal([view.camera for view in views], drawn, _targets(views, masks, device, images), backdrops, sizes)
-
-
-def _whole(masks: Sequence[Bool | None], sizes: Sequence[tuple[int, int]]) -> list[Bool]:
-    """The masks, of all pixels where there is none."""
-    return [np.ones(size, bool) if mask is None else mask for mask, size in zip(masks, sizes, strict=True)]
-
-
-def _widened(view: View, height: int, width: int) -> View:
-    return replace(
-        view,
-        camera=replace(view.camera, height=height, width=width),
-        rgb=_padded(view.rgb, height, width),
-        depth=None if view.depth is None else _padded(view.depth, height, width),
-        valid=None if view.valid is None else _padded(view.valid, height, width),
-    )
-
-
-def _padded(image: NDArray[Any], height: int, width: int) -> NDArray[Any]:
-    """[height, width, ...] with zeros below and to the right of an image."""
-    sides = [(0, height - image.shape[0]), (0, width - image.shape[1])]
-    return np.pad(image, sides + [(0, 0)] * (image.ndim - 2))
-
-
-def _targets(
-    views: Sequence[View], masks: Sequence[Bool | None], device: torch.device, images: Sequence[Float32] | None
-) -> Targets:
+    sizes = [(view.camera.height, view.camera.width) for view in views]
+    height, width = size = (max(rows for rows, _ in sizes), max(columns for _, columns in sizes))
+    if any(own != size for own in sizes):
+        masks = _whole(masks, sizes)  # what is added is not drawn
     counted = [_counted(view, mask) for view, mask in zip(views, masks, strict=True)]
-    depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in views]
-    colours = _colours(views) if images is None else np.stack(images)
-    return Targets(
-        torch.from_numpy(colours).to(device),
-        None if all(one is None for one in counted) else torch.from_numpy(_weights(views, counted)).to(device),
-        None if all(view.depth is None for view in views) else torch.from_numpy(np.stack(depths)).to(device),
+    depths = [np.zeros(own, np.float32) if v.depth is None else v.depth for v, own in zip(views, sizes, strict=True)]
+    targets = Targets(
+        torch.from_numpy(_together([_colours(view) for view in views] if images is None else images, size)).to(device),
+        None if all(one is None for one in counted) else torch.from_numpy(_weights(counted, sizes, size)).to(device),
+        None if all(view.depth is None for view in views) else torch.from_numpy(_together(depths, size)).to(device),
+    )
+    return Goal(
+        [
+            view.camera if own == size else replace(view.camera, height=height, width=width)
+            for view, own in zip(views, sizes, strict=True)
+        ],
+        None if all(mask is None for mask in masks) else _together(_whole(masks, sizes), size),
+        targets,
+        None if backdrops is None else [_grown(backdrop, size) for backdrop in backdrops],
+        sizes,
     )
 
 
@@ -119,19 +96,40 @@ def _counted(view: View, mask: Bool | None) -> Bool | None:
     return mask & view.valid
 
 
-def _colours(views: Sequence[View]) -> Float32:
-    """[C, H, W, 3] their images, 0 to 1."""
-    return np.divide(np.stack([view.rgb for view in views]), np.float32(255), dtype=np.float32)
+def _whole(masks: Sequence[Bool | None], sizes: Sequence[tuple[int, int]]) -> list[Bool]:
+    """The masks, of all pixels where there is none."""
+    return [np.ones(size, bool) if mask is None else mask for mask, size in zip(masks, sizes, strict=True)]
 
 
-def _weights(views: Sequence[View], counted: Sequence[Bool | None]) -> Float32:
-    """[C, H, W] ones where pixels count, scaled so that each view's add up to the same."""
-    masks = _whole(counted, [view.rgb.shape[:2] for view in views])
-    shares = [np.float32(max(int(np.count_nonzero(mask)), 1) / mask.size) for mask in masks]
-    weights = np.empty((len(masks), *masks[0].shape), np.float32)
-    for mask, share, out in zip(masks, shares, weights, strict=True):
-        np.multiply(mask, 1 / share, out=out)
+def _colours(view: View) -> Float32:
+    """[H, W, 3] the image, 0 to 1."""
+    return np.divide(view.rgb, np.float32(255), dtype=np.float32)
+
+
+def _weights(counted: Sequence[Bool | None], sizes: Sequence[tuple[int, int]], size: tuple[int, int]) -> Float32:
+    """[C, *size] ones where pixels count, scaled so that each view's add up to the same."""
+    weights = np.zeros((len(counted), *size), np.float32)
+    for mask, (height, width), out in zip(_whole(counted, sizes), sizes, weights, strict=True):
+        share = np.float32(max(int(np.count_nonzero(mask)), 1) / out.size)
+        np.multiply(mask, 1 / share, out=out[:height, :width])
     return weights
+
+
+def _together(images: Sequence[NDArray[Any]], size: tuple[int, int]) -> NDArray[Any]:
+    """[C, *size, ...] images [H, W, ...], with zeros below and to the right of smaller ones."""
+    if all(image.shape[:2] == size for image in images):
+        return np.stack(images)
+    out = np.zeros((len(images), *size, *images[0].shape[2:]), images[0].dtype)
+    for image, own in zip(images, out, strict=True):
+        own[: image.shape[0], : image.shape[1]] = image
+    return out
+
+
+def _grown(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """[*size, 4] of [H, W, 4]: the image itself where it is as large, by which what was made of it is found again."""
+    if image.shape[:2] == size:
+        return image
+    return pad(image, (0, 0, 0, size[1] - image.shape[1], 0, size[0] - image.shape[0]))
 
 
 def photometric(sheet: Sheet, targets: Targets) -> Tensor:
@@ -161,7 +159,7 @@ class Differentiated:
 def differentiate(splats: Splats, goal: Goal) -> Differentiated:
     """Draws `splats` and takes the loss's gradient back to them."""
     leaf = Splats(*(field.detach().requires_grad_() for field in vars(splats).values()))
-    [sheet] = draw(leaf, goal.cameras, goal.masks, goal.backdrops)
+    [sheet] = draw(leaf, goal.cameras, None if goal.masks is None else list(goal.masks), goal.backdrops)
     loss = photometric(sheet, goal.targets)
     torch.autograd.backward(loss)
     grads = [torch.zeros_like(field) if field.grad is None else field.grad for field in vars(leaf).values()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +67,7 @@ class FailsOnce:
 
 def test_a_camera_that_fails_is_opened_again() -> None:
     opened: list[int] = []
-    open_capture: Callable[[int | str], Any] = lambda address: FailsOnce(opened)  # noqa: E731
-    source = OpenCvSource([OpenCvCamera("usb", "0", width=640)], open_capture)
+    source = OpenCvSource([OpenCvCamera("usb", "0", width=640)], lambda address: FailsOnce(opened))
     images = [image for image, _ in zip(source.images(), range(3), strict=False)]
     assert len(images) == 3
     assert len(opened) == 2
