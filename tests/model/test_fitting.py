@@ -16,7 +16,7 @@ from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
 from twin_node.model.gaussians import LOG_SCALE, QUICK, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
 from twin_node.model.photometric import differentiate, goal_of, photometric
-from twin_node.model.rendering import Splats, draw
+from twin_node.model.rendering import Splats, shoot
 from twin_node.model.rotations import quat_product, rotate
 from twin_node.scene import Tier, View
 
@@ -73,8 +73,8 @@ def test_the_first_step_goes_down_the_gradient_that_autograd_finds() -> None:
     store = stored(block(0.1))
     views = frames(0, None, CAMERAS).views
     values = store.values.clone().requires_grad_()
-    [sheet] = draw(store.standing(values), CAMERAS)
-    torch.autograd.backward(photometric(sheet, goal_of(views, [None] * len(views), None, CPU).targets))
+    goal = goal_of(views, [None] * len(views), None, CPU)
+    torch.autograd.backward(photometric(shoot(store.standing(values), goal.shots), goal.targets))
     assert values.grad is not None
     fit_all(store, views, 1)
     expected = (1 - QUICK.first) * values.grad  # Adam's first moment after one step
@@ -90,7 +90,7 @@ def test_each_view_weighs_the_same_however_few_of_its_pixels_there_are_and_count
     masks = [mask, *([None] * len(others))]
     alone = [differentiate(table(), goal_of([view], [own], None, CPU)) for view, own in zip(views, masks, strict=True)]
     together = differentiate(table(), goal_of(views, masks, None, CPU))
-    assert together.loss == pytest.approx(sum(one.loss for one in alone), rel=1e-3)
+    assert float(together.loss) == pytest.approx(float(sum(one.loss for one in alone)), rel=1e-3)
     of_means = torch.stack([one.gradient.means for one in alone]).sum(0)
     assert share_close(together.gradient.means, of_means, 1e-3, 1e-7) > 0.99
 

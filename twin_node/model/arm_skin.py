@@ -21,7 +21,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
 from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.photometric import goal_of
-from twin_node.model.rendering import Rendering, render
+from twin_node.model.rendering import Rendering, shoot
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import conjugate, rotate
 from twin_node.scene import Bool, Float32, Float64, JointSample, Tier
@@ -123,7 +123,7 @@ class ArmSkin:
         rows, view, nobody = g.robot_rows, one.view, g.standing(g.values[:0])
         goal = goal_of([view], [skin.counted], [one.background.backdrop], g.values.device, [one.rgb])
         if not len(rows):
-            return render(nobody, goal.cameras, [skin.counted], goal.backdrops)[0]
+            return goal.own(shoot(nobody, goal.shots))[0]
         rates = rates_of(g.values.index_select(0, rows), RATE * self._share)
         rates[:, MEAN] *= MEANS
         carriage = carry(poses, g.nodes.index_select(0, rows))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,7 +12,7 @@ from twin_node import splat
 from twin_node.model.carriage import Carriage
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, QUICK, RGB, SMALLEST, WIDTH, Gaussians, activated
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate
-from twin_node.model.rendering import Rendering, Sheet, Splats, join, stacked
+from twin_node.model.rendering import Rendering, Sheet, Splats, join
 
 WORSE, WORSE_FLOOR = 1.5, 1e-3
 """Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
@@ -87,14 +86,14 @@ def descend_plain(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         )
         descent.step(to_columns(moving, local), path.rates)
     descent.end()
-    return Descended(path.goal.own(seen.sheet), gradient.means, gradient.quats, losses)
+    return Descended(path.goal.own(seen.sheet), gradient.means, gradient.quats, torch.stack(losses).tolist())
 
 
 def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """The same in one call of the compiled library."""
-    rows, goal, times = path.rows, path.goal, len(path.goal.cameras)
-    target = goal.targets
-    assert goal.backdrops is not None
+    rows, shots, target = path.rows, path.goal.shots, path.goal.targets
+    times = len(shots.Ks)
+    assert shots.backdrop is not None
     learners = splat.Learners(
         rows,
         gaussians.values,
@@ -114,10 +113,10 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
         static.rgb,
     )
     aims = splat.Aims(
-        torch.from_numpy(np.stack([camera.viewmat for camera in goal.cameras])).float(),
-        torch.from_numpy(np.stack([camera.K for camera in goal.cameras])).float(),
-        stacked(tuple(goal.backdrops)),
-        None if goal.masks is None else torch.from_numpy(goal.masks),
+        shots.viewmats,
+        shots.Ks,
+        shots.backdrop,
+        shots.masks,
         target.rgb,
         target.weights,
         target.depth,
@@ -125,8 +124,7 @@ def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     )
     done = splat.descend(learners, bystanders, aims, splat.Course(steps, SMALLEST, path.decays))
     gaussians.refused += done.refused
-    sheet = Sheet(list(range(times)), done.seen, done.alphas)
-    return Descended(goal.own(sheet), done.v_means, done.v_quats, done.losses.tolist())
+    return Descended(path.goal.own(Sheet(done.seen, done.alphas)), done.v_means, done.v_quats, done.losses.tolist())
 
 
 def _tail(splats: Splats, count: int) -> Splats:

@@ -293,6 +293,7 @@ class Descent:
         self._ceiling = gaussians.largest[rows, None]
         self._moment1, self._moment2 = gaussians.moment1[rows], gaussians.moment2[rows]
         self._steps = gaussians.steps[rows]
+        self._refused = torch.zeros_like(self._steps)
         self.values = gaussians.values[rows]
         """[n, 14] as they are now."""
 
@@ -313,13 +314,13 @@ class Descent:
         torch.minimum(scales, self._ceiling, out=scales)
         scales.clamp_(min=SMALLEST)
         rgb.clamp_(0, 1)
-        if not bool(torch.isfinite(values).all()):
-            bad = ~torch.isfinite(values).all(1)
-            values[bad] = self.values[bad]
-            self._moment1[bad], self._moment2[bad], self._steps[bad] = 0, 0, 0
-            self._store.refused += int(bad.sum())
-        self.values = values
+        finite = torch.isfinite(values).all(1)
+        self.values = torch.where(finite[:, None], values, self.values)
+        self._moment1, self._moment2 = (torch.where(finite[:, None], of, 0) for of in (m, v))
+        self._steps = torch.where(finite, self._steps, 0)
+        self._refused += ~finite
 
     def end(self) -> None:
-        """Stores values and moments."""
+        """Stores values and moments, and counts the steps that were not taken."""
         self._store.take(self._rows, self.values, self._moment1, self._moment2, self._steps)
+        self._store.refused += int(self._refused.sum())

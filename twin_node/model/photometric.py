@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from twin_node import splat
-from twin_node.model.rendering import Rendering, Sheet, Splats, draw
-from twin_node.scene import Bool, Camera, Float32, View
+from twin_node.model.rendering import Rendering, Sheet, Shots, Splats, shoot, shots_of
+from twin_node.scene import Bool, Float32, View
 
 DEPTH_WEIGHT = 0.05
 """Weight of a metre of depth error beside the photometric loss."""
@@ -34,18 +34,13 @@ class Targets:
 
 @dataclass(frozen=True)
 class Goal:
-    """What is fitted to: the views' cameras, the pixels that count, and what they should show.
+    """What is fitted to: how the views are drawn, and what they should show.
 
     Images of several sizes are brought to one by rows below and columns to the right that count for nothing.
     """
 
-    cameras: Sequence[Camera]
-    """C of one size."""
-    masks: Bool | None
-    """[C, H, W] pixels that are drawn; None: all."""
+    shots: Shots
     targets: Targets
-    backdrops: Sequence[Tensor] | None
-    """[H, W, 4] each, what stands behind all that is drawn, see `rendering.render`; None: black."""
     sizes: Sequence[tuple[int, int]]
     """Height and width of the views' own images."""
 
@@ -78,16 +73,16 @@ def goal_of(
         None if all(one is None for one in counted) else torch.from_numpy(_weights(counted, sizes, size)).to(device),
         None if all(view.depth is None for view in views) else torch.from_numpy(_together(depths, size)).to(device),
     )
-    return Goal(
+    shots = shots_of(
         [
             view.camera if own == size else replace(view.camera, height=height, width=width)
             for view, own in zip(views, sizes, strict=True)
         ],
         None if all(mask is None for mask in masks) else _together(_whole(masks, sizes), size),
-        targets,
         None if backdrops is None else [_grown(backdrop, size) for backdrop in backdrops],
-        sizes,
+        device,
     )
+    return Goal(shots, targets, sizes)
 
 
 def _counted(view: View, mask: Bool | None) -> Bool | None:
@@ -143,7 +138,7 @@ def photometric(sheet: Sheet, targets: Targets) -> Tensor:
         target_depth=targets.depth,
         depth_weight=0.0 if targets.depth is None else DEPTH_WEIGHT,
     )
-    return len(sheet.indices) * loss
+    return len(sheet.rgbd) * loss
 
 
 @dataclass(frozen=True)
@@ -153,15 +148,16 @@ class Differentiated:
     sheet: Sheet
     gradient: Splats
     """Of the photometric loss with respect to the Gaussians that were drawn."""
-    loss: float
+    loss: Tensor
+    """A scalar, without gradients."""
 
 
 def differentiate(splats: Splats, goal: Goal) -> Differentiated:
     """Draws `splats` and takes the loss's gradient back to them."""
     leaf = Splats(*(field.detach().requires_grad_() for field in vars(splats).values()))
-    [sheet] = draw(leaf, goal.cameras, None if goal.masks is None else list(goal.masks), goal.backdrops)
+    sheet = shoot(leaf, goal.shots)
     loss = photometric(sheet, goal.targets)
     torch.autograd.backward(loss)
     grads = [torch.zeros_like(field) if field.grad is None else field.grad for field in vars(leaf).values()]
-    detached = replace(sheet, rgbd=sheet.rgbd.detach(), alpha=sheet.alpha.detach())
-    return Differentiated(detached, Splats(*grads), float(loss.detach()))
+    detached = Sheet(sheet.rgbd.detach(), sheet.alpha.detach())
+    return Differentiated(detached, Splats(*grads), loss.detach())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -53,11 +53,25 @@ class Rendering:
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """Images of cameras of one size, rasterised together."""
+class Shots:
+    """Cameras of one size, as they are rasterised together."""
 
-    indices: list[int]
-    """Which cameras, in order."""
+    viewmats: Tensor
+    """[C, 4, 4]."""
+    Ks: Tensor
+    """[C, 3, 3] pixels."""
+    width: int
+    height: int
+    masks: Tensor | None
+    """[C, H, W] pixels that are drawn; None: all."""
+    backdrop: Tensor | None
+    """[C, H, W, 4] what stands behind all that is drawn, see `render`; None: black."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What cameras of one size see, rasterised together."""
+
     rgbd: Tensor
     """[C, H, W, 4] colour 0 to 1 on black, and expected depth, m; 0 where nothing is."""
     alpha: Tensor
@@ -87,26 +101,33 @@ def render(
     Cameras of one size are rasterised together. Pixels outside `masks` (each [H, W]) cost nothing. Behind the Gaussians
     is black, or `backdrops` (each [H, W, 4] colour and depth, m), which then count in the depth too.
     """
-    return split(draw(splats, cameras, masks, backdrops))
-
-
-def draw(
-    splats: Splats,
-    cameras: Sequence[Camera],
-    masks: Sequence[Bool] | None = None,
-    backdrops: Sequence[Tensor] | None = None,
-) -> list[Sheet]:
-    """The same as one sheet per size of image."""
-    sheets = []
+    seen: dict[int, Rendering] = {}
     for chosen in by_size(cameras):
-        mask = None if masks is None else [masks[i] for i in chosen]
-        behind = None if backdrops is None else stacked(tuple(backdrops[i] for i in chosen))
-        sheets.append(_rasterise(splats, [cameras[i] for i in chosen], chosen, mask, behind))
-    return sheets
+        of_size = [cameras[i] for i in chosen]
+        mask = None if masks is None else np.stack([masks[i] for i in chosen])
+        behind = None if backdrops is None else [backdrops[i] for i in chosen]
+        sheet = shoot(_at(splats, chosen), shots_of(of_size, mask, behind, splats.means.device))
+        seen |= {index: Rendering(sheet.rgbd[i], sheet.alpha[i]) for i, index in enumerate(chosen)}
+    return [seen[index] for index in range(len(cameras))]
+
+
+def shots_of(
+    cameras: Sequence[Camera], masks: Bool | None, backdrops: Sequence[Tensor] | None, device: torch.device
+) -> Shots:
+    """What is drawn by cameras of one size inside `masks` [C, H, W], before `backdrops` [H, W, 4] each."""
+    viewmats, Ks = (np.stack(of) for of in zip(*((one.viewmat, one.K) for one in cameras), strict=True))
+    return Shots(
+        torch.from_numpy(viewmats).to(device, torch.float32),
+        torch.from_numpy(Ks).to(device, torch.float32),
+        cameras[0].width,
+        cameras[0].height,
+        None if masks is None else torch.from_numpy(masks).to(device),
+        None if backdrops is None else _stacked(tuple(backdrops)),
+    )
 
 
 @lru_cache(maxsize=2)
-def stacked(backdrops: tuple[Tensor, ...]) -> Tensor:
+def _stacked(backdrops: tuple[Tensor, ...]) -> Tensor:
     """[C, H, W, 4] of C times [H, W, 4], which nobody writes to; a set asks for the same again and again."""
     return torch.stack(backdrops)
 
@@ -117,42 +138,36 @@ def by_size(cameras: Sequence[Camera]) -> list[list[int]]:
     return [[i for i, own in enumerate(sizes) if own == size] for size in dict.fromkeys(sizes)]
 
 
-def split(sheets: Sequence[Sheet]) -> list[Rendering]:
-    """One rendering per camera, in order."""
-    out = {index: Rendering(sheet.rgbd[i], sheet.alpha[i]) for sheet in sheets for i, index in enumerate(sheet.indices)}
-    return [out[index] for index in range(len(out))]
+def _at(splats: Splats, times: list[int]) -> Splats:
+    """At some of the times only, which may be one for all."""
+    if splats.means.shape[0] in (1, len(times)):
+        return splats
+    return replace(splats, means=splats.means[times], quats=splats.quats[times])
 
 
-def _rasterise(
-    splats: Splats, cameras: list[Camera], times: list[int], masks: list[Bool] | None, backdrop: Tensor | None
-) -> Sheet:
-    device, count = splats.means.device, len(cameras)
+def shoot(splats: Splats, shots: Shots) -> Sheet:
+    """What the cameras see of `splats`, whose times T are theirs in order (T = 1: one time for all)."""
     if splats.means.shape[1] == 0:
-        nothing = splats.means.new_zeros(count, cameras[0].height, cameras[0].width, 4)
-        return Sheet(times, nothing if backdrop is None else backdrop, nothing[..., 0])
-    viewmats = torch.from_numpy(np.stack([camera.viewmat for camera in cameras])).to(device, torch.float32)
-    Ks = torch.from_numpy(np.stack([camera.K for camera in cameras])).to(device, torch.float32)
+        nothing = splats.means.new_zeros(len(shots.Ks), shots.height, shots.width, 4)
+        return Sheet(nothing if shots.backdrop is None else shots.backdrop, nothing[..., 0])
     means, quats = splats.means, splats.quats
     if means.shape[0] == 1:
         means, quats = means[0], quats[0]
-    elif means.shape[0] != count:
-        means, quats = means[times], quats[times]
-    mask = None if masks is None else torch.from_numpy(np.stack(masks)).to(device)[:, None]
     renders, alphas, _ = splat.rasterize(
         means,
         quats,
         splats.scales,
         splats.opacities,
         splats.rgb,
-        viewmats[:, None],
-        Ks[:, None],
-        cameras[0].width,
-        cameras[0].height,
-        render_mode="RGB+ED" if backdrop is None else "RGB+D",
-        pixel_mask=mask,
+        shots.viewmats[:, None],
+        shots.Ks[:, None],
+        shots.width,
+        shots.height,
+        render_mode="RGB+ED" if shots.backdrop is None else "RGB+D",
+        pixel_mask=None if shots.masks is None else shots.masks[:, None],
     )
-    seen = renders[:, 0] if backdrop is None else put_before(renders[:, 0], alphas[:, 0], backdrop)
-    return Sheet(times, seen, alphas[:, 0, ..., 0])
+    seen = renders[:, 0] if shots.backdrop is None else put_before(renders[:, 0], alphas[:, 0], shots.backdrop)
+    return Sheet(seen, alphas[:, 0, ..., 0])
 
 
 def put_before(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:

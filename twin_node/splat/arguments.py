@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Integral
 from typing import Literal, get_args
@@ -182,21 +183,28 @@ def check_shapes(gaussians: Gaussians, views: Views, options: Options) -> Scene:
 
 def check_finite(scene: Scene) -> None:
     """Raises `ValueError` naming the first argument that is not finite, or a camera that no image can come from."""
-    for name, tensor in {**vars(scene.gaussians), "viewmats": scene.views.viewmats, "Ks": scene.views.Ks}.items():
-        require_finite(name, tensor)
-    if scene.views.backgrounds is not None:
-        require_finite("backgrounds", scene.views.backgrounds)
-    focal = scene.views.Ks[..., [0, 1], [0, 1]]
-    if not bool((focal > 0).all()):
+    views = scene.views
+    given = {**vars(scene.gaussians), "viewmats": views.viewmats, "Ks": views.Ks, "backgrounds": views.backgrounds}
+    focal = views.Ks.diagonal(dim1=-2, dim2=-1)[..., :2]
+    upright = torch.linalg.det(views.viewmats[..., :3, :3]).abs() > SMALLEST_DETERMINANT
+    has_focal, is_invertible = require_finite(given, (focal > 0).all(), upright.all())
+    if not has_focal:
         raise ValueError(f"Ks: expected positive focal lengths, found {float(focal.min())}")
-    if not bool((torch.linalg.det(scene.views.viewmats[..., :3, :3]).abs() > SMALLEST_DETERMINANT).all()):
+    if not is_invertible:
         raise ValueError("viewmats: expected invertible matrices, found one that is not")
 
 
-def require_finite(name: str, tensor: Tensor) -> None:
-    """Raises `ValueError` where the tensor holds a NaN or an infinity."""
-    if not bool(torch.isfinite(tensor).all()):
-        raise non_finite(name, tensor)
+def require_finite(given: Mapping[str, Tensor | None], *others: Tensor) -> list[bool]:
+    """What `others`, scalars beside the tensors `given` by their names, come to: the device is waited for once for all.
+
+    Raises `ValueError` naming the first that holds a NaN or an infinity; None holds none.
+    """
+    there = {name: tensor for name, tensor in given.items() if tensor is not None}
+    found = torch.stack([*(torch.isfinite(tensor).all() for tensor in there.values()), *others]).tolist()
+    for (name, tensor), is_finite in zip(there.items(), found, strict=False):
+        if not is_finite:
+            raise non_finite(name, tensor)
+    return found[len(there) :]
 
 
 def require_layout(name: str, tensor: Tensor | None, shape: tuple[int, ...], dtype: torch.dtype) -> None:

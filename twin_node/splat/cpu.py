@@ -42,7 +42,7 @@ def render_native(scene: Scene, library: native.SplatLibrary, semantics: Semanti
     """Renders float32 CPU tensors with the compiled library. Raises `ValueError` naming what is not finite."""
     g, views = scene.gaussians, scene.views
     if not scene.options.with_color:
-        require_finite("colors", g.colors)  # which the library then never reads
+        require_finite({"colors": g.colors})  # which the library then never reads
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
     if not torch.is_grad_enabled():

@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import non_finite
+from twin_node.splat.arguments import non_finite, require_finite
 
 WINDOW_TAPS = 11
 """Width of the SSIM's window, pixels (Wang et al. 2004)."""
@@ -180,23 +180,22 @@ class _FusedLoss(torch.autograd.Function):
 
 
 def _plain(call: _Loss) -> Tensor:
-    for name in ("render", "target", "weights", "target_depth"):
-        tensor = getattr(call, name)
-        if tensor is not None and not bool(torch.isfinite(tensor).all()):
-            raise non_finite(name, tensor)
+    require_finite({name: getattr(call, name) for name in ("render", "target", "weights", "target_depth")})
     weights = torch.ones_like(call.target[..., 0]) if call.weights is None else call.weights.clamp_min(0)
-    total = weights.sum()
-    if not bool(total > 0):
-        return call.render.sum() * 0
     color = torch.where(weights[..., None] > 0, call.render[..., :3], call.target)
-    difference = (color - call.target).abs().mean(-1)
-    unlike = 1 - _ssim_map(color, call.target).mean(-1)
-    loss = (weights * (call.l1 * difference + call.ssim * unlike)).sum() / total
+    missed = call.l1 * (color - call.target).abs().mean(-1)
+    if call.ssim > 0:
+        missed = missed + call.ssim * (1 - _ssim_map(color, call.target).mean(-1))
+    loss = _mean(missed, weights)
     if call.depth_weight > 0 and call.target_depth is not None:
-        known = torch.where(call.target_depth > 0, weights, 0)
         error = (call.render[..., 3] - call.target_depth).abs()
-        loss = loss + call.depth_weight * (known * error).sum() / known.sum().clamp_min(torch.finfo(known.dtype).tiny)
+        loss = loss + call.depth_weight * _mean(error, torch.where(call.target_depth > 0, weights, 0))
     return loss
+
+
+def _mean(errors: Tensor, weights: Tensor) -> Tensor:
+    """The weighted mean; 0 where nothing counts."""
+    return (weights * errors).sum() / weights.sum().clamp_min(torch.finfo(weights.dtype).tiny)
 
 
 @cache
