@@ -21,11 +21,12 @@ from twin_node.bench.pareto import ablations, costs, suite
 from twin_node.bench.pareto.chart import draw
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane, said
-from twin_node.bench.pareto.measure import Job, Point, begun_mb, measure, peak_mb
+from twin_node.bench.pareto.measure import Job, Point, begun_mb, measure
 from twin_node.bench.pareto.suite import Pareto, ParetoParameters, run
 from twin_node.bench.pareto.tables import markdown, text
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.sizes import SIZES
+from twin_node.runtime.memory import peak_mb
 
 TINY = MadeUpParameters(width=48, frames=4, rate_hz=3.0, cameras=3, held_out=1)
 BUDGET = dataclasses.replace(

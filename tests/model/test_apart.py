@@ -15,9 +15,10 @@ import pytest
 from model_scenes import BLOCK_SPEED, rig, sliding
 
 from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.apart import Apart, EndedError, Failed, Followed, send
+from twin_node.model.apart import Apart, Followed
 from twin_node.model.apart_process import serve
 from twin_node.model.stages import LeftS, endless, granted
+from twin_node.runtime.beside import EndedError, Failed, send
 from twin_node.scene import TwinState
 
 SETS = 16

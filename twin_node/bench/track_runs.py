@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import resource
-import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from twin_node.model import WindowModel
 from twin_node.nodes.bridge import Bridge
@@ -16,13 +14,13 @@ from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.model import ModelNode
-from twin_node.nodes.player import Player
+from twin_node.nodes.reading import Order, Reading
 from twin_node.nodes.spool import Spool, Tick
-from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FRAMES, GAUSSIANS_MOVING, JOINT_STATES, STATE, TRUSTED_FRAMES
+from twin_node.nodes.topics import GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock
 from twin_node.runtime.image_threads import image_loops_alone
+from twin_node.runtime.memory import resident_bytes
 from twin_node.scene import FrameSet, Tier, TwinState
 
 
@@ -80,14 +78,6 @@ class Followed:
         self.memory_bytes.append(resident_bytes())
 
 
-def resident_bytes() -> int:
-    """Memory that this process has now; the largest it has had where the system does not tell."""
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
 def start(chain: ChainParameters) -> Followed:
     """A fresh model of the chain's, watched."""
     image_loops_alone()
@@ -134,59 +124,51 @@ def follow_live(
 ) -> Iterator[float]:
     """Follows the log at its pace times `rate`, the newest set first; yields the seconds played.
 
-    One thread reads, decodes and groups, this one works. As a twin that goes live does, the model is built from the
-    first set before the clock starts.
+    Another process reads, decodes and groups, this one works. As a twin that goes live does, the model is built from
+    the first set before the clock starts.
     """
-    clock = PacedClock(session.span.start_ns, rate)
-    reading, working = LocalBus(), LocalBus()
-    synchronizer = SynchronizerNode(reading, clock, session.cameras, session.rig, chain.synchronizer)
-    node = ModelNode(working, clock, followed.model, is_live=True)
-    for one in (synchronizer, node):
-        one.configure()
-        one.activate()
-    states: list[TwinState] = []
-    working.subscribe(STATE, states.append)
-    published: list[int] = []
-    working.subscribe(GAUSSIANS_MOVING, lambda _: published.append(clock.now()))
-    bridge = Bridge(lambda frames: _keep(spool, Tick(frames)))
-    first = next(iter(LogSource(session, chain.synchronizer)), None)
-    if first is None:
-        return
-    begun = time.perf_counter()
-    followed.watch.begin()
-    working.publish(TRUSTED_FRAMES, first)
-    node.follow()
-    followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
-    followed.count(states[-1])
-    _keep(spool, Tick(first, states[-1]))
+    with contextlib.closing(Reading(Order(session, chain.synchronizer))) as reading:
+        clock, working = PacedClock(session.span.start_ns, rate), LocalBus()
+        node = ModelNode(working, clock, followed.model, is_live=True)
+        node.configure()
+        node.activate()
+        states: list[TwinState] = []
+        working.subscribe(STATE, states.append)
+        published: list[int] = []
+        working.subscribe(GAUSSIANS_MOVING, lambda _: published.append(clock.now()))
+        bridge = Bridge(lambda frames: _keep(spool, Tick(frames)))
+        first = next(iter(LogSource(session, chain.synchronizer)), None)
+        if first is None:
+            return
 
-    def offer(frames: FrameSet) -> None:
-        if frames.stamp > first.stamp:
-            followed.offers_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
-            bridge.put_frames(frames)
-
-    reading.subscribe(FRAMES, offer)
-    reading.subscribe(JOINT_STATES, lambda message: bridge.put(JOINT_STATES, message))
-    reader = threading.Thread(target=_read, args=(session, reading, clock, bridge), name="reader", daemon=True)
-    clock.start()
-    reader.start()
-    try:
-        for _, frames in bridge.batches():
-            followed.waits_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
+        def follow(frames: FrameSet) -> None:
             begun = time.perf_counter()
             followed.watch.begin()
             working.publish(TRUSTED_FRAMES, frames)
             node.follow()
             followed.updates_ms.append((time.perf_counter() - begun) * 1e3)
-            node.rest(lambda: not bridge.is_waiting)
-            followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
-            followed.count(states[-1])
-            _keep(spool, Tick(frames, states[-1]))
-            states.clear()
-            yield (frames.stamp - session.span.start_ns) * 1e-9
-    finally:
-        bridge.close()
-        reader.join()
+
+        def offer(frames: FrameSet) -> None:
+            if frames.stamp > first.stamp:
+                followed.offers_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
+                bridge.put_frames(frames)
+
+        follow(first)
+        followed.count(states[-1])
+        _keep(spool, Tick(first, states[-1]))
+        reading.start(clock, bridge, offer)
+        try:
+            for _, frames in bridge.batches():
+                followed.waits_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
+                follow(frames)
+                node.rest(lambda: not bridge.is_waiting)
+                followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
+                followed.count(states[-1])
+                _keep(spool, Tick(frames, states[-1]))
+                states.clear()
+                yield (frames.stamp - session.span.start_ns) * 1e-9
+        finally:
+            bridge.close()
     followed.dropped = bridge.dropped
     followed.seconds = session.span.seconds / rate
 
@@ -194,14 +176,3 @@ def follow_live(
 def _keep(spool: Spool, tick: Tick) -> None:
     if spool.keeps(tick.stamp):
         spool.add(tick)
-
-
-def _read(session: LogSession, bus: LocalBus, clock: PacedClock, bridge: Bridge) -> None:
-    try:
-        for _ in Player(session.log, bus, session.topics, session.span).steps(clock):
-            if bridge.is_closed:
-                return
-    except BaseException as error:  # the working thread raises it, whatever it is
-        bridge.close(error)
-    else:
-        bridge.close()

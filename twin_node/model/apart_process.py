@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
-import resource
-import signal
-import sys
 import traceback
 from multiprocessing.connection import Connection
 
 from twin_node.errors import TwinError
-from twin_node.model.apart import READY, Failed, Followed, send
+from twin_node.model.apart import Followed
 from twin_node.model.kernels import kernels
 from twin_node.model.window_model import WindowModel
+from twin_node.runtime.beside import READY, Failed, run, send
 from twin_node.runtime.image_threads import image_loops_alone
+from twin_node.runtime.memory import peak_mb
 from twin_node.scene import TwinState
 
 NICENESS = 5
@@ -25,17 +23,13 @@ LEAST = 8
 """Slices of what can wait after each set: the next is here as soon as one is out, so that there is hardly time."""
 
 
-def main() -> int:
-    """The process; the only argument is the file descriptor of its end of the pipe, whose other end's close ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's group: who has begun it ends it
+def main(connection: Connection) -> None:
+    """The process's work."""
     image_loops_alone()
     os.nice(NICENESS)
     kernels()
-    connection = Connection(int(sys.argv[1]))
-    with contextlib.suppress(EOFError, ConnectionError):  # nobody hands it anything more
-        send(connection, READY)
-        serve(connection)
-    return 0
+    send(connection, READY)
+    serve(connection)
 
 
 def serve(connection: Connection) -> None:
@@ -60,12 +54,8 @@ def follow(model: WindowModel, seen: TwinState) -> Followed | Failed:
         state = model.follow(seen)
     except TwinError as error:
         return Failed(error)
-    peak_rss_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Followed(state.gaussians, state.nodes, state.warnings, model.parameters_count, peak_rss_mb)
+    return Followed(state.gaussians, state.nodes, state.warnings, model.parameters_count, peak_mb())
 
 
 if __name__ == "__main__":
-    status = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)  # without the second that torch takes to end
+    run(main)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from twin_node.bag import LogReader, open_log
 from twin_node.nodes.calibration import check_depth, rig_for
@@ -31,6 +32,7 @@ class LogSession:
         duration_s: float | None = None,
     ) -> None:
         """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names."""
+        self._opened = (path, rig_file, remaps, start_offset_s, duration_s)
         remaps = remaps or {}
         self.log: LogReader = open_log(path)
         try:
@@ -50,6 +52,10 @@ class LogSession:
             played |= {camera.image} | ({camera.depth} if camera.depth else set())
         self.topics = {original[name]: name for name in sorted(played) if name in original}
         """The log's topics to play -> the names they are published under."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """In another process: opened there."""
+        return LogSession, self._opened
 
     def __enter__(self) -> LogSession:
         return self

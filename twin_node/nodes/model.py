@@ -6,11 +6,12 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
-from twin_node.model.apart import Apart, is_worth_it
+from twin_node.model.apart import Apart
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
 from twin_node.rig import Narrower
+from twin_node.runtime.beside import is_worth_it
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.image_threads import image_loops_alone

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import resource
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from twin_node.bag import LogWriter
 from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
-from twin_node.model.apart import EndedError
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
@@ -22,15 +18,18 @@ from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.player import Player
+from twin_node.nodes.reading import Finished, Order, Reading
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, RECORDED, TRAJECTORY, GraphError
+from twin_node.nodes.topics import FRAMES, RECORDED, GraphError
 from twin_node.runtime.arrivals import PATIENCE
+from twin_node.runtime.beside import EndedError
 from twin_node.runtime.bus import LocalBus
-from twin_node.runtime.clock import Clock, PacedClock, SteppedClock
+from twin_node.runtime.clock import PacedClock, SteppedClock
+from twin_node.runtime.memory import peak_mb
 from twin_node.runtime.node import Node
-from twin_node.scene import FrameSet
+from twin_node.scene import Camera, FrameSet
 
 Progress = Callable[[float], None]
 """Called with the seconds of log time that have been played."""
@@ -49,7 +48,7 @@ class Run:
     seconds: float
     """Length of the span in real time, wall-clock time in lockstep."""
     peak_rss_mb: float
-    """Of the process and of the model's beside it."""
+    """Of the process and of the model's and the reader's beside it."""
     bytes_per_frame: float
     """What is published with a set, mean, bytes."""
     model: WindowModel
@@ -124,73 +123,6 @@ class _Engine:
         """Every message in the log's order, each dealt with before the next: the same bytes every time."""
         clock = SteppedClock(self._session.span.start_ns)
         bus = LocalBus(is_latched)
-        synchronizer = self._synchronizer(bus, clock)
-        collector = CollectorNode(bus, clock, self._spool)
-        latency = Latency(ASSUMED_LATENCY_NS, False)
-        chain = self._chain(collector, synchronizer, latency, lambda: 0, own_process=False)
-        begun = time.perf_counter()
-        for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
-            chain.follow()
-            self._progress((stamp - self._session.span.start_ns) / 1e9)
-        return self._finish(chain, collector, 0, time.perf_counter() - begun, is_lockstep=True)
-
-    def in_real_time(self, rate: float) -> Run:
-        """One thread reads at the log's pace times `rate`, this one works; the newest set wins.
-
-        As a twin that goes live does, it first builds its model from the first set, and only then the clock starts.
-        """
-        clock = PacedClock(self._session.span.start_ns, rate)
-        reading, working = LocalBus(is_latched), LocalBus(is_latched)
-        synchronizer = self._synchronizer(reading, clock)
-        latency = Latency(ASSUMED_LATENCY_NS, True)
-        collector = CollectorNode(working, clock, self._spool)
-        bridge = Bridge(collector.keep_dropped, PATIENCE)
-        chain = self._chain(collector, synchronizer, latency, lambda: bridge.dropped, own_process=True)
-        first = self._first_set()
-        working.publish(FRAMES, first)
-        chain.follow()
-        chain.settle()
-
-        def hand_over(frames: FrameSet) -> None:
-            if frames.stamp > first.stamp:
-                bridge.put_frames(frames)
-
-        reading.subscribe(FRAMES, hand_over)
-        for topic in (JOINT_STATES, TRAJECTORY):
-            reading.subscribe(topic, partial(bridge.put, topic))
-        reader = threading.Thread(target=self._read, args=(reading, clock, bridge), name="reader", daemon=True)
-        clock.start()
-        latency.start()
-        collector.start()
-        reader.start()
-        try:
-            for messages, frames in bridge.batches():
-                for topic, message in messages:
-                    working.publish(topic, message)
-                working.publish(FRAMES, frames)
-                chain.rest(lambda: not bridge.is_waiting)
-        finally:
-            bridge.close()
-            reader.join()
-        return self._finish(chain, collector, bridge.dropped, self._session.span.seconds, is_lockstep=False)
-
-    def _first_set(self) -> FrameSet:
-        for frames in LogSource(self._session, self._parameters.synchronizer):
-            return frames
-        raise _no_sets(self._session)
-
-    def _read(self, bus: LocalBus, clock: PacedClock, bridge: Bridge) -> None:
-        try:
-            for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
-                self._progress((stamp - self._session.span.start_ns) / 1e9)
-                if bridge.is_closed:
-                    return
-        except BaseException as error:  # the working thread raises it, whatever it is
-            bridge.close(error)
-        else:
-            bridge.close()
-
-    def _synchronizer(self, bus: LocalBus, clock: Clock) -> SynchronizerNode:
         synchronizer = SynchronizerNode(
             bus,
             clock,
@@ -201,19 +133,65 @@ class _Engine:
         )
         synchronizer.configure()
         synchronizer.activate()
-        return synchronizer
+        collector = CollectorNode(bus, clock, self._spool)
+        latency = Latency(ASSUMED_LATENCY_NS, False)
+        chain = self._chain(collector, synchronizer.cameras, latency, lambda: 0, own_process=False)
+        begun = time.perf_counter()
+        for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+            chain.follow()
+            self._progress((stamp - self._session.span.start_ns) / 1e9)
+        return self._finish(chain, collector, 0, time.perf_counter() - begun, None)
+
+    def in_real_time(self, rate: float) -> Run:
+        """Another process, or a thread, reads at the log's pace times `rate`, this one works; the newest set wins.
+
+        As a twin that goes live does, it first builds its model from the first set, and only then the clock starts.
+        """
+        names = self._parameters.arm.arm().joint_names
+        reading = Reading(Order(self._session, self._parameters.synchronizer, names))
+        with contextlib.closing(reading):
+            clock, working = PacedClock(self._session.span.start_ns, rate), LocalBus(is_latched)
+            latency = Latency(ASSUMED_LATENCY_NS, True)
+            collector = CollectorNode(working, clock, self._spool)
+            bridge = Bridge(collector.keep_dropped, PATIENCE)
+            source = LogSource(self._session, self._parameters.synchronizer)
+            chain = self._chain(collector, source.cameras, latency, lambda: bridge.dropped, own_process=True)
+            first = next(iter(source), None)
+            if first is None:
+                raise _no_sets(self._session)
+            working.publish(FRAMES, first)
+            chain.follow()
+            chain.settle()
+
+            def hand_over(frames: FrameSet) -> None:
+                self._progress((frames.stamp - self._session.span.start_ns) / 1e9)
+                if frames.stamp > first.stamp:
+                    bridge.put_frames(frames)
+
+            latency.start()
+            collector.start()
+            reading.start(clock, bridge, hand_over)
+            try:
+                for messages, frames in bridge.batches():
+                    for topic, message in messages:
+                        working.publish(topic, message)
+                    working.publish(FRAMES, frames)
+                    chain.rest(lambda: not bridge.is_waiting)
+            finally:
+                bridge.close()
+        return self._finish(chain, collector, bridge.dropped, self._session.span.seconds, reading.finished)
 
     def _chain(
         self,
         collector: CollectorNode,
-        synchronizer: SynchronizerNode,
+        cameras: Sequence[Camera],
         latency: Latency,
         dropped: Callable[[], int],
         own_process: bool,
     ) -> Chain:
         """The chain, the collector and the recorder, started on the collector's bus."""
         bus, clock = collector.bus, collector.clock
-        workspace = workspace_for(self._session.rig, synchronizer.cameras)
+        workspace = workspace_for(self._session.rig, cameras)
         chain = Chain(bus, clock, workspace, self._parameters, latency, dropped, own_process=own_process)
         observers: list[Node] = [collector]
         if self._log is not None:
@@ -224,7 +202,10 @@ class _Engine:
         chain.start()
         return chain
 
-    def _finish(self, chain: Chain, collector: CollectorNode, dropped: int, seconds: float, is_lockstep: bool) -> Run:
+    def _finish(
+        self, chain: Chain, collector: CollectorNode, dropped: int, seconds: float, read: Finished | None
+    ) -> Run:
+        """What the run leaves behind; `read`: what was said by who has read for it, None in lockstep."""
         if collector.newest_state is None:
             raise _no_sets(self._session)
         chain.stop()
@@ -234,14 +215,14 @@ class _Engine:
             followed=chain.followed,
             dropped=dropped,
             seconds=seconds,
-            peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 + chain.peak_rss_mb_elsewhere,
+            peak_rss_mb=peak_mb() + chain.peak_rss_mb_elsewhere + (0.0 if read is None else read.peak_rss_mb),
             bytes_per_frame=chain.status.bytes_per_frame,
             model=chain.model,
             parameters_count=chain.parameters_count,
             collector=collector,
             spool=self._spool,
-            is_lockstep=is_lockstep,
-            damage=self._session.log.damage,
+            is_lockstep=read is None,
+            damage=self._session.log.damage if read is None else read.damage,
         )
 
 

@@ -16,7 +16,7 @@ from twin_node.bag.qos import is_latched
 from twin_node.bench.errors import BenchError
 from twin_node.bench.results_folder import save_chart
 from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
-from twin_node.bench.track_runs import resident_bytes, to_and_fro
+from twin_node.bench.track_runs import to_and_fro
 from twin_node.cell import CellSource, Scenario
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
@@ -26,6 +26,7 @@ from twin_node.nodes.topics import FORECAST, FRAMES
 from twin_node.rig import Narrower
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.memory import resident_bytes
 from twin_node.scene import FrameSet, Tier
 
 CLIP_S = 3.0

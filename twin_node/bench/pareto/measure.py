@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import resource
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,12 +14,12 @@ from twin_node.bench.methods.protocol import Budget, Fitted
 from twin_node.bench.methods.scores import ImageScores, score_images
 from twin_node.bench.methods.table import METHODS
 from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
-from twin_node.bench.track_runs import resident_bytes
 from twin_node.model.sequence import Recording
 from twin_node.model.sequence.scoring import evenly
 from twin_node.nodes.report.quality import unit
 from twin_node.nodes.sizes import SIZES
 from twin_node.rig import Narrower
+from twin_node.runtime.memory import peak_mb, resident_bytes
 from twin_node.scene import Float32, View
 
 OURS = "ours"
@@ -181,15 +180,3 @@ def begun_mb() -> float:
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     return resident_bytes() / 2**20
-
-
-def peak_mb() -> float:
-    """The most that this process has held.
-
-    `getrusage` would tell no less than what the process that started it held: a peak goes over to a program's children.
-    """
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) / 1024
-    except (OSError, StopIteration):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -1,0 +1,159 @@
+"""Plays a log for whoever works on it, in a process of its own where there is a processor for it, else in a thread."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, cast
+
+from twin_node.bag.qos import is_latched
+from twin_node.nodes.bridge import Bridge
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.player import Player
+from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY
+from twin_node.runtime.beside import Beside, is_worth_it
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import PacedClock
+from twin_node.scene import Camera, FrameSet
+
+HANDED_ON = (JOINT_STATES, TRAJECTORY)
+"""Topics whose messages must not be lost."""
+
+OnFrames = Callable[[FrameSet], None]
+OnMessage = Callable[[str, Any], None]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is read."""
+
+    session: LogSession
+    synchronizer: SynchronizerParameters
+    joint_names: tuple[str, ...] = ()
+    """See `SynchronizerNode`."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What there is to say when all is read."""
+
+    damage: str | None = None
+    """Where the log could not be read on; None: it was read to its end."""
+    peak_rss_mb: float = 0.0
+    """Most memory that a process of its own has held, MB."""
+
+
+def play(order: Order, clock: PacedClock, on_frames: OnFrames, on_message: OnMessage) -> Iterator[int]:
+    """Plays the session's span at the clock's pace, grouped into sets; yields the log time, ns, after each message."""
+    session, bus = order.session, LocalBus(is_latched)
+    synchronizer = SynchronizerNode(
+        bus, clock, session.cameras, session.rig, order.synchronizer, joint_names=order.joint_names
+    )
+    synchronizer.configure()
+    synchronizer.activate()
+    bus.subscribe(FRAMES, on_frames)
+    for topic in HANDED_ON:
+        bus.subscribe(topic, partial(on_message, topic))
+    yield from Player(session.log, bus, session.topics, session.span).steps(clock)
+
+
+class Reading:
+    """Reads a log once. A process takes a second to load: make this before anything else is done, and close it."""
+
+    def __init__(self, order: Order) -> None:
+        self._order = order
+        self._process: Beside | None = None
+        self._thread: threading.Thread | None = None
+        self.finished = Finished()
+        """What was said in the end."""
+        if is_worth_it():
+            self._process = Beside("twin_node.nodes.reading_process", "reader", "give it more memory")
+            self._process.send(order)
+
+    def start(self, clock: PacedClock, bridge: Bridge, on_frames: OnFrames) -> None:
+        """Starts the clock, and reads: a thread gives each set to `on_frames`, and to the bridge all else.
+
+        In the end it closes the bridge. Raises what has kept the process from opening the log.
+        """
+        process = self._process
+        if process is not None:
+            process.is_loaded(wait=True)
+        clock.start()
+        if process is None:
+            work = partial(self._read, clock, bridge, on_frames)
+        else:
+            process.send(clock)
+            work = partial(self._listen, process, bridge, on_frames)
+        self._thread = threading.Thread(target=_closing, args=(work, bridge), name="reader", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends the reading; in a thread only a closed bridge does."""
+        if self._process is not None:
+            self._process.end()
+        if self._thread is not None:
+            self._thread.join()
+        if self._process is not None:
+            self._process.close()
+
+    def _read(self, clock: PacedClock, bridge: Bridge, on_frames: OnFrames) -> None:
+        for _ in play(self._order, clock, on_frames, bridge.put):
+            if bridge.is_closed:
+                return
+        self.finished = Finished(self._order.session.log.damage)
+
+    def _listen(self, process: Beside, bridge: Bridge, on_frames: OnFrames) -> None:
+        cameras = LogSource(self._order.session, self._order.synchronizer).cameras
+        loaded = partial(load, cameras={camera.name: camera for camera in cameras})
+        while not bridge.is_closed:
+            said = process.receive(loaded)
+            if isinstance(said, Finished):
+                self.finished = said
+                return
+            if isinstance(said, FrameSet):
+                on_frames(said)
+            else:
+                topic, message = cast(tuple[str, Any], said)
+                bridge.put(topic, message)
+
+
+def _closing(work: Callable[[], None], bridge: Bridge) -> None:
+    try:
+        work()
+    except BaseException as error:  # the working thread raises it, whatever it is
+        bridge.close(error)
+    else:
+        bridge.close()
+
+
+def dump(thing: object) -> bytes:
+    """A copy in which cameras are but named: the other end has them."""
+    out = io.BytesIO()
+    _Pickler(out, pickle.HIGHEST_PROTOCOL).dump(thing)
+    return out.getvalue()
+
+
+def load(come: bytes, cameras: Mapping[str, Camera]) -> Any:
+    """What was dumped, with this end's `cameras` by their names: what is found out for one is good for all its sets."""
+    unpickler = _Unpickler(io.BytesIO(come))
+    unpickler.cameras = cameras
+    return unpickler.load()
+
+
+class _Pickler(pickle.Pickler):
+    def persistent_id(self, obj: object) -> str | None:
+        """A camera's name."""
+        return obj.name if isinstance(obj, Camera) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    cameras: Mapping[str, Camera]
+
+    def persistent_load(self, pid: str) -> Camera:
+        """The camera of a name."""
+        return self.cameras[pid]
