@@ -11,11 +11,12 @@ import pytest
 
 from twin_node.messages import convert
 from twin_node.messages.convert import Level
+from twin_node.nodes.early import KEPT, EarlyViews
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES
 from twin_node.runtime.bus import LocalBus
-from twin_node.scene import FrameSet, JointSample, Rig, RigCamera
+from twin_node.scene import Camera, FrameSet, JointSample, Rig, RigCamera, View
 
 MS = 1_000_000
 PERIOD = 33 * MS
@@ -75,14 +76,15 @@ class Fault:
 class Cell:
     """Three cameras and a live synchroniser in a time of the test's own."""
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: SynchronizerParameters | None = None) -> None:
         K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
         rig = Rig(tuple(RigCamera(name, 16, 12, K, np.eye(4)) for name in NAMES))
+        parameters = parameters or SynchronizerParameters()
         self.topics = {name: topics_of(name, RigParameters(image="image_raw")) for name in NAMES}
         self.bus, self.clock = LocalBus(), Clock()
         self.timers = Timers(self.clock)
         cameras = tuple(self.topics.values())
-        self.node = SynchronizerNode(self.bus, self.clock, cameras, rig, SynchronizerParameters(), self.timers, ARM)
+        self.node = SynchronizerNode(self.bus, self.clock, cameras, rig, parameters, self.timers, ARM)
         self.node.configure()
         self.sets: list[FrameSet] = []
         self.bus.subscribe(FRAMES, self.sets.append)
@@ -289,3 +291,32 @@ def test_a_camera_whose_depth_fails_is_named_and_costs_no_latency() -> None:
     back, front, left = node.diagnoses()
     assert (back.level, front.level, left.level) == (Level.OK, Level.OK, Level.WARN)
     assert "no depth: it came with 0 of 30 images; look at the depth camera" in left.message
+
+
+@pytest.mark.parametrize("rate", [None, 15.0])
+def test_images_are_decoded_as_they_come_and_only_those_of_sets_that_are_taken(
+    rate: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = Cell(SynchronizerParameters(max_rate_hz=rate))
+    events: list[str] = []
+    decode = convert.rgb_from_message
+    monkeypatch.setattr(convert, "rgb_from_message", lambda message: (events.append("d"), decode(message))[1])
+    for topics in cell.topics.values():
+        cell.bus.subscribe(topics.image, lambda _: events.append("."))
+    cell.run(0, SECOND)
+    known = "".join(events)[len(events) // 2 :]  # by then it has learnt how the cameras lie to each other
+    taken, skipped = "d.d.d.", "..." if rate else ""
+    assert known in (taken + skipped) * SECOND
+    assert len(cell.sets) > SECOND / 3
+
+
+def test_views_whose_sets_never_come_are_let_go() -> None:
+    early = EarlyViews(["cam"])
+    camera = Camera("cam", 16, 12, np.eye(3), np.eye(4))
+    views = [View(camera, stamp, np.zeros((12, 16, 3), np.uint8), None) for stamp in range(2 * KEPT)]
+    for view in views:
+        early.keep("cam", view)
+    assert [early.get("cam", view.stamp) is view for view in views] == [False] * KEPT + [True] * KEPT
+    early.pass_set(2 * KEPT - 1, [("cam", 2 * KEPT - 2)])
+    assert early.get("cam", 2 * KEPT - 2) is None and early.get("cam", 2 * KEPT - 1) is views[-1]
+    assert early.set_of("cam", 2 * KEPT - 2) is None and early.set_of("cam", 100) == 101

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,12 +12,13 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.depth_pairs import DepthPairs, EncodedView
+from twin_node.nodes.early import EarlyViews
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
 from twin_node.ranges import WIDTHS_PX
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
 from twin_node.rig.approximate_time import Stamped
 from twin_node.runtime.bus import Bus
-from twin_node.runtime.clock import Clock
+from twin_node.runtime.clock import Clock, SteppedClock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import Camera, Rig, View
@@ -93,6 +95,8 @@ class SynchronizerNode(Node):
         tolerance_ns = int(parameters.depth_tolerance_ms * 1e6)
         self._pairs = {name: DepthPairs(tolerance_ns) for name in self._rig_cameras}
         self._last_stamp: dict[str, int] = {}
+        self._early = None if isinstance(clock, SteppedClock) else EarlyViews(self._rig_cameras)
+        """None in lockstep: nobody waits there, and what is in no set need not be decoded."""
         self._next_due: int | None = None
         self._published = 0
 
@@ -152,12 +156,18 @@ class SynchronizerNode(Node):
         if not self._is_live:
             now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps
         self._take(self._synchronizer.add(name, stamp, view, now), now)
+        if self._early is not None and self._is_due(self._early.set_of(name, stamp)):
+            with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then
+                self._early.keep(name, self._decoded(name, stamp, view))
 
     def _take(self, ready: Sequence[SyncSet[EncodedView]], now: int) -> None:
         """Hands on the sets that are ready at a time, ns, and sees to it that what waits does not wait too long."""
         for grouped in ready:
             if self._is_wanted(grouped.stamp):
                 self._publish(grouped)
+            if self._early is not None:
+                members = zip(self._rig_cameras, grouped.members, strict=True)
+                self._early.pass_set(grouped.stamp, [(name, m.stamp) for name, m in members if m is not None])
         due = self._synchronizer.due
         if due is not None:
             self._deadline.set(max((due - now) / 1e9, SHORTEST_WAIT_S))
@@ -165,13 +175,15 @@ class SynchronizerNode(Node):
     def _is_wanted(self, stamp: int) -> bool:
         """Whether a set is due under `max_rate_hz`: sets are taken at that rate on average, never in bursts."""
         rate = self._parameters.max_rate_hz
-        if rate is None:
-            return True
-        if self._next_due is not None and stamp < self._next_due:
-            return False
+        if rate is None or not self._is_due(stamp):
+            return rate is None
         due = stamp if self._next_due is None else self._next_due
         self._next_due = max(due + int(1e9 / rate), stamp)
         return True
+
+    def _is_due(self, stamp: int | None) -> bool:
+        """Whether a set of this stamp, ns, would be taken; none is that of no set."""
+        return stamp is not None and (self._next_due is None or stamp >= self._next_due)
 
     def _publish(self, grouped: SyncSet[EncodedView]) -> None:
         members = {name: m for name, m in zip(self._rig_cameras, grouped.members, strict=True) if m is not None}
@@ -184,14 +196,15 @@ class SynchronizerNode(Node):
 
     def _view(self, name: str, member: Stamped[EncodedView]) -> View | None:
         """A camera's part of a set; None, and told, where a live camera's image is no good: the others go on."""
-        encoded = member.payload
+        early = None if self._early is None else self._early.get(name, member.stamp)
         try:
-            depth = None if encoded.depth is None else convert.depth_from_message(encoded.depth)
-            return self._assembler.view(
-                name, DecodedImage(member.stamp, convert.rgb_from_message(encoded.colour), depth)
-            )
+            return self._decoded(name, member.stamp, member.payload) if early is None else early
         except TwinError as error:
             if not self._is_live:
                 raise
             self._watch.add_unusable(name, str(error))
             return None
+
+    def _decoded(self, name: str, stamp: int, encoded: EncodedView) -> View:
+        depth = None if encoded.depth is None else convert.depth_from_message(encoded.depth)
+        return self._assembler.view(name, DecodedImage(stamp, convert.rgb_from_message(encoded.colour), depth))

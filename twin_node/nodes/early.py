@@ -1,0 +1,42 @@
+"""Images decoded while others of their set are still to come: when the last one is there, only that is left to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from twin_node.scene import View
+
+KEPT = 4
+"""Views of one camera: more images than that between its own and its set's last one are not worth their memory."""
+
+
+class EarlyViews:
+    """Views of sets that are not whole, and what tells which set an image will be in."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._kept: dict[str, dict[int, View]] = {name: {} for name in names}
+        self._leads = dict.fromkeys(self._kept, 0)
+        """By how much each camera's image was older than the last set that it was in, ns."""
+        self._passed = dict.fromkeys(self._kept, -1)
+        """Stamp of each camera's newest image that was in a set, ns."""
+
+    def pass_set(self, stamp: int, members: Iterable[tuple[str, int]]) -> None:
+        """A set of a stamp, ns, is whole, of images of the cameras named: what is older is in no other one."""
+        for name, own in members:
+            self._leads[name], self._passed[name] = stamp - own, own
+            self._kept[name] = {later: view for later, view in self._kept[name].items() if later > own}
+
+    def set_of(self, name: str, stamp: int) -> int | None:
+        """Stamp, ns, of the set that an image will most likely be in; None where that was whole before."""
+        return None if stamp <= self._passed[name] else stamp + self._leads[name]
+
+    def keep(self, name: str, view: View) -> None:
+        """Keeps a view until its set is whole, or some later ones have come."""
+        kept = self._kept[name]
+        kept[view.stamp] = view
+        if len(kept) > KEPT:
+            del kept[next(iter(kept))]
+
+    def get(self, name: str, stamp: int) -> View | None:
+        """The view of an image, if it was decoded already."""
+        return self._kept[name].get(stamp)
