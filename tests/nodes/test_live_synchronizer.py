@@ -310,6 +310,19 @@ def test_images_are_decoded_as_they_come_and_only_those_of_sets_that_are_taken(
     assert len(cell.sets) > SECOND / 3
 
 
+def test_of_a_camera_that_is_faster_than_the_others_half_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, decoded, decode = Cell(), list[int](), convert.rgb_from_message
+    monkeypatch.setattr(convert, "rgb_from_message", lambda message: (decoded.append(1), decode(message))[1])
+    slow = Fault(keeps=lambda i: i % 4 == 0)
+    cell.run(0, SECOND, back=slow, left=slow)
+    del decoded[:]
+    before = len(cell.sets)
+    cell.run(SECOND, 4 * SECOND, back=slow, left=slow)
+    made = len(cell.sets) - before
+    assert made >= SECOND - 2
+    assert 3 * made <= len(decoded) <= 4 * made + 4
+
+
 def test_views_whose_sets_never_come_are_let_go() -> None:
     early = EarlyViews(["cam"])
     camera = Camera("cam", 16, 12, np.eye(3), np.eye(4))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 
 from twin_node.scene import View
 
 KEPT = 4
 """Views of one camera: more images than that between its own and its set's last one are not worth their memory."""
+GAPS = 8
+"""Times between sets that tell how soon the next may be whole."""
+SOON = 0.75
+"""Share of the least of them before which none is: what a faster camera shows meanwhile is in none."""
 
 
 class EarlyViews:
@@ -19,16 +24,24 @@ class EarlyViews:
         """By how much each camera's image was older than the last set that it was in, ns."""
         self._passed = dict.fromkeys(self._kept, -1)
         """Stamp of each camera's newest image that was in a set, ns."""
+        self._gaps: deque[int] = deque(maxlen=GAPS)
+        self._last: int | None = None
 
     def pass_set(self, stamp: int, members: Iterable[tuple[str, int]]) -> None:
         """A set of a stamp, ns, is whole, of images of the cameras named: what is older is in no other one."""
         for name, own in members:
             self._leads[name], self._passed[name] = stamp - own, own
             self._kept[name] = {later: view for later, view in self._kept[name].items() if later > own}
+        if self._last is not None:
+            self._gaps.append(max(stamp - self._last, 0))
+        self._last = stamp
 
     def set_of(self, name: str, stamp: int) -> int | None:
-        """Stamp, ns, of the set that an image will most likely be in; None where that was whole before."""
-        return None if stamp <= self._passed[name] else stamp + self._leads[name]
+        """Stamp, ns, of the set that an image will most likely be in; None where there will hardly be one."""
+        expected = stamp + self._leads[name]
+        if stamp <= self._passed[name] or expected < (self._last or 0) + SOON * min(self._gaps, default=0):
+            return None
+        return expected
 
     def keep(self, name: str, view: View) -> None:
         """Keeps a view until its set is whole, or some later ones have come."""
