@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -20,6 +22,7 @@ from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.reading import Finished, Order, Reading
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import JOINT_STATES, GraphError
+from twin_node.runtime.beside import Beside
 from twin_node.runtime.clock import PacedClock
 from twin_node.scene import FrameSet
 
@@ -121,3 +124,21 @@ def test_reading_ends_when_nobody_listens_any_more(
         bridge.close()
     assert not any(thread.name == "reader" for thread in threading.enumerate())
     assert one.finished == Finished()
+
+
+def test_a_process_that_dies_is_told_of_in_one_line(session: LogSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[Beside] = []
+
+    def begin(*arguments: str) -> Beside:
+        begun.append(Beside(*arguments))
+        return begun[-1]
+
+    monkeypatch.setattr(reading, "is_worth_it", lambda: True)
+    monkeypatch.setattr(reading, "Beside", begin)
+    bridge = Bridge(lambda _: None)
+    with contextlib.closing(Reading(Order(session, NARROW))) as one:
+        one.start(PacedClock(session.span.start_ns, 0.1), bridge, bridge.put_frames)
+        next(bridge.batches())
+        os.kill(begun[0].pid, signal.SIGKILL)
+        with pytest.raises(GraphError, match=r"reader: expected its process \(\d+\) to go on, .* with status -9"):
+            list(bridge.batches())

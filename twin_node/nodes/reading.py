@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import pickle
 import threading
@@ -15,8 +16,8 @@ from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.player import Player
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY
-from twin_node.runtime.beside import Beside, is_worth_it
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, GraphError
+from twin_node.runtime.beside import Beside, EndedError, is_worth_it
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock
 from twin_node.scene import Camera, FrameSet
@@ -73,21 +74,25 @@ class Reading:
         """What was said in the end."""
         if is_worth_it():
             self._process = Beside("twin_node.nodes.reading_process", "reader", "give it more memory")
-            self._process.send(order)
+            with _ended_is_told():
+                self._process.send(order)
 
     def start(self, clock: PacedClock, bridge: Bridge, on_frames: OnFrames) -> None:
         """Starts the clock, and reads: a thread gives each set to `on_frames`, and to the bridge all else.
 
-        In the end it closes the bridge. Raises what has kept the process from opening the log.
+        In the end it closes the bridge. Raises what has kept the process from opening the log, and here or through the
+        bridge `GraphError` where it has ended by itself.
         """
         process = self._process
         if process is not None:
-            process.is_loaded(wait=True)
+            with _ended_is_told():
+                process.is_loaded(wait=True)
         clock.start()
         if process is None:
             work = partial(self._read, clock, bridge, on_frames)
         else:
-            process.send(clock)
+            with _ended_is_told():
+                process.send(clock)
             work = partial(self._listen, process, bridge, on_frames)
         self._thread = threading.Thread(target=_closing, args=(work, bridge), name="reader", daemon=True)
         self._thread.start()
@@ -111,7 +116,8 @@ class Reading:
         cameras = LogSource(self._order.session, self._order.synchronizer).cameras
         loaded = partial(load, cameras={camera.name: camera for camera in cameras})
         while not bridge.is_closed:
-            said = process.receive(loaded)
+            with _ended_is_told():
+                said = process.receive(loaded)
             if isinstance(said, Finished):
                 self.finished = said
                 return
@@ -120,6 +126,14 @@ class Reading:
             else:
                 topic, message = cast(tuple[str, Any], said)
                 bridge.put(topic, message)
+
+
+@contextlib.contextmanager
+def _ended_is_told() -> Iterator[None]:
+    try:
+        yield
+    except EndedError as error:
+        raise GraphError(str(error)) from error
 
 
 def _closing(work: Callable[[], None], bridge: Bridge) -> None:
