@@ -53,7 +53,7 @@ class OnDevice(Tensor):
     @staticmethod
     def __new__(cls, held: Tensor) -> OnDevice:
         """What `held` holds, on the device."""
-        made: OnDevice = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+        made: OnDevice = torch.Tensor._make_wrapper_subclass(
             cls,
             held.size(),
             strides=held.stride(),
@@ -64,14 +64,14 @@ class OnDevice(Tensor):
         made.held = held
         return made
 
-    is_cuda = property(lambda self: True)  # type: ignore[assignment]
-    is_meta = property(lambda self: False)  # type: ignore[assignment]
+    is_cuda = property(lambda self: True)
+    is_meta = property(lambda self: False)
 
     def numpy(self, *_: Any, **__: Any) -> Any:
         """Refused, as by CUDA."""
         raise TypeError("cannot convert a tensor of the device to numpy; use Tensor.cpu() first")
 
-    __array__ = numpy  # type: ignore[assignment]
+    __array__ = numpy
 
     def tolist(self) -> Any:
         """The numbers, by way of the host."""
@@ -159,7 +159,7 @@ class _Gsplat:
         batch = given["means"].shape[:-2]
         for name in ("quats", "scales", "opacities", "viewmats", "Ks"):
             assert given[name].shape[: len(batch)] == batch, f"gsplat: {name} has other leading dimensions"
-        renders, alphas, *meta = _Drawn.apply(list(given), *given.values())  # type: ignore[no-untyped-call]
+        renders, alphas, *meta = _Drawn.apply(list(given), *given.values())
         return renders, alphas, dict(zip(("radii", "means2d", "depths"), meta, strict=True))
 
 

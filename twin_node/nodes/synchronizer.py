@@ -95,8 +95,9 @@ class SynchronizerNode(Node):
         tolerance_ns = int(parameters.depth_tolerance_ms * 1e6)
         self._pairs = {name: DepthPairs(tolerance_ns) for name in self._rig_cameras}
         self._last_stamp: dict[str, int] = {}
-        self._early = None if isinstance(clock, SteppedClock) else EarlyViews(self._rig_cameras)
-        """None in lockstep: nobody waits there, and what is in no set need not be decoded."""
+        self._early = EarlyViews(self._rig_cameras)
+        self._decodes_early = not isinstance(clock, SteppedClock)
+        """Not in lockstep: nobody waits there, and what is in no set need not be decoded."""
         self._next_due: int | None = None
         self._published = 0
 
@@ -156,7 +157,7 @@ class SynchronizerNode(Node):
         if not self._is_live:
             now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps
         self._take(self._synchronizer.add(name, stamp, view, now), now)
-        if self._early is not None and self._is_due(self._early.set_of(name, stamp)):
+        if self._decodes_early and self._is_due(self._early.set_of(name, stamp)):
             with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then
                 self._early.keep(name, self._decoded(name, stamp, view))
 
@@ -165,9 +166,8 @@ class SynchronizerNode(Node):
         for grouped in ready:
             if self._is_wanted(grouped.stamp):
                 self._publish(grouped)
-            if self._early is not None:
-                members = zip(self._rig_cameras, grouped.members, strict=True)
-                self._early.pass_set(grouped.stamp, [(name, m.stamp) for name, m in members if m is not None])
+            members = zip(self._rig_cameras, grouped.members, strict=True)
+            self._early.pass_set(grouped.stamp, [(name, m.stamp) for name, m in members if m is not None])
         due = self._synchronizer.due
         if due is not None:
             self._deadline.set(max((due - now) / 1e9, SHORTEST_WAIT_S))
@@ -175,8 +175,10 @@ class SynchronizerNode(Node):
     def _is_wanted(self, stamp: int) -> bool:
         """Whether a set is due under `max_rate_hz`: sets are taken at that rate on average, never in bursts."""
         rate = self._parameters.max_rate_hz
-        if rate is None or not self._is_due(stamp):
-            return rate is None
+        if rate is None:
+            return True
+        if not self._is_due(stamp):
+            return False
         due = stamp if self._next_due is None else self._next_due
         self._next_due = max(due + int(1e9 / rate), stamp)
         return True
@@ -196,7 +198,7 @@ class SynchronizerNode(Node):
 
     def _view(self, name: str, member: Stamped[EncodedView]) -> View | None:
         """A camera's part of a set; None, and told, where a live camera's image is no good: the others go on."""
-        early = None if self._early is None else self._early.get(name, member.stamp)
+        early = self._early.get(name, member.stamp)
         try:
             return self._decoded(name, member.stamp, member.payload) if early is None else early
         except TwinError as error:
