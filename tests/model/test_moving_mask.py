@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import pytest
 
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.parameters import ModelError
-from twin_node.scene import Bool, Camera, FrameSet, UInt8, View
+from twin_node.scene import Bool, Camera, Float32, FrameSet, UInt8, View
 
 HEIGHT, WIDTH = 90, 160
 STEP_NS = 33_000_000
@@ -181,6 +183,52 @@ def test_depth_finds_what_colour_cannot(scene: Scene) -> None:
         if tick > 1:
             assert share(found, shape) > 0.8
     assert found.sum() < 2 * shape.sum()
+
+
+def seen_by_depth(scene: Scene, depths: Sequence[Float32 | None]) -> list[Bool]:
+    """The masks where colour tells nothing."""
+    mask = MovingMask()
+    views = [View(CAMERA, tick * STEP_NS, scene.floor, depth) for tick, depth in enumerate(depths)]
+    return [mask.update(FrameSet(view.stamp, (view,)), [None])[0] for view in views]
+
+
+def before(far: Float32, shape: Bool, depth: float) -> Float32:
+    return np.where(shape, np.float32(depth), far)
+
+
+def test_what_comes_straight_at_a_camera_is_found_by_depth_however_slowly(scene: Scene) -> None:
+    far = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    for step_m in (0.004, 0.01, 0.03):
+        steps = round(0.3 / step_m)
+        found = seen_by_depth(scene, [far] * 5 + [before(far, box(40), 2 - step_m * k) for k in range(steps)])
+        assert share(found[-1], box(40)) > 0.9
+        assert not found[4].any()
+
+
+@pytest.mark.parametrize("error_m", [0.05, 0.3])
+def test_one_depth_image_that_is_too_deep_leaves_nothing_moving(scene: Scene, error_m: float) -> None:
+    far = np.full((HEIGHT, WIDTH), 1.0, np.float32)
+    found = seen_by_depth(scene, [far] * 5 + [before(far, box(40), 1 + error_m)] + [far] * 10)
+    assert not any(mask.any() for mask in found)
+
+
+def test_depth_that_begins_after_the_first_set_tells_as_well(scene: Scene) -> None:
+    far = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    found = seen_by_depth(scene, [None, None, far, far, before(far, box(40), 1.5)])
+    assert not found[3].any()
+    assert share(found[4], box(40)) > 0.9
+
+
+def test_what_is_at_rest_where_no_depth_was_known_is_not_learnt_while_it_moves(scene: Scene) -> None:
+    """A hand before a pixel whose depth was never measured must not become the ground there."""
+    unknown = np.zeros((HEIGHT, WIDTH), np.float32)
+    mask, shape = MovingMask(), box(40)
+    hand = np.where(shape[..., None], np.uint8(230), scene.floor)
+    images = [(scene.floor, unknown)] * 5 + [(hand, before(unknown, shape, 1.0))] * 3
+    for tick, (rgb, depth) in enumerate([*images, (scene.floor, before(unknown, shape, 2.0))]):
+        view = View(CAMERA, tick * STEP_NS, rgb, depth)
+        mask.update(FrameSet(view.stamp, (view,)), [None])
+    assert np.isin(mask._cameras["cam"].depth[shape], (0, 2)).all()
 
 
 def test_a_jump_of_exposure_is_not_motion(scene: Scene) -> None:

@@ -44,7 +44,7 @@ class MovingMaskParameters:
     growth_pixels: int = 3
     """Rings of uncovered ground found per image; each ring is two pixels wide."""
     learning_rate: float = 0.05
-    """Share of each new image that enters the background where it is free."""
+    """Share of each new image, and of its depth, that enters the background where it is free."""
     depth_levels: float = 0.02
     """Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
 
@@ -56,7 +56,7 @@ class CameraMask:
         self.parameters = parameters
         self.shape = view.rgb.shape[:2]
         self.background = _planes(view.rgb)
-        self.depth = None if view.depth is None else view.depth.copy()
+        self.depth = np.zeros(self.shape, np.float32) if view.depth is None else view.depth.astype(np.float32)
         self.known = np.zeros(self.shape, np.bool_)  # False where nothing but the robot has been seen yet
         self.trusted = np.ones(self.shape, np.bool_)  # False where the background may show the moving thing itself
         self.confirmed = np.zeros(self.shape, np.bool_)  # was covered once, and is known to be ground since
@@ -83,17 +83,16 @@ class CameraMask:
         like_ground = difference < 0.5 * threshold
         mask = moving | (self.mask & ~_eroded(self.trusted & like_ground))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
-        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground & ~in_front)
+        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground)
         object_ = self.confirmed & self.trusted & (difference > threshold)
         settled &= mask & ~in_front
         among_ground = settled & ~self.trusted & like_ground & self._surrounded(seen & self.trusted & like_ground)
         uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered
-        self.background[:, uncovered] = (image / gain)[:, uncovered]
         self.trusted |= uncovered
         self.mask = mask & ~uncovered
-        self._learn(image / gain, view, seen & ~self.mask)
+        self._learn(image / gain, view, seen & ~self.mask, uncovered)
         return self.mask.copy()
 
     def reference(self, stamp: int) -> Float32:
@@ -113,7 +112,7 @@ class CameraMask:
             return
         self.known |= fresh
         self.background[:, fresh] = image[:, fresh]
-        if view.depth is not None and self.depth is not None:
+        if view.depth is not None:
             self.depth[fresh] = view.depth[fresh]
         doubtful = fresh & (cv2.dilate(self.mask.astype(np.uint8), self.closing) > 0)
         self.trusted &= ~doubtful
@@ -169,7 +168,7 @@ class CameraMask:
 
     def _depth_in_front(self, view: View, seen: Bool) -> Bool:
         """Where a measured surface stands in front of the background's."""
-        if view.depth is None or self.depth is None:
+        if view.depth is None:
             return np.zeros(self.shape, np.bool_)
         known = seen & (view.depth > 0) & (self.depth > 0)
         near = known & (view.depth < self.depth * (1 - self.parameters.depth_levels) - 0.01)
@@ -209,13 +208,19 @@ class CameraMask:
             inside |= (weight > 0.2) & (continues | ground_coloured[box])
         return found
 
-    def _learn(self, image: Float32, view: View, free: Bool) -> None:
-        """Draws the background towards the image where it is free."""
-        rate = np.where(free, np.float32(self.parameters.learning_rate), np.float32(0))
+    def _learn(self, image: Float32, view: View, free: Bool, uncovered: Bool) -> None:
+        """Draws the background towards the image where it is free, and takes what was uncovered at once.
+
+        Depth likewise: taken whole, it would go along with whatever comes at the camera, and keep every outlier. Where
+        none is known the first to be measured is taken; what lies deeper is learnt behind what moves, too.
+        """
+        learning_rate = np.float32(self.parameters.learning_rate)
+        rate = np.where(free, np.where(uncovered, np.float32(1), learning_rate), np.float32(0))
         self.background += rate * (image - self.background)
-        if view.depth is not None and self.depth is not None:
-            deeper = (view.depth > self.depth) | (self.depth == 0)
-            self.depth = np.where(free & (view.depth > 0) | deeper, view.depth, self.depth)
+        if view.depth is not None:
+            deeper = np.where(view.depth > self.depth, np.maximum(rate, learning_rate), rate)
+            share = np.where(self.depth == 0, free.astype(np.float32), deeper)
+            self.depth += np.where(view.depth > 0, share * (view.depth - self.depth), np.float32(0))
 
 
 class Colours:

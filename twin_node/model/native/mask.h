@@ -121,7 +121,7 @@ class MaskUpdate {
     for (const int64_t at : fresh) {
       r_.known[at] = 1;
       for (int k = 0; k < 3; k++) r_.background[k * pixels_ + at] = plain(k, at);
-      if (r_.measured != nullptr && r_.depth != nullptr) r_.depth[at] = r_.measured[at];
+      if (r_.measured != nullptr) r_.depth[at] = r_.measured[at];
       if (!around[at]) continue;
       r_.trusted[at] = 0;
       r_.mask[at] = 1;
@@ -180,7 +180,7 @@ class MaskUpdate {
   // Where a measured surface stands in front of the background's.
   void find_in_front() {
     in_front_.assign(pixels_, 0);
-    if (r_.measured == nullptr || r_.depth == nullptr) return;
+    if (r_.measured == nullptr) return;
     static const Kernel cross = {{-1, 0}, {0, 1}, {1, 0}};
     Mask near(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
@@ -233,7 +233,7 @@ class MaskUpdate {
   void doubt(const Mask &mask) const {
     for (int64_t at = 0; at < pixels_; at++) {
       const bool begins = mask[at] && !r_.mask[at] && !r_.confirmed[at];
-      if (begins && like_ground(at) && !in_front_[at]) r_.trusted[at] = 0;
+      if (begins && like_ground(at)) r_.trusted[at] = 0;
     }
   }
 
@@ -372,10 +372,12 @@ class MaskUpdate {
       float *background = r_.background + k * pixels_;
       for (int64_t at = 0; at < pixels_; at++) background[at] += rates[at] * (plain(k, at) - background[at]);
     }
-    for (int64_t at = 0; at < pixels_ && r_.measured != nullptr && r_.depth != nullptr; at++) {
-      const float measured = r_.measured[at];
-      const bool deeper = measured > r_.depth[at] || r_.depth[at] == 0.f;
-      if ((rates[at] > 0 && measured > 0) || deeper) r_.depth[at] = measured;
+    for (int64_t at = 0; at < pixels_ && r_.measured != nullptr; at++) {
+      const float measured = r_.measured[at], depth = r_.depth[at];
+      if (!(measured > 0)) continue;
+      const float known = measured > depth ? std::max(rates[at], learning_rate) : rates[at];
+      const float share = depth == 0.f ? (rates[at] > 0 ? 1.f : 0.f) : known;
+      r_.depth[at] += share * (measured - depth);
     }
   }
 
