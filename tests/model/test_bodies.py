@@ -120,6 +120,22 @@ def test_two_blocks_that_slide_as_one_and_then_part_end_on_two_nodes(
     assert any(one.kind is Kind.SPLIT for one in decisions)
 
 
+def test_what_parts_just_as_the_next_set_comes_goes_on_as_fast_as_it_did(
+    slid_as_one: tuple[bytes, list[Decision]],
+) -> None:
+    model, whole = pickle.loads(slid_as_one[0]), True
+    for index in range(TOGETHER[0] + 2, TOGETHER[0] + 16):
+        known = model.nodes_count
+        state = model.update(two_blocks(index, TOGETHER[0]))
+        if parted := any(one.kind is Kind.SPLIT for one in model.decisions):
+            break
+        whole = model.refine(lambda known=known: model.nodes_count == known)
+    assert parted and not whole, "births were put off when it had parted"
+    speeds, turns = (np.linalg.norm(of, axis=1) for of in (state.nodes.velocities, state.nodes.angular_velocities))
+    assert speeds.max() < 3 * STEP_M / DT_S
+    assert turns.max() < 3
+
+
 def test_what_has_boarded_a_node_boards_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     board, boarded = Gaussians.board, 0
 

@@ -111,12 +111,13 @@ def test_the_past_of_a_row_stays_with_the_node_that_had_it_then() -> None:
     assert between.positions[0, 0].tolist() == pytest.approx([5.0, 5.0, 5.0])
 
 
-def test_what_begins_after_a_set_moves_from_there_and_leaves_what_the_set_has_shown() -> None:
+def test_what_is_born_after_a_set_moves_from_there_and_leaves_what_the_set_has_shown() -> None:
     nodes = moving_nodes(1.0)
     nodes.retire(torch.tensor([0]))
     origin = torch.zeros(3, dtype=torch.float64)
-    assert nodes.give_birth(origin + 5, origin + 2) == 0
-    nodes.begin()
+    turned = quat_from_vector(torch.tensor([0.0, 0.0, 1.2], dtype=torch.float64))
+    assert nodes.give_birth(origin + 5, origin + 2, quat=turned) == 0
+    assert torch.equal(nodes.quats[0], turned)
     newest = 1000 + 6 * TICK_NS
     for stamp in (newest, newest + TICK_NS):
         assert nodes.poses_at(stamp).positions[0, 0].tolist() == pytest.approx([0.198, 0, 0])

@@ -82,15 +82,21 @@ class Nodes:
         """How many more nodes can be born."""
         return self.capacity - int(self.alive.count_nonzero())
 
-    def give_birth(self, position: Tensor, velocity: Tensor, tier: Tier = Tier.RIGID) -> int:
-        """A node at `position` [3] with axes of `base_link` and `velocity` [3] m/s; returns its row."""
+    def give_birth(
+        self, position: Tensor, velocity: Tensor, tier: Tier = Tier.RIGID, quat: Tensor | None = None
+    ) -> int:
+        """A node at `position` [3] with `velocity` [3] m/s, turned by `quat` [4] (None: not at all); returns its row.
+
+        What the newest set has shown is not touched: its nodes may have ended since, and this one have taken a row.
+        """
         row = int(torch.nonzero(~self.alive)[0, 0])
         self.alive[row] = True
         self.ids[row] = self._next_id
         self.tiers[row] = int(tier)
         self.positions[row] = position
         self.anchors[row] = position
-        self.quats[row] = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64)
+        self.quats[row] = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64) if quat is None else quat
+        self._begun_positions[row], self._begun_quats[row] = self.positions[row], self.quats[row]
         self.velocities[row] = velocity
         self.angular_velocities[row] = 0
         self.sigmas[row] = 0.05
@@ -155,19 +161,12 @@ class Nodes:
             (self._history_quats, self.quats),
         ):
             past.numpy()[self._slot] = now.numpy()
-        self.begin()
-
-    def begin(self) -> None:
-        """From now on `moved` tells how far nodes come from their present poses, those too that were born after a set.
-
-        What a set has shown is not touched: its nodes may have ended since, and others have taken their rows.
-        """
         self._begun_positions.copy_(self.positions)
         self._begun_quats.copy_(self.quats)
 
     @property
     def moved(self) -> Tensor:
-        """[M, 6] m and rad (in `base_link`) from the poses at which nodes began to the present ones."""
+        """[M, 6] m and rad (in `base_link`) from the poses remembered last, or at birth since, to the present ones."""
         library = kernels()
         if library is None:
             return self.moved_plainly()

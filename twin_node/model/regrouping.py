@@ -74,8 +74,7 @@ def _split(gaussians: Gaussians, carried: Carried, nodes: Nodes, merge_split: Me
     staying = ~one.leaving & (cells.nodes == one.node)
     leavers = carried.leavers(gaussians, one.node, one.leaving)
     place = torch.from_numpy(cells.centres[one.leaving].mean(0))
-    begun = nodes.give_birth(place, nodes.velocities[one.node])
-    nodes.quats[begun] = nodes.quats[one.node]
+    begun = nodes.give_birth(place, nodes.velocities[one.node], quat=nodes.quats[one.node])
     gaussians.transfer(leavers, torch.full((len(leavers),), begun), nodes)
     stayed = gaussians.founders[rows_where(gaussians.alive & (gaussians.nodes == one.node))]
     kept = torch.cat([stayed, nodes.ids[one.node : one.node + 1].to(stayed.device)])  # by the node: none has two

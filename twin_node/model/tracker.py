@@ -209,7 +209,6 @@ class Tracker:
             self._upkeep.learn(granted(1))
         if leisure.lasts() or leisure.hurried > 1:
             self._born = self._bear(due.seen.observed, due.renderings)
-            self._nodes.begin()
             on_stage("bear")
         if leisure.hurried < 2:
             return self._upkeep.go_on(granted(least, proceed)) and not leisure.hurried
