@@ -116,6 +116,24 @@ def _uneven_rest(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"property float f_rest_8\n", b"property float extra_88\n"))
 
 
+def _with_header(path: Path, old: bytes, new: bytes) -> None:
+    write_ply(stored(4, 0), path)
+    path.write_bytes(path.read_bytes().replace(old, new))
+
+
+def _without_properties(path: Path) -> None:
+    path.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nend_header\n")
+
+
+def _two_counts(path: Path) -> None:
+    _with_header(path, b"element vertex 4\n", b"element vertex 4\nelement vertex 2\n")
+
+
+def _vertices_again(path: Path) -> None:
+    again = b"element face 0\nproperty list uchar int vertex_index\nelement vertex 2\nend_header\n"
+    _with_header(path, b"end_header\n", again)
+
+
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
@@ -125,6 +143,9 @@ def _uneven_rest(path: Path) -> None:
         (_points_only, "f_dc_0"),
         (_cut_short, "cut short"),
         (_uneven_rest, "f_rest"),
+        (_without_properties, "with properties"),
+        (_two_counts, "vertices once"),
+        (_vertices_again, "vertices once"),
     ],
 )
 def test_wrong_files_are_named(tmp_path: Path, spoil: object, says: str) -> None:

@@ -158,20 +158,25 @@ def _parse_header(data: bytes, path: Path) -> _Header:
                 order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(kind, "")
                 if not order:
                     raise ModelError(f"{path}: expected a binary PLY file, found format {kind}; export it as binary")
+            case ["element", "vertex", number] if number.isdecimal():
+                if count >= 0:
+                    raise ModelError(f"{path}: expected vertices once, found them again; export Gaussians only")
+                count, in_vertex = int(number), True
             case ["element", name, number] if number.isdecimal():
-                if count >= 0 or name == "vertex":
-                    in_vertex = name == "vertex"
-                    count = int(number) if in_vertex else count
-                else:
+                if count < 0:
                     raise ModelError(f"{path}: expected vertices first, found element {name}; export Gaussians only")
+                in_vertex = False
             case ["property", kind, name] if in_vertex and kind in _TYPES:
                 fields.append((name, order + _TYPES[kind]))
             case ["comment" | "obj_info", *_] | []:
                 continue
             case _ if in_vertex or count < 0:
                 raise ModelError(f"{path}: cannot read the header line '{line}'; export it in the 3DGS layout")
-    if count < 0 or not order or len({name for name, _ in fields}) != len(fields):
-        raise ModelError(f"{path}: expected a format and an element vertex in the header; the file is damaged")
+    if not fields or not order or len({name for name, _ in fields}) != len(fields):
+        raise ModelError(
+            f"{path}: expected a format and an element vertex with properties, each once, in the header; "
+            "the file is damaged"
+        )
     return _Header(end + len(b"end_header\n"), count, np.dtype(fields))
 
 
