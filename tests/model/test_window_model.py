@@ -133,6 +133,32 @@ def test_a_set_that_is_only_looked_at_shows_the_model_of_the_set_before() -> Non
         model.look(sets[4])
 
 
+def test_the_first_set_can_be_rendered_once_it_has_been_looked_at() -> None:
+    model = WindowModel(QUICK)
+    with pytest.raises(ModelError, match="render: no set has been seen"):
+        model.render(CAMERAS[0])
+    seen = model.look(frames(0, -0.15, CAMERAS))
+    shown = model.render(CAMERAS[0]).rgb
+    assert np.array_equal(shown, model.render_frozen(CAMERAS[0]).rgb)
+    model.follow(seen)
+    assert np.array_equal(shown, model.render(CAMERAS[0]).rgb)
+
+
+def test_stamps_before_zero_are_stamps_as_others() -> None:
+    sets, ours, early = sliding(8, CAMERAS, depth=True), WindowModel(QUICK), WindowModel(QUICK)
+    sooner_ns = sets[5].stamp + 1
+    for one in sets:
+        views = tuple(replace(view, stamp=view.stamp - sooner_ns) for view in one.views)
+        state = early.update(replace(one, stamp=one.stamp - sooner_ns, views=views))
+        assert np.array_equal(ours.update(one).gaussians.means, state.gaussians.means)
+        assert np.array_equal(ours.render(CAMERAS[0]).rgb, early.render(CAMERAS[0]).rgb)
+    assert len(state.nodes.ids) and state.stamp > 0
+    assert early.parameters_count == ours.parameters_count
+    for one in (sets[2], sets[5], sets[6]):
+        then = early.render(CAMERAS[0], one.stamp - sooner_ns).rgb
+        assert np.array_equal(ours.render(CAMERAS[0], one.stamp).rgb, then)
+
+
 def test_capacity_is_never_passed(followed: tuple[WindowModel, list[TwinState]]) -> None:
     _, states = followed
     capacity = int(3 * 80 * 60 * QUICK.gaussians_per_pixel)

@@ -22,6 +22,9 @@ critically damped value for that alpha, because published velocities are extrapo
 MAX_SPEED, MAX_TURN = 5.0, 15.0
 """m/s and rad/s that no node exceeds: above a thrown arm's 4 m/s; more is a fit gone wrong."""
 
+NEVER: int = torch.iinfo(torch.int64).min
+"""Stamp of a set of the window that has not come yet, before all others: clocks may begin anywhere."""
+
 
 @dataclass(frozen=True)
 class Poses:
@@ -51,7 +54,7 @@ class Nodes:
         self.anchors = torch.zeros(capacity, 3, dtype=torch.float64)
         self.births = torch.zeros(capacity, dtype=torch.int64)
         self.quats[:, 0] = 1
-        self.history_stamps = torch.full((window,), -1, dtype=torch.int64)
+        self.history_stamps = torch.full((window,), NEVER, dtype=torch.int64)
         self._history_ids = torch.full((window, capacity), -1, dtype=torch.int64)
         self._history_positions = torch.zeros(window, capacity, 3, dtype=torch.float64)
         self._history_quats = torch.zeros(window, capacity, 4, dtype=torch.float64)
@@ -186,7 +189,7 @@ class Nodes:
         Before the window they are its oldest. A row that has changed hands between two sets has the newer node's pose,
         one that has done so since the newest set that node's at this set.
         """
-        known = torch.nonzero(self.history_stamps >= 0)[:, 0]
+        known = torch.nonzero(self.history_stamps > NEVER)[:, 0]
         order = known[self.history_stamps[known].argsort()]
         older, newer = order[self.history_stamps[order] <= stamp], order[self.history_stamps[order] >= stamp]
         if not len(newer):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from twin_node.model.gaussians import Gaussians, Population
-from twin_node.model.nodes import Nodes, Poses
+from twin_node.model.nodes import NEVER, Nodes, Poses
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Past:
     def __init__(self, gaussians: Gaussians, nodes: int, window: int) -> None:
         """Room for `window` sets of all that `gaussians` and `nodes` rows of nodes can hold."""
         count, device = gaussians.capacity, gaussians.values.device
-        self._stamps = torch.full((window,), -1, dtype=torch.int64)
+        self._stamps = torch.full((window,), NEVER, dtype=torch.int64)
         self._values = torch.zeros(window, *gaussians.values.shape, device=device)
         self._alive = torch.zeros(window, count, dtype=torch.bool, device=device)
         self._tiers = torch.zeros(window, count, dtype=torch.uint8, device=device)
@@ -56,7 +56,7 @@ class Past:
 
         Before the window that is its oldest set, after it the newest. Call it once `remember` has been.
         """
-        known = torch.nonzero(self._stamps >= 0)[:, 0]
+        known = torch.nonzero(self._stamps > NEVER)[:, 0]
         later = known[self._stamps[known] >= stamp]
         slot = later[self._stamps[later].argmin()] if len(later) else known[self._stamps[known].argmax()]
         rows = torch.nonzero(self._alive[slot])[:, 0]

@@ -20,7 +20,7 @@ from twin_node.model.gaussians import Gaussians
 from twin_node.model.haste import Haste, Part
 from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
-from twin_node.model.nodes import Nodes
+from twin_node.model.nodes import NEVER, Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
 from twin_node.model.past import Past
 from twin_node.model.publishing import cloud_of, node_states_of
@@ -130,7 +130,7 @@ class WindowModel:
     @property
     def parameters_count(self) -> int:
         """Numbers that describe the scene now: 14 per Gaussian, 6 per node and set of the window, the field if used."""
-        poses = int((self._nodes.history_stamps >= 0).sum()) * len(self._nodes.rows)
+        poses = int((self._nodes.history_stamps > NEVER).sum()) * len(self._nodes.rows)
         bending = self._motion is not None and self._motion.bends
         field = self._motion.field.parameters_count if self._motion is not None and bending else 0
         return 14 * len(self._gaussians) + 6 * poses + field
@@ -188,8 +188,8 @@ class WindowModel:
         with torch_alone():
             if seen.followed is not None:
                 warnings = self._track(seen)
-            assert self._past is not None
-            self._past.remember(self._gaussians, self._nodes)
+                assert self._past is not None
+                self._past.remember(self._gaussians, self._nodes)
             model = self._newest = self._shown()
             state = replace(
                 seen, gaussians=model.gaussians, nodes=model.nodes, warnings=warnings + seen.warnings, followed=None
@@ -226,7 +226,10 @@ class WindowModel:
         return whole
 
     def render(self, camera: Camera, stamp: int | None = None) -> ModelImage:
-        """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest)."""
+        """The model as `camera` sees it at `stamp` (ns, inside the window; None: the newest).
+
+        Raises `ModelError` before the first set has been looked at.
+        """
         if self._motion is None or self._past is None:
             raise ModelError("render: no set has been seen yet; call update first")
         moment = self._past.at(self._nodes.stamp if stamp is None else stamp, self._nodes)
@@ -235,7 +238,10 @@ class WindowModel:
         return self._shoot(splats, camera)
 
     def render_frozen(self, camera: Camera) -> ModelImage:
-        """The model as it was fitted to the first set: the baseline that every later rendering must beat."""
+        """The model as it was fitted to the first set: the baseline that every later rendering must beat.
+
+        Raises `ModelError` before that has been looked at.
+        """
         if self._frozen is None:
             raise ModelError("render_frozen: no set has been seen yet; call update first")
         return self._shoot(self._frozen, camera)
@@ -272,6 +278,7 @@ class WindowModel:
         self._bind_arm(self._tracker, frames, robots)
         self._nodes.remember()
         self._past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)
+        self._past.remember(self._gaussians, self._nodes)
         rows = torch.nonzero(self._gaussians.alive)[:, 0]
         with torch.no_grad():
             self._frozen = motion.place(self._gaussians, rows, motion.poses([0.0]), [frames.stamp])
