@@ -65,6 +65,15 @@ def test_a_lamp_that_lights_some_of_what_stands_is_taken_up() -> None:
     assert gained[1] > gained[0] + 2
 
 
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 60), (80, 1)])
+def test_images_one_pixel_across_have_no_room_for_new_gaussians(width: int, height: int) -> None:
+    model = WindowModel(QUICK)
+    for one in sliding(4, rig(width, height)):
+        state = model.update(one)
+        model.refine()
+        assert len(state.gaussians.means) <= width * height * len(CAMERAS)
+
+
 def test_a_scene_at_rest_is_learnt_better_and_then_stays_as_it_is_to_the_bit() -> None:
     model = WindowModel(replace(QUICK, seed=SeedParameters(steps=5), map=MapParameters(tries=3)))
     states = [model.update(frames(0, -0.15, CAMERAS))]

@@ -111,6 +111,8 @@ class Mapper:
         """New STATIC Gaussians where those that are there cannot show what a camera sees at rest."""
         rest, camera = views[index].rest, views[index].camera
         size = (camera.width // BLOCK, camera.height // BLOCK)
+        if 0 in size:
+            return
         lacking: Float32 = cv2.resize(rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         blocks = np.flatnonzero(lacking > self._parameters.lacking)
         if not len(blocks):
