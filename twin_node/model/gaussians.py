@@ -11,6 +11,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.nodes import Nodes
 from twin_node.model.rendering import Splats
 from twin_node.model.rotations import conjugate, quat_product, rotate
+from twin_node.model.writes import Writes
 from twin_node.scene import Tier
 from twin_node.splat import Decays
 
@@ -117,7 +118,7 @@ class Gaussians:
         """Steps of single Gaussians that were not finite and were therefore not taken, since the model began."""
         self._next_id = 0
         self._rows: dict[tuple[Tier, Tier], Tensor] = {}
-        self._rows_version = (-1, -1)
+        self._writes = Writes()
 
     def __len__(self) -> int:
         return int(self.alive.sum())
@@ -152,9 +153,8 @@ class Gaussians:
 
         A set asks for them a dozen times. Callers must not write to them.
         """
-        version = (self.alive._version, self.tiers._version)
-        if version != self._rows_version:
-            self._rows, self._rows_version = {}, version
+        if self._writes.have_come(self.alive, self.tiers):
+            self._rows = {}
         if (first, last) not in self._rows:
             tiers, alive = self.tiers.cpu().numpy(), self.alive.cpu().numpy()
             of_them = alive & (tiers - int(first) <= int(last) - int(first))  # without a sign: those before wrap around

@@ -15,6 +15,7 @@ from twin_node.model.gaussians import MEAN, QUAT, Gaussians, Population, activat
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rendering import Splats
 from twin_node.model.rotations import quat_from_vector
+from twin_node.model.writes import Writes
 from twin_node.scene import Tier
 
 GRID_RATE, DECODER_RATE = 1.6e-3, 1.6e-4
@@ -29,7 +30,7 @@ class Motion:
         self.field = field
         grids, decoder = (field.space, field.time), (field.hidden, field.hidden_bias, field.out)
         self._adam = Adam([*((p, GRID_RATE) for p in grids), *((p, DECODER_RATE) for p in decoder)])
-        self._bends, self._bends_version = False, (-1, -1)
+        self._bends, self._writes = False, Writes()
 
     @property
     def bends(self) -> bool:
@@ -38,10 +39,8 @@ class Motion:
         Found anew only when lives or tiers have changed: a set asks a dozen times.
         """
         alive, tiers = self.nodes.alive, self.nodes.tiers
-        version = (alive._version, tiers._version)
-        if version != self._bends_version:
+        if self._writes.have_come(alive, tiers):
             self._bends = bool((alive.numpy() & (tiers.numpy() == int(Tier.DEFORMABLE))).any())
-            self._bends_version = version
         return self._bends
 
     def poses(self, offsets_s: Sequence[float]) -> Poses:

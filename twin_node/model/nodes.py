@@ -12,6 +12,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.kernels import kernels
 from twin_node.model.node_requests import AdvanceRequest, MovedRequest
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
+from twin_node.model.writes import Writes
 from twin_node.native_library import address_of
 from twin_node.scene import Float64, Tier
 
@@ -61,7 +62,7 @@ class Nodes:
         self._slot = -1
         self._begun_positions, self._begun_quats = self.positions.clone(), self.quats.clone()
         self._next_id = 0
-        self._learned, self._learned_version = torch.zeros(0, dtype=torch.int64), (-1, -1)
+        self._learned, self._writes = torch.zeros(0, dtype=torch.int64), Writes()
 
     @property
     def rows(self) -> Tensor:
@@ -74,10 +75,9 @@ class Nodes:
 
         Sought anew only when lives or tiers have changed. Callers must not write to them.
         """
-        version = (self.alive._version, self.tiers._version)
-        if version != self._learned_version:
+        if self._writes.have_come(self.alive, self.tiers):
             learned = self.alive.numpy() & (self.tiers.numpy() != int(Tier.ROBOT))
-            self._learned, self._learned_version = torch.from_numpy(learned.nonzero()[0]), version
+            self._learned = torch.from_numpy(learned.nonzero()[0])
         return self._learned
 
     @property
