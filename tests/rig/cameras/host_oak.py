@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from datetime import timedelta
+from itertools import count
 from typing import Any
 
 import depthai as dai
@@ -28,20 +30,9 @@ class Frames(dai.node.ThreadedHostNode):
     def run(self) -> None:
         number = 0
         while self.isRunning() and not self.unplugged.wait(PERIOD_S):
-            frame = dai.ImgFrame()
-            shape = (self.camera.height, self.camera.width)
-            if self.is_depth:
-                frame.setType(dai.ImgFrame.Type.RAW16)
-                frame.setData(np.full(shape, DEPTH_MM, np.uint16).view(np.uint8).reshape(-1))
-            else:
-                frame.setType(dai.ImgFrame.Type.BGR888i)
-                frame.setData(_picture(*shape).reshape(-1))
-            frame.setWidth(self.camera.width)
-            frame.setHeight(self.camera.height)
-            frame.setTimestamp(timedelta(seconds=round(dai.Clock.now().total_seconds() / PERIOD_S) * PERIOD_S))
-            frame.setSequenceNum(number)
+            at = round(dai.Clock.now().total_seconds() / PERIOD_S) * PERIOD_S
+            self.out.send(image_frame(self.camera, self.is_depth, at, number))
             number += 1
-            self.out.send(frame)
 
 
 class HostStreams:
@@ -73,6 +64,51 @@ class HostStreams:
             node.unplugged.set()
         self._pipeline.stop()
         self._pipeline.wait()  # or its end waits for nodes that wait for Python's lock, which it holds
+
+
+class LateDepthStreams:
+    """A device whose depth images always come after their colour image, one at a time."""
+
+    calibration = None
+
+    def __init__(self, camera: OakCamera, first_depth: int, lost_colour: int | None) -> None:
+        """`first_depth`: exposure that its depth begins with, 0 is that of the first colour image; `lost_colour`: of one
+        whose colour image never comes."""
+        self.colour = _Awaited(camera, False, (i for i in count() if i != lost_colour))
+        self.depth = _Awaited(camera, True, count(first_depth))
+
+    def close(self) -> None:
+        """Nothing runs that would have to end."""
+
+
+class _Awaited:
+    """A queue of depthai's in which nothing waits, and whoever waits gets the next image."""
+
+    def __init__(self, camera: OakCamera, is_depth: bool, exposures: Iterator[int]) -> None:
+        self._camera, self._is_depth, self._exposures = camera, is_depth, exposures
+
+    def get(self, timeout: timedelta) -> dai.ImgFrame:
+        number = next(self._exposures)
+        return image_frame(self._camera, self._is_depth, 1.0 + number * PERIOD_S, 1 + number)
+
+    def tryGetAll(self) -> list[dai.ImgFrame]:
+        return []
+
+
+def image_frame(camera: OakCamera, is_depth: bool, at_s: float, number: int) -> dai.ImgFrame:
+    """An image as depthai sends it, captured at `at_s` on its clock."""
+    frame, shape = dai.ImgFrame(), (camera.height, camera.width)
+    if is_depth:
+        frame.setType(dai.ImgFrame.Type.RAW16)
+        frame.setData(np.full(shape, DEPTH_MM, np.uint16).view(np.uint8).reshape(-1))
+    else:
+        frame.setType(dai.ImgFrame.Type.BGR888i)
+        frame.setData(_picture(*shape).reshape(-1))
+    frame.setWidth(camera.width)
+    frame.setHeight(camera.height)
+    frame.setTimestamp(timedelta(seconds=at_s))
+    frame.setSequenceNum(number)
+    return frame
 
 
 def _picture(height: int, width: int) -> np.ndarray:

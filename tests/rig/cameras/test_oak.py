@@ -10,7 +10,7 @@ import pytest
 
 dai = pytest.importorskip("depthai")
 
-from host_oak import DEPTH_MM, HostStreams  # noqa: E402 (needs depthai)
+from host_oak import DEPTH_MM, HostStreams, LateDepthStreams  # noqa: E402 (needs depthai)
 
 from twin_node.rig import RigError  # noqa: E402
 from twin_node.rig.cameras import CameraImage  # noqa: E402
@@ -61,6 +61,13 @@ def test_images_come_with_rising_stamps_of_this_host_and_aligned_depth(source: O
     assert len(with_depth) >= 3
     assert np.allclose(with_depth[0].depth, DEPTH_MM / 1000)
     assert take(images, "left", 1)[0].depth is None
+
+
+@pytest.mark.parametrize(("first_depth", "lost_colour"), [(-1, None), (0, 4)])
+def test_depth_that_comes_later_and_out_of_step_is_waited_for(first_depth: int, lost_colour: int | None) -> None:
+    source = OakSource([FRONT], lambda camera: LateDepthStreams(camera, first_depth, lost_colour))
+    assert all(image.depth is not None for image in take(source.images(), "front", 8))
+    source.close()
 
 
 def test_an_unplugged_device_is_told_and_taken_back_while_the_other_goes_on(source: OakSource, bench: Bench) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -264,10 +265,10 @@ def _depthai() -> Any:
     return depthai
 
 
-def _timeout() -> Any:
+def _timeout(seconds: float = WAIT_S) -> Any:
     from datetime import timedelta
 
-    return timedelta(seconds=WAIT_S)
+    return timedelta(seconds=seconds)
 
 
 def _ns(span: Any) -> int:
@@ -284,13 +285,13 @@ def _rgb(frame: Any) -> Any:
 
 
 def _paired(frame: Any, depths: list[Any], waiting: Any) -> Float32 | None:
-    """The depth image [H, W] in m of the frame's exposure; waits for it as long as a queue may take."""
-    stamp = _ns(frame.getTimestamp())
-    newest = _ns(depths[-1].getTimestamp()) if depths else 0
-    if newest < stamp - PAIR_TOLERANCE_NS:
-        late = waiting.get(_timeout())
-        if late is not None:
-            depths.append(late)
+    """The depth image [H, W] in m of the frame's exposure; waits for it `WAIT_S` in all, whatever comes before it."""
+    stamp, deadline = _ns(frame.getTimestamp()), time.monotonic() + WAIT_S
+    while not depths or _ns(depths[-1].getTimestamp()) < stamp - PAIR_TOLERANCE_NS:
+        late = waiting.get(_timeout(max(deadline - time.monotonic(), 0.0)))
+        if late is None:
+            break
+        depths.append(late)
     near = [d for d in depths if abs(_ns(d.getTimestamp()) - stamp) <= PAIR_TOLERANCE_NS]
     if not near:
         return None
