@@ -66,7 +66,9 @@ def add_import_calibration(kinds: Any) -> None:
     parser.add_argument("format", choices=FORMATS)
     parser.add_argument("source", type=Path, metavar="PATH", help="its file or folder")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml")
-    parser.add_argument("--unit-m", type=positive, default=1.0, metavar="M", help="length of its unit in metres")
+    parser.add_argument(
+        "--unit-m", type=positive, metavar="M", help="length of its unit in metres (1; of qualisys 0.001)"
+    )
     parser.set_defaults(run=_import)
 
 
@@ -172,7 +174,8 @@ def _import(options: argparse.Namespace) -> None:
     from twin_node.rig import save_rig
     from twin_node.rig.calibrate.importers import IMPORTERS
 
-    rig_file = IMPORTERS[options.format](options.source, options.unit_m)
+    unit = () if options.unit_m is None else (options.unit_m,)
+    rig_file = IMPORTERS[options.format](options.source, *unit)
     save_rig(rig_file, options.output)
     print(f"{options.output}: {len(rig_file.rig.cameras)} cameras in {rig_file.frame!r}")
 

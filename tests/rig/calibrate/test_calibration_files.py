@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import tempfile
 from pathlib import Path
@@ -222,15 +223,21 @@ def test_binary_colmap_models_cut_short_are_refused(kept: int, tail: bytes) -> N
 def test_files_of_real_tools_become_the_rigs_that_are_known(recordings: Path) -> None:
     walker = load_rig("calibration/walker_4cam.yaml").rig
     imported = {
-        "opencv": (recordings / "walker_4cam" / "calib_opencv.json", 1.0),
-        "qualisys": (recordings / "walker_4cam" / "Calib.qca.txt", 1.0),
-        "toml": (recordings / "walker_4cam" / "Calib_qualisys.toml", 1.0),
+        "opencv": recordings / "walker_4cam" / "calib_opencv.json",
+        "qualisys": recordings / "walker_4cam" / "Calib.qca.txt",
+        "toml": recordings / "walker_4cam" / "Calib_qualisys.toml",
     }
-    for kind, (path, unit) in imported.items():
-        cameras = IMPORTERS[kind](path, unit).rig.cameras
+    for kind, path in imported.items():
+        cameras = IMPORTERS[kind](path).rig.cameras
         assert len(cameras) == len(walker.cameras)
         apart = distances(cameras)
         np.testing.assert_allclose(apart, distances(walker.cameras), rtol=0.02)
+
+
+def test_a_unit_of_a_metre_is_taken_for_one(recordings: Path) -> None:
+    path = recordings / "walker_4cam" / "Calib.qca.txt"
+    with pytest.raises(RigError, match="expected a translation in metres"):
+        IMPORTERS["qualisys"](path, 1.0)
 
 
 def distances(cameras: tuple[RigCamera, ...]) -> np.ndarray:
@@ -256,6 +263,42 @@ def test_wrong_files_get_one_clear_line(kind: str, tmp_path: Path) -> None:
         with pytest.raises(TwinError, match="expected") as caught:
             IMPORTERS[kind](path, 1.0)
         assert "\n" not in str(caught.value)
+
+
+FISHEYE = np.array([-0.02, 0.01, -0.005, 0.001])
+PINHOLE = np.array([[500.0, 0, 640], [0, 500, 480], [0, 0, 1]])
+
+
+def test_opencvs_fisheye_lenses_are_told_from_others(tmp_path: Path) -> None:
+    """Both have four coefficients."""
+    path = tmp_path / "left.yaml"
+    for is_fisheye, model in ((1, "equidistant"), (0, "plumb_bob")):
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        for key, number in (("image_width", 1280), ("image_height", 960), ("fisheye_model", is_fisheye)):
+            storage.write(key, number)
+        storage.write("camera_matrix", PINHOLE)
+        storage.write("distortion_coefficients", FISHEYE[:, None])
+        storage.release()
+        assert IMPORTERS["opencv"](path).rig.cameras[0].distortion_model == model
+        R_t = {"R": np.eye(3).tolist(), "t": [0, 0, 1]}
+        lens = {"K": PINHOLE.tolist(), "dist": FISHEYE.tolist(), "fisheye": bool(is_fisheye)}
+        listed = {"cameras": [{"name": "left", "size": [1280, 960], **lens, **R_t}]}
+        path.with_suffix(".json").write_text(json.dumps(listed))
+        assert IMPORTERS["opencv"](path.with_suffix(".json")).rig.cameras[0].distortion_model == model
+
+
+def test_a_projection_of_zeros_is_one_that_nobody_told(tmp_path: Path) -> None:
+    path = tmp_path / "left.yaml"
+    save_camera_info(a_lens(), path)
+    content = yaml.safe_load(path.read_text())
+    for key in ("projection_matrix", "rectification_matrix"):
+        content[key]["data"] = [0.0] * len(content[key]["data"])
+    path.write_text(yaml.safe_dump(content))
+    np.testing.assert_array_equal(IMPORTERS["camera_info"](path).rig.cameras[0].T_base_cam, np.eye(4))
+    content["projection_matrix"]["data"][0] = 500.0
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(RigError, match=r"left\.yaml\.projection_matrix: expected .* of full rank"):
+        load_camera_info(path)
 
 
 def test_cameras_without_end_are_one_line(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def mistakes(rig: Rig) -> dict[str, Rig]:
 def test_qualisys_and_its_conversions_agree(recordings: Path) -> None:
     folder = recordings / "walker_4cam"
     rigs = [
-        IMPORTERS["qualisys"](folder / "Calib.qca.txt", 1.0).rig,
+        IMPORTERS["qualisys"](folder / "Calib.qca.txt").rig,
         IMPORTERS["toml"](folder / "Calib_qualisys.toml", 1.0).rig,
         IMPORTERS["opencv"](folder / "calib_opencv.json", 1.0).rig,
     ]

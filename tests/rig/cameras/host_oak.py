@@ -72,8 +72,7 @@ class LateDepthStreams:
     calibration = None
 
     def __init__(self, camera: OakCamera, first_depth: int, lost_colour: int | None) -> None:
-        """`first_depth`: exposure that its depth begins with, 0 is that of the first colour image; `lost_colour`: of one
-        whose colour image never comes."""
+        """`first_depth`: exposure of its first depth image, 0: that of the first colour image; one of these is lost."""
         self.colour = _Awaited(camera, False, (i for i in count() if i != lost_colour))
         self.depth = _Awaited(camera, True, count(first_depth))
 

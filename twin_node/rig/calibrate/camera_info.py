@@ -54,12 +54,22 @@ def load_camera_info(path: Path) -> CameraInfo:
     model = fields.text("distortion_model")
     check_intrinsics(str(path), K, (width, height))
     check_distortion(str(path), model, D)
-    R, P = np.eye(3), np.concatenate([K, np.zeros((3, 1))], axis=1)
-    if fields.has("rectification_matrix"):
-        R = fields.table("rectification_matrix").array("data", (9,)).reshape(3, 3)
-    if fields.has("projection_matrix"):
-        P = fields.table("projection_matrix").array("data", (12,)).reshape(3, 4)
+    R = _given(fields, "rectification_matrix", np.eye(3))
+    P = _given(fields, "projection_matrix", np.concatenate([K, np.zeros((3, 1))], axis=1))
+    if np.linalg.matrix_rank(P[:, :3]) < 3:
+        raise RigError(
+            f"{path}.projection_matrix: expected three columns of full rank, as of K, found {P[:, :3].tolist()}; leave "
+            "it out where images are not rectified"
+        )
     return CameraInfo(Lens(width, height, K, model, D), R, P)
+
+
+def _given(fields: Fields, key: str, unknown: Float64) -> Float64:
+    """A matrix of a file; `unknown` where it is missing, or zeros: what drivers write that do not know it."""
+    if not fields.has(key):
+        return unknown
+    told = fields.table(key).array("data", (unknown.size,)).reshape(unknown.shape)
+    return told if told.any() else unknown
 
 
 def _matrix(values: Float64) -> dict[str, object]:

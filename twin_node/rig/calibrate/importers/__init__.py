@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Protocol
 
 from twin_node.rig.calibrate.importers.camera_info import import_camera_info
 from twin_node.rig.calibrate.importers.colmap import import_colmap
@@ -13,7 +14,15 @@ from twin_node.rig.calibrate.importers.qualisys import import_qualisys
 from twin_node.rig.calibrate.importers.toml import import_toml
 from twin_node.rig.rig_file import RigFile
 
-IMPORTERS: Mapping[str, Callable[[Path, float], RigFile]] = {
+
+class Importer(Protocol):
+    """Reads one format."""
+
+    def __call__(self, path: Path, unit: float = ..., /) -> RigFile:
+        """`unit`: length of the file's unit, m; by default what the tool writes, mm of Qualisys, else m."""
+
+
+IMPORTERS: Mapping[str, Importer] = {
     "camera_info": import_camera_info,
     "colmap": import_colmap,
     "kalibr": import_kalibr,
@@ -21,9 +30,9 @@ IMPORTERS: Mapping[str, Callable[[Path, float], RigFile]] = {
     "qualisys": import_qualisys,
     "toml": import_toml,
 }
-"""By name of the format: from a path and the length of the file's unit in metres to a rig file.
+"""By name of the format.
 
 Each raises `RigError` naming the file and the field where it is not of its format or holds no usable camera.
 """
 
-__all__ = ["IMPORTERS"]
+__all__ = ["IMPORTERS", "Importer"]

@@ -22,7 +22,8 @@ def import_opencv(path: Path, unit: float = 1.0) -> RigFile:
     """JSON `{"cameras": [{name, size, K, dist, R, t}]}`, or a FileStorage with one camera or a stereo pair.
 
     FileStorage: `camera_matrix, distortion_coefficients, image_width, image_height` (one camera), or `M1, D1, M2, D2,
-    R, T, size` (a pair).
+    R, T, size` (a pair). Coefficients are those of `cv2.fisheye` where `fisheye` of a camera in JSON is true, or
+    `fisheye_model` of a FileStorage is not 0.
     """
     if path.suffix.lower() == ".json":
         return foreign_rig(str(path), _json_cameras(path, unit), "world", NOTES)
@@ -39,11 +40,10 @@ def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
     for fields in Fields(str(path), data).entries("cameras"):
         width, height = fields.array("size", (2,)).astype(int).tolist()
         D = fields.array("dist", None)
+        model = _model(D, fields.flag("fisheye"))
         T = from_world_to_camera(fields.array("R", (3, 3)), fields.array("t", (3,)) * unit)
         cameras.append(
-            foreign_camera(
-                fields.where, fields.text("name"), (width, height), fields.array("K", (3, 3)), T, _model(D), D
-            )
+            foreign_camera(fields.where, fields.text("name"), (width, height), fields.array("K", (3, 3)), T, model, D)
         )
     return cameras
 
@@ -53,16 +53,17 @@ def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:
         raise RigError(f"{path}: expected a FileStorage of OpenCV (YAML or XML), found something else") from error
+    is_fisheye = storage.getNode("fisheye_model").real() != 0
     if storage.getNode("M1").empty():
         width, height = (int(storage.getNode(f"image_{side}").real()) for side in ("width", "height"))
         K, D = _matrix(path, storage, "camera_matrix"), _matrix(path, storage, "distortion_coefficients").ravel()
-        return [foreign_camera(str(path), path.stem, (width, height), K, np.eye(4), _model(D), D)]
+        return [foreign_camera(str(path), path.stem, (width, height), K, np.eye(4), _model(D, is_fisheye), D)]
     width, height = _matrix(path, storage, "size").ravel().astype(int).tolist()
     T = from_world_to_camera(_matrix(path, storage, "R"), _matrix(path, storage, "T").ravel() * unit)
     cameras = []
     for name, number, pose in (("left", 1, np.eye(4)), ("right", 2, T)):
         K, D = _matrix(path, storage, f"M{number}"), _matrix(path, storage, f"D{number}").ravel()
-        cameras.append(foreign_camera(f"{path}: {name}", name, (width, height), K, pose, _model(D), D))
+        cameras.append(foreign_camera(f"{path}: {name}", name, (width, height), K, pose, _model(D, is_fisheye), D))
     return cameras
 
 
@@ -74,5 +75,7 @@ def _matrix(path: Path, storage: cv2.FileStorage, key: str) -> Float64:
     return np.asarray(value, dtype=np.float64)
 
 
-def _model(D: Float64) -> str:
+def _model(D: Float64, is_fisheye: bool) -> str:
+    if is_fisheye:
+        return "equidistant"
     return "plumb_bob" if len(D) <= 5 else "rational_polynomial"

@@ -26,7 +26,6 @@ def import_qualisys(path: Path, unit: float = MILLIMETRE) -> RigFile:
         root = ElementTree.fromstring(path.read_bytes())
     except (OSError, ElementTree.ParseError) as error:
         raise RigError(f"{path}: expected a calibration of Qualisys (XML), found: {reason(error)}") from error
-    unit = MILLIMETRE if unit == 1.0 else unit
     cameras = [
         _camera(path, element, unit)
         for element in root.iter("camera")
