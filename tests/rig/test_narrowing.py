@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
 from twin_node.geometry import project
 from twin_node.rig import Narrower
@@ -37,6 +38,18 @@ def test_a_narrowed_view_shows_the_same_from_the_same_place() -> None:
     np.testing.assert_array_equal(np.unique(half.depth), [0.0, 1.5])
     assert half.depth[0, 12] == 1.5 and half.valid[0, 11] and not half.valid[0, 12]
     np.testing.assert_allclose(seen(half.camera)[:, :2], seen(wide.camera)[:, :2] / 2)
+
+
+@pytest.mark.parametrize("width", [16, 20])
+def test_depth_is_of_the_pixel_in_the_middle_and_valid_of_all(width: int) -> None:
+    wide, scale = view(), 48 / width
+    centres = np.broadcast_to(np.arange(48, dtype=np.float32) + 0.5, (36, 48))
+    found = centres < 27
+    narrow = Narrower(width).view(dataclasses.replace(wide, depth=centres.copy(), valid=found))
+    wanted = (np.arange(width) + 0.5) * scale
+    assert narrow.depth is not None and narrow.valid is not None
+    assert np.abs(narrow.depth - wanted).max() <= 0.5
+    np.testing.assert_array_equal(narrow.valid[0], wanted + scale / 2 <= 27)
 
 
 def test_views_that_are_no_wider_stay_as_they_are() -> None:

@@ -30,7 +30,10 @@ class Narrower:
         return replace(frames, views=tuple(self.view(view) for view in frames.views))
 
     def view(self, view: View) -> View:
-        """The view at the width, colours averaged, depth of the nearest pixel; one that is no wider as it is."""
+        """The view at the width; one that is no wider as it is.
+
+        Colours are averaged, depth is that of the nearest pixel, and valid is what every pixel averaged was.
+        """
         if view.camera.width <= self._width:
             return view
         camera = self._camera(view.camera)
@@ -38,10 +41,13 @@ class Narrower:
         rgb: UInt8 = cv2.resize(view.rgb, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
         depth: Float32 | None = None
         if view.depth is not None:
-            depth = cv2.resize(view.depth, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+            # INTER_NEAREST takes the upper left pixel of each block, half a narrow pixel off.
+            depth = cv2.resize(view.depth, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.float32)
         valid: Bool | None = None
         if view.valid is not None:
-            valid = cv2.resize(view.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+            valid = (
+                cv2.resize(np.where(view.valid, np.uint8(255), np.uint8(0)), size, interpolation=cv2.INTER_AREA) == 255
+            )
         return replace(view, camera=camera, rgb=rgb, depth=depth, valid=valid)
 
     def _camera(self, camera: Camera) -> Camera:
