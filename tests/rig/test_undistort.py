@@ -127,6 +127,25 @@ def test_what_lies_beyond_the_lens_models_reach_is_not_valid() -> None:
     assert view.valid[angle < np.radians(37)].all()
 
 
+@pytest.mark.parametrize(
+    "D", [np.array([-0.45, 0.05, 0.0, 0.0, 0.0]), np.array([-0.404, 0.038, 0.0, 0.0, 0.01])], ids=["mirrored", "again"]
+)
+def test_what_lies_beyond_a_fold_is_not_valid_where_the_polynomial_turns_again(D: Float64) -> None:
+    """The image radius ends at a fold; further out it goes through zero to the other side, or grows once more."""
+    K = np.array([[75.0, 0, 159.5], [0, 75, 119.5], [0, 0, 1]])
+    camera = RigCamera("wide", 320, 240, K, np.eye(4), "plumb_bob", D)
+    view = Undistorter(camera, 160).view(0, np.zeros((240, 320, 3), np.uint8), np.ones((240, 320), np.float32))
+    assert view.valid is not None and view.depth is not None
+    v, u = np.mgrid[:120, :160] + 0.5
+    radius = np.hypot((u - 80) / 37.5, (v - 60) / 37.5)
+    square = np.linspace(0, 4, 4001) ** 2
+    slope = 1 + square * (3 * D[0] + square * (5 * D[1] + square * 7 * D[4]))
+    fold = float(np.sqrt(square[np.argmax(slope <= 0)]))
+    assert not view.valid[radius > fold + 0.1].any()
+    assert not view.depth[radius > fold + 0.1].any()
+    assert view.valid[radius < fold - 0.1].all()
+
+
 def test_depth_is_picked_and_never_averaged() -> None:
     depth = np.where(np.arange(480) < 240, 1.0, 3.0).astype(np.float32) * np.ones((270, 1), np.float32)
     image = np.zeros((270, 480, 3), np.uint8)

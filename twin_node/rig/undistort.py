@@ -81,7 +81,8 @@ class Undistorter:
         raw_size = (self._raw.width, self._raw.height)
         width, height = raw_size[0] >> self._halvings, raw_size[1] >> self._halvings
         source = _rescale(self._raw_pixels(width, height), raw_size, (width, height)).astype(np.float32)
-        inside = (source > -0.5).all(-1) & (source < np.array([width - 0.5, height - 0.5])).all(-1) & ~_folded(source)
+        within = (source > -0.5).all(-1) & (source < np.array([width - 0.5, height - 0.5])).all(-1)
+        inside = self._reached(source, np.asarray(within))
         covered = _resize(np.where(inside, 255, 0).astype(np.uint8), (self.camera.width, self.camera.height))
         valid = covered == 255
         # Clamped to the rim, so that pixels inside by less than half a pixel are not mixed with black.
@@ -95,6 +96,17 @@ class Undistorter:
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]], -1)
         return distort(self._raw, rays.reshape(-1, 2)).reshape(height, width, 2)
+
+    def _reached(self, pixels: NDArray[np.floating], inside: Bool) -> Bool:
+        """Which of the pixels `inside` [H, W] are joined to the principal point by such that the map does not fold.
+
+        Beyond a fold a distortion polynomial may turn again: what it maps into the image there is a ghost.
+        """
+        height, width = inside.shape
+        centre = scaled_intrinsics(self._raw, width, height)[:2, 2].astype(np.int64)
+        column, row = np.clip(centre, 0, [width - 1, height - 1])
+        _, parts = cv2.connectedComponents((inside & ~_folded(pixels)).astype(np.uint8), connectivity=4)
+        return np.asarray((parts > 0) & (parts == parts[row, column]))
 
     def _pick_depth(self, depth: Float32) -> Float32:
         if depth.ndim != 2:
@@ -112,7 +124,7 @@ class Undistorter:
         pixels = self._raw_pixels(self.camera.width, self.camera.height)
         source = np.rint(_rescale(pixels, (self._raw.width, self._raw.height), (shape[1], shape[0])))
         limit = np.array([shape[1] - 1, shape[0] - 1])
-        inside = np.asarray(((source >= 0) & (source <= limit)).all(-1) & ~_folded(pixels))
+        inside = self._reached(pixels, np.asarray(((source >= 0) & (source <= limit)).all(-1)))
         return np.clip(source, 0, limit).astype(np.int16), inside
 
 
