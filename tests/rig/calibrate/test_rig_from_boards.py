@@ -18,6 +18,7 @@ from twin_node.rig import RigError, load_rig, save_rig
 from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, Corners
 from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
+from twin_node.rig.calibrate.intrinsics import BoardView, calibrate_lens
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import board_as_base, camera_poses, pose_covariances, rig_file_of, settled
 from twin_node.rig.calibrate.rig_fit import common_sightings
@@ -257,6 +258,26 @@ def test_stills_taken_at_once_need_no_clocks() -> None:
 def test_what_cannot_be_calibrated_is_refused(cameras: Sequence[CameraRecording], board: Board, message: str) -> None:
     with pytest.raises(RigError, match=message):
         calibrate_rig(board, cameras)
+
+
+def test_boards_that_all_face_the_camera_determine_no_lens() -> None:
+    rng = np.random.default_rng(0)
+    views = []
+    for number in range(8):
+        places = BOARD.points + rng.uniform([-0.2, -0.2, 0.5], [0, 0, 0.8])
+        pixels = 520 * places[:, :2] / places[:, 2:] + [320, 240]
+        views.append(BoardView(f"{number}.png", Corners(np.arange(len(pixels)), pixels)))
+    with pytest.raises(
+        RigError, match=r"left: expected a field of view from 12 to 150 degrees, found .* tilted to all"
+    ):
+        calibrate_lens(BOARD, views, (640, 480), source="left")
+
+
+def test_a_lens_through_which_no_board_has_a_place_is_named() -> None:
+    first, second = a_rig(0)[:2]
+    endless = replace(a_lens(), K=np.array([[1e10, 0, 320], [0, 1e10, 240], [0, 0, 1]]), D=np.zeros(5))
+    with pytest.raises(RigError, match="cameras cam1: expected views that tell where the board is"):
+        calibrate_rig(BOARD, [first, replace(second, lens=endless)])
 
 
 def test_corners_on_a_line_are_no_view() -> None:

@@ -16,6 +16,7 @@ from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
 from twin_node.rig.calibrate.course import still_course
 from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project
+from twin_node.rig.calibrate.objections import view_objection
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float64
 
@@ -101,8 +102,9 @@ def calibrate_lens(
     """The lens that explains the views best; views that do not fit are dropped and named.
 
     The board's corners are refined with it where the views say clearly that the board is not flat or stretched.
-    `size`: (width, height) pixels; `source`: named in errors. Raises `RigError` for an unknown model or where too few
-    views are left.
+    `size`: (width, height) pixels; `source`: named in errors. Raises `RigError` for an unknown model, where too few
+    views are left, and where they leave the focal length open: boards that all face the camera look the same from
+    far away through a long lens.
     """
     if model not in COEFFICIENTS:
         raise RigError(f"distortion model: expected one of {', '.join(COEFFICIENTS)}, found {model!r}")
@@ -121,7 +123,12 @@ def calibrate_lens(
         dropped += more
     else:
         solution = _solve(board, used, size, model, source)
-    return _refined(board, used, solution, dropped)
+    calibration = _refined(board, used, solution, dropped)
+    if (objection := view_objection(calibration.lens)) is not None:
+        raise RigError(
+            f"{source}: {objection}: the views leave it open; take pictures of the board tilted to all sides"
+        )
+    return calibration
 
 
 def usable(board: Board, corners: Corners) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.lenses import Lens, lens_of
 from twin_node.rig.calibrate.mistakes import RATIOS, UNITS_M, Finding, Mistake
 from twin_node.rig.rig_checks import OUT_OF_SIGHT, TELLING_SPREAD, aims_off
 from twin_node.rig.workspace import axes_focus, axes_spread
@@ -55,6 +56,17 @@ class Objections:
         return None
 
 
+def view_objection(lens: Lens) -> str | None:
+    """What was expected of a lens's horizontal field of view and what was found; None where a cell's may have it."""
+    view = 2 * np.arctan(lens.width / 2 / abs(lens.K[0, 0]))
+    if lens.model == "equidistant" or NARROWEST < view < WIDEST:
+        return None
+    return (
+        f"expected a field of view from {np.degrees(NARROWEST):.0f} to {np.degrees(WIDEST):.0f} degrees, found "
+        f"{np.degrees(view):.3g}"
+    )
+
+
 def _identity(camera: RigCamera) -> bytes:
     """What tells one camera's lens and name from another's."""
     named = f"{camera.name} {camera.width}x{camera.height} {camera.distortion_model} "
@@ -88,14 +100,8 @@ def _lens_objection(camera: RigCamera) -> Finding | None:
             f"({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}); K seems to be of {size[0]:.0f}x{size[1]:.0f}: scale it",
             Mistake.RESOLUTION,
         )
-    view = 2 * np.arctan(camera.width / 2 / abs(camera.K[0, 0]))
-    if camera.distortion_model != "equidistant" and not NARROWEST < view < WIDEST:
-        return Finding(
-            camera.name,
-            f"expected a field of view from {np.degrees(NARROWEST):.0f} to {np.degrees(WIDEST):.0f} degrees, found "
-            f"{np.degrees(view):.0f}; is K of another resolution?",
-        )
-    return None
+    objection = view_objection(lens_of(camera))
+    return None if objection is None else Finding(camera.name, f"{objection}; is K of another resolution?")
 
 
 def _reach_m(poses: Float64) -> float | None:

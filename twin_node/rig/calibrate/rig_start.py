@@ -15,8 +15,9 @@ from twin_node.rig.calibrate.bundle import BundleState, Sighting
 from twin_node.rig.calibrate.course import smooth_course, still_course
 from twin_node.rig.calibrate.intrinsics import usable
 from twin_node.rig.calibrate.lenses import Lens
-from twin_node.rig.calibrate.pose_graph import board_pose, build_pose_graph
+from twin_node.rig.calibrate.pose_graph import PoseGraph, board_pose, build_pose_graph
 from twin_node.rig.calibrate.tracks import CameraRecording, source_of
+from twin_node.rig.errors import RigError
 from twin_node.thinning import thinned
 
 SETS_PER_PAIR = 25
@@ -90,7 +91,7 @@ def start_of(
 ) -> Start:
     """A first guess of a rig; `first_look`: sightings in sets at `stamps` (ns) that hold all cameras together.
 
-    `wanted_ns`: a stamp whose images are used in any case.
+    `wanted_ns`: a stamp whose images are used in any case. Raises `RigError` where a lens allows no pose of the board.
     """
     chosen = _spread(first_look, len(cameras), SETS_PER_PAIR)
     if wanted_ns is not None:
@@ -103,6 +104,7 @@ def start_of(
         if s.board in chosen
     ]
     graph = build_pose_graph(lenses, board.points, sets)
+    _check_connected(graph, [camera.name for camera in cameras], len(chosen))
     T_rig_cam = np.stack([graph.T_rig_cam[i] for i in range(len(cameras))])
     clocks = np.zeros((len(cameras), 2))
     if not all(camera.moving for camera in cameras):
@@ -125,6 +127,15 @@ def start_of(
     middle = _whole_second(origin, float(np.mean([s.time_s for s in seen.sightings])))
     state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, middle)
     return Start(state, seen.sightings, seen.names, origin)
+
+
+def _check_connected(graph: PoseGraph, names: Sequence[str], boards: int) -> None:
+    missing = [name for i, name in enumerate(names) if i not in graph.T_rig_cam]
+    if missing or len(graph.T_rig_board) < boards:
+        raise RigError(
+            f"cameras {', '.join(missing or names)}: expected views that tell where the board is, found some that fit "
+            "no place; calibrate the lenses from boards that are tilted to all sides"
+        )
 
 
 def _whole_second(origin: int, time_s: float) -> float:
