@@ -52,6 +52,18 @@ def test_boards_with_more_markers_than_there_are_are_refused(text: str, words: s
         load_board(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("chessboard:9x6", "expected chessboard:COLUMNSxROWS:SQUARE"),
+        ("chessboard:2x5:0.03", "expected at least 3 columns and rows, found chessboard 2x5"),
+    ],
+)
+def test_chessboards_without_a_length_or_enough_corners_are_refused(text: str, words: str) -> None:
+    with pytest.raises(RigError, match=words):
+        load_board(text)
+
+
 @given(st.text(max_size=40))
 def test_no_text_breaks_the_parser(text: str) -> None:
     for kind in ("chessboard:", "charuco:", "aprilgrid:", ""):
@@ -132,6 +144,18 @@ def test_pictures_of_different_sizes_are_refused(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"left{number}.png"), np.zeros((48, width), np.uint8))
     with pytest.raises(RigError, match="one size"):
         load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+
+
+@pytest.mark.parametrize("step", [1, 1_000_123, 10**11])
+def test_pictures_named_by_times_belong_together_in_their_order(tmp_path: Path, step: int) -> None:
+    """Dates to the microsecond have 20 digits, nanoseconds since 1970 have 19: neither can be counted in seconds."""
+    first = 20251126042312345678
+    for camera, numbers in (("left", (0, 1, 3)), ("right", (1, 2, 3))):
+        for number in numbers:
+            cv2.imwrite(str(tmp_path / f"{camera}_{first + number * step}.png"), np.zeros((48, 64), np.uint8))
+    left, right = load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+    assert (left.stamps // 10**9).tolist() == [0, 1, 3]
+    assert (right.stamps // 10**9).tolist() == [1, 2, 3]
 
 
 def test_camera_info_is_read_back(tmp_path: Path) -> None:

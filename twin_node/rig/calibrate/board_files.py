@@ -70,7 +70,7 @@ def _from_text(text: str, kind: str, parts: list[str]) -> Board:
 
 
 def _text_chessboard(columns: int, rows: int, parts: list[str]) -> Board:
-    (square,) = parts or ["1"]
+    (square,) = parts
     return Chessboard(columns, rows, float(square))
 
 
@@ -183,7 +183,7 @@ def whole(fields: Fields, key: str) -> int:
 
 def checked(where: str, board: Board) -> Board:
     """The board, if there can be one. Raises `RigError` for lengths that no board has."""
-    smallest = 3 if isinstance(board, CharucoBoard) else 2
+    smallest = 3 if isinstance(board, Chessboard | CharucoBoard) else 2
     if min(board.columns, board.rows) < smallest:
         raise RigError(f"{where}: expected at least {smallest} columns and rows, found {board}")
     if board.columns * board.rows > MOST_CELLS:

@@ -33,6 +33,9 @@ LONGEST_PERIOD_S = 5.0
 STILL_PERIOD_NS = 1_000_000_000
 """Made-up time between stills, which have numbers and no stamps."""
 
+LARGEST_NUMBER = 1_000_000_000
+"""Larger numbers in names of stills count no images: they are times, of which nothing but the order is taken."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -108,7 +111,7 @@ def load_cameras(folder: Path, board: Board, every: int = 1, progress: Progress 
     """Looks for the board in a folder of recordings of one rig.
 
     Either one video per camera, with stamps in `timestamps.csv` or in a file of the video's name; or one folder of
-    images per camera; or images whose names end in a number (`left01.png`): equal numbers were taken at once.
+    images per camera; or images whose names end in a number (`left01.png`) or a time: equal ones were taken at once.
 
     Raises `RigError` where the folder holds nothing of the kind, or stamps are missing.
     """
@@ -182,7 +185,7 @@ def _video_stamps(path: Path, number: int) -> NDArray[np.int64]:
 
 
 def _stills(folder: Path) -> dict[str, dict[int, Path]]:
-    """Images by camera and number."""
+    """Images by camera and number, or place among all times that images are named by."""
     cameras: dict[str, dict[int, Path]] = {}
     inner = [path for path in sorted(folder.iterdir()) if path.is_dir()]
     for path in sorted(folder.iterdir()):
@@ -194,7 +197,11 @@ def _stills(folder: Path) -> dict[str, dict[int, Path]]:
             number = re.search(r"(\d+)$", path.stem)
             if path.suffix.lower() in IMAGE_SUFFIXES and number:
                 cameras.setdefault(directory.name, {})[int(number.group())] = path
-    return cameras
+    numbers = sorted({number for numbered in cameras.values() for number in numbered})
+    if not numbers or numbers[-1] <= LARGEST_NUMBER:
+        return cameras
+    places = {number: place for place, number in enumerate(numbers)}
+    return {name: {places[n]: path for n, path in numbered.items()} for name, numbered in cameras.items()}
 
 
 def _still_camera(name: str, numbered: dict[int, Path], board: Board, progress: Progress | None) -> CameraRecording:
