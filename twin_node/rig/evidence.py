@@ -20,9 +20,9 @@ class CameraEvidence:
     """Root mean square distance between what was found and what is projected, pixels; None where no board was used."""
     median_px: float | None = None
     views: int = 0
-    """Images used."""
+    """Images used; 0 where that is not known."""
     corners: int = 0
-    """Points used in all of them."""
+    """Points used in all of them; 0 where that is not known."""
     pose_covariance: Float64 | None = None
     """[6, 6] of `T_base_cam`: x, y, z (m), then turns about the base's x, y, z (rad), as in
     geometry_msgs/PoseWithCovariance; without what moves the rig as a whole. None where unknown."""
@@ -55,15 +55,8 @@ def read_evidence(fields: Fields) -> CameraEvidence:
 def evidence_entry(evidence: CameraEvidence) -> dict[str, object]:
     """What `read_evidence` reads back."""
     entry: dict[str, object] = {}
-    if evidence.rms_px is not None and evidence.median_px is not None:
-        entry |= {"rms_px": evidence.rms_px, "median_px": evidence.median_px}
-        entry |= {"views": evidence.views, "corners": evidence.corners}
-    if evidence.pose_covariance is not None:
-        entry["pose_covariance"] = evidence.pose_covariance.tolist()
-    if evidence.lens_sigmas is not None:
-        entry["lens_sigmas"] = evidence.lens_sigmas.tolist()
-    if evidence.time_offset_sigma is not None:
-        entry["time_offset_sigma"] = evidence.time_offset_sigma
-    if evidence.time_rate_sigma_ppm is not None:
-        entry["time_rate_sigma_ppm"] = evidence.time_rate_sigma_ppm
+    for field in dataclasses.fields(evidence):
+        value = getattr(evidence, field.name)
+        if value is not None and not (field.default == 0 and value == 0):
+            entry[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
     return entry

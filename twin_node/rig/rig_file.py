@@ -126,6 +126,7 @@ def load_rig(path: str | Path, *, facing: bool = True) -> RigFile:
 def save_rig(rig_file: RigFile, path: str | Path) -> None:
     """Writes a rig file that `load_rig` reads back to the same values; video paths are made relative to it.
 
+    Clock offsets of more than a month come back to a microsecond: the file holds seconds.
     What stands at `path` stays until the new file is whole. Raises `RigError` where it cannot be written.
     """
     path = Path(path)

@@ -75,6 +75,12 @@ def test_without_recordings_the_rig_alone_is_drawn(rig_file: RigFile, tmp_path: 
     assert "<td>0.100</td><td>0.200</td>" in (tmp_path / "page.html").read_text()
 
 
+def test_a_rig_that_saw_no_board_has_no_count_of_views(rig_file: RigFile, tmp_path: Path) -> None:
+    timed = tuple(CameraEvidence(time_offset_sigma=1e-4) for _ in rig_file.rig.cameras)
+    write_report(Calibration(replace(rig_file, evidence=timed)), "rig", tmp_path / "page.html")
+    assert "<td>-</td><td>-</td><td>-</td>" in (tmp_path / "page.html").read_text()
+
+
 def test_settled_boards_leave_no_more_than_the_noise(rig_file: RigFile) -> None:
     seen = sightings_of(rig_file.rig, 0.3)
     rough = fit(BOARD, rig_file.rig, seen)

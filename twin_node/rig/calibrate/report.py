@@ -104,7 +104,7 @@ def _check_same(rig_file: RigFile, before: RigFile) -> None:
 def _row(calibration: Calibration, number: int, before: Calibration | None) -> CameraRow:
     camera = calibration.rig_file.rig.cameras[number]
     evidence = calibration.rig_file.evidence[number] if calibration.rig_file.evidence else None
-    views = "-" if evidence is None or evidence.views is None else str(evidence.views)
+    views = "-" if evidence is None or not evidence.views else str(evidence.views)
     if calibration.fit is not None:
         views = str(len(pictures.pixels_of(calibration.fit, number)))
     figures = _figures(calibration, number)
