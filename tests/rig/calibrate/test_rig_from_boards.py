@@ -114,10 +114,21 @@ def test_the_board_can_be_the_base_where_it_lies_still() -> None:
     assert all(T[2, 3] > 0.3 for T in poses)  # the cameras are on the side that the board's z points to
     relative = inverse_pose(poses[0]) @ poses[1]
     np.testing.assert_allclose(relative, camera_poses(solution.bundle.state)[1], atol=1e-9)
+    late = seen_by_the_second_alone(solution, clock_s=0.4)
+    end = start + round(1e9 * (SECONDS + 0.2))
+    np.testing.assert_allclose(board_as_base(late, end), board_as_base(solution, end), atol=0.02)
     with pytest.raises(RigError, match="base: expected the board to be seen"):
         board_as_base(solution, start + 10**11)
     with pytest.raises(RigError, match="lie still"):
         board_as_base(solution, start + 2 * 10**9)
+
+
+def seen_by_the_second_alone(solution: RigSolution, clock_s: float) -> RigSolution:
+    """The same rig and board, seen by one camera whose clock is behind."""
+    bundle = solution.bundle
+    clocks = bundle.state.clocks + np.array([[0.0, 0.0], [clock_s, 0.0]])
+    sightings = tuple(replace(s, time_s=s.time_s - clock_s) for s in bundle.sightings if s.camera == 1)
+    return replace(solution, bundle=replace(bundle, state=replace(bundle.state, clocks=clocks), sightings=sightings))
 
 
 def test_the_base_is_seen_however_long_the_recording_is() -> None:

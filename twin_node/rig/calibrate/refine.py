@@ -53,7 +53,10 @@ class RefineParameters:
 
 @dataclass(frozen=True)
 class PairFigures:
-    """How two cameras agree, on matches that the fit has not seen."""
+    """How two cameras agree: on the plane, on matches that the fit has not seen.
+
+    Epipolar figures are of those and of all matches off the plane, which are too few to keep any from the fit.
+    """
 
     a: str
     b: str

@@ -118,19 +118,22 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
 def board_as_base(solution: RigSolution, stamp: int) -> Float64:
     """`T_base_rig` [4, 4] that makes the board, as it lay at a time (ns), the base: x along its rows, z to the cameras.
 
+    `stamp` is on the rig's clock, as the cameras' are once their offsets have been added.
     Raises `RigError` where no image with the board is within half a second of that time, or the board moved then.
     """
     bundle, wanted = solution.bundle, (stamp - solution.origin_ns) / 1e9
-    nearest = min(bundle.sightings, key=lambda sighting: abs(sighting.time_s - wanted))
-    if abs(nearest.time_s - wanted) > BASE_TOLERANCE_S:
+    cameras, boards = (np.array([getattr(s, name) for s in bundle.sightings]) for name in ("camera", "board"))
+    seen_s = bundle.state.rig_times(cameras, np.array([sighting.time_s for sighting in bundle.sightings]))
+    nearest = int(np.abs(seen_s - wanted).argmin())
+    if abs(seen_s[nearest] - wanted) > BASE_TOLERANCE_S:
         raise RigError(
             f"base: expected the board to be seen at stamp {stamp / 1e9:.3f} s, found it at "
-            f"{nearest.time_s + solution.origin_ns / 1e9:.3f} s at the nearest; name a time at which it lies on the "
+            f"{seen_s[nearest] + solution.origin_ns / 1e9:.3f} s at the nearest; name a time at which it lies on the "
             "base in sight of a camera"
         )
-    course, about = bundle.state.course, [s for s in bundle.sightings if s.board == nearest.board]
-    times = [nearest.time_s, *(s.time_s for s in about if abs(s.time_s - nearest.time_s) <= STILL_S)]
-    placed = course.at(course.blend(np.full(len(times), nearest.board), np.array(times)))
+    course, about = bundle.state.course, seen_s[boards == boards[nearest]]
+    times = np.array([seen_s[nearest], *about[np.abs(about - seen_s[nearest]) <= STILL_S]])
+    placed = course.at(course.blend(np.full(len(times), boards[nearest]), times))
     T_rig_board = pose(placed.rotations[0], placed.positions[0])
     corners = np.einsum("tij,pj->tpi", placed.rotations, bundle.state.points) + placed.positions[:, None]
     if (moved := float(np.linalg.norm(corners - corners[0], axis=2).max())) > STILL_M:
