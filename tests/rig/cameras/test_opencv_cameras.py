@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from twin_node.rig import RigError
-from twin_node.rig.cameras import CameraImage, OpenCvCamera, OpenCvSource, SynchronizedSource
+from twin_node.rig.cameras import CameraImage, CaptureStamps, OpenCvCamera, OpenCvSource, SynchronizedSource
 from twin_node.scene import Rig, RigCamera
 
 
@@ -90,28 +90,34 @@ def test_sets_of_running_cameras(video: Path) -> None:
 
 
 class Recorded:
-    """Images of two cameras, 33 ms apart, and the host's clock when each comes; it is put back by an hour half-way."""
+    """Images of two cameras, 33 ms apart, and the host's clock when each comes; it is put back half-way."""
 
     cameras, health = ("a", "b"), ()
 
-    def __init__(self) -> None:
+    def __init__(self, back_ns: int) -> None:
         self.now = 0
+        self._back_ns = back_ns
 
     def images(self) -> Iterator[CameraImage]:
+        steady = 0
+        stamps = {name: CaptureStamps(lambda: self.now, lambda: steady) for name in self.cameras}
         for number in range(40):
-            taken = 10**18 + number * 33_000_000 - (3_600_000_000_000 if number >= 20 else 0)
+            steady = number * 33_000_000
+            self.now = 10**18 + steady - (self._back_ns if number >= 20 else 0)
             for name in self.cameras:
-                self.now = taken + 5_000_000
-                yield CameraImage(name, taken, np.zeros((24, 32, 3), np.uint8))
+                yield CameraImage(name, stamps[name].of_arrival(5_000_000), np.zeros((24, 32, 3), np.uint8))
 
     def close(self) -> None:
         pass
 
 
-def test_sets_go_on_when_the_hosts_clock_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    recorded = Recorded()
+@pytest.mark.parametrize("back_ms", [80, 300, 450, 3_600_000])
+def test_sets_go_on_when_the_hosts_clock_is_put_back(monkeypatch: pytest.MonkeyPatch, back_ms: int) -> None:
+    recorded = Recorded(back_ms * 1_000_000)
     monkeypatch.setattr("time.time_ns", lambda: recorded.now)
-    assert len(list(SynchronizedSource(recorded, rig_of("a", "b")))) > 35
+    source = SynchronizedSource(recorded, rig_of("a", "b"))
+    assert len(list(source)) > 35
+    assert [one.future for one in source.report.inputs] == [0, 0]
 
 
 def test_wrong_names_are_told(video: Path) -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from twin_node.runtime.clock import SystemClock
+
 LEAST_STEP_NS = 1
 """By how much a stamp that would not rise is put after the one before."""
-RESET_NS = 500_000_000
-"""A clock that is further off than this has been set anew: it is followed, not clamped."""
+RESET_NS = SystemClock.LEAST_JUMP_NS
+"""A clock that is further off than this has been set anew: it is followed, not clamped, as by all that asks for now.
+Synchronisers take images that are ahead of now by no more."""
 
 
 class CaptureStamps:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 
 from twin_node.rig.cameras.image_source import CameraImage, ImageSource
-from twin_node.rig.cameras.stamps import RESET_NS
 from twin_node.rig.errors import RigError
 from twin_node.rig.frames import DecodedImage, FrameAssembler
 from twin_node.rig.synchronizer import ApproximateTimeSynchronizer, SyncParameters, SyncReport, SyncSet
+from twin_node.runtime.clock import SystemClock
 from twin_node.scene import Camera, FrameSet, Rig
 
 
@@ -46,15 +45,14 @@ class SynchronizedSource:
 
     def __iter__(self) -> Iterator[FrameSet]:
         """Sets in rising order of stamps, until the cameras are closed or this host's clock is put back."""
-        last = 0
+        clock = SystemClock(self._begin_anew)
         for image in self._source.images():
-            now = time.time_ns()
-            if now < last - RESET_NS:
-                self._synchronizer.reset()
-                self._assembler.reset()
-            last = now
-            for ready in self._synchronizer.add(image.camera, image.stamp, image, now):
+            for ready in self._synchronizer.add(image.camera, image.stamp, image, clock.now()):
                 yield self._assembler.assemble(_decoded(ready))
+
+    def _begin_anew(self) -> None:
+        self._synchronizer.reset()
+        self._assembler.reset()
 
 
 def _decoded(ready: SyncSet[CameraImage]) -> dict[str, DecodedImage]:
