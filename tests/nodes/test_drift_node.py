@@ -22,7 +22,7 @@ from twin_node.nodes.topics import DIAGNOSTICS, FRAMES, OCCUPANCY, STATUS, TRUST
 from twin_node.rig.drift import DriftParameters
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
-from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.clock import Clock, SteppedClock, SystemClock
 from twin_node.scene import Camera, FrameSet, View
 
 BUMPED = Fault("bumped", "cam_left", 0.8, 2.2)
@@ -108,6 +108,29 @@ def test_without_a_camera_to_trust_nothing_goes_on_and_diagnostics_do() -> None:
     assert 10 < len(passed) < 20
     assert {int(status.level) for status in told[-1].status} == {convert.Level.ERROR}
     assert header_stamp(told[-1]) > 3_000_000_000
+
+
+@pytest.mark.parametrize(("clock", "is_left_out"), [(SystemClock(), True), (SteppedClock(), False)], ids=["day", "log"])
+def test_a_camera_that_was_moved_stays_out_when_the_computers_clock_is_put_back(
+    clock: Clock, is_left_out: bool
+) -> None:
+    """All nodes are made anew then; a log that begins again begins with its cameras in place."""
+    scene = np.random.default_rng(0).integers(0, 255, (24, 40, 3), dtype=np.uint8).repeat(5, 0).repeat(5, 1)
+    home, moved = (np.ascontiguousarray(scene[:96, shift : shift + 128]) for shift in (0, 3))
+    last: list[FrameSet] = []
+    for begins_s in (60, 30):
+        bus = LocalBus()
+        node = DriftNode(bus, clock, DriftParameters())
+        bus.subscribe(TRUSTED_FRAMES, last.append)
+        node.configure()
+        node.activate()
+        for i in range(20):
+            left = home if begins_s == 60 and i < 5 else moved
+            bus.publish(FRAMES, frames_of({"left": left, "right": home}, begins_s * 10**9 + i * 100_000_000))
+        node.deactivate()
+        node.cleanup()
+    assert len(last) == 40
+    assert [len(frames.views) for frames in last[20:]] == [1 if is_left_out else 2] * 20
 
 
 def test_a_camera_that_is_left_out_and_comes_back_finds_the_model_working() -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 from twin_node.messages import convert
 from twin_node.nodes.topics import DIAGNOSTICS, DRIFT, FRAMES, TRUSTED_FRAMES
 from twin_node.rig.drift import Drift, DriftParameters, DriftReport, DriftWatch, Verdict
 from twin_node.runtime.bus import Bus
-from twin_node.runtime.clock import Clock
+from twin_node.runtime.clock import Clock, SystemClock
 from twin_node.runtime.node import Node
 from twin_node.scene import FrameSet
 
@@ -24,25 +25,34 @@ _LEVELS = {
 }
 
 
+_WATCHES: WeakKeyDictionary[SystemClock, DriftWatch] = WeakKeyDictionary()
+"""Of the nodes that run by this computer's clock: all are made anew when it is put back, which puts no camera back."""
+
+
 class DriftNode(Node):
     """Takes the images of cameras that have moved out of every set, and says which.
 
     What such a camera alone saw is unknown from then on. A set that no trusted camera is left of is not passed on:
     forecasts stop, and who depends on them slows and stops.
+
+    A node that is made anew with the same `SystemClock` goes on with what the one before knew; where another clock goes
+    back a log has begun again, and so does the watch.
     """
 
     def __init__(self, bus: Bus, clock: Clock, parameters: DriftParameters) -> None:
         super().__init__("drift", bus, clock)
-        self._watch = DriftWatch(parameters)
+        self._parameters = parameters
+        self._watch: DriftWatch
         self._told: tuple[Verdict, ...] = ()
         self._next = 0
         self._passed = 1
 
     def on_configure(self) -> None:
+        fresh = DriftWatch(self._parameters)
+        self._watch = _WATCHES.setdefault(self.clock, fresh) if isinstance(self.clock, SystemClock) else fresh
         self.bus.subscribe(FRAMES, self._on_frames)
 
     def on_cleanup(self) -> None:
-        self._watch.reset()
         self._passed = 1
 
     def _on_frames(self, frames: FrameSet) -> None:

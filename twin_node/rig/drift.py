@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -167,8 +167,8 @@ class DriftWatch:
     """Names cameras that are no longer where they were when the watch began.
 
     Light, people and the arm move no camera: brightness is taken out, and the parts of the image vote. A camera that
-    nothing can be said of stays off where it was off, else it becomes UNSURE. Call `reset` after a calibration, or
-    when the cell was rearranged.
+    nothing can be said of stays off where it was off, else it becomes UNSURE. One that comes with another calibration
+    is watched anew; make another watch when the cell was rearranged.
     """
 
     def __init__(self, parameters: DriftParameters | None = None) -> None:
@@ -176,19 +176,21 @@ class DriftWatch:
         self._cameras: dict[str, _Watched] = {}
 
     def update(self, frames: FrameSet) -> DriftReport:
-        """Takes a set of undistorted images in the order of their stamps."""
+        """Takes a set of undistorted images, in the order in which they were taken.
+
+        Where stamps go back the clock was put back: what began so long ago still did.
+        """
         for view in frames.views:
             watched = self._cameras.get(view.camera.name)
-            if watched is None:
+            if watched is None or not _is_same(watched.camera, view.camera):
                 watched = _Watched(view.camera, Landmarks(contrast(view.rgb), view.valid, view.camera.K), view.stamp)
                 self._cameras[view.camera.name] = watched
-            elif view.stamp - watched.checked >= self._parameters.period_ms * 1e6:
+                continue
+            if view.stamp < watched.checked:
+                watched.put_back(watched.checked - view.stamp)
+            if view.stamp - watched.checked >= self._parameters.period_ms * 1e6:
                 watched.check(contrast(view.rgb), view.valid, view.stamp, self._parameters)
         return DriftReport(frames.stamp, tuple(watched.drift for watched in self._cameras.values()))
-
-    def reset(self) -> None:
-        """Forgets everything: where the cameras stand now becomes where they belong."""
-        self._cameras.clear()
 
 
 @dataclass
@@ -213,6 +215,14 @@ class _Watched:
         self.drift = Drift(self.camera.name, Verdict.STEADY, 0.0, 0.0, len(self.landmarks), self.checked)
         self.creep = _Creep(self.checked)
         self.still = _Stillness(self.checked)
+
+    def put_back(self, by: int) -> None:
+        """The clock was put back by so much, ns."""
+        self.checked -= by
+        self.suspected_since -= by
+        self.drift = replace(self.drift, since=self.drift.since - by)
+        self.creep.put_back(by)
+        self.still.put_back(by)
 
     def check(self, image: UInt8, valid: Bool | None, stamp: int, parameters: DriftParameters) -> None:
         """Compares an image with the landmarks and remembers the verdict."""
@@ -287,6 +297,11 @@ class _Creep:
         """When it was last at half the threshold or less, ns."""
         self._beyond: int | None = None
 
+    def put_back(self, by: int) -> None:
+        """The clock was put back by so much, ns."""
+        self.began -= by
+        self._beyond = None if self._beyond is None else self._beyond - by
+
     def watch(self, excess: float, stamp: int) -> None:
         """Takes in the average's size as a share of the threshold."""
         if excess <= 0.5:
@@ -313,6 +328,10 @@ class _Stillness:
         self._image: UInt8 | None = None
         self._since = stamp
 
+    def put_back(self, by: int) -> None:
+        """The clock was put back by so much, ns."""
+        self._since -= by
+
     def forget(self) -> None:
         """The camera recognises something again."""
         self._image = None
@@ -329,6 +348,14 @@ class _Stillness:
         if len(points) < least_features or stands.mean() < STANDING_PART:
             self._since = stamp
         return (stamp - self._since) / 1e9
+
+
+def _is_same(a: Camera, b: Camera) -> bool:
+    """Whether two records are of one camera with one calibration."""
+    if a is b:
+        return True
+    same_size = (a.width, a.height) == (b.width, b.height)
+    return same_size and np.array_equal(a.K, b.K) and np.array_equal(a.T_base_cam, b.T_base_cam)
 
 
 def _degrees(turn: Float64) -> float:
