@@ -98,15 +98,20 @@ class Undistorter:
         return distort(self._raw, rays.reshape(-1, 2)).reshape(height, width, 2)
 
     def _reached(self, pixels: NDArray[np.floating], inside: Bool) -> Bool:
-        """Which of the pixels `inside` [H, W] are joined to the principal point by such that the map does not fold.
+        """Which of the pixels `inside` [H, W] hang together, by such that the map does not fold, with the one that is
+        nearest to the principal point.
 
         Beyond a fold a distortion polynomial may turn again: what it maps into the image there is a ghost.
         """
         height, width = inside.shape
-        centre = scaled_intrinsics(self._raw, width, height)[:2, 2].astype(np.int64)
-        column, row = np.clip(centre, 0, [width - 1, height - 1])
-        _, parts = cv2.connectedComponents((inside & ~_folded(pixels)).astype(np.uint8), connectivity=4)
-        return np.asarray((parts > 0) & (parts == parts[row, column]))
+        column, row = scaled_intrinsics(self._raw, width, height)[:2, 2]
+        plain = inside & ~_folded(pixels)
+        places = np.argwhere(plain)
+        if not len(places):
+            return plain
+        middle = tuple(places[np.square(places - (row, column)).sum(1).argmin()])
+        _, parts = cv2.connectedComponents(plain.astype(np.uint8), connectivity=4)
+        return np.asarray(parts == parts[middle])
 
     def _pick_depth(self, depth: Float32) -> Float32:
         if depth.ndim != 2:
