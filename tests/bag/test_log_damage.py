@@ -1,5 +1,6 @@
 """Damaged, truncated and foreign files: read up to the damage and said so, or refused in one line; never silent."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,85 @@ def test_a_chunk_of_zeros_is_damage(tmp_path: Path, whole: Path, kept: int) -> N
     stamps, damage = read(path)
     assert stamps == list(range(100))
     assert damage is not None and f"zeros.mcap: damaged at byte {start}" in damage
+
+
+@pytest.mark.parametrize("kept", [9, 25, 37])
+def test_a_chunk_of_zeros_in_a_log_without_its_end_is_damage_and_the_rest_is_there(
+    tmp_path: Path, whole: Path, kept: int
+) -> None:
+    content = bytearray(whole.read_bytes()[:-20])
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)[5]
+    start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+    content[start + kept : end] = bytes(end - start - kept)
+    path = tmp_path / "zeros.mcap"
+    path.write_bytes(content)
+    stamps, damage = read(path)
+    assert stamps == list(range(100))
+    assert damage is not None and f"zeros.mcap: damaged at byte {start}" in damage
+    with open_log(path) as log:
+        assert [m.stamp for m in log.messages(past_damage=True)] == [*range(100), *range(120, COUNT)]
+
+
+def test_zeros_behind_the_last_record_are_damage(tmp_path: Path, whole: Path) -> None:
+    """As a power cut leaves them: the file has its length, and its blocks never reached the disk."""
+    content = whole.read_bytes()
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    end = max(index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes)
+    path = tmp_path / "zeros.mcap"
+    path.write_bytes(content[:end] + bytes(4096))
+    stamps, damage = read(path)
+    assert stamps == list(range(COUNT))
+    assert damage is not None and f"damaged at byte {end} of {end + 4096} (found zeros" in damage
+
+
+def unfinished(path: Path, texts: Sequence[Sequence[str]]) -> bytearray:
+    """A log as a killed recorder leaves it: chunks of messages, each of which is on a topic of its own name."""
+    stamp = 0
+    with LogWriter(path) as log:
+        for chunk in texts:
+            for text in chunk:
+                stamp += 1
+                log.write(f"/{text}", message_type("std_msgs/msg/String")(data=f"text {stamp}"), stamp)
+            log.flush()
+        partial = path.with_name(f"{path.name}.partial")
+        return bytearray(partial.read_bytes())
+
+
+def test_a_damaged_chunk_of_a_log_without_its_end_is_passed_over_by_who_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    content = unfinished(path, [["a", "b"], ["a", "b"], ["a", "b"]])
+    content[content.index(b"text 3")] ^= 0xFF
+    path.write_bytes(content)
+    stamps, damage = read(path)
+    assert stamps == [1, 2]
+    assert damage is not None and "crc" in damage and "ends in the middle" in damage
+    with open_log(path) as log:
+        assert [m.stamp for m in log.messages(past_damage=True)] == [1, 2, 5, 6]
+
+
+def test_messages_of_a_topic_that_only_a_damaged_chunk_names_are_missed_aloud(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    content = unfinished(path, [["a"], ["a", "b"], ["a", "b"], ["a", "b"]])
+    content[content.index(b"text 2")] ^= 0xFF
+    path.write_bytes(content)
+    with open_log(path) as log:
+        assert [m.stamp for m in log.messages(past_damage=True)] == [1, 4, 6]
+        assert [(topic.name, topic.count) for topic in log.topics] == [("/a", 3)]
+        assert log.damage is not None and "2 messages of topics that nothing undamaged names" in log.damage
+
+
+def test_a_log_whose_topics_only_a_damaged_chunk_names_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    content = unfinished(path, [["a"], ["a"]])
+    content[content.index(b"text 1")] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=r"damaged at byte \d+ \(crc .*; no message could be read, record it again"):
+        open_log(path)
 
 
 def test_parts_without_the_wanted_topics_are_passed_over(tmp_path: Path) -> None:

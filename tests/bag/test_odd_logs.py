@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.records import Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
@@ -74,6 +75,63 @@ def test_what_cannot_be_read_beside_the_rest_is_left_out_and_told(
         assert log.left_out == (line,)
     repaired = repair(path, tmp_path / "repaired.mcap")
     assert (repaired.messages, repaired.left_out) == (COUNT, (line,))
+
+
+def add_loose(writer: Writer) -> None:
+    """A message outside of chunks, which the statistics count and no index leads to."""
+    writer.flush()
+    Message(channel_id=1, log_time=START + COUNT, data=text(COUNT), publish_time=0, sequence=0).write(
+        writer._Writer__record_builder
+    )
+    writer._Writer__statistics.message_count += 1
+    writer._Writer__statistics.channel_message_counts[1] += 1
+
+
+def add_nothing(_writer: Writer) -> None:
+    pass
+
+
+@pytest.mark.parametrize("behind", [add_nothing, add_strings])
+def test_messages_beside_chunks_are_read(tmp_path: Path, behind: Callable[[Writer], None]) -> None:
+    def fill(writer: Writer) -> None:
+        for add in (add_strings, add_loose, behind):
+            add(writer)
+
+    with open_log(mcap_file(tmp_path / "log.mcap", fill)) as log:
+        read = [entry.message.data for entry in log.messages()]
+        assert len(read) == sum(topic.count for topic in log.topics)
+        assert read.count(f"number {COUNT}") == 1
+
+
+def test_topics_are_counted_where_the_statistics_do_not(tmp_path: Path) -> None:
+    """An empty map says that nobody counted (MCAP format, Statistics)."""
+
+    def fill(writer: Writer) -> None:
+        add_strings(writer)
+        writer.flush()
+        writer._Writer__statistics.channel_message_counts.clear()
+
+    with open_log(mcap_file(tmp_path / "log.mcap", fill)) as log:
+        assert [(topic.name, topic.count) for topic in log.topics] == [("/text", COUNT)]
+
+
+def test_a_bag_that_names_no_topic_is_refused(tmp_path: Path) -> None:
+    path = sqlite_bag(tmp_path / "bag")
+    with sqlite3.connect(path) as file:
+        file.execute("DELETE FROM topics")
+    with pytest.raises(BagError, match="names none of the topics that its messages are of"):
+        open_log(path)
+
+
+def test_a_log_that_names_no_topic_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "log.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start("ros2", "a test")
+        writer._Writer__statistics.channel_message_counts[7] = 0
+        writer.add_message(7, START, text(0), START)
+        writer.finish()
+    with pytest.raises(BagError, match="1 messages of topics that nothing undamaged names; no message could be read"):
+        open_log(tmp_path / "log.mcap")
 
 
 def test_a_chunk_without_messages_does_not_begin_the_log_in_1970(tmp_path: Path) -> None:

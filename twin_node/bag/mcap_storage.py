@@ -2,40 +2,47 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from struct import error as StructError
+from struct import Struct
 from typing import BinaryIO
 
-from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Header, Message, Metadata, Schema, Statistics
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import ChunkIndex, Footer, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
-from zstandard import ZstdError
 
 from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
+from twin_node.bag.log_times import NO_STOP
+from twin_node.bag.mcap_records import (
+    DAMAGED,
+    MAGIC,
+    RECORD_HEAD,
+    Frame,
+    damage_in_words,
+    frames,
+    is_header,
+    messages_in,
+    opened,
+    parsed,
+)
 from twin_node.bag.qos import offers_latched
-
-MAGIC = b"\x89MCAP0\r\n"
-
-DAMAGED = (McapError, StructError, ZstdError, EOFError, ValueError, KeyError, RuntimeError, OverflowError, MemoryError)
-"""What the mcap package lets out when bytes are not what they should be (decompressors and decoding included)."""
 
 FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
 """A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
 
 CRC_BYTES = 4
-RECORD_HEAD_BYTES = 1 + 8
-"""Before a record's content: opcode, length."""
-STRING_HEAD_BYTES = 4
-"""Before a string: its length."""
-
+MESSAGE_HEAD = Struct("<HIQ")
+"""A message's content begins with its channel, its number and its log time, ns."""
+CHUNK_TIMES = Struct("<QQ")
+"""A chunk's content begins with the first and the last log time of its messages, ns."""
 LOOSE_PART_BYTES = 1 << 20
 """Messages outside of chunks are read in parts of this size: the default chunk size of mcap writers."""
 
@@ -49,6 +56,13 @@ class _Index:
     counts: Counter[int] = field(default_factory=Counter)
     parts: list[Part] = field(default_factory=list)
     metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
+    damage: list[str] = field(default_factory=list)
+    """Chunks that cannot be opened: where and why, in words."""
+
+    @property
+    def nameless(self) -> frozenset[int]:
+        """Channels that messages are on and that nothing names: it was in what is damaged."""
+        return frozenset(self.counts) - frozenset(self.channels)
 
     def topics_of(self, channels: Collection[int]) -> frozenset[str] | None:
         """Topics of channels; None where one of them has not been met."""
@@ -65,6 +79,7 @@ class McapStorage:
         self._damage: str | None = None
         try:
             self._index = self._from_summary() or self._from_scan()
+            self._nameless = self._index.nameless
         except BaseException:
             self._file.close()
             raise
@@ -112,13 +127,17 @@ class McapStorage:
         try:
             self._file.seek(part.offset)
             data = self._file.read(part.size)
-            messages = list(_messages(data))
+            messages = list(messages_in(data))
             if not messages and part.topics:
                 raise ValueError("the index knows messages where there are none")
-            records = [self._record(message) for message in messages if start <= message.log_time < stop]
+            records = [
+                self._record(message)
+                for message in messages
+                if start <= message.log_time < stop and message.channel_id not in self._nameless
+            ]
         except (*DAMAGED, OSError) as error:
             raise DamageError(
-                f"{self._path}: damaged at byte {part.offset} ({_reason(error)}); read up to it"
+                f"{self._path}: damaged at byte {part.offset} ({damage_in_words(error)}); read up to it"
             ) from None
         wanted = records if topics is None else [record for record in records if record.topic in topics]
         yield from sorted(wanted, key=lambda record: record.stamp)
@@ -138,7 +157,8 @@ class McapStorage:
     def _from_summary(self) -> _Index | None:
         """Index from the file's summary; None where the file has none, or one that leaves messages out."""
         try:
-            if not self._summary_is_intact():
+            summary_start = self._summary_start()
+            if not summary_start:
                 return None
             self._file.seek(0)
             reader = make_reader(self._file)
@@ -150,6 +170,8 @@ class McapStorage:
         except (*DAMAGED, OSError):
             return None
         chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+        if self._has_loose_messages(chunks, summary_start):
+            return None
         parts = [self._indexed_part(chunk, summary.channels) for chunk in chunks]
         counts = Counter(summary.statistics.channel_message_counts)
         return _Index(summary.schemas, summary.channels, counts, parts, metadata)
@@ -165,76 +187,109 @@ class McapStorage:
             topics=frozenset(known) or None,
         )
 
-    def _summary_is_intact(self) -> bool:
-        """Whether the footer leads to a summary whose checksum, where it has one, is right (MCAP format, Footer)."""
+    def _has_loose_messages(self, chunks: Sequence[ChunkIndex], stop: int) -> bool:
+        """Whether there are messages between the chunks, up to the byte `stop`: no index leads to those."""
+        start = len(MAGIC)
+        for chunk in chunks:
+            if self._is_any_message(start, min(chunk.chunk_start_offset, stop)):
+                return True
+            start = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+        return self._is_any_message(start, stop)
+
+    def _is_any_message(self, start: int, stop: int) -> bool:
+        with contextlib.suppress(*DAMAGED):  # what is damaged here is no chunk: the index leads past it
+            return any(frame.opcode == Opcode.MESSAGE for frame in frames(self._file, start, stop))
+        return False
+
+    def _summary_start(self) -> int:
+        """Byte at which the summary begins; 0 without one, or where its checksum is wrong (MCAP format, Footer)."""
         footer_start = self._file.seek(-(FOOTER_BYTES + len(MAGIC)), io.SEEK_END)
         footer = next(StreamReader(self._file, skip_magic=True).records)
         if not isinstance(footer, Footer) or footer.summary_start == 0:
-            return False
+            return 0
         self._file.seek(footer.summary_start)
         covered = self._file.read(footer_start + FOOTER_BYTES - CRC_BYTES - footer.summary_start)
-        return footer.summary_crc in (0, zlib.crc32(covered))
+        return int(footer.summary_start) if footer.summary_crc in (0, zlib.crc32(covered)) else 0
 
     def _from_scan(self) -> _Index:
-        """Index from one pass over the data section, up to the damage where it is damaged or was never ended."""
-        index = _Index()
-        self._file.seek(0)
-        size = self._path.stat().st_size
-        reader = StreamReader(self._file, emit_chunks=True, record_size_limit=size)
-        start = len(MAGIC)
+        """Index from one pass over the data section, as far as one record leads to the next.
+
+        Damaged chunks are passed over: they are parts too, and told when they are read.
+        """
+        index, size, start = _Index(), self._path.stat().st_size, len(MAGIC)
+        damage: list[str] = []
         try:
-            for record in reader.records:
-                if isinstance(record, DataEnd):
+            for frame in frames(self._file, start, size):
+                if frame.opcode == Opcode.DATA_END:
                     break
-                end = self._file.tell()
-                if end > size:
-                    raise EOFError
-                if start == len(MAGIC) and not _is_header(record, end - start):
+                if start == len(MAGIC) and not is_header(parsed(self._file, frame), frame.size):
                     raise ValueError("it does not begin with a header")
-                self._take(index, record, start, end)
-                start = end
+                self._take(index, frame)
+                start = frame.end
+            else:
+                raise EOFError
         except DAMAGED as error:
-            damage = f"{self._path}: damaged at byte {start} of {size} ({_reason(error)})"
-            if not index.parts:
-                raise BagError(f"{damage}; no message could be read, record it again") from None
-            self._damage = f"{damage}; read up to it"
+            damage.append(f"{self._path}: damaged at byte {start} of {size} ({damage_in_words(error)}); read up to it")
+        if index.nameless:
+            count = sum(index.counts[channel] for channel in index.nameless)
+            damage.append(f"{self._path}: {count} messages of topics that nothing undamaged names; read without them")
+        if damage and not index.channels.keys() & index.counts.keys():
+            where = f"{self._path}: damaged at {index.damage[0]}" if index.damage else damage[0].rpartition(";")[0]
+            raise BagError(f"{where}; no message could be read, record it again")
+        self._damage = " | ".join(damage) or None
         return index
 
-    def _take(self, index: _Index, record: object, start: int, end: int) -> None:
-        if isinstance(record, Chunk):
-            contents = breakup_chunk(record, validate_crc=True)
-            stamps, channels = [], set()
-            for item in contents:
-                if isinstance(item, Message):
-                    stamps.append(item.log_time)
-                    channels.add(item.channel_id)
-                    index.counts[item.channel_id] += 1
-                else:
-                    self._take(index, item, start, end)
-            if stamps:
-                topics = index.topics_of(channels)
-                index.parts.append(Part(self, min(stamps), max(stamps), start, end - start, topics))
-        elif isinstance(record, Message):
-            index.counts[record.channel_id] += 1
-            _append_loose(index, Part(self, record.log_time, record.log_time, start, end - start))
-        elif isinstance(record, Schema):
-            index.schemas[record.id] = record
-        elif isinstance(record, ChannelRecord):
-            index.channels[record.id] = record
-        elif isinstance(record, Metadata):
-            index.metadata[record.name] = record.metadata
+    def _head(self, frame: Frame, form: Struct) -> tuple[int, ...]:
+        """Numbers that a record's content begins with."""
+        self._file.seek(frame.start + RECORD_HEAD.size)
+        return form.unpack(self._file.read(form.size))
+
+    def _take(self, index: _Index, frame: Frame) -> None:
+        if frame.opcode == Opcode.CHUNK:
+            self._take_chunk(index, frame)
+        elif frame.opcode == Opcode.MESSAGE:
+            channel, _, stamp = self._head(frame, MESSAGE_HEAD)
+            index.counts[channel] += 1
+            _append_loose(index, Part(self, stamp, stamp, frame.start, frame.size))
+        elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+            _take_name(index, parsed(self._file, frame))
+
+    def _take_chunk(self, index: _Index, frame: Frame) -> None:
+        try:
+            contents = opened(parsed(self._file, frame), frame.size)
+        except DAMAGED as error:  # `records` meets it again, and tells
+            index.damage.append(f"byte {frame.start} ({damage_in_words(error)})")
+            index.parts.append(self._damaged_part(index, frame))
+            return
+        stamps, channels = [], set()
+        for item in contents:
+            if isinstance(item, Message):
+                stamps.append(item.log_time)
+                channels.add(item.channel_id)
+                index.counts[item.channel_id] += 1
+            else:
+                _take_name(index, item)
+        if stamps:
+            topics = index.topics_of(channels)
+            index.parts.append(Part(self, min(stamps), max(stamps), frame.start, frame.size, topics))
+
+    def _damaged_part(self, index: _Index, frame: Frame) -> Part:
+        """A chunk that cannot be opened, at the times that it says, or at the last one before where those cannot be."""
+        first, last = self._head(frame, CHUNK_TIMES)
+        if not (first <= last < NO_STOP and last):
+            if not index.parts:
+                raise ValueError("its first chunk is damaged")
+            first = last = index.parts[-1].end
+        return Part(self, first, last, frame.start, frame.size)
 
 
-def _is_header(record: object, size: int) -> bool:
-    """Whether a file's first record is a header that ends where its two strings end.
-
-    A wrong length would lead into the middle of a chunk, where no checksum tells what is wrong.
-    """
-    if not isinstance(record, Header):
-        return False
-    return size == RECORD_HEAD_BYTES + sum(
-        STRING_HEAD_BYTES + len(s.encode()) for s in (record.profile, record.library)
-    )
+def _take_name(index: _Index, record: McapRecord) -> None:
+    if isinstance(record, Schema):
+        index.schemas[record.id] = record
+    elif isinstance(record, ChannelRecord):
+        index.channels[record.id] = record
+    elif isinstance(record, Metadata):
+        index.metadata[record.name] = record.metadata
 
 
 def _append_loose(index: _Index, message: Part) -> None:
@@ -247,21 +302,12 @@ def _append_loose(index: _Index, message: Part) -> None:
         index.parts.append(message)
 
 
-def _messages(data: bytes) -> Iterator[Message]:
-    """Messages of a run of whole records, chunks opened and their checksums compared."""
-    stream = io.BytesIO(data)
-    records = StreamReader(stream, skip_magic=True, emit_chunks=True).records
-    while stream.tell() < len(data):
-        record = next(records)
-        contents = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
-        yield from (item for item in contents if isinstance(item, Message))
-
-
 def _complete(summary: Summary, statistics: Statistics) -> bool:
-    """Whether the summary leads to all messages: every one in an indexed chunk and on a channel that it repeats."""
+    """Whether the summary leads to all messages: each in an indexed chunk, counted on a channel that it repeats."""
     return (
         len(summary.chunk_indexes) == statistics.chunk_count
         and (statistics.chunk_count > 0 or statistics.message_count == 0)
+        and bool(statistics.channel_message_counts or statistics.message_count == 0)
         and all(_tells_its_time(chunk) for chunk in summary.chunk_indexes)
         and all(channel in summary.channels for channel in statistics.channel_message_counts)
         and all(not channel.schema_id or channel.schema_id in summary.schemas for channel in summary.channels.values())
@@ -271,9 +317,3 @@ def _complete(summary: Summary, statistics: Statistics) -> bool:
 def _tells_its_time(chunk: ChunkIndex) -> bool:
     """Whether a chunk's times are those of messages: of one without any they are 0 (MCAP format, Chunk)."""
     return bool(chunk.message_start_time or chunk.message_end_time or chunk.message_index_offsets)
-
-
-def _reason(error: BaseException) -> str:
-    if isinstance(error, EOFError | StructError) or type(error).__name__ == "EndOfFile":
-        return "the file ends in the middle of a record"
-    return str(error) or type(error).__name__

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
 
-from twin_node.bag import mcap_storage, sqlite_storage
+from twin_node.bag import mcap_records, sqlite_storage
 from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
 from twin_node.bag.log_times import NO_START, NO_STOP, within
@@ -46,6 +46,8 @@ class LogReader:
         if not self._parts:
             why = f" ({'; '.join(kept.lines)})" if kept.lines else ""
             raise BagError(f"{path}: the log holds no messages{why}; record it again")
+        if not self._topics:
+            raise BagError(f"{path}: the log names none of the topics that its messages are of; record it again")
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -279,7 +281,7 @@ def _open_files(
 def _open_file(path: Path) -> Storage:
     with path.open("rb") as file:
         head = file.read(len(sqlite_storage.MAGIC))
-    if head.startswith(mcap_storage.MAGIC):
+    if head.startswith(mcap_records.MAGIC):
         return McapStorage(path)
     if head == sqlite_storage.MAGIC:
         return SqliteStorage(path)

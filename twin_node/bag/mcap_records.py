@@ -1,0 +1,103 @@
+"""Records of MCAP files as they lie there: each found by the length of the one before, chunks opened and checked."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from struct import Struct
+from struct import error as StructError
+from typing import BinaryIO
+
+from mcap.exceptions import McapError
+from mcap.records import Chunk, Header, McapRecord, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from zstandard import ZstdError
+
+MAGIC = b"\x89MCAP0\r\n"
+
+DAMAGED = (McapError, StructError, ZstdError, EOFError, ValueError, KeyError, RuntimeError, OverflowError, MemoryError)
+"""What the mcap package lets out when bytes are not what they should be (decompressors and decoding included)."""
+
+RECORD_HEAD = Struct("<BQ")
+"""Before a record's content: opcode, length."""
+CHUNK_FIELDS_BYTES = 8 + 8 + 8 + 4 + 4 + 8
+"""Of a chunk's content all but its data and the name of its compression."""
+STRING_HEAD_BYTES = 4
+"""Before a string: its length."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A record as it lies in its file."""
+
+    opcode: int
+    start: int
+    """Where it begins and ends, bytes."""
+    end: int
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.end - self.start
+
+
+def frames(file: BinaryIO, start: int, stop: int) -> Iterator[Frame]:
+    """Records from one byte up to another, each found by the length of the one before.
+
+    Raises `EOFError` or `StructError` where one leads beyond, `ValueError` where there is none: zeros, as disks leave
+    blocks that never reached them.
+    """
+    while start < stop:
+        file.seek(start)
+        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+        frame = Frame(opcode, start, start + RECORD_HEAD.size + length)
+        if not opcode:
+            raise ValueError("found zeros in place of a record")
+        if frame.end > stop:
+            raise EOFError
+        yield frame
+        start = frame.end
+
+
+def parsed(file: BinaryIO, frame: Frame) -> McapRecord:
+    """A record; a chunk's data is not opened. Raises `DAMAGED`, as do all that read records."""
+    file.seek(frame.start)
+    return next(StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None).records)
+
+
+def is_header(record: McapRecord, size: int) -> bool:
+    """Whether a file's first record is a header that ends where its two strings end.
+
+    A wrong length would lead into the middle of a chunk, where no checksum tells what is wrong.
+    """
+    if not isinstance(record, Header):
+        return False
+    return size == RECORD_HEAD.size + sum(STRING_HEAD_BYTES + len(s.encode()) for s in (record.profile, record.library))
+
+
+def opened(record: McapRecord, size: int) -> list[McapRecord]:
+    """What a record of so many bytes holds: of a chunk all that is in it, its checksum compared."""
+    if not isinstance(record, Chunk):
+        return [record]
+    filled = RECORD_HEAD.size + CHUNK_FIELDS_BYTES + len(record.compression.encode()) + len(record.data)
+    if filled > size or (filled < size and not record.data):
+        raise ValueError("a chunk's data is not as long as the chunk")
+    contents: list[McapRecord] = breakup_chunk(record, validate_crc=True)
+    return contents
+
+
+def messages_in(data: bytes) -> Iterator[Message]:
+    """Messages of a run of whole records, chunks opened and their checksums compared."""
+    stream = io.BytesIO(data)
+    records = StreamReader(stream, skip_magic=True, emit_chunks=True).records
+    while (start := stream.tell()) < len(data):
+        record = next(records)
+        yield from (item for item in opened(record, stream.tell() - start) if isinstance(item, Message))
+
+
+def damage_in_words(error: BaseException) -> str:
+    """Which of `DAMAGED` it was."""
+    if isinstance(error, EOFError | StructError) or type(error).__name__ == "EndOfFile":
+        return "the file ends in the middle of a record"
+    return str(error) or type(error).__name__
