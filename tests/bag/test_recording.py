@@ -86,6 +86,16 @@ def test_a_folder_is_split_by_size(tmp_path: Path) -> None:
     assert len(stamps_of(tmp_path / "run")) == 29
 
 
+def test_latched_messages_beyond_the_size_do_not_begin_a_file_for_every_message(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_size_mb=0.01)) as writer:
+        writer.write("/map", STRING, text("m" * 11_000), 0, builtin_types(), latched=True)
+        fill(writer, 30, size=1000)
+    assert len(writer.files) == 4
+    for file in writer.files:
+        with open_log(file) as log:
+            assert len(list(log.messages(["/map"]))) == 1
+
+
 def test_one_file_is_read_by_mcap_s_own_reader(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "run.mcap") as writer:
         fill(writer, 10)

@@ -32,7 +32,7 @@ class SplitParameters:
     """When the next file of a recording is begun."""
 
     max_size_mb: float = 0.0
-    """Size of a file, MB; 0: no limit."""
+    """Size of a file, MB, beside the latched messages that it begins with again; 0: no limit."""
     max_duration_s: float = 0.0
     """Time that a file spans, s; 0: no limit."""
 
@@ -65,6 +65,8 @@ class _File:
     start: int | None = None
     end: int = 0
     bytes: int = 0
+    repeated: int = 0
+    """Of those, what other files had too: a limit below it would begin a file for every message."""
 
 
 class RecordingWriter:
@@ -134,6 +136,7 @@ class RecordingWriter:
                 for name, messages in self._kept.items():
                     for kept in messages:
                         self._put(self._channels[name], kept, stamp)
+                self._files[-1].repeated = self._files[-1].bytes
             self._put(channel, data, stamp)
             if channel.is_latched:
                 self._kept[topic] = kept_with(self._kept.get(topic, ()), topic, bytes(data))
@@ -217,7 +220,7 @@ class RecordingWriter:
         file = self._files[-1]
         if self.path.suffix == ".mcap" or file.start is None:
             return False
-        too_big = 0 < self._split.max_size_mb * 1e6 <= file.bytes
+        too_big = 0 < self._split.max_size_mb * 1e6 <= file.bytes - file.repeated
         return too_big or 0 < self._split.max_duration_s * 1e9 <= stamp - file.start
 
     def _put(self, channel: _Channel, data: bytes | memoryview, stamp: int) -> None:
