@@ -1,4 +1,4 @@
-"""Recordings as they grow: files that can be read whatever ends them, split by size or time, in a rosbag2 folder."""
+"""Recordings as they grow: files that can be read whatever ends their process, split by size or time, in a folder."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ class _File:
 
 
 class RecordingWriter:
-    """Writes messages as they come. Nothing is lost of what is older than half a second, however it ends.
+    """Writes messages as they come. Nothing is lost of what is older than half a second, however its process ends.
+
+    What the operating system has not put on the disk yet, a power cut takes: seconds of messages, or half a minute.
 
     `path` ends in `.mcap` for one file, which cannot be split, or is a new folder: NAME_0.mcap, NAME_1.mcap and so on,
     and `metadata.yaml`. Latched messages stand at the beginning of every file again, so that each is whole.

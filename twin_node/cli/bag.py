@@ -17,7 +17,7 @@ def add_record(commands: Any) -> None:
     record = commands.add_parser(
         "record",
         help="record topics of a live graph",
-        description="Record until Ctrl-C. What was written can be read whatever ends the recorder.",
+        description="Record until Ctrl-C. What was written can be read however the recorder's process ends.",
     )
     record.add_argument("topics", nargs="*", metavar="TOPIC", help="default: what a twin publishes")
     record.add_argument("-a", "--all", action="store_true", help="all topics, also those that come later")
