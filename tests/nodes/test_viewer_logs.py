@@ -16,7 +16,7 @@ from twin_logs import PERIOD, START, cloud_at
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
-from twin_node.messages import MessageError, convert
+from twin_node.messages import convert
 from twin_node.nodes.overlays import moving_mask
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.topics import (
@@ -30,7 +30,16 @@ from twin_node.nodes.topics import (
 )
 from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.robot import RobotError, forward_kinematics, ur_model
-from twin_node.scene import GaussianCloud, Grid, JointPath, JointSample, Occupancy, OccupancyLayer, Separation
+from twin_node.scene import (
+    GaussianCloud,
+    Grid,
+    JointPath,
+    JointSample,
+    ObstacleKind,
+    Occupancy,
+    OccupancyLayer,
+    Separation,
+)
 
 pytest.importorskip("viser")
 
@@ -235,12 +244,44 @@ def test_two_hundred_thousand_gaussians_are_shown(page: CellPage, tmp_path: Path
     assert len(find("/gaussians/static").centers) == 160_000 and len(find("/gaussians/moving").centers) == 40_000
 
 
-def test_joints_of_another_arm_are_an_error_that_names_them(page: CellPage, tmp_path: Path) -> None:
+def test_joints_of_another_arm_are_an_error_that_names_them_and_the_rest_is_drawn(
+    page: CellPage, twin_log: Path, tmp_path: Path
+) -> None:
+    """The arm as it was last shown is not shown any more."""
+    find = shown(page, twin_log)
+    assert find("/arm/forearm_link") is not None and find("/arm_ahead/forearm_link") is not None
     with LogWriter(tmp_path / "a.mcap") as log:
         sample = JointSample(START, ("axis_1", "axis_2"), np.zeros(2), np.zeros(2))
         log.write(JOINT_STATES, convert.joint_sample_to_message(sample), START)
+    page._obstacles.set_visible(ObstacleKind.MOVING, False)
     with pytest.raises(RobotError, match="axis_1"):
-        shown(page, tmp_path / "a.mcap", seconds=0)
+        shown(page, twin_log, tmp_path / "a.mcap")
+    assert find("/arm/forearm_link") is None and find("/arm_ahead/forearm_link") is None
+    assert find("/obstacles/MOVING/BOX") is None
+
+
+def test_a_gripper_s_joints_that_come_before_the_arm_s_do_not_end_the_page(
+    page: CellPage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = ur_model("ur5e")
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for stamp, names in ((START, ("finger_joint",)), (START + PERIOD // 20, arm.joint_names)):
+            sample = JointSample(stamp, names, np.zeros(len(names)), np.zeros(len(names)))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(sample), stamp)
+    told: list[str | None] = []
+    monkeypatch.setattr(page, "tell", told.append)
+    with Playback([tmp_path / "a.mcap"]) as playback:
+        viewer, rounds = LogViewer(playback, page), iter((False, False))
+
+        def is_over() -> bool:
+            if told:
+                viewer.seek(0.1)
+            return next(rounds, True)
+
+        viewer.run(is_over)
+    assert told[0] is not None and "finger_joint" in told[0]
+    assert told[1:] == [None]
+    assert page.server.scene.get_handle_by_name("/arm/forearm_link").visible
 
 
 def test_a_message_that_cannot_be_shown_is_told_and_others_are_shown(
@@ -265,10 +306,6 @@ def test_a_message_that_cannot_be_shown_is_told_and_others_are_shown(
         viewer.run(is_over)
         assert told[0] is None and told[2] is None
         assert told[1] is not None and "is not finite" in told[1]
-        viewer, rounds = LogViewer(playback, page), iter((False,))
-        viewer.seek(0.1)
-        with pytest.raises(MessageError, match="is not finite"):
-            viewer.run(lambda: next(rounds, True))
 
 
 def test_time_before_the_first_word_is_an_empty_page(page: CellPage, twin_log: Path) -> None:

@@ -35,8 +35,8 @@ class LogViewer:
     def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
         """Draws until `stop` is called or `is_over()`; a picture takes as long as it takes, and time goes on meanwhile.
 
-        `is_over()` is asked before every picture; unlike `stop` it may be decided in a handler of signals. Raises what
-        is wrong with the first picture; what of later ones cannot be shown is told on the page.
+        `is_over()` is asked before every picture; unlike `stop` it may be decided in a handler of signals. What of a
+        picture cannot be shown is told on the page.
         """
         drawn_s: float | None = None
         before = time.monotonic()
@@ -45,18 +45,16 @@ class LogViewer:
             self._advance((now - before) * self._speed)
             before = now
             if self._page.take_change() or drawn_s != self._at_s:
-                self._draw(is_first=drawn_s is None)
+                self._draw()
                 drawn_s = self._at_s
             self._wanted.wait(max(FRAME_S - (time.monotonic() - now), 0.001))
             self._wanted.clear()
 
-    def _draw(self, is_first: bool) -> None:
+    def _draw(self) -> None:
         problem = None
         try:
             self._page.show(self._playback.at(self._playback.start_ns + round(self._at_s * 1e9)))
         except TwinError as error:  # of one message: other times may be sound, and the page says what was wrong
-            if is_first:
-                raise
             problem = str(error)
         self._page.tell(problem or "; ".join(self._playback.damage) or None)
 

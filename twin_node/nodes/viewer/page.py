@@ -84,17 +84,21 @@ class CellPage:
         return changed
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draws a time of the cell for everybody, all at once."""
+        """Draws a time of the cell for everybody, all at once.
+
+        Raises what is wrong with a message once all that needs none of it is drawn; with several, of the first.
+        """
+        problems: list[TwinError] = []
+        solids = (self._splats.show, self._arm.show, self._obstacles.show, self.voxels.show, self.frusta.show)
         with self.server.atomic():
-            self._splats.show(snapshot)
-            self._arm.show(snapshot)
-            self._obstacles.show(snapshot)
-            self.voxels.show(snapshot)
-            self.frusta.show(snapshot)
-            _write(self._arm_words, arm_text(snapshot))
-            _write(self._twin_words, twin_text(snapshot))
-            self._answer_click(snapshot)
+            for draw in (*solids, self._say, self._answer_click):
+                try:
+                    draw(snapshot)
+                except TwinError as error:
+                    problems.append(error)
         self.server.flush()
+        if problems:
+            raise problems[0]
 
     def set_cameras(self, cameras: tuple[Camera, ...]) -> None:
         """Shows these cameras from now on; visitors who come later look first at what they see."""
@@ -140,6 +144,10 @@ class CellPage:
             self._changed.set()
 
         getattr(control, event)(act)
+
+    def _say(self, snapshot: Snapshot) -> None:
+        _write(self._arm_words, arm_text(snapshot))
+        _write(self._twin_words, twin_text(snapshot))
 
     def _on_click(self, event: Any) -> None:
         direction = np.array(event.ray_direction)

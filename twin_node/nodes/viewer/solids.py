@@ -13,7 +13,7 @@ from twin_node.arm.path import sample_path
 from twin_node.geometry import quat_from_rotation
 from twin_node.nodes.playback import Snapshot, in_force
 from twin_node.robot import ArmModel, forward_kinematics
-from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, ObstacleKind, Obstacles, ObstacleShape
+from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, JointSample, ObstacleKind, Obstacles, ObstacleShape
 
 ARM_COLOUR, GHOST_COLOUR = (158, 173, 189), (26, 115, 232)
 GHOST_OPACITY = 0.25
@@ -47,22 +47,32 @@ class ArmBody:
         self._is_shown = True
 
     def show(self, snapshot: Snapshot) -> None:
-        """Moves the arm; hides it where the joints are unknown."""
-        joints = snapshot.joints_of(self._arm.joint_names)
-        now = None if joints is None else self._arm.ordered_positions(joints)
-        self._pose(self._solid, now)
-        path = snapshot.path
-        ahead = None
-        if path is not None:
-            sampled = sample_path(path, np.array([snapshot.stamp + AHEAD_NS]))[0]
-            ahead = self._arm.order(path.names, sampled)
-        elif joints is not None and len(joints.velocities) == len(joints.positions):
-            ahead = self._arm.order(joints.names, joints.positions + joints.velocities * AHEAD_NS * 1e-9)
-        self._pose(self._ghost, ahead)
+        """Moves the arm; hides it where the joints are unknown.
+
+        Raises `RobotError` where they are not the arm's, `MessageError` where they are none: it is hidden then too.
+        """
+        now = ahead = None
+        try:
+            joints = snapshot.joints_of(self._arm.joint_names)
+            now = None if joints is None else self._arm.ordered_positions(joints)
+            ahead = self._ahead(snapshot, joints)
+        finally:
+            self._pose(self._solid, now)
+            self._pose(self._ghost, ahead)
 
     def set_visible(self, is_shown: bool) -> None:
         """Shows or hides arm and ghost from the next picture on."""
         self._is_shown = is_shown
+
+    def _ahead(self, snapshot: Snapshot, joints: JointSample | None) -> Float64 | None:
+        """[J] rad where the joints will be: by the path, else as they move now."""
+        path = snapshot.path
+        if path is not None:
+            sampled = sample_path(path, np.array([snapshot.stamp + AHEAD_NS]))[0]
+            return self._arm.order(path.names, sampled)
+        if joints is not None and len(joints.velocities) == len(joints.positions):
+            return self._arm.order(joints.names, joints.positions + joints.velocities * AHEAD_NS * 1e-9)
+        return None
 
     def _add(self, server: Any, group: str, link: int, opacity: float | None) -> Any | None:
         meshes = []
