@@ -75,6 +75,12 @@ def test_clouds_of_others_are_refused_by_what_they_lack() -> None:
         c.gaussians_from_pointcloud2(replace(message, is_bigendian=True))
 
 
+def test_gaussians_of_tiers_that_nobody_knows_are_refused() -> None:
+    message = c.gaussians_to_pointcloud2(replace(cloud(3), tiers=np.array([0, 9, 1], np.uint8)), STAMP)
+    with pytest.raises(MessageError, match="expected known tiers, found 9; check the versions"):
+        c.gaussians_from_pointcloud2(sent(message))
+
+
 @pytest.mark.parametrize("change", [{"datatype": 0}, {"datatype": 9}, {"offset": 66}, {"offset": 2**32 - 1}])
 def test_clouds_whose_fields_cannot_be_are_refused(change: dict[str, int]) -> None:
     message = c.gaussians_to_pointcloud2(cloud(3), STAMP)
@@ -123,6 +129,14 @@ def test_occupancy_that_contradicts_itself_is_refused() -> None:
     with pytest.raises(MessageError, match="index 120 is outside"):
         indices = np.array([1, 5, 120], dtype=np.uint32)
         c.occupancy_from_message(replace(message, layers=[replace(first, indices=indices)]))
+
+
+def test_a_grid_that_no_memory_holds_is_refused() -> None:
+    nothing = OccupancyLayer(0, np.empty(0, np.uint32), np.empty(0, np.uint8))
+    grid = Grid(np.zeros(3), 0.1, (2**31, 2**20, 2**10))
+    huge = Occupancy(STAMP, STAMP, grid, (), nothing, np.array([[5, 2]], np.uint32))
+    with pytest.raises(MessageError, match="voxels, found 2147483648 x 1048576 x 1024; the sender is at fault"):
+        c.occupancy_from_message(sent(c.occupancy_to_message(huge)))
 
 
 @pytest.mark.parametrize("voxel_size", [0.0, -0.02, np.nan, np.inf])
@@ -301,6 +315,21 @@ def test_diagnoses_survive_and_levels_that_are_none_are_refused() -> None:
     message.status[0].level = 7
     with pytest.raises(MessageError, match="'cameras: left': expected a level from 0 to 3, found 7"):
         c.diagnostics_from_message(message)
+
+
+def test_experts_of_newer_twins_are_nobody_s() -> None:
+    one = Obstacles(
+        STAMP,
+        *(np.full(2, value, np.uint8) for value in (7, ObstacleKind.STATIC, ObstacleShape.BOX)),
+        *(np.ones((2, width)) for width in (3, 4, 3, 3)),
+        np.ones(2),
+        *(np.full(2, STAMP) for _ in range(2)),
+        experts=np.array([MotionExpert.DAMPED, 77], np.uint8),
+    )
+    message = sent(c.obstacles_to_message(one))
+    for sender in (message, replace(message, obstacles=list(message.obstacles))):
+        experts = c.obstacles_from_message(sender).experts
+        assert experts is not None and experts.tolist() == [MotionExpert.DAMPED, MotionExpert.NO_EXPERT]
 
 
 @pytest.mark.parametrize(("name", "value"), [("kinds", 60), ("shapes", 2)])

@@ -29,6 +29,10 @@ SIZE = ("size.x", "size.y", "size.z")
 VELOCITY = ("twist.linear.x", "twist.linear.y", "twist.linear.z")
 """Columns of an obstacle's numbers, in the order of `scene.Obstacles`."""
 SECOND_NS = 1_000_000_000
+MOST_VOXELS = 1 << 28
+"""Of a grid: 6 m each way at 1 cm; more is no cell, and fills the memory of who looks at it."""
+_NAMED = np.array([value if value in list(MotionExpert) else MotionExpert.NO_EXPERT for value in range(256)], np.uint8)
+"""Experts as they are told -> as they are known here."""
 
 
 def occupancy_to_message(occupancy: Occupancy) -> Message:
@@ -51,7 +55,7 @@ def occupancy_from_message(message: Message) -> Occupancy:
     """Occupancy from a `twin_msgs/msg/OccupancyForecast`; arrays are views of the message.
 
     Raises `MessageError` where indices and probabilities differ in number, an index is outside of the grid, or the
-    grid's place or voxels cannot be.
+    grid's place or voxels cannot be, or are more than `MOST_VOXELS`.
     """
     dims = (int(message.dims[0]), int(message.dims[1]), int(message.dims[2]))
     origin = np.array([message.origin.x, message.origin.y, message.origin.z])
@@ -60,6 +64,11 @@ def occupancy_from_message(message: Message) -> Occupancy:
         raise MessageError(
             f"OccupancyForecast: expected a finite origin and voxels of more than 0 m, found {origin.tolist()} and "
             f"{grid.voxel_size:g} m; the sender is at fault"
+        )
+    if grid.size > MOST_VOXELS:
+        raise MessageError(
+            f"OccupancyForecast: expected at most {MOST_VOXELS} voxels, found {dims[0]} x {dims[1]} x {dims[2]}; the "
+            "sender is at fault"
         )
     runs = np.asarray(message.unknown_runs)
     if len(runs) % 2:
@@ -104,7 +113,7 @@ def obstacles_to_message(obstacles: Obstacles) -> Message:
 
 def obstacles_from_message(message: Message) -> Obstacles:
     """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts, or how far
-    what was seen gets.
+    what was seen gets, and experts of newer ones, which are not known here, are none.
 
     Raises `MessageError` for kinds and shapes that are not known here.
     """
@@ -143,7 +152,7 @@ def _obstacles_of_rows(message: Message) -> Obstacles:
         bounds=rows["bound"].copy(),
         valid_from=stamps("valid_from"),
         valid_to=stamps("valid_to"),
-        experts=later("expert"),
+        experts=_NAMED[later("expert")],
         reach_speeds=later("reach_speed"),
         reach_delays=later("reach_delay"),
     )
@@ -181,7 +190,7 @@ def _obstacles_one_by_one(message: Message) -> Obstacles:
         bounds=np.array([item.bound for item in items], dtype=np.float64),
         valid_from=np.array([from_time(item.valid_from) for item in items], dtype=np.int64),
         valid_to=np.array([from_time(item.valid_to) for item in items], dtype=np.int64),
-        experts=later("expert"),
+        experts=_NAMED[later("expert")],
         reach_speeds=later("reach_speed"),
         reach_delays=later("reach_delay"),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from twin_node.messages.convert.camera import BASE_FRAME
 from twin_node.messages.stamps import header
 from twin_node.messages.types import Message, MessageError, message_type
-from twin_node.scene import GaussianCloud
+from twin_node.scene import GaussianCloud, Tier
 
 FLOAT_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "sx", "sy", "sz", "opacity", "rgb", "vx", "vy", "vz")
 """Four bytes each, in this order from offset 0; `rgb` is 0x00RRGGBB in the bits of a float32, as PCL packs it."""
@@ -53,8 +53,8 @@ def gaussians_to_pointcloud2(cloud: GaussianCloud, stamp: int) -> Message:
 def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
     """Cloud from a PointCloud2 of `gaussians_to_pointcloud2`; `nodes` are -1.
 
-    Fields are found by name, wherever they stand. Raises `MessageError` if one is missing, the sizes disagree or a
-    number is not finite.
+    Fields are found by name, wherever they stand. Raises `MessageError` if one is missing, the sizes disagree, a
+    number is not finite or a tier is not known here.
     """
     points = _points(message)
 
@@ -67,6 +67,12 @@ def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
             f"PointCloud2 in {message.header.frame_id}: expected finite numbers, found others in {np.sum(~finite)} of "
             f"{len(points)} Gaussians, the first at {int(finite.argmin())}; the sender is at fault"
         )
+    tiers = points["tier"].astype(np.uint8)
+    if len(tiers) and tiers.max() >= len(Tier):
+        raise MessageError(
+            f"PointCloud2 in {message.header.frame_id}: expected known tiers, found {tiers.max()}; check the "
+            "versions of the messages"
+        )
     packed = np.ascontiguousarray(points["rgb"]).view(np.uint32)
     rgb = np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=1).astype(np.float32) / np.float32(255)
     return GaussianCloud(
@@ -76,7 +82,7 @@ def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
         opacities=points["opacity"].astype(np.float32),
         rgb=rgb,
         velocities=columns("vx", "vy", "vz"),
-        tiers=points["tier"].astype(np.uint8),
+        tiers=tiers,
         ids=points["id"].astype(np.uint32),
         nodes=np.full(len(points), -1, dtype=np.int32),
     )
