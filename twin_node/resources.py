@@ -26,11 +26,19 @@ def find(name: str | Path) -> Path:
     Raises `ResourceError` naming where it was looked for.
     """
     path = Path(name)
-    if path.exists():
+    if _is_there(path):
         return path
     candidates = [] if path.is_absolute() else [root / path for root in roots()]
     for candidate in candidates:
-        if candidate.exists():
+        if _is_there(candidate):
             return candidate
     places = ", ".join(str(candidate.parent) for candidate in candidates) or str(path.parent)
     raise ResourceError(f"{name}: no such file (looked in {Path.cwd()}, {places}); check the spelling of the path")
+
+
+def _is_there(path: Path) -> bool:
+    """Whether something is there, or nobody may look: who opens it is told why not."""
+    try:
+        return path.exists()
+    except OSError:
+        return True

@@ -228,9 +228,13 @@ def test_wrong_places_are_refused(tmp_path: Path) -> None:
         ("run.mcap", SplitParameters(max_size_mb=1), "one file cannot be split"),
         ("no/such/run.mcap", None, "no/such does not exist; create it first"),
         ("there/file/run", None, "cannot be written"),
+        (300 * "n", None, r"cannot be written on \(File name too long\)"),
     ):
         with pytest.raises(BagError, match=words):
             RecordingWriter(tmp_path / name, split)
+    for name in (300 * "n", f"{300 * 'n'}/run.mcap"):
+        with pytest.raises(BagError, match=r"cannot be written \(File name too long\)"):
+            LogWriter(tmp_path / name)
     with pytest.raises(BagError, match="split: max_size_mb: expected a number of 0 or more, found -1"):
         SplitParameters(max_size_mb=-1)
 

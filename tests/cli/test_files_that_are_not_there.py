@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from twin_node.bag import LogWriter
 from twin_node.cli import main
 from twin_node.errors import reason
+from twin_node.messages import message_type
 
 
 @pytest.mark.parametrize(
@@ -31,6 +33,32 @@ def test_what_is_not_there_is_one_line_without_a_number(
     assert str(tmp_path) in line
     assert "No such file or directory" in line
     assert "Errno" not in line
+
+
+LONG = 300 * "n"
+"""A name that no file can have: whether one is there cannot even be asked, as in a folder that is closed."""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", f"{LONG}.mcap"],
+        ["check", "log.mcap", "--repair", f"{LONG}.mcap"],
+        ["record", "-o", LONG],
+        ["replay", "log.mcap", "--params", f"{LONG}.yaml"],
+        ["render", "log.mcap", "-o", f"{LONG}.mp4"],
+        ["replay", "log.mcap", "--report", f"{LONG}/report"],
+    ],
+)
+def test_names_that_no_file_can_have_are_one_line(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/text", message_type("std_msgs/msg/String")(data="a"), 1)
+    assert main(arguments) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert LONG in line and "File name too long" in line and "Errno" not in line
 
 
 @pytest.mark.parametrize("command", [["calibrate", "rig", "-o", "rig.yaml"], ["bench", "collision", "--reference"]])

@@ -89,8 +89,8 @@ class RecordingWriter:
         self._files: list[_File] = []
         self._flushed_at = time.monotonic()
         self._is_closed = False
-        _check(self.path, self._split)
         try:
+            _check(self.path, self._split)
             if self.path.suffix != ".mcap":
                 self.path.mkdir(parents=True)
             self._begin_file()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def repair(source: Path, output: Path) -> Repaired:
     Chunks that are damaged are passed over; a folder whose recorder never wrote `metadata.yaml` is taken too.
     Raises `BagError` where `source` is no log, `output` exists, or cannot be written; then nothing is left of it.
     """
-    if output.exists():
+    if os.path.lexists(output):
         raise BagError(f"{output}: exists already; remove it or choose another name for the repaired log")
     with open_log(source, unfinished=True) as log, LogWriter(output) as writer:
         known = [topic for topic in log.topics if topic.msgtype in log.types]

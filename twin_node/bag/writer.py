@@ -68,11 +68,11 @@ class LogWriter:
 
     def __init__(self, path: Path | str, compression: Literal["none", "zstd", "lz4"] = "none") -> None:
         self.path = Path(path)
-        if not self.path.parent.is_dir():
-            raise BagError(f"{self.path}: folder {self.path.parent} does not exist; create it first")
         self._topics: dict[str, str] = {}
         self._closed = False
         try:
+            if not self.path.parent.is_dir():
+                raise BagError(f"{self.path}: folder {self.path.parent} does not exist; create it first")
             self._sink = _open_sink(self.path, compression)
         except OSError as error:
             raise self._refused(error) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import select
 import sys
@@ -27,6 +28,9 @@ from twin_node.cli.view import add_view
 from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
 
+_UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
+"""Why nobody can tell whether there is something at a path, which is then asked for anywhere."""
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted, or the command's own.
@@ -35,8 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
     """
     collect_rarely()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: our products are too small to share
-    options = _parser().parse_args(arguments)
     try:
+        options = _parser().parse_args(arguments)
         status = options.run(options)
         sys.stdout.flush()
     except TwinError as error:
@@ -49,6 +53,11 @@ def main(arguments: list[str] | None = None) -> int:
         if not _is_unread():
             raise
         return 141
+    except OSError as error:
+        if error.errno not in _UNREACHABLE or error.filename is None:
+            raise
+        print(f"twin_node: error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
+        return 2
     return status if isinstance(status, int) else 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import threading
 import time
@@ -64,7 +65,7 @@ def _record(options: argparse.Namespace) -> None:
         given = ", ".join(options.topics)
         raise BagError(f"--all: expected instead of topics, found {given} too; leave one of the two out")
     output = options.output or Path(f"rosbag2_{time.strftime('%Y_%m_%d-%H_%M_%S')}")
-    if output.exists():
+    if os.path.lexists(output):
         raise BagError(f"{output}: exists already; remove it or choose another name")
     parameters: dict[str, Any] = {
         "output": str(output),
