@@ -39,8 +39,8 @@ def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0) -> 
                 log.write("/joint_states", joints(stamp, np.zeros(1)), stamp)
 
 
-def joints(stamp: int, positions: np.ndarray) -> object:
-    return convert.joint_sample_to_message(JointSample(stamp, ("elbow",), positions, np.zeros(1)))
+def joints(stamp: int, positions: np.ndarray, name: str = "elbow") -> object:
+    return convert.joint_sample_to_message(JointSample(stamp, (name,), positions, np.zeros(1)))
 
 
 def checked(path: Path) -> LogCheck:
@@ -111,6 +111,21 @@ def test_a_report_expects_sets_at_the_cameras_rate(tmp_path: Path) -> None:
     write_log(tmp_path / "log.mcap", Rig((LEFT,)), sets=60, joints_per_set=16)
     with LogSession(tmp_path / "log.mcap") as session:
         assert _camera_rate(session, ChainParameters()) == pytest.approx(1e9 / PERIOD, rel=0.05)
+
+
+def test_an_arm_and_its_gripper_on_one_topic_are_judged_each_by_itself(tmp_path: Path) -> None:
+    """The gripper's clock is behind, and three of its messages are missing; the arm's joints are as they should be."""
+    said = [(START + k * 8 * MS, "elbow", 0) for k in range(100)]
+    said += [(START + k * 20 * MS + 3 * MS, "finger", -2) for k in range(40) if k not in (10, 11, 12)]
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for stamp, name, behind_s in sorted(said):
+            log.write("/joint_states", joints(stamp + behind_s * 1000 * MS, np.zeros(1), name), stamp)
+    [topic] = checked(tmp_path / "log.mcap").topics
+    assert topic.faults == (
+        "finger: 1 gaps, the longest 80 ms",
+        "finger: stamped +2.0 s from the time of recording: another clock",
+    )
+    assert topic.statistics.count == len(said) and topic.statistics.rate_hz == pytest.approx(125)
 
 
 def test_stamps_that_stand_still_are_named(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,8 @@ DELAY_NS = 1_000_000_000
 """A header stamp further than this from the time of recording was made by another clock."""
 SAMPLES = 5
 """Images of a topic whose content is looked at, spread over the log."""
-SKEW_SHARE = 0.5
-"""Cameras further apart than this share of a period do not belong to one exposure."""
+SKEW_SHARE = 0.25
+"""Cameras further apart than this share of a period, of which a half is the most, do not belong to one exposure."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class TopicCheck:
     name: str
     msgtype: str
     statistics: StreamStatistics
+    """Of joints that several devices tell on one topic, the count is of all, the rest of whose come most often."""
     faults: tuple[str, ...] = ()
 
 
@@ -57,14 +58,31 @@ class LogCheck:
 
 
 @dataclass
-class _Seen:
-    """One topic while the log is read."""
+class _Stream:
+    """What one device says on a topic."""
 
     stamps: list[int] = field(default_factory=list)
     delays: list[int] = field(default_factory=list)
+
+
+@dataclass
+class _Seen:
+    """One topic while the log is read."""
+
+    streams: dict[tuple[str, ...], _Stream] = field(default_factory=dict)
+    """By the names of the joints that they tell: an arm and its gripper share a topic, each at a rate of its own.
+
+    Of other messages there is one, without names.
+    """
+    count: int = 0
     contents: list[Any] = field(default_factory=list)
     largest: list[float] = field(default_factory=list)
     """Of every JointState's positions, without sign; NaN where one is none."""
+
+    @property
+    def busiest(self) -> _Stream:
+        """The stream with the most messages."""
+        return max(self.streams.values(), key=lambda stream: len(stream.stamps), default=_Stream())
 
 
 def check_log(log: LogReader) -> LogCheck:
@@ -80,15 +98,12 @@ def check_log(log: LogReader) -> LogCheck:
     checks = []
     for topic in log.topics:
         found = seen[topic.name]
-        statistics = statistics_of(found.stamps)
+        statistics = replace(statistics_of(found.busiest.stamps), count=found.count)
         faults = [unreadable[topic.name]] if topic.name in unreadable else []
-        if topic.msgtype in REGULAR_TYPES:
-            faults += faults_of(statistics)
-        if found.delays and abs(float(np.median(found.delays))) > DELAY_NS:
-            faults.append(f"stamped {np.median(found.delays) / 1e9:+.1f} s from the time of recording: another clock")
-        step = clock_step(found.stamps, found.delays) if topic.msgtype in REGULAR_TYPES else None
-        if step is not None:
-            faults.append(step.told(log.start_ns))
+        for names, stream in found.streams.items():
+            whose = f"{', '.join(names)}: " if len(found.streams) > 1 else ""
+            is_regular = topic.msgtype in REGULAR_TYPES
+            faults += [f"{whose}{fault}" for fault in _time_faults(stream, is_regular, log.start_ns)]
         faults += _unit_faults(topic.name, topic.msgtype, found)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
@@ -97,20 +112,32 @@ def check_log(log: LogReader) -> LogCheck:
     return LogCheck(tuple(checks), tuple(whole))
 
 
+def _time_faults(stream: _Stream, is_regular: bool, start: int) -> list[str]:
+    """What speaks against the times of a stream, which may come at a rate; `start`: of the log, ns."""
+    faults = list(faults_of(statistics_of(stream.stamps))) if is_regular else []
+    if stream.delays and abs(float(np.median(stream.delays))) > DELAY_NS:
+        faults.append(f"stamped {np.median(stream.delays) / 1e9:+.1f} s from the time of recording: another clock")
+    step = clock_step(stream.stamps, stream.delays) if is_regular else None
+    return faults if step is None else [*faults, step.told(start)]
+
+
 def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
     """Takes note of a message's times, and of every so many's content."""
     is_regular = message.msgtype in REGULAR_TYPES
-    stamp = message.stamp
+    stamp, names, delays = message.stamp, (), []
     if is_regular or message.msgtype == CAMERA_INFO:
         content = message.message
-        header_stamp = from_time(content.header.stamp)
-        seen.delays.append(message.stamp - header_stamp)
-        stamp = header_stamp
+        stamp = from_time(content.header.stamp)
+        delays = [message.stamp - stamp]
         if message.msgtype == JOINT_STATE:
+            names = tuple(content.name)
             seen.largest.append(float(np.abs(content.position).max(initial=0.0)))
-        elif len(seen.stamps) % every == 0:
+        elif seen.count % every == 0:
             seen.contents.append(content)
-    seen.stamps.append(stamp)
+    stream = seen.streams.setdefault(names, _Stream())
+    stream.stamps.append(stamp)
+    stream.delays += delays
+    seen.count += 1
 
 
 def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
@@ -151,7 +178,7 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         cameras = find_cameras(types, str(log.path))
     except GraphError as error:
         return [str(error)]
-    stamps = {camera.image: seen[camera.image].stamps for camera in cameras}
+    stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}
     try:
         check_depth(log, cameras)
     except GraphError as error:
@@ -205,7 +232,7 @@ def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[
         right = np.clip(np.searchsorted(own, first), 1, len(own) - 1)
         skew = np.minimum(np.abs(own[right] - first), np.abs(own[right - 1] - first))
         period = float(np.median(np.diff(first)))
-        if float(np.median(skew)) > SKEW_SHARE * period / 2:
+        if float(np.median(skew)) > SKEW_SHARE * period:
             faults.append(
                 f"camera '{camera.name}': images lie {np.median(skew) / 1e6:.1f} ms from those of "
                 f"'{cameras[0].name}'; trigger them together, or calibrate their clocks ('twin_node calibrate time')"
