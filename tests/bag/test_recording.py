@@ -171,6 +171,19 @@ def test_repair_goes_on_behind_a_damaged_chunk(tmp_path: Path) -> None:
     assert stamps_of(tmp_path / "whole.mcap") == [*range(100), *range(200, 300)]
 
 
+@pytest.mark.parametrize("cut", [0, 20])
+def test_attachments_that_a_repaired_log_goes_without_are_told(tmp_path: Path, cut: int) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as log:
+        log.write("/a", message_type(STRING)(data="a"), 1)
+        log.flush()
+        log._sink._writer.add_attachment(1, 1, "notes.txt", "text/plain", b"what was seen")  # type: ignore[attr-defined]
+    path.write_bytes(path.read_bytes()[: path.stat().st_size - cut])
+    assert repair(path, tmp_path / "whole.mcap").left_out == ("the attachment notes.txt",)
+    with open_log(path) as log:
+        assert log.left_out == ()
+
+
 class FullDisk:
     """A file on a disk that takes no more than so many bytes."""
 

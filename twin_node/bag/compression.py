@@ -79,6 +79,11 @@ class UnpackedMessages:
         return self._storage.metadata
 
     @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files beside the messages."""
+        return self._storage.attachments
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """The file's parts, which this storage reads."""
         return tuple(replace(part, storage=self) for part in self._storage.parts)

@@ -111,6 +111,10 @@ class Storage(Protocol):
         """Metadata records by name."""
 
     @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files that it holds beside the messages, which nobody here reads."""
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """All messages of the file, in the order of the file."""
 

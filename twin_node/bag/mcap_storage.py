@@ -14,8 +14,8 @@ from typing import BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Attachment, ChunkIndex, Footer, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.records import Channel as ChannelRecord
-from mcap.records import ChunkIndex, Footer, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
@@ -56,6 +56,8 @@ class _Index:
     counts: Counter[int] = field(default_factory=Counter)
     parts: list[Part] = field(default_factory=list)
     metadata: dict[str, Mapping[str, str]] = field(default_factory=dict)
+    attachments: list[str] = field(default_factory=list)
+    """Names."""
     damage: list[str] = field(default_factory=list)
     """Chunks that cannot be opened: where and why, in words."""
 
@@ -111,6 +113,11 @@ class McapStorage:
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name."""
         return self._index.metadata
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files beside the messages."""
+        return tuple(self._index.attachments)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -174,7 +181,8 @@ class McapStorage:
             return None
         parts = [self._indexed_part(chunk, summary.channels) for chunk in chunks]
         counts = Counter(summary.statistics.channel_message_counts)
-        return _Index(summary.schemas, summary.channels, counts, parts, metadata)
+        attachments = [attachment.name for attachment in summary.attachment_indexes]
+        return _Index(summary.schemas, summary.channels, counts, parts, metadata, attachments)
 
     def _indexed_part(self, chunk: ChunkIndex, channels: Mapping[int, ChannelRecord]) -> Part:
         known = [channels[channel].topic for channel in chunk.message_index_offsets if channel in channels]
@@ -251,7 +259,7 @@ class McapStorage:
             channel, _, stamp = self._head(frame, MESSAGE_HEAD)
             index.counts[channel] += 1
             _append_loose(index, Part(self, stamp, stamp, frame.start, frame.size))
-        elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+        elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT):
             _take_name(index, parsed(self._file, frame))
 
     def _take_chunk(self, index: _Index, frame: Frame) -> None:
@@ -290,6 +298,8 @@ def _take_name(index: _Index, record: McapRecord) -> None:
         index.channels[record.id] = record
     elif isinstance(record, Metadata):
         index.metadata[record.name] = record.metadata
+    elif isinstance(record, Attachment):
+        index.attachments.append(record.name)
 
 
 def _append_loose(index: _Index, message: Part) -> None:

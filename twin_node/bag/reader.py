@@ -63,6 +63,11 @@ class LogReader:
         return self._left_out
 
     @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of files that MCAP keeps beside the messages; nothing reads them."""
+        return tuple(name for storage in self._storages for name in storage.attachments)
+
+    @property
     def types(self) -> MessageTypes:
         """Message types as this log defines them, beside the built-in ones."""
         return self._types

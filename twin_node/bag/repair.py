@@ -20,13 +20,15 @@ class Repaired:
     damage: str | None
     """What was wrong with the log; None: nothing was."""
     left_out: tuple[str, ...]
-    """What nobody could read, a line each: topics whose type is defined nowhere, and `LogReader.left_out`."""
+    """What was not written, a line each: topics whose type is defined nowhere, `LogReader.left_out`, attachments."""
 
 
 def repair(source: Path, output: Path) -> Repaired:
     """Copies a log's topics, metadata and readable messages to `output`: an `.mcap` file, or a new rosbag2 folder.
 
-    Chunks that are damaged are passed over; a folder whose recorder never wrote `metadata.yaml` is taken too.
+    Messages keep their log times, topics their latching; times of publishing, sequence numbers and other policies of
+    quality of service do not go over. Chunks that are damaged are passed over; a folder whose recorder never wrote
+    `metadata.yaml` is taken too.
     Raises `BagError` where `source` is no log, `output` exists, or cannot be written; then nothing is left of it.
     """
     if os.path.lexists(output):
@@ -43,4 +45,5 @@ def repair(source: Path, output: Path) -> Repaired:
             writer.write_raw(message.topic, message.msgtype, message.data, message.stamp)
             messages += 1
         unknown = [f"{topic.name}, whose type is defined nowhere" for topic in log.topics if topic not in known]
-        return Repaired(messages, log.damage, (*unknown, *log.left_out))
+        attached = [f"the attachment {name}" for name in log.attachments]
+        return Repaired(messages, log.damage, (*unknown, *log.left_out, *attached))

@@ -63,6 +63,11 @@ class SqliteStorage:
         return {}
 
     @property
+    def attachments(self) -> tuple[str, ...]:
+        """None: SQLite files of rosbag2 hold nothing but messages."""
+        return ()
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """The whole file: SQLite streams it in log-time order by its own index."""
         if not self._reader.message_count:
