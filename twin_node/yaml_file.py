@@ -60,7 +60,8 @@ class _Loader(yaml.SafeLoader):
     """Refuses a field that stands twice in a mapping: the last would win, and nobody would hear of it.
 
     Also an alias within what it stands for: that has no end, and who goes through what was read would not end either.
-    Nor, in any time that one would wait, where aliases of aliases multiply.
+    Nor, in any time that one would wait, where aliases of aliases multiply. A value that is not what its tag says
+    (`!!bool maybe`) is an error like others: PyYAML lets out what its code trips over.
     """
 
     def __init__(self, stream: str) -> None:
@@ -84,6 +85,14 @@ class _Loader(yaml.SafeLoader):
             many = f"found aliases that stand for more than {MOST_REPEATED} characters, {alias.anchor!r} among them"
             raise yaml.composer.ComposerError(None, None, many, alias.start_mark)
         return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (LookupError, AttributeError, OverflowError):
+            kind = node.tag.rpartition(":")[2]
+            wrong = f"expected what can be !!{kind}, found {node.value!r}"
+            raise yaml.constructor.ConstructorError(None, None, wrong, node.start_mark) from None
 
     def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
         node: yaml.ScalarNode = super().compose_scalar_node(anchor)

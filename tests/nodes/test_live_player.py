@@ -243,16 +243,30 @@ def test_topics_are_played_whose_names_can_be_on_the_graph(tmp_path: Path, capsy
         Theatre(log, topics=("/a//b",))
 
 
+@pytest.mark.parametrize("topics", [(), ("/a",)])
+def test_of_two_topics_with_one_name_on_the_graph_one_is_played_and_the_other_told(
+    tmp_path: Path, topics: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    theatre = Theatre(named(tmp_path / "log.mcap", "a", "/a"), topics=topics)
+    theatre.play()
+    assert theatre.heard == [("/a", "/a")]
+    assert "not played: a, for /a is played under that name" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
         ({"topics": ("/d",)}, "has no topic /d; it holds /a, /b"),
         ({"remap": ("/a=/b",)}, "expected FROM:=TO"),
-        ({"rate": 0.0}, "play: rate: expected a number above 0, found 0"),
+        ({"rate": 0.0}, "play: rate: expected 0.001 to 1000000, found 0"),
+        ({"rate": 1e300}, "play: rate: expected 0.001 to 1000000, found 1e"),
+        ({"clock": 1e-310}, "play: clock: expected 0.001 to 1000000, found 9.99"),
+        ({"clock": -1.0}, "play: clock: expected 0.001 to 1000000, found -1"),
+        ({"delay": 1e300}, "play: delay: expected 0 to 86400, found 1e"),
         ({"read_ahead_queue_size": 0}, "play: read_ahead_queue_size: expected 1 or more, found 0"),
         ({"start_offset": 60.0}, "is past its end"),
-        ({"start_offset": -1.0}, "start_offset: expected 0 or more, found -1"),
-        ({"playback_duration": -1.0}, "playback_duration: expected 0 or more"),
+        ({"start_offset": -1.0}, "start_offset: expected a number of 0 or more, found -1"),
+        ({"playback_duration": -1.0}, "playback_duration: expected a number of 0 or more"),
     ],
 )
 def test_what_cannot_be_played_is_told(log: Path, flags: dict[str, Any], words: str) -> None:

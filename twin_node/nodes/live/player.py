@@ -9,18 +9,25 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin_node.bag import LogMessage, LogReader, open_log
+from twin_node.bag import LogMessage, LogReader, Topic, open_log
 from twin_node.bag.latched import standing_before
 from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
 from twin_node.nodes.topics import CLOCK, GraphError, absolute, is_topic_name, parse_remaps
+from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
 
+SPEEDS = Range(1e-3, 1e6)
+"""Against that of the recording: nothing is seen to move below, and above it takes no time."""
+CLOCK_RATES = Range(1e-3, 1e6)
+"""Of `/clock`, Hz: beyond, times between two ticks are none that nanoseconds can tell."""
+DELAYS = Range(0, 86_400)
+"""Up to a day, s."""
 LONGEST_WAIT_S = 0.1
 """How long a player that waits may take to notice that it is to stop, s."""
 
@@ -50,13 +57,13 @@ class PlayParameters:
     """Messages read before they are due."""
 
     def __post_init__(self) -> None:
-        if not self.rate > 0:
-            raise GraphError(f"play: rate: expected a number above 0, found {self.rate:g}")
+        """Raises `GraphError` for a number that cannot be."""
+        lengths = {"start_offset": NOT_NEGATIVE, "playback_duration": NOT_NEGATIVE}
+        check_ranges(self, GraphError, "play: ", rate=SPEEDS, delay=DELAYS, **lengths)
+        if self.clock:
+            check_ranges(self, GraphError, "play: ", clock=CLOCK_RATES)
         if self.read_ahead_queue_size < 1:
             raise GraphError(f"play: read_ahead_queue_size: expected 1 or more, found {self.read_ahead_queue_size}")
-        for name in ("start_offset", "playback_duration", "delay", "clock"):
-            if not getattr(self, name) >= 0:
-                raise GraphError(f"play: {name}: expected 0 or more, found {getattr(self, name):g}")
 
 
 def make_player(setup: Setup) -> Node:
@@ -199,9 +206,10 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     """The log's topics to play -> the names they are published under, a slash before those that have none.
 
     A topic whose type is defined nowhere, or whose name can be none on the graph, cannot be told to others: it is left
-    out, and said, unless it is asked for.
+    out, and said, unless it is asked for. So is one that would have another's name.
     """
-    held = {absolute(topic.name): topic for topic in log.topics}
+    held: dict[str, Topic] = {}
+    twice = [topic for topic in log.topics if held.setdefault(absolute(topic.name), topic) is not topic]
     remaps = parse_remaps(list(parameters.remap))
     asked = [absolute(topic) for topic in parameters.topics]
     for name in (*asked, *remaps):
@@ -218,6 +226,9 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
             raise GraphError(
                 f"{log.path}: expected topics that can be played, found {name}, {unfit[name]}; leave it out"
             )
+    for topic in twice:
+        if not asked or absolute(topic.name) in asked:
+            say(f"not played: {topic.name}, for {held[absolute(topic.name)].name} is played under that name")
     for name in sorted(unfit) if not asked else ():
         say(f"not played: {name}, {unfit[name]}")
     for line in log.left_out if not asked else ():
