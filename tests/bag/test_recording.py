@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import re
+import tempfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -199,6 +201,12 @@ class FullDisk:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
+    def __enter__(self) -> FullDisk:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
 
 def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, open_file = tmp_path / "run.mcap", Path.open
@@ -252,16 +260,33 @@ def test_wrong_places_are_refused(tmp_path: Path) -> None:
         SplitParameters(max_size_mb=-1)
 
 
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
-def test_bags_that_rosbag2_compressed_are_read(
-    tmp_path: Path, plugin: StoragePlugin, mode: Literal["FILE", "MESSAGE"]
-) -> None:
-    packed = Writer(tmp_path / "packed", version=8, storage_plugin=plugin)
+def packed_bag(folder: Path, mode: str, plugin: StoragePlugin = StoragePlugin.MCAP) -> Path:
+    """Four messages in a bag that rosbag2 has compressed."""
+    packed = Writer(folder, version=8, storage_plugin=plugin)
     packed.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
     with packed as bag:
         connection = bag.add_connection("/a", STRING, msgdef="string data", rihs01=builtin_types().type_hash(STRING))
         for i in range(1, 5):
             bag.write(connection, i, text(f"message {i}"))
-    with open_log(tmp_path / "packed") as log:
+    return folder
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_bags_that_rosbag2_compressed_are_read(tmp_path: Path, plugin: StoragePlugin, mode: str) -> None:
+    with open_log(packed_bag(tmp_path / "packed", mode, plugin)) as log:
         assert [m.message.data for m in log.messages()] == [f"message {i}" for i in range(1, 5)]
+
+
+def test_a_full_disk_for_what_is_unpacked_is_told_by_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bag itself can be read."""
+
+    def open_file(path: Path, *arguments: Any, **options: Any) -> Any:
+        stream = whole(path, *arguments, **options)
+        return FullDisk(stream, 100) if "wb" in arguments else stream
+
+    bag, whole = packed_bag(tmp_path / "packed", "FILE"), Path.open
+    monkeypatch.setattr(Path, "open", open_file)
+    where = re.escape(tempfile.gettempdir())
+    with pytest.raises(BagError, match=rf"decompressed into {where} \(No space left on device\); free space there, or"):
+        open_log(bag)

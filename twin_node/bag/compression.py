@@ -39,7 +39,7 @@ class Compression(Enum):
 def unpacked(path: Path, compression: Compression) -> Iterator[Path]:
     """Path of the file as storages read it; of a compressed one, a copy that goes when it has been opened.
 
-    Raises `BagError` where it cannot be decompressed.
+    Raises `BagError` where it cannot be decompressed, or the copy cannot be written; `OSError` as `open` does.
     """
     if compression is not Compression.FILE:
         yield path
@@ -47,11 +47,17 @@ def unpacked(path: Path, compression: Compression) -> Iterator[Path]:
     plain_name = path.name.removesuffix(".zstd").removesuffix(".zst")
     with tempfile.TemporaryDirectory(prefix="twin_node_") as folder:
         plain = Path(folder) / plain_name
-        try:
-            with path.open("rb") as packed, plain.open("wb") as out:
-                ZstdDecompressor().copy_stream(packed, out)
-        except ZstdError as error:
-            raise BagError(f"{path}: cannot be decompressed ({error}); copy the bag again") from None
+        with path.open("rb") as packed:
+            try:
+                with plain.open("wb") as out:
+                    ZstdDecompressor().copy_stream(packed, out)
+            except ZstdError as error:
+                raise BagError(f"{path}: cannot be decompressed ({error}); copy the bag again") from None
+            except OSError as error:
+                raise BagError(
+                    f"{path}: cannot be decompressed into {tempfile.gettempdir()} ({error.strerror}); free space "
+                    "there, or set TMPDIR to a folder that has it"
+                ) from None
         yield plain
 
 
