@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sequence_scenes import SMALL
 
+from twin_node.model import ModelError
 from twin_node.model.sequence import Box, SequenceField, SequenceHashMlp, SequenceHexPlane
 from twin_node.model.sequence.field import moved_quats
 from twin_node.model.sequence.hash_mlp import PRIMES, HashGrid
@@ -27,6 +28,14 @@ FIELDS: list[Callable[[int], SequenceField]] = [
 def points(count: int, seed: int = 0) -> torch.Tensor:
     share = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed))
     return BOX.lower + share * (BOX.upper - BOX.lower)
+
+
+@pytest.mark.parametrize("metres", [1e7, float("nan")])
+def test_a_box_without_sides_is_refused(metres: float) -> None:
+    """Far points lie at one place in float32; what is looked up at 0 / 0 is read from anywhere."""
+    far = torch.full((3,), metres)
+    with pytest.raises(ModelError, match=r"^box: expected sides above 0 in float32, found \["):
+        Box(far, far + 0.3)
 
 
 @pytest.mark.parametrize("make", FIELDS)

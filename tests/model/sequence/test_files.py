@@ -13,6 +13,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from model_scenes import rig, sliding
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from sequence_scenes import block_recording, with_method
 
@@ -93,8 +94,6 @@ def test_more_steps_can_be_asked_for(trained: Trainer, checkpoint: Path) -> None
 
 
 def _resave(path: Path, **changes: str) -> None:
-    from safetensors import safe_open
-
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
     save_file(load_file(path), path, {**metadata, **changes})
@@ -131,8 +130,6 @@ def test_damaged_files_are_named(
     "name", ["gaussians.means", "gaussians.sh", "box.lower", "gradients.sums", "field.planes.time.0"]
 )
 def test_a_checkpoint_without_a_tensor_is_named(checkpoint: Path, tmp_path: Path, name: str) -> None:
-    from safetensors import safe_open
-
     path = tmp_path / "file.safetensors"
     with safe_open(checkpoint, framework="pt") as file:
         metadata = file.metadata()
@@ -144,14 +141,23 @@ def test_a_checkpoint_without_a_tensor_is_named(checkpoint: Path, tmp_path: Path
             load_checkpoint(path)
 
 
+def test_a_checkpoint_whose_field_spans_nothing_is_named(trained: Trainer, tmp_path: Path) -> None:
+    path = tmp_path / "file.safetensors"
+    save_checkpoint(trained, path)
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    save_file({**tensors, "box.upper": tensors["box.lower"].clone()}, path, metadata)
+    with pytest.raises(ModelError, match=rf"^{path}: box: expected sides above 0"):
+        load_checkpoint(path)
+
+
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     key=st.sampled_from(["parameters", "step", "span", "stamps", "steps", "background", "cameras", "images"]),
     data=st.data(),
 )
 def test_any_header_is_read_or_refused(checkpoint: Path, tmp_path: Path, key: str, data: st.DataObject) -> None:
-    from safetensors import safe_open
-
     path = tmp_path / "file.safetensors"
     path.write_bytes(checkpoint.read_bytes())
     with safe_open(path, framework="pt") as file:

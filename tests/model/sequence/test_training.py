@@ -12,6 +12,7 @@ from model_scenes import camera
 from pretended import NAME, pretended
 from sequence_scenes import block_recording, with_method
 
+from twin_node.geometry import pose
 from twin_node.model import ModelError
 from twin_node.model.ply import StoredGaussians
 from twin_node.model.sequence import (
@@ -282,6 +283,25 @@ def test_a_gradient_that_is_not_finite_is_not_followed(monkeypatch: pytest.Monke
         np.testing.assert_array_equal(value, vars(before)[name])
     assert np.isfinite(trainer.advance()) and bool(torch.isfinite(trainer.gradients.sums).all())
     assert trainer.refused == 1
+
+
+def recording_at(metres: float) -> Recording:
+    """The block, so far from the origin."""
+    recording, away = block_recording(1), pose(np.eye(3), np.array([0.1 * metres, metres, 0.0]))
+    cameras = [dataclasses.replace(v.camera, T_base_cam=away @ v.camera.T_base_cam) for v in recording.train]
+    views = (dataclasses.replace(v, camera=one) for v, one in zip(recording.train, cameras, strict=True))
+    return dataclasses.replace(recording, train=tuple(views))
+
+
+@pytest.mark.parametrize(("metres", "found"), [(1e4, r"1e\+04"), (5.5e6, r"5.5e\+06"), (1e40, r"1e\+40")])
+def test_a_scene_that_float32_cannot_hold_is_refused(metres: float, found: str) -> None:
+    """As of cameras in coordinates of a map: its field had no sides, and looking it up ended the process."""
+    with pytest.raises(ModelError, match=rf"^block: expected cameras near the origin, found one {found} m away"):
+        Trainer(recording_at(metres), with_method("hexplane"))
+
+
+def test_a_scene_within_a_hall_is_learnt() -> None:
+    assert np.isfinite(Trainer(recording_at(300), with_method("hexplane", coarse_share=0.0)).advance())
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -202,7 +202,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the checkpoint's header is damaged ({error}); train again") from None
     checkpoint = Checkpoint(path, parsed, file.tensors)
-    if not checkpoint.is_whole:
+    try:
+        is_whole = checkpoint.is_whole
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
+    if not is_whole:
         raise ModelError(f"{path}: the checkpoint's tensors are not those of its header; train again")
     return checkpoint
 

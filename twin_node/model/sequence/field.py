@@ -9,6 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from twin_node.model.parameters import ModelError
 from twin_node.model.rotations import quat_product
 
 
@@ -26,12 +27,19 @@ class SequenceMotion:
 
 @dataclass(frozen=True)
 class Box:
-    """The space and time that a field spans; outside it is clamped."""
+    """The space and time that a field spans; outside it is clamped. Raises `ModelError` for sides of no length."""
 
     lower: Tensor
     """[3] m."""
     upper: Tensor
     """[3] m."""
+
+    def __post_init__(self) -> None:
+        if not bool((self.upper > self.lower).all()):
+            raise ModelError(
+                f"box: expected sides above 0 in float32, found {self.lower.tolist()} to {self.upper.tolist()} m; "
+                "move the scene to the origin"
+            )
 
     def unit(self, points: Tensor) -> Tensor:
         """Points [..., 3] in m as -1 to 1."""

@@ -17,6 +17,8 @@ EXTENT_MARGIN = 1.1
 """How much farther than its farthest camera a scene reaches (Kerbl et al., TOG 2023)."""
 ONE_PLACE = 1e-3
 """Cameras that are this near to each other, as a share of what they look at, stand in one place."""
+COARSEST = 1e-4
+"""How far apart places may be that float32 tells apart, as a share of what cameras look over: a tenth of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,17 @@ class Recording:
         reach = float(np.linalg.norm(centres - centres.mean(0), axis=1).max())
         distance = shell_around(cameras, 1.0).radius
         return EXTENT_MARGIN * (reach if reach > ONE_PLACE * distance else distance)
+
+    def check_places(self) -> None:
+        """Raises `ModelError` where cameras are so far from the origin that float32 cannot tell places apart there."""
+        farthest = max(float(np.abs(view.camera.T_base_cam[:3, 3]).max()) for view in self.train)
+        spacing = float(np.finfo(np.float32).eps) * farthest
+        distance = shell_around([view.camera for view in self.train], 1.0).radius
+        if not spacing <= COARSEST * distance:
+            raise ModelError(
+                f"{self.name}: expected cameras near the origin, found one {farthest:.3g} m away, where float32 holds "
+                f"places to {spacing:.2g} m only, in a scene of {distance:.2g} m; move the scene there"
+            )
 
     def sets(self) -> list[FrameSet]:
         """The training images as sets, in rising order of stamps: each has one image of a camera at most, and begins

@@ -42,7 +42,11 @@ class Trainer:
         start: StoredGaussians | None = None,
         box: Box | None = None,
     ) -> None:
-        """`start`: Gaussians to begin with, and `box` that the field spans; by default found in the recording."""
+        """`start`: Gaussians to begin with, and `box` that the field spans; by default found in the recording.
+
+        Raises `ModelError` for a recording too far from the origin, and for a device that is not there.
+        """
+        recording.check_places()
         self.recording = recording
         self.parameters = p = parameters or TrainParameters()
         self.extent = recording.extent
