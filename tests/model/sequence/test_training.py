@@ -101,6 +101,14 @@ def test_equal_seeds_give_equal_models_and_others_do_not() -> None:
     assert_equal_models(a, b)
 
 
+def test_seeds_and_purposes_have_draws_of_their_own() -> None:
+    recording = block_recording()
+    trainers = [Trainer(recording, with_method("static", seed=seed, batch=9)) for seed in (0, 1, 2**20)]
+    orders = {tuple(trainer._batch()) for trainer in trainers}
+    draws = {float(torch.rand(1, generator=trainers[0]._random(purpose, 4))) for purpose in (1, 2, 3)}
+    assert len(orders) == len(draws) == 3
+
+
 def test_the_field_learns_what_a_static_model_cannot() -> None:
     recording = block_recording()
     scores = {}

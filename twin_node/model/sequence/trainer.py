@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -162,5 +163,5 @@ class Trainer:
 
     def _random(self, purpose: int, number: int) -> torch.Generator:
         """Draws that depend on the seed, what they are for, and a number alone."""
-        mixed = ((self.parameters.seed * 8 + purpose) << 40) + number
-        return torch.Generator().manual_seed(mixed % 2**63)
+        mixed = np.random.SeedSequence([self.parameters.seed, purpose, number])
+        return torch.Generator().manual_seed(int(mixed.generate_state(1)[0]))  # torch takes no more than 32 bits
