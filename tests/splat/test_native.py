@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from splat_scenes import Case, assert_close, differentiate, make_case
+from splat_scenes import INPUTS, Case, assert_close, differentiate, make_case
 
 from twin_node import native_build
 from twin_node.native_library import thread_count
@@ -215,6 +215,43 @@ def test_backward_twice_gives_the_same_gradient(library: SplatLibrary):
     loss = replace(case, means=means).render(rasterize)[0].square().sum()
     first = torch.autograd.grad(loss, means, retain_graph=True)[0]
     assert torch.equal(torch.autograd.grad(loss, means)[0], first)
+
+
+def masked_case() -> Case:
+    mask = torch.rand(2, 32, 48, generator=torch.Generator().manual_seed(4)) > 0.3
+    return make_case(channels=3, pixel_mask=mask, backgrounds=torch.rand(2, 3))
+
+
+def test_saved_tensors_may_come_back_as_copies(library: SplatLibrary):
+    """As those of checkpoints, or kept elsewhere: the backward pass reads what it is given back, no other memory."""
+    case = masked_case()
+    case = replace(case, **{name: getattr(case, name).requires_grad_() for name in INPUTS})
+    leaves = [getattr(case, name) for name in INPUTS]
+    renders, alphas, _ = case.render(rasterize)
+    pulls = (renders.detach().clone(), alphas.detach().clone())
+    expected = torch.autograd.grad((renders, alphas), leaves, pulls)
+    saved: list[torch.Tensor] = []
+
+    def pack(tensor: torch.Tensor) -> torch.Tensor:
+        saved.append(tensor)
+        return tensor.clone()
+
+    with torch.autograd.graph.saved_tensors_hooks(pack, lambda copy: copy):
+        renders, alphas, _ = case.render(rasterize)
+    for tensor in saved:
+        tensor.data.fill_(1 if tensor.dtype == torch.bool else 7)  # as memory that has been freed and taken again
+    found = torch.autograd.grad((renders, alphas), leaves, pulls)
+    for name, gradient, same in zip(INPUTS, found, expected, strict=True):
+        assert torch.equal(gradient, same), name
+
+
+def test_a_mask_that_was_changed_is_told(library: SplatLibrary):
+    case = masked_case()
+    means = case.means.clone().requires_grad_()
+    renders, _, _ = replace(case, means=means).render(rasterize)
+    case.options["pixel_mask"][:, :16] = False
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        renders.sum().backward()
 
 
 def test_overflowing_projections_are_culled(library: SplatLibrary):

@@ -31,11 +31,23 @@ class _Inputs:
     Ks: Tensor
     backgrounds: Tensor | None
     """[..., C, channels]."""
+    pixel_mask: Tensor | None
+    """[..., C, H, W] bool; never checked."""
 
     @classmethod
     def of(cls, *given: Tensor | None) -> _Inputs:
         """Of tensors that need not be contiguous, in this order."""
         return cls(*(None if t is None else t.contiguous() for t in given))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class _Images:
+    """What the library draws, or gradients of it."""
+
+    renders: Tensor
+    """[..., C, H, W, channels]."""
+    alphas: Tensor
+    """[..., C, H, W, 1]."""
 
 
 def render_native(scene: Scene, library: native.SplatLibrary, semantics: Semantics | None = None) -> Rendered:
@@ -45,9 +57,10 @@ def render_native(scene: Scene, library: native.SplatLibrary, semantics: Semanti
         require_finite({"colors": g.colors})  # which the library then never reads
     call = _Call(scene, library, semantics or installed_semantics())
     tensors = (g.means, g.quats, g.scales, g.opacities, g.colors, views.viewmats, views.Ks)
+    behind = (_backgrounds(scene), views.pixel_mask)
     if not torch.is_grad_enabled():
-        return call.render(_Inputs.of(*tensors, _backgrounds(scene)))
-    renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, _backgrounds(scene))  # type: ignore[no-untyped-call]
+        return call.render(_Inputs.of(*tensors, *behind))
+    renders, alphas, radii, means2d, depths = _Rasterize.apply(call, *tensors, *behind)  # type: ignore[no-untyped-call]
     return Rendered(renders, alphas, RasterMeta(radii, means2d, depths))
 
 
@@ -66,9 +79,7 @@ class _Call:
         self.scene = scene
         self.library = library
         self.semantics = semantics
-        mask = scene.views.pixel_mask
-        self.mask = None if mask is None else mask.contiguous()
-        self.request = native.Request()
+        self.threads = thread_count()
         self.workspace = native.Workspace(library)
 
     def render(self, inputs: _Inputs) -> Rendered:
@@ -84,16 +95,20 @@ class _Call:
                 depths=torch.empty(*lead, scene.count),
             ),
         )
-        self.request = self._request(inputs, rendered)
         try:
-            self.library.forward(self.workspace, self.request)
+            images = _Images(rendered.renders, rendered.alphas)
+            self.library.forward(self.workspace, self._request(inputs, images, rendered.meta))
         except native.NonFiniteError as error:
             name, tensor = list(vars(inputs).items())[error.index]
             raise non_finite(name, tensor) from None
         return rendered
 
-    def differentiate(self, inputs: _Inputs, v_renders: Tensor, v_alphas: Tensor, with_cameras: bool) -> _Inputs:
-        """Gradients of the inputs; none for Ks and backgrounds, zero for viewmats unless asked for."""
+    def differentiate(self, inputs: _Inputs, images: _Images, pulls: _Images, with_cameras: bool) -> _Inputs:
+        """Gradients of the inputs; none for Ks, backgrounds and mask, zero for viewmats unless asked for.
+
+        `inputs` and `images` hold what `render` took and gave, not always where it did: `saved_tensors_hooks` may give
+        back copies. `pulls` are the images' gradients.
+        """
         v = _Inputs(
             means=torch.zeros_like(inputs.means),
             quats=torch.zeros_like(inputs.quats),
@@ -103,20 +118,21 @@ class _Call:
             viewmats=torch.zeros_like(inputs.viewmats),
             Ks=torch.empty(0),
             backgrounds=None,
+            pixel_mask=None,
         )
         gradients = native.Gradients(
-            *(_pointer(t) for t in (v_renders, v_alphas, v.means, v.quats, v.scales, v.opacities, v.colors)),
+            *(_pointer(t) for t in (pulls.renders, pulls.alphas, v.means, v.quats, v.scales, v.opacities, v.colors)),
             _pointer(v.viewmats) if with_cameras else None,
             0,
         )
-        self.library.backward(self.workspace, self.request, gradients)
+        self.library.backward(self.workspace, self._request(inputs, images, None), gradients)
         return v
 
-    def _request(self, inputs: _Inputs, rendered: Rendered) -> native.Request:
-        """The pointers in it are valid for as long as inputs and outputs are held."""
+    def _request(self, inputs: _Inputs, images: _Images, meta: RasterMeta | None) -> native.Request:
+        """The pointers in it are valid for as long as inputs and outputs are held; only a forward pass needs `meta`."""
         scene, options, views = self.scene, self.scene.options, self.scene.views
         harmonics = options.with_color and options.sh_degree is not None
-        meta = rendered.meta
+        found = (None, None, None) if meta is None else (meta.radii, meta.means2d, meta.depths)
         return native.Request(
             scene.batches,
             scene.cameras,
@@ -129,14 +145,14 @@ class _Call:
             int(scene.colors_per_camera),
             DEPTH_MODES[options.render_mode],
             int(options.rasterize_mode == "antialiased"),
-            thread_count(),
+            self.threads,
             *options.limits,
             self.semantics.max_alpha,
             self.semantics.min_compensation,
             *self._strides(inputs),
             *(_pointer(t) for t in (inputs.means, inputs.quats, inputs.scales, inputs.opacities, inputs.colors)),
-            *(_pointer(t) for t in (inputs.viewmats, inputs.Ks, inputs.backgrounds, None, None, self.mask)),
-            *(_pointer(t) for t in (rendered.renders, rendered.alphas, meta.radii, meta.means2d, meta.depths)),
+            *(_pointer(t) for t in (inputs.viewmats, inputs.Ks, inputs.backgrounds, None, None, inputs.pixel_mask)),
+            *(_pointer(t) for t in (images.renders, images.alphas, *found)),
         )
 
     def _strides(self, inputs: _Inputs) -> list[int]:
@@ -166,19 +182,20 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         call = cast(_Call, ctx.call)
         *saved, renders, alphas = ctx.saved_tensors
-        inputs = _Inputs(*saved)
+        inputs, images = _Inputs.of(*saved), _Images(renders.contiguous(), alphas.contiguous())
         v_renders = torch.zeros_like(renders) if gradients[0] is None else gradients[0].contiguous()
         v_alphas = torch.zeros_like(alphas) if gradients[1] is None else gradients[1].contiguous()
-        v = call.differentiate(inputs, v_renders, v_alphas, with_cameras=ctx.needs_input_grad[6])
-        v_backgrounds = _backgrounds_gradient(call, v_renders, alphas) if ctx.needs_input_grad[8] else None
+        pulls = _Images(v_renders, v_alphas)
+        v = call.differentiate(inputs, images, pulls, with_cameras=ctx.needs_input_grad[6])
+        v_backgrounds = _backgrounds_gradient(inputs.pixel_mask, v_renders, alphas) if ctx.needs_input_grad[8] else None
         fields = (v.means, v.quats, v.scales, v.opacities, v.colors, v.viewmats)
-        return (None, *fields, None, v_backgrounds)
+        return (None, *fields, None, v_backgrounds, None)
 
 
-def _backgrounds_gradient(call: _Call, v_renders: Tensor, alphas: Tensor) -> Tensor:
+def _backgrounds_gradient(pixel_mask: Tensor | None, v_renders: Tensor, alphas: Tensor) -> Tensor:
     left = 1 - alphas
-    if call.mask is not None:
-        left = left * call.mask.unsqueeze(-1)
+    if pixel_mask is not None:
+        left = left * pixel_mask.unsqueeze(-1)
     return (v_renders * left).sum(dim=(-3, -2))
 
 
