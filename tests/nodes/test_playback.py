@@ -84,6 +84,20 @@ def test_images_come_from_the_log_that_has_them(twin_log: Path, cell_log: object
         assert (playback.start_ns, playback.end_ns) == (START, START + (MOMENTS - 1) * PERIOD)
 
 
+@pytest.mark.parametrize("is_last", [True, False])
+def test_a_log_that_only_names_a_topic_does_not_hide_it(twin_log: Path, tmp_path: Path, is_last: bool) -> None:
+    """As a second recorder's does, that was told to take everything and got nothing."""
+    idle = tmp_path / "idle.mcap"
+    with LogWriter(idle) as log:
+        log.add_topic(GAUSSIANS, "sensor_msgs/msg/PointCloud2")
+        log.add_topic(OCCUPANCY, "twin_msgs/msg/OccupancyForecast")
+        sample = JointSample(START, ("finger_joint",), np.full(1, 0.7), np.zeros(1))
+        log.write("/gripper/joint_states", convert.joint_sample_to_message(sample), START)
+    with Playback([twin_log, idle] if is_last else [idle, twin_log]) as playback:
+        assert playback.at(START).whole_stamp == START
+        playback.require(OCCUPANCY, "layers")
+
+
 def test_a_missing_topic_is_named(twin_log: Path) -> None:
     with Playback([twin_log]) as playback:
         playback.require(GAUSSIANS, "this")

@@ -204,7 +204,7 @@ class Playback:
         try:
             for path in paths:
                 self._logs.append(open_log(path))
-            self.topics: Mapping[str, LogReader] = {topic.name: log for log in self._logs for topic in log.topics}
+            self.topics: Mapping[str, LogReader] = _holders(self._logs)
             self._cameras, self._assembler = self._find_cameras(width, rig_file) if with_images else ({}, None)
             self.start_ns, self.end_ns = self._span()
         except BaseException:
@@ -324,11 +324,17 @@ class Playback:
         return newest
 
     def _owned(self) -> Iterator[tuple[LogReader, list[str]]]:
-        """Each log with the topics that are read from it: where several have one, the last does."""
+        """Each log with the topics that are read from it; see `_holders`."""
         for log in self._logs:
             own = [topic for topic, holder in self.topics.items() if holder is log]
             if own:
                 yield log, own
+
+
+def _holders(logs: Sequence[LogReader]) -> dict[str, LogReader]:
+    """Topic -> the log that it is read from: the last that has messages of it, or that names it where none has any."""
+    told = [(topic, log) for log in logs for topic in log.topics]
+    return {topic.name: log for topic, log in sorted(told, key=lambda of: of[0].count > 0)}
 
 
 def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
