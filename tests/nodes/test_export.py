@@ -6,7 +6,7 @@ import ast
 import csv
 import warnings
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,14 +19,15 @@ from plyfile import PlyData
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
 from twin_node.arm import ArmCollisionChecker
-from twin_node.bag import RecordingWriter, open_log
+from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
+from twin_node.messages import convert
 from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
 from twin_node.nodes.export import ExportSpan, LogSource, Moment, export
 from twin_node.nodes.playback import Playback, in_force
 from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import JOINT_STATES
+from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OBSTACLES
 from twin_node.robot import ArmModel, ur_model
 from twin_node.scene import Camera, GaussianCloud, View
 
@@ -189,6 +190,54 @@ def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path:
     assert not UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(
         stage
     )
+
+
+def stage_of(clouds: Mapping[int, GaussianCloud], folder: Path) -> Any:
+    """The stage of a log that has these whole clouds at its frames, of 15 at 10 Hz."""
+    from pxr import Usd
+
+    with LogWriter(folder / "clouds.mcap") as log:
+        for k in range(15):
+            stamp = START + k * PERIOD
+            if k in clouds:
+                log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(clouds[k], stamp), stamp)
+            log.write(OBSTACLES, convert.obstacles_to_message(obstacles_at(k, stamp)), stamp)
+    assert run(folder / "clouds.mcap", "--to", "usd", "--rate", 10, "-o", folder / "a.usda") == 0
+    return Usd.Stage.Open(str(folder / "a.usda"))
+
+
+def points_of(stage: Any, name: str) -> Any:
+    from pxr import UsdGeom
+
+    return UsdGeom.Points(stage.GetPrimAtPath(f"/World/Gaussians/{name}"))
+
+
+def test_standing_points_do_not_slide_to_where_others_stand_later(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    first = cloud_at(0, True)
+    stage = stage_of({0: first, 10: replace(first, means=first.means + np.float32(1))}, tmp_path)
+    points = points_of(stage, "Static")
+    for frame, shift in ((0, 0), (5, 0), (9, 0), (10, 1), (14, 1)):
+        assert np.allclose(points.GetPointsAttr().Get(frame), first.means[:40] + shift), frame
+
+
+def test_standing_points_that_only_grow_or_fade_do_so_in_a_stage(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    first = cloud_at(0, True)
+    later = replace(first, scales=5 * first.scales, opacities=first.opacities / 10)
+    stage = stage_of({0: first, 10: later}, tmp_path)
+    points = points_of(stage, "Static")
+    widths, opacities = points.GetWidthsAttr(), points.GetDisplayOpacityPrimvar()
+    assert np.allclose(widths.Get(10), 5 * np.array(widths.Get(9)))
+    assert np.allclose(opacities.Get(10), np.array(opacities.Get(9)) / 10)
+
+
+def test_a_stage_has_no_points_before_the_log_has(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    stage = stage_of({5: cloud_at(0, True)}, tmp_path)
+    for name, count in (("Static", 40), ("Moving", 10)):
+        points = points_of(stage, name).GetPointsAttr()
+        assert [len(points.Get(frame)) for frame in (0, 4, 5, 14)] == [0, 0, count, count]
 
 
 def test_colours_of_a_stage_are_linear(twin_log: Path, tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def _display_colour(rgb: tuple[float, float, float]) -> Any:
 
 
 class _Gaussians:
-    """Standing points where they change, moving ones at every frame."""
+    """Standing points where they change, moving ones at every frame; none before any were said."""
 
     def __init__(self, stage: Any) -> None:
         from pxr import UsdGeom
@@ -94,21 +94,38 @@ class _Gaussians:
         self._standing = UsdGeom.Points.Define(stage, "/World/Gaussians/Static")
         self._moving = UsdGeom.Points.Define(stage, "/World/Gaussians/Moving")
         self._shown: GaussianCloud | None = None
+        self._set_at = 0
+        """The frame that what stands was last written for."""
 
     def place(self, frame: int, moment: Moment) -> None:
         """Sets the points of a frame; a moment without Gaussians leaves them as they are."""
         if moment.cloud is None:
             return
         still = moment.cloud.tiers == Tier.STATIC
-        now = moment.cloud.only(still)
-        if self._shown is None or not _same(self._shown, now):
-            _set_points(self._standing, now, frame)
-            self._shown = now
+        if self._shown is None and frame > 0:
+            nothing = moment.cloud.only(np.zeros_like(still))
+            _set_points(self._moving, nothing, 0)
+            self._stand(nothing, 0)
+        self._stand(moment.cloud.only(still), frame)
         _set_points(self._moving, moment.cloud.only(~still), frame)
+
+    def _stand(self, now: GaussianCloud, frame: int) -> None:
+        """Sets what stands, if it has changed; until the frame before it is as it was: between samples USD blends."""
+        if self._shown is not None:
+            if _same(self._shown, now):
+                return
+            if self._set_at < frame - 1:
+                _set_points(self._standing, self._shown, frame - 1)
+        _set_points(self._standing, now, frame)
+        self._shown, self._set_at = now, frame
 
 
 def _same(a: GaussianCloud, b: GaussianCloud) -> bool:
-    return np.array_equal(a.ids, b.ids) and np.array_equal(a.rgb, b.rgb) and np.array_equal(a.means, b.means)
+    """Whether all that `_set_points` writes is the same."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in _WRITTEN)
+
+
+_WRITTEN = ("ids", "means", "scales", "rgb", "opacities")
 
 
 def _set_points(points: Any, cloud: GaussianCloud, frame: int) -> None:
