@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
 from splat_scenes import Case, assert_close, differentiate, make_case
 
-from twin_node.splat import SplatError, rasterize, rasterize_plain
+from twin_node.splat import SplatError, cuda, rasterize, rasterize_plain
+from twin_node.splat.arguments import Gaussians, Options, Views, check_shapes
 from twin_node.splat.cuda import _gsplat
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: gsplat is not compared")
@@ -42,6 +45,28 @@ def test_agrees_with_the_plain_version(case: Case):
         gradients={name: gradient.cpu() for name, gradient in found.gradients.items()},
     )
     assert_close(cpu, expected, image=2e-4, gradient=1e-3)
+
+
+def pretended(
+    *tensors: torch.Tensor, packed: bool, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
+    """`gsplat.rasterization` on the CPU."""
+    renders, alphas, meta = rasterize_plain(*tensors, **options)
+    return renders, alphas, vars(meta)
+
+
+def test_pixels_outside_the_mask_send_back_no_gradient(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cuda, "_gsplat", lambda: SimpleNamespace(rasterization=pretended))
+    case = make_case(channels=3)
+    mask = torch.rand(2, 32, 48, generator=torch.Generator().manual_seed(0)) > 0.5
+    backgrounds = torch.full((2, 3), 0.5, requires_grad=True)
+    views = Views(case.viewmats, case.Ks, case.width, case.height, backgrounds, mask)
+    gaussians = Gaussians(case.means, case.quats, case.scales, case.opacities, case.colors)
+    found = cuda.render_gsplat(check_shapes(gaussians, views, Options(render_mode="RGB+D")))
+    expected, _, _ = case.with_options(backgrounds=backgrounds, pixel_mask=mask, render_mode="RGB+D").render(rasterize)
+    torch.testing.assert_close(found.renders, expected, atol=1e-4, rtol=1e-4)
+    ours, theirs = (torch.autograd.grad(renders.sum(), backgrounds)[0] for renders in (found.renders, expected))
+    torch.testing.assert_close(ours, theirs)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="CUDA is here")

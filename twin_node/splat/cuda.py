@@ -56,11 +56,11 @@ def render_gsplat(scene: Scene) -> Rendered:
 
 
 def _outside(scene: Scene, renders: Tensor) -> Tensor:
-    """What pixels outside the mask show, broadcastable to the renders."""
+    """What pixels outside the mask show, broadcastable to the renders; without gradient, as all of them."""
     backgrounds = scene.views.backgrounds
     if backgrounds is None or not scene.options.with_color:
         return renders.new_zeros(())
-    padded = torch.nn.functional.pad(backgrounds, (0, int(scene.options.with_depth)))
+    padded = torch.nn.functional.pad(backgrounds.detach(), (0, int(scene.options.with_depth)))
     return padded[..., None, None, :]
 
 

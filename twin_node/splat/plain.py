@@ -80,7 +80,10 @@ def _render_image(scene: Scene, batch: int, camera: int, semantics: Semantics) -
     alpha = 1 - left
     if options.with_color and views.backgrounds is not None:
         background = views.backgrounds.reshape(-1, scene.cameras, views.backgrounds.shape[-1])[batch, camera]
-        render = render + left * F.pad(background, (0, int(options.with_depth)))
+        behind = F.pad(background, (0, int(options.with_depth)))
+        if mask is not None:
+            behind = torch.where(mask[..., None], behind, behind.detach())
+        render = render + left * behind
     if options.expected_depth:
         render = torch.cat([render[..., :-1], render[..., -1:] / alpha.clamp_min(SMALLEST_ALPHA)], dim=-1)
     drawn = (p.radii > 0).all(-1)
