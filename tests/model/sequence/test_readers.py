@@ -250,8 +250,16 @@ def _save_poses(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], 
     return spoil
 
 
+def _save_archive(folder: Path) -> None:
+    with (folder / "poses_bounds.npy").open("wb") as file:
+        np.savez(file, rows=np.zeros((3, 17)))
+
+
 WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("neural_video", lambda f: (f / "poses_bounds.npy").write_bytes(b"nothing"), "NumPy array"),
+    ("neural_video", lambda f: (f / "poses_bounds.npy").write_bytes(b""), "NumPy array"),
+    ("neural_video", _save_archive, "NumPy array"),
+    ("neural_video", _save_poses(lambda rows: rows[:0]), r"\[cameras, 17\], found float64 \[0, 17\]"),
     ("neural_video", _save_poses(lambda rows: rows[:, :15]), r"\[cameras, 17\]"),
     ("neural_video", _save_poses(lambda rows: rows[:2]), "2 rows and 3 videos"),
     ("neural_video", _save_poses(lambda rows: rows * np.nan), "finite"),
@@ -262,7 +270,20 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("dnerf", _change("transforms_train.json", _without("frames")), "'frames'"),
     ("dnerf", _change("transforms_train.json", _without("camera_angle_x")), "camera_angle_x"),
     ("dnerf", _change("transforms_train.json", _in_frame(time="soon")), "'time' in frame 1"),
+    ("dnerf", _change("transforms_train.json", _in_frame(time=10**400)), "'time' in frame 1"),
+    ("dnerf", _change("transforms_train.json", _in_frame(time=-1e300)), "'time' from -9e[+]09 to 9e[+]09 in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[[1, 2]])), "4 x 4"),
+    ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[4 * [10**400]] * 4)), "4 x 4"),
+    (
+        "dnerf",
+        _change("transforms_train.json", _in_frame(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist())),
+        "frame 1 is mirrored",
+    ),
+    (
+        "dnerf",
+        _change("transforms_train.json", _in_frame(transform_matrix=(np.eye(4) + np.eye(4, k=-3)).tolist())),
+        "the last row of .* frame 1, found 1, 0, 0, 1; is it transposed",
+    ),
     (
         "dnerf",
         _change("transforms_train.json", _in_frame(transform_matrix=np.diag([2.0, 2, 2, 1]).tolist())),

@@ -13,7 +13,7 @@ from model_scenes import camera, rig, sliding
 from sequence_scenes import block_recording
 
 from twin_node.model import ModelError
-from twin_node.model.sequence import Recording, Span, recording_of, split
+from twin_node.model.sequence import ColouredPoints, Recording, Span, recording_of, split
 from twin_node.model.sequence.recording import nearest
 
 
@@ -49,6 +49,16 @@ def test_held_out_cameras_are_not_trained_on() -> None:
     assert {view.camera.name for view in recording.train} == {"cam0", "cam2"}
     assert [view.camera.name for view in recording.held_out] == ["cam1"] * 4
     assert [one.name for one in recording.cameras] == ["cam0", "cam2"]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e39])
+@pytest.mark.parametrize("name", ["positions", "rgb"])
+def test_points_that_are_none_are_refused(name: str, value: float) -> None:
+    points = ColouredPoints(np.zeros((4, 3)), np.zeros((4, 3), np.float32))
+    values = getattr(points, name).astype(np.float64)
+    values[2, 1] = value
+    with pytest.raises(ModelError, match=r"^block: expected points of finite positions and colours"):
+        replace(block_recording(1), points=replace(points, **{name: values}))
 
 
 def test_frames_are_counted_in_sets() -> None:

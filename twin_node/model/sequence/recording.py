@@ -52,6 +52,10 @@ class Recording:
         if not self.train:
             raise ModelError(f"{self.name}: expected images to train on, found none; check --hold-out and --frames")
 
+        points = self.points
+        if points is not None and not (_is_float32(points.positions) and _is_float32(points.rgb)):
+            raise ModelError(f"{self.name}: expected points of finite positions and colours; remove those that are not")
+
     @property
     def first(self) -> int:
         """Stamp of the first training image, ns."""
@@ -158,6 +162,11 @@ def nearest(stamps: Sequence[int], stamp: int) -> int:
     if after == len(stamps) or stamp - stamps[after - 1] <= stamps[after] - stamp:
         return after - 1
     return after
+
+
+def _is_float32(values: Float64 | Float32) -> bool:
+    """Whether all are finite in float32, which they become."""
+    return not len(values) or bool(np.abs(values).max() <= np.finfo(np.float32).max)
 
 
 def _empty(name: str) -> Recording:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """What other tools call coefficients of a lens."""
 DURATION_NS = 1_000_000_000
 """What the times 0 to 1 are taken for."""
+LATEST = 9e9
+"""Of times: their stamps have 64 bits."""
 
 
 def recognises(folder: Path) -> bool:
@@ -84,11 +87,18 @@ def _load_split(path: Path, prefix: str) -> _Split:
     entries = root.get("frames") if isinstance(root, dict) else None
     if not isinstance(entries, list) or not entries:
         raise ModelError(f"{path}: expected a list 'frames' with entries, found none; copy the data set again")
-    frames = (
-        _Frame(index, round(_number(fields, "time", path, index) * DURATION_NS), fields)
-        for index, fields in enumerate(entries)
-    )
+    frames = (_Frame(index, _stamp(fields, path, index), fields) for index, fields in enumerate(entries))
     return _Split(path, prefix, root, tuple(frames))
+
+
+def _stamp(frame: Any, path: Path, index: int) -> int:
+    time = _number(frame, "time", path, index)
+    if abs(time) > LATEST:
+        raise ModelError(
+            f"{path}: expected a 'time' from -{LATEST:g} to {LATEST:g} in frame {index}, found {time:g}; give times "
+            "from 0 to 1"
+        )
+    return round(time * DURATION_NS)
 
 
 def _read_frame(of: _Split, frame: _Frame, width: int | None) -> View:
@@ -140,18 +150,25 @@ def _intrinsics(root: dict[str, Any], shape: tuple[int, int], path: Path) -> Flo
 def _matrix(frame: dict[str, Any], path: Path, index: int) -> Float64:
     try:
         matrix = np.array(frame.get("transform_matrix"), dtype=np.float64)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ModelError(f"{path}: expected a 'transform_matrix' of 4 x 4 numbers in frame {index}")
     if np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max() > 1e-2:
         raise ModelError(f"{path}: the 'transform_matrix' of frame {index} holds no rotation; remove its scale")
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        raise ModelError(f"{path}: the 'transform_matrix' of frame {index} is mirrored; turn one of its axes about")
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise ModelError(
+            f"{path}: expected 0, 0, 0, 1 as the last row of the 'transform_matrix' of frame {index}, found "
+            f"{', '.join(f'{value:g}' for value in matrix[3])}; is it transposed?"
+        )
     return matrix
 
 
 def _number(fields: Any, name: str, path: Path, index: int | None = None) -> float:
     value = fields.get(name) if isinstance(fields, dict) else None
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
         where = "" if index is None else f" in frame {index}"
         raise ModelError(f"{path}: expected a number '{name}'{where}, found {value!r}; is it a dynamic scene's file?")
     return float(value)

@@ -51,10 +51,11 @@ def read(folder: Path, options: ReadOptions) -> Recording:
 
 def _load_poses(path: Path) -> Float64:
     try:
-        rows: Float64 = np.load(path, allow_pickle=False)
+        with path.open("rb") as file:
+            rows: Float64 = np.lib.format.read_array(file, allow_pickle=False)
     except (OSError, ValueError):
         raise ModelError(f"{path}: expected a NumPy array, found another kind of file; take it from LLFF") from None
-    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f" or not np.isfinite(rows).all():
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f" or not len(rows) or not np.isfinite(rows).all():
         raise ModelError(
             f"{path}: expected finite numbers [cameras, 17], found {rows.dtype} {list(rows.shape)}; take it from LLFF"
         )
