@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -73,6 +74,18 @@ def test_the_orbit_looks_at_the_cell_and_boxes_fall_on_what_they_hold(twin_log: 
         middle = np.append(obstacles.positions[0], 1) @ camera.viewmat.T
         pixel = (camera.K @ middle[:3])[:2] / middle[2]
         assert columns.min() < pixel[0] < columns.max() and rows.min() < pixel[1] < rows.max()
+
+
+@pytest.mark.parametrize("sigma", [0.2, 1e-4])
+def test_an_orbit_sees_gaussians_that_all_lie_at_one_place(tmp_path: Path, sigma: float) -> None:
+    cloud = cloud_at(0, True)
+    point = replace(cloud, means=np.zeros_like(cloud.means), scales=np.full_like(cloud.scales, sigma))
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(point, START), START)
+    with Playback([tmp_path / "a.mcap"]) as playback:
+        camera = orbit_camera(playback.at(START), 64, 36, 0.0)
+    shown = render_cloud(point, camera)
+    assert shown[18, 32].max() > 0.3 and shown[0, 0].max() < 0.1
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TypeVar
 
 import pytest
 import torch
-from splat_scenes import Case, make_case
+from splat_scenes import INPUTS, Case, make_case
 
 from twin_node.splat import Missed, MissedPlainly, Sight, Tolerance
 from twin_node.splat.library import SplatLibrary
@@ -39,6 +40,14 @@ def test_agrees_with_the_plain_one(with_depth: bool, library: SplatLibrary) -> N
         ours, theirs = getattr(fast, name), getattr(plain, name)
         assert theirs.abs().max() > 0
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
+
+
+@pytest.mark.parametrize("kind", [Missed, MissedPlainly])
+def test_no_gaussians_miss_nothing(kind: type[Missed | MissedPlainly], library: SplatLibrary) -> None:
+    case = make_case(channels=3)
+    none = replace(case, **{name: getattr(case, name)[:0] for name in INPUTS if name != "viewmats"})
+    missed = missed_of(kind, none, with_depth=True)
+    assert missed.means.shape == (0, 3) and missed.weights.shape == (0,)
 
 
 def test_gaussians_that_are_not_finite_are_named(library: SplatLibrary) -> None:

@@ -25,6 +25,14 @@ def test_agrees_with_the_plain_one(camera: int, library: SplatLibrary) -> None:
     torch.testing.assert_close(fast, plain, rtol=1e-5, atol=1e-6)
 
 
+def test_no_gaussians_have_no_weights(library: SplatLibrary) -> None:
+    case = make_case(channels=3)
+    *gaussians, viewmat, K = given(case, 0)
+    none = [of[:0] for of in gaussians]
+    for weights in (weigh, weigh_plainly):
+        assert weights(*none, viewmat, K, case.width, case.height).shape == (0,)
+
+
 def test_weights_add_up_to_what_is_opaque(library: SplatLibrary) -> None:
     case = make_case(channels=3)
     *gaussians, viewmat, K = given(case, 0)

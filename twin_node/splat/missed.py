@@ -201,6 +201,8 @@ class MissedPlainly:
         """Takes in what one camera should see."""
         height, width = sight.counted.shape
         means, quats, scales, opacities, features = self._leaves
+        if not len(means):
+            return
         (seen,), (alpha,), _ = rasterize(
             means,
             quats,

@@ -72,6 +72,8 @@ def weigh_plainly(
     height: int,
 ) -> Tensor:
     """The same by `rasterize`, on any device, as the gradient of a feature that is zero everywhere."""
+    if not len(means):
+        return means.new_zeros(0)
     nothing = torch.zeros(len(means), 1, device=means.device, requires_grad=True)
     shown, _, _ = rasterize(means, quats, scales, opacities, nothing, viewmat[None], K[None], width, height)
     (weights,) = torch.autograd.grad(shown.sum(), nothing)

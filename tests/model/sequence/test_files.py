@@ -19,7 +19,7 @@ from sequence_scenes import block_recording, with_method
 
 from twin_node.errors import TwinError
 from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.ply import read_ply, write_ply
+from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, write_ply
 from twin_node.model.rendering import Splats, render
 from twin_node.model.sequence import (
     Trainer,
@@ -31,6 +31,7 @@ from twin_node.model.sequence import (
     save_baked,
     save_checkpoint,
 )
+from twin_node.model.sequence.baking import bake_steps, moved_from_cloud
 from twin_node.rig import Narrower
 
 
@@ -218,6 +219,24 @@ def test_a_live_model_is_baked_as_it_was_published() -> None:
         with torch.no_grad():
             expected = render(splats, cameras[:1])[0].rgb.clamp(0, 1).numpy()
         np.testing.assert_allclose(baked.render_step(cameras[0], step), expected, atol=2e-6)
+
+
+def test_a_time_step_without_gaussians_is_its_background(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    stored = StoredGaussians(
+        rng.normal(0, 0.1, (5, 3)).astype(np.float32),
+        rng.normal(size=(5, 4)).astype(np.float32),
+        np.full((5, 3), -2, np.float32),
+        np.ones(5, np.float32),
+        rng.random((5, 1, 3)).astype(np.float32),
+    )
+    cloud, camera = cloud_from_stored(stored), rig(40, 30)[0]
+    steps = [moved_from_cloud(cloud), moved_from_cloud(cloud.only(np.zeros(5, bool)))]
+    save_baked(bake_steps([0, 1], steps, (0.25, 0.5, 1.0), (camera,)), tmp_path / "baked.safetensors")
+    baked = load_baked(tmp_path / "baked.safetensors")
+    nothing = np.broadcast_to(np.array([0.25, 0.5, 1.0], np.float32), (30, 40, 3))
+    assert not np.array_equal(baked.render_step(camera, 0), nothing)
+    np.testing.assert_array_equal(baked.render_step(camera, 1), nothing)
 
 
 def test_a_time_step_goes_out_as_ply(trained: Trainer, tmp_path: Path) -> None:

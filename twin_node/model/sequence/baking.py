@@ -72,8 +72,10 @@ class Baked:
         return self.render_step(camera, nearest(self.stamps, stamp))
 
     def render_step(self, camera: Camera, step: int) -> Float32:
-        """[H, W, 3] 0 to 1: what `camera` sees at a time step."""
+        """[H, W, 3] 0 to 1: what `camera` sees at a time step; the background where it has no Gaussians."""
         count = self.counts[step]
+        if not count:
+            return np.full((camera.height, camera.width, 3), self.background, np.float32)
         means, quats, scales, opacities, sh = (
             buffer[min(step, len(buffer) - 1), :count] for buffer in self._buffers().values()
         )

@@ -16,6 +16,9 @@ FOV_RAD = 0.9
 """Vertical field of view."""
 NEAR_M = 0.05
 """Corners nearer than this are not drawn."""
+LEAST_REACH_M = 0.1
+SIGMAS = 3.0
+"""What Gaussians that lie at one place reach, in standard deviations of their longest axes."""
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if (CORNERS[a] != CORNERS[b]).sum() == 1]
 
@@ -45,11 +48,12 @@ def _cell(snapshot: Snapshot) -> tuple[Float64, float]:
         size = np.array(grid.dims) * grid.voxel_size
         return grid.origin + size / 2, float(np.linalg.norm(size) / 2)
     cloud = snapshot.cloud
-    standing = np.empty((0, 3)) if cloud is None else cloud.means[cloud.tiers == Tier.STATIC].astype(np.float64)
-    if not len(standing):
+    standing = None if cloud is None else cloud.only(cloud.tiers == Tier.STATIC)
+    if standing is None or not len(standing.means):
         return np.array([0.5, 0.0, 0.3]), 1.0
-    lower, upper = np.percentile(standing, [20, 80], axis=0)
-    return (lower + upper) / 2, float(np.linalg.norm(upper - lower) / 2)
+    lower, upper = np.percentile(standing.means.astype(np.float64), [20, 80], axis=0)
+    own = SIGMAS * float(np.median(standing.scales.max(axis=1)))
+    return (lower + upper) / 2, max(float(np.linalg.norm(upper - lower) / 2), own, LEAST_REACH_M)
 
 
 def draw_boxes(
