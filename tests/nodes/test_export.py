@@ -24,7 +24,8 @@ from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
-from twin_node.nodes.export import ExportSpan, LogSource, Moment, export
+from twin_node.nodes.export import ExportError, ExportSpan, LogSource, Moment, export
+from twin_node.nodes.export.clouds import write_spz
 from twin_node.nodes.playback import Playback, in_force
 from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OBSTACLES
@@ -88,6 +89,26 @@ def test_spz_is_the_same_cloud_to_its_precision(twin_log: Path, tmp_path: Path) 
     assert run(twin_log, "--to", "spz", "--at", 0, "-o", tmp_path / "a.spz") == 0
     read = gsply.read_spz(str(tmp_path / "a.spz"))
     assert np.abs(np.asarray(read.means) - cloud_at(0, True).means).max() < 1 / 2048
+
+
+@pytest.mark.parametrize(("metres", "step"), [(2000, 1 / 4096), (2100, 1 / 2048), (30_000, 1 / 256)])
+def test_spz_has_a_place_for_what_is_far_away(metres: float, step: float, tmp_path: Path) -> None:
+    gsply = pytest.importorskip("gsply")
+    stored = stored_from_cloud(cloud_at(0, True))
+    means = stored.means.copy()
+    means[3] = metres, -metres, 0.1
+    write_spz(replace(stored, means=means), tmp_path / "a.spz")
+    assert np.abs(np.asarray(gsply.read_spz(str(tmp_path / "a.spz")).means) - means).max() <= step
+
+
+def test_what_spz_has_no_place_for_is_told(tmp_path: Path) -> None:
+    pytest.importorskip("gsply")
+    stored = stored_from_cloud(cloud_at(0, True))
+    means = stored.means.copy()
+    means[3:5, 1] = -1e6, 4e4
+    with pytest.raises(ExportError, match=r"spz: expected Gaussians within 32768 m .* found 2 beyond.* 1e\+06 m away"):
+        write_spz(replace(stored, means=means), tmp_path / "a.spz")
+    assert not list(tmp_path.iterdir())
 
 
 def test_arrays_hold_every_moment(twin_log: Path, tmp_path: Path) -> None:

@@ -6,10 +6,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from twin_node.model.ply import StoredGaussians, ply_bytes, stored_from_cloud
 from twin_node.nodes.export.moments import ExportError, Moments
 
 WriteCloud = Callable[[StoredGaussians, Path], None]
+
+SPZ_BITS = 24
+"""Of a coordinate in SPZ, one of them the sign."""
+FINEST_BITS, COARSEST_BITS = 12, 8
+"""Of those, how many tell parts of a metre: 1/4 mm as SPZ's own writers have it, 4 mm where something is far away."""
 
 
 def write_clouds(moments: Moments, path: Path, write: WriteCloud) -> None:
@@ -37,13 +44,35 @@ def write_ply(stored: StoredGaussians, path: Path) -> None:
 
 
 def write_spz(stored: StoredGaussians, path: Path) -> None:
-    """SPZ by gsply. Raises `ExportError` where that is not installed."""
+    """SPZ by gsply, to 1/4096 m, or as finely as what lies beyond 2 km allows.
+
+    Raises `ExportError` where gsply is not installed, and for Gaussians beyond 32 km.
+    """
     try:
         import gsply
     except ImportError:
         raise ExportError("spz: expected the package gsply; install it with pip install 'twin-node[export]'") from None
+    bits = _fractional_bits(stored)
     bands = stored.sh[:, 1:] if stored.degree else None
     data = gsply.GSData.from_arrays(
         stored.means, stored.log_scales, stored.quats, stored.logits, stored.sh[:, 0], bands, format="ply"
     )
-    gsply.write_spz(str(path), data)
+    gsply.write_spz(str(path), data, fractional_bits=bits)
+
+
+def _fractional_bits(stored: StoredGaussians) -> int:
+    """How many bits of a coordinate tell parts of a metre, so that the farthest Gaussian still has a place."""
+    farthest = float(np.abs(stored.means).max(initial=0))
+    for bits in range(FINEST_BITS, COARSEST_BITS - 1, -1):
+        if farthest <= _reach(bits):
+            return bits
+    beyond = int((np.abs(stored.means) > _reach(COARSEST_BITS)).any(axis=1).sum())
+    raise ExportError(
+        f"spz: expected Gaussians within {_reach(COARSEST_BITS):.0f} m of the origin, found {beyond} beyond, the "
+        f"farthest {farthest:g} m away; take them away, or export to ply"
+    )
+
+
+def _reach(bits: int) -> float:
+    """Where coordinates end, m."""
+    return float((2 ** (SPZ_BITS - 1) - 1) / 2**bits)
