@@ -74,6 +74,12 @@ LEARNERS = {
     "products": torch.eye(4).expand(1, 2, 4, 4).clone(),
     "carriers": torch.zeros(3, dtype=torch.int64),
 }
+BYSTANDERS = {
+    **drawn(),
+    "means": drawn()["means"][None],
+    "quats": drawn()["quats"][None],
+    "colors": torch.rand(COUNT, 3),
+}
 AIMS = {
     "viewmats": torch.eye(4)[None],
     "Ks": INTRINSICS[None],
@@ -92,10 +98,10 @@ def add_missed(**given: Tensor) -> None:
 
 
 def descended(**given: Tensor) -> None:
-    nobody = Bystanders(*(torch.zeros(shape) for shape in ((1, 0, 3), (1, 0, 4), (0, 3), (0,), (0, 3))))
+    bystanders = Bystanders(**{name: given.get(name, of) for name, of in BYSTANDERS.items()})
     learners = Learners(**{name: given.get(name, of.clone()) for name, of in LEARNERS.items()})
     aims = Aims(**{name: given.get(name, of) for name, of in AIMS.items()}, depth_weight=0.1)
-    descend(learners, nobody, aims, Course(1, -9.0))
+    descend(learners, bystanders, aims, Course(1, -9.0))
 
 
 CALLS: dict[str, tuple[Call, dict[str, Tensor]]] = {
@@ -103,7 +109,7 @@ CALLS: dict[str, tuple[Call, dict[str, Tensor]]] = {
     "weigh": (lambda **given: weigh(**{**WEIGHED, **given}, width=WIDTH, height=HEIGHT), WEIGHED),
     "place": (lambda **given: place(**{**PLACED, **given}), PLACED),
     "missed": (add_missed, {**GAUSSIANS, **{f"sight_{name}": of for name, of in SIGHT.items()}}),
-    "descend": (descended, {**LEARNERS, **AIMS}),
+    "descend": (descended, {**LEARNERS, **BYSTANDERS, **AIMS}),
 }
 CASES = [(call, name) for call, (_, given) in CALLS.items() for name in given]
 CONVERTED = {"still": set(SHOT), "weigh": set(WEIGHED), "place": {"values", "positions", "quats"}}
@@ -140,6 +146,12 @@ def test_what_is_brought_up_to_date_must_lie_in_one_piece(name: str) -> None:
     tensor = LEARNERS[name]
     with pytest.raises(ValueError, match=f"^{name}: expected rows that lie one after the other"):
         descended(**{name: torch.stack([tensor, tensor], -1)[..., 0]})
+
+
+def test_no_steps_are_refused() -> None:
+    aims, bystanders = Aims(**AIMS, depth_weight=0.1), Bystanders(**BYSTANDERS)
+    with pytest.raises(ValueError, match=r"^steps: expected 1 or more, found 0$"):
+        descend(Learners(**LEARNERS), bystanders, aims, Course(0, -9.0))
 
 
 def test_depth_needs_what_stands_behind() -> None:

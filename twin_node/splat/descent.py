@@ -124,8 +124,10 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Cour
     Gaussians that nothing pulls at are left alone; those that would not stay finite keep their values and forget their
     moments. Float32 tensors on the CPU.
     Raises `ValueError` naming a target that is not finite, what is of another shape or kind or, of what is brought up
-    to date, in pieces, or where the library is not at hand (see `can_descend`).
+    to date, in pieces, for no steps, or where the library is not at hand (see `can_descend`).
     """
+    if course.steps < 1:
+        raise ValueError(f"steps: expected 1 or more, found {course.steps}")
     library = native.native_library()
     if library is None:
         raise ValueError("descend: the compiled library is not at hand; see can_descend")
@@ -153,7 +155,7 @@ class _Call:
     def __init__(self, learners: Learners, bystanders: Bystanders, aims: Aims) -> None:
         self.learners = learners
         self.aims = aims
-        _require_layouts(learners, aims)
+        _require_layouts(learners, bystanders, aims)
         times, height, width = aims.rgb.shape[:3]
         self.standing, self.learned = bystanders.means.shape[1], len(learners.rows)
         count = self.standing + self.learned
@@ -234,7 +236,7 @@ class _Call:
         )
 
 
-def _require_layouts(learners: Learners, aims: Aims) -> None:
+def _require_layouts(learners: Learners, bystanders: Bystanders, aims: Aims) -> None:
     count, learned, (times, carriages) = len(learners.values), len(learners.rows), (*learners.turns.shape, 0, 0)[:2]
     kept = {"values": (count, WIDTH), "moment1": (count, WIDTH), "moment2": (count, WIDTH), "steps": (count,)}
     size = (times, *aims.rgb.shape[1:3])
@@ -242,7 +244,10 @@ def _require_layouts(learners: Learners, aims: Aims) -> None:
     carried = {"turns": (times, carriages, 3, 3), "shifts": (times, carriages, 3), "products": (times, carriages, 4, 4)}
     seen = {"backdrop": (*size, 4), "pixel_mask": size, "rgb": (*size, 3), "weights": size, "depth": size}
     cameras = {"viewmats": (times, 4, 4), "Ks": (times, 3, 3)}
-    for of, shapes in ((learners, {**kept, **learns, **carried}), (aims, {**seen, **cameras})):
+    m = (*bystanders.means.shape, 0, 0)[1]
+    stands = {"means": (times, m, 3), "quats": (times, m, 4), "scales": (m, 3), "opacities": (m,), "colors": (m, 3)}
+    given = ((learners, {**kept, **learns, **carried}), (bystanders, stands), (aims, {**seen, **cameras}))
+    for of, shapes in given:
         for name, shape in shapes.items():
             require_layout(name, vars(of)[name], shape, _KINDS.get(name, torch.float32))
     for name in kept:
