@@ -31,9 +31,9 @@ def reactions(gaps_ms: list[int], monkeypatch: pytest.MonkeyPatch) -> list[float
     used: list[float] = []
     decide = arm_node.decide
 
-    def watch(checker: Any, path: Any, stamp: int, reaction_s: float, parameters: Any) -> Any:
+    def watch(checker: Any, path: Any, stamp: int, reaction_s: float, parameters: Any, table: Any) -> Any:
         used.append(reaction_s)
-        return decide(checker, path, stamp, reaction_s, parameters)
+        return decide(checker, path, stamp, reaction_s, parameters, table)
 
     monkeypatch.setattr(arm_node, "decide", watch)
     arm = ur_model("ur5e")

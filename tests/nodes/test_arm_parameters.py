@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from arm_cell import MODEL, READY, WORKSPACE, Cell, Timers
+from arm_cell import MODEL, READY, TURNING, WORKSPACE, Cell, Timers
 from twin_logs import START
 
 from twin_node.errors import TwinError
@@ -18,10 +18,12 @@ from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.live.beside_twin import make_arm
 from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import FOLLOW, SEPARATION, kind_of
 from twin_node.robot import forward_kinematics
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.runtime.parameters import fill
+from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity, Qos
 from twin_node.scene import ObstacleKind
 
 
@@ -42,6 +44,61 @@ def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
     assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
     assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
     assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
+
+
+def beside_somebody(driver: dict[str, str], *endpoints: Endpoint, **arm: object) -> list[float]:
+    """Shares of its speed that an arm is left, launched with such a driver, while one endpoint after another is there.
+
+    First while there is none.
+    """
+    here: list[Endpoint] = []
+    told = {"model": "ur5e", "limiter": {"rise_per_s": 1000.0}, **arm}
+    sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": told, "ur_driver": driver}
+    cell = Cell()
+    setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))  # type: ignore[arg-type]
+    make_arm(setup).configure()
+    shares = [0.0]
+    for endpoint in (None, None, *endpoints):
+        here[:] = [] if endpoint is None else [endpoint]
+        cell.wait(32)
+        cell.joints(qd=TURNING * (shares[-1] or 1.0))
+        shares.append(cell.somebody().speed_fraction)
+    return shares[2:]  # the first decision finds a limiter that has just begun
+
+
+def endpoint(node: str, topic: str = FOLLOW, kind: EntityKind = EntityKind.SUBSCRIBER) -> Endpoint:
+    return Endpoint(kind, NodeIdentity("00", 0, node), 0, f"/cell{topic}", str(kind_of(topic).msgtype), "", Qos())
+
+
+def test_a_servoed_arm_is_left_room_for_the_brake_on_its_path() -> None:
+    """Its driver brakes three to four times farther than the arm by itself, which is what the law took it to do."""
+    others = (endpoint("recorder"), endpoint("ur_driver", SEPARATION), endpoint("ur_driver", kind=EntityKind.NODE))
+    by_itself, beside, *not_servoed = beside_somebody({"mode": "slider"}, endpoint("ur_driver"), *others)
+    assert 0 < beside < by_itself - 0.1
+    assert not_servoed == [by_itself] * 3
+    assert beside_somebody({}, servoed=True) == [beside]
+    assert beside_somebody({"mode": "servo"}, servoed=False) == [beside]
+
+
+def test_measured_stops_are_parameters() -> None:
+    row = {"speed": 3.2, "times": [1.5] * 6, "angles": [2.5] * 6}
+    assert beside_somebody({}, stopping=[row]) < beside_somebody({})
+    table = fill(ArmParameters, {"stopping": [{**row, "speed": 1.0}, row]}, "arm").table(MODEL)
+    assert table.stop(np.full(6, 3.2)).duration_s == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ([{"speed": 1.0, "times": [0.1] * 6, "angles": [0.1] * 5}], "expected a time and an angle per joint, found 6"),
+        ([{"speed": 1.0, "times": [0.1] * 7, "angles": [0.1] * 7}], "expected times of the 6 joints of ur5e"),
+        ([{"speed": 0.0, "times": [0.1] * 6, "angles": [0.1] * 6}], "expected rising speeds"),
+        ([{"speed": 1.0, "times": [-0.1] * 6, "angles": [0.1] * 6}], "expected finite times and angles"),
+    ],
+)
+def test_measured_stops_that_are_none_are_refused(rows: list[dict[str, Any]], words: str) -> None:
+    with pytest.raises(TwinError, match=words):
+        fill(ArmParameters, {"stopping": rows}, "arm").table(MODEL)
 
 
 def test_a_cover_of_more_obstacles_can_be_given_room() -> None:

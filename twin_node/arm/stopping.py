@@ -65,6 +65,28 @@ class StoppingTable:
             )
         return Stop(self._read(self.times, magnitudes), self._read(self._travels, magnitudes))
 
+    def slower_of(self, other: StoppingTable) -> StoppingTable:
+        """The table of an arm that stops by this one or by another, whichever is slower, joint by joint.
+
+        Raises `ArmError` for tables of arms with different numbers of joints.
+        """
+        if self.times.shape[1] != other.times.shape[1]:
+            raise ArmError(
+                f"stopping table: expected one of {self.times.shape[1]} joints, found one of {other.times.shape[1]}; "
+                "give the arm a table of its own"
+            )
+        speeds = np.union1d(self.speeds, other.speeds)
+        times = np.maximum(self._at(self.times, speeds), other._at(other.times, speeds))
+        travels = np.maximum(self._at(self._travels, speeds), other._at(other._travels, speeds))
+        return StoppingTable(speeds, times, travels * speeds[:, None])
+
+    def _at(self, columns: Float64, speeds: Float64) -> Float64:
+        """The columns' values [R, J] at other speeds [S], as `stop` reads them: [S, J]."""
+        knots = np.concatenate([[0.0], self.speeds])
+        within = np.stack([np.interp(speeds, knots, [0.0, *column]) for column in columns.T], axis=1)
+        read: Float64 = within * np.maximum(speeds / self.speeds[-1], 1.0)[:, None]
+        return read
+
     @cached_property
     def _travels(self) -> Float64:
         """[R, J] angles per speed, s."""

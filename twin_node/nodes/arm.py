@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from twin_node.arm import (
     default_path,
     standing,
 )
+from twin_node.arm.ur import servo_stopping
 from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes.arm_parameters import ArmParameters
@@ -54,14 +56,21 @@ class ArmNode(Node):
         cycle: CyclicPath,
         parameters: ArmParameters,
         timers: Timers | None = None,
+        is_servoed: Callable[[], bool] | None = None,
     ) -> None:
-        """`timers`: tell of forecasts that do not come; None in lockstep, where nothing is late."""
+        """`timers`: tell of forecasts that do not come; None in lockstep, where nothing is late.
+
+        `is_servoed()`: whether a driver servoes the arm now; it may beside what the parameters say.
+        """
         super().__init__("arm", bus, clock)
         self._silence = (timers or NoTimers()).alarm(self._on_silence)
         self._arrived = 0
         self._gaps: deque[float] = deque(maxlen=GAPS_KEPT)
         self._checker = checker
         self._parameters = parameters
+        self._own_stop = parameters.table(checker.bare_model)
+        self._servo_stop = servo_stopping(checker.bare_model, self._own_stop)
+        self._is_servoed = is_servoed or (lambda: False)
         self._limiter = SpeedLimiter(parameters.limiter)
         limits = parameters.limiter
         self._arm = Whereabouts(checker.model, cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
@@ -136,7 +145,9 @@ class ArmNode(Node):
             path = self._arm.ahead(stamp, max(now, obstacles.stamp))  # a log may be recorded before its stamps
         except ArmError as error:
             return standing(stamp, obstacles.stamp, f"stopped: {error}")
-        return decide(self._checker, path, stamp, reaction_s, self._parameters.separation)
+        is_servoed = self._parameters.servoed or self._is_servoed()
+        table = self._servo_stop if is_servoed else self._own_stop
+        return decide(self._checker, path, stamp, reaction_s, self._parameters.separation, table)
 
     def _reaction_s(self, now: int) -> float:
         """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.
@@ -155,9 +166,14 @@ def _check_frame(frame: str) -> None:
 
 
 def make_arm_node(
-    bus: Bus, clock: Clock, workspace: Float64, parameters: ArmParameters, timers: Timers | None = None
+    bus: Bus,
+    clock: Clock,
+    workspace: Float64,
+    parameters: ArmParameters,
+    timers: Timers | None = None,
+    is_servoed: Callable[[], bool] | None = None,
 ) -> ArmNode:
-    """The arm's node of a chain; `workspace` [2, 3] m. `timers`: see `ArmNode`."""
+    """The arm's node of a chain; `workspace` [2, 3] m. `timers` and `is_servoed`: see `ArmNode`."""
     arm = parameters.arm()
     checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles, allowed=parameters.regions(arm))
-    return ArmNode(bus, clock, checker, default_path(arm, workspace), parameters, timers)
+    return ArmNode(bus, clock, checker, default_path(arm, workspace), parameters, timers, is_servoed)

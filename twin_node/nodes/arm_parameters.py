@@ -6,7 +6,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin_node.arm import AllowedRegion, ArmError, LimiterParameters, SeparationParameters
+from twin_node.arm import (
+    AllowedRegion,
+    ArmError,
+    LimiterParameters,
+    SeparationParameters,
+    StoppingTable,
+    stopping_table,
+)
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.robot import ArmModel, Capsules, arm_model
 
@@ -67,6 +74,25 @@ class AllowedBox:
 
 
 @dataclass(frozen=True)
+class StoppingRow:
+    """How the arm stopped from one speed, as it was measured: a row of its `StoppingTable`."""
+
+    speed: float
+    """Of each joint by itself, rad/s."""
+    times: tuple[float, ...]
+    """Until each joint stood, s."""
+    angles: tuple[float, ...]
+    """That each joint went meanwhile, rad."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for times and angles of different joints."""
+        if len(self.times) != len(self.angles):
+            raise ArmError(
+                f"stopping: expected a time and an angle per joint, found {len(self.times)} and {len(self.angles)}"
+            )
+
+
+@dataclass(frozen=True)
 class ArmParameters:
     """Which arm works in the cell, and how it keeps its distance."""
 
@@ -78,6 +104,11 @@ class ArmParameters:
     """What it carries for good, a gripper at its widest for example: kept away, and masked, as the arm's links are."""
     allowed: tuple[AllowedBox, ...] = ()
     """Where it may touch what stands, the table it works on for example, and where nothing can stand unseen."""
+    stopping: tuple[StoppingRow, ...] = ()
+    """How it stops, as measured, in rising order of speed; none: `stopping_table` of its name."""
+    servoed: bool = False
+    """Whether a driver servoes it along trajectories (`ur_driver` with `mode: servo`), and so brakes for it, later and
+    farther than it stops by itself. Live, the node also knows by the launch file and the graph."""
     command_latency_ms: float = 20.0
     """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
     max_obstacles: int = 1024
@@ -100,6 +131,19 @@ class ArmParameters:
             radii=np.array([capsule.radius for capsule in self.tool]),
         )
         return replace(bare, capsules=bare.capsules.joined(carried))
+
+    def table(self, arm: ArmModel) -> StoppingTable:
+        """How it stops by itself. Raises `ArmError` for rows that make no table, or one of other joints."""
+        if not self.stopping:
+            return stopping_table(arm.name, arm.joints)
+        for row in self.stopping:
+            if len(row.times) != arm.joints:
+                raise ArmError(f"stopping: expected times of the {arm.joints} joints of {arm.name}, found {row.times}")
+        return StoppingTable(
+            np.array([row.speed for row in self.stopping]),
+            np.array([row.times for row in self.stopping]),
+            np.array([row.angles for row in self.stopping]),
+        )
 
     def regions(self, arm: ArmModel) -> tuple[AllowedRegion, ...]:
         """What it may touch where. Raises `ArmError` for a link that the arm does not have."""

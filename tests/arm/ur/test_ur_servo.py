@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driver_bench import CLEAR, MS, STEP_MS, Bench, servo_bench, steps_of
-from fake_link import START, quintic
+from fake_link import MODEL, START, quintic
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import (
@@ -88,7 +88,8 @@ def test_a_path_that_is_left_is_braked_on_as_by_a_decision_and_the_arm_holds_whe
     assert (left.report.state, left.report.speed_fraction) == (DriverState.READY, 1.0)
     future = left.report.future
     assert future is not None
-    np.testing.assert_array_equal(future.positions, np.broadcast_to(left.link.servoed[-1], future.positions.shape))
+    held = np.broadcast_to(left.link.servoed[-1], future.positions.shape)
+    np.testing.assert_allclose(future.positions, held, atol=1e-4)
 
 
 def test_another_path_is_taken_once_the_one_that_was_left_has_been_braked_on() -> None:
@@ -173,3 +174,42 @@ def test_an_arm_whose_driver_was_held_up_is_not_sent_all_the_missed_way_at_once(
     bench.now += 88 * MS  # within the script's watchdog
     bench.run(400)
     assert steps_of(bench).max() <= 3.2 * usual  # three periods' way, and the path still gains speed
+
+
+def halted_at_speed(**changes: object) -> Bench:
+    """A servoed arm at 2.9 rad/s whose driver has just been halted, all being well otherwise."""
+    bench = Bench(mode=DriverMode.SERVO, **changes)
+    bench.run(200)
+    bench.driver.order(Follow(quintic(way=5.5, seconds=3.5)), bench.now)
+    bench.run(1900)
+    with pytest.raises(ArmError, match="found nan"):
+        bench.driver.order(Decide(replace(CLEAR, evidence_stamp=bench.now, speed_fraction=np.nan)), bench.now)
+    bench.run(STEP_MS)
+    return bench
+
+
+def hardest_braking(bench: Bench) -> float:
+    """Largest acceleration of the first joint that was commanded, rad/s^2."""
+    velocities = np.diff(np.array(bench.link.servoed)[:, 0]) / (STEP_MS * 1e-3)
+    return float(np.abs(np.diff(velocities)).max() / (STEP_MS * 1e-3))
+
+
+def test_an_arm_that_still_brakes_is_not_stopped_dead_by_an_acknowledgement() -> None:
+    """To hold it where it was just then took 740 rad/s^2."""
+    bench = halted_at_speed()
+    for _ in range(25):
+        with pytest.raises(ArmError, match="expected an arm that stands, found one that still brakes"):
+            bench.acknowledge()
+        bench.run(STEP_MS)
+    bench.run(900)
+    assert bench.report.state is DriverState.HALTED
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+    assert hardest_braking(bench) < 4 * MODEL.max_acceleration[0]
+
+
+def test_a_driver_that_resumes_waits_for_the_arm_to_stand() -> None:
+    bench = halted_at_speed(resumes=True)
+    assert bench.ms_until(DriverState.READY) > 600  # it settles in 500, and brakes from 2.9 rad/s in 580
+    bench.run(200)
+    assert hardest_braking(bench) < 4 * MODEL.max_acceleration[0]

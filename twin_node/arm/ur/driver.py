@@ -163,7 +163,7 @@ class UrDriver:
                 self._stop_for(problem)
         elif self._halt is not None and self._parameters.resumes and not self._halt.is_safety:
             self._well_since = self._well_since or now
-            if (now - self._well_since) * 1e-9 > _SETTLE_S:
+            if (now - self._well_since) * 1e-9 > _SETTLE_S and not self._is_braking:
                 self._resume(now)
 
     def _resume(self, now: int) -> None:
@@ -180,6 +180,11 @@ class UrDriver:
     def _may_move(self) -> bool:
         """False where the controller says that it lets nothing move."""
         return self._sample is None or self._sample.may_move
+
+    @property
+    def _is_braking(self) -> bool:
+        """Whether a servoed arm is still led along its path: another command would stop it dead."""
+        return self._follower is not None and self._follower.is_braking
 
     def _decide(self, separation: Separation, now: int) -> None:
         problem = self._impossible(separation, now)
@@ -215,6 +220,10 @@ class UrDriver:
             problem = "no state from the controller yet"
         if problem is not None:
             raise ArmError(f"acknowledge: expected an arm that is well, found: {problem}")
+        if self._is_braking:
+            raise ArmError(
+                "acknowledge: expected an arm that stands, found one that still brakes; acknowledge once it does"
+            )
         if self._mode is DriverMode.SERVO:
             self._link.prepare_servo()
         elif self._parameters.plays and self._sample is not None and self._sample.is_paused:
@@ -270,7 +279,7 @@ class UrDriver:
         follower, sample = self._follower, self._sample
         if self._halt is not None:
             is_blind = sample is None or self._freshness.age_s > self._parameters.stale_s
-            if follower is None or follower.rate == 0 or is_blind or sample is None or not sample.may_move:
+            if follower is None or not follower.is_braking or is_blind or sample is None or not sample.may_move:
                 self._follower = None
                 return
         if follower is not None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.path import ahead_offsets, sample_path
+from twin_node.arm.ur.braking import LOOKAHEAD_S
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, JointPath
 
@@ -18,6 +19,8 @@ _LEAST_RATE_CHANGE_PER_S = 1.0
 """Where the path hardly moves, the rate may still change only as fast as from rest to full in one second."""
 _MOST_RATE_CHANGE_PER_S = 50.0
 """Where the path stands still, any rate is as good: 20 ms from rest to full keep the rate smooth."""
+_STANDS_RAD = 0.01
+"""The arm stands where so little of what it was sent is left: behind the look-ahead that is 0.1 rad/s."""
 
 
 class PathFollower:
@@ -32,6 +35,8 @@ class PathFollower:
         self._model = model
         self._path = JointPath(model.joint_names, path.stamps - path.stamps[0], positions)
         self._time_ns = 0.0
+        self._arm_ns = 0.0
+        """Time on the path at which the arm itself is, behind servoJ's look-ahead, ns."""
         self._rate = 0.0
         self._is_left = False
 
@@ -46,13 +51,16 @@ class PathFollower:
         return self._is_left
 
     @property
-    def rate(self) -> float:
-        """Share of the path's own speed at which it is followed now."""
-        return self._rate
+    def is_braking(self) -> bool:
+        """Whether the arm still moves on the path, though it may be let go no further."""
+        if self._rate > 0:
+            return True
+        arm, sent = self._at(np.array([self._arm_ns, self._time_ns]))
+        return bool(np.abs(sent - arm).max() > _STANDS_RAD)
 
     @property
     def q(self) -> Float64:
-        """Angles [J] at which the arm should be now, rad."""
+        """Angles [J] that the arm is sent now, rad: it comes there behind servoJ's look-ahead."""
         position: Float64 = self._at(np.array([self._time_ns]))[0]
         return position
 
@@ -61,7 +69,7 @@ class PathFollower:
         self._is_left = True
 
     def advance(self, fraction: float, dt: float) -> Float64:
-        """Angles [J] one period `dt` (s) later, while a share `fraction` of the speed is allowed.
+        """Angles [J] to send one period `dt` (s) later, while a share `fraction` of the speed is allowed.
 
         The rate approaches the fraction as fast as the joints' accelerations let the arm brake or start on the path.
         """
@@ -69,12 +77,18 @@ class PathFollower:
         allowed = 0.0 if self._is_left else fraction
         self._rate += float(np.clip(allowed - self._rate, -step, step))
         self._time_ns = min(self._time_ns + self._rate * dt * 1e9, float(self._path.stamps[-1]))
+        self._arm_ns += (self._time_ns - self._arm_ns) * min(dt / LOOKAHEAD_S, 1.0)
         return self.q
 
     def ahead(self, stamp: int) -> JointPath:
-        """The next 200 ms from a time on (ns) at the path's own speed, the arm standing once it is done."""
+        """The next 200 ms from a time on (ns) at the path's own speed, from where the arm itself is by now.
+
+        Once the path is done, the arm goes to where that ends and stands.
+        """
         offsets = ahead_offsets()
-        times = np.full(len(offsets), self._time_ns) if self.is_done else offsets + self._time_ns
+        times = offsets + self._arm_ns
+        if self.is_done:
+            times = np.minimum(times, self._time_ns)
         return JointPath(self._model.joint_names, stamp + offsets, self._at(times))
 
     def _at(self, times: NDArray[np.floating]) -> Float64:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
+from twin_node.arm.ur.braking import LOOKAHEAD_S
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.sample import UrSample
 from twin_node.robot import UR_NAMES
@@ -37,9 +38,8 @@ _DASHBOARD_S = 0.3
 """Longest that the dashboard may take; it is asked while the arm stands."""
 _REACH_TIMEOUT_S = 2.0
 """A controller in the same network answers within milliseconds; `ur_rtde` itself has no such limit."""
-_LOOKAHEAD_S = 0.1
 _GAIN = 300.0
-"""servoJ's own defaults (URScript)."""
+"""servoJ's own default (URScript)."""
 
 _SCRIPT_START_S = 0.3
 """A script that was sent runs within a few packages; the arm stands meanwhile."""
@@ -127,7 +127,7 @@ class RtdeLink:
         if q.shape != (6,) or not np.isfinite(q).all():
             raise ArmError(f"servo command: expected six finite angles, found {q.tolist()}")
         period_s = self._parameters.period_s
-        return bool(self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, _LOOKAHEAD_S, _GAIN))
+        return bool(self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, LOOKAHEAD_S, _GAIN))
 
     def prepare_servo(self) -> None:
         """Have the control script running with its watchdog set; raises `ArmError` where it does not start."""
