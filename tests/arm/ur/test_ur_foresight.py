@@ -25,7 +25,7 @@ class Program:
         """A package per share, the program meaning to move so; gives back what is foreseen at last, rad/s."""
         for share in shares:
             self.now += PACKAGE_NS
-            ahead = self.foresight.ahead(sample(speed_slider=share, target_qd=share * velocity), self.now)
+            ahead = self.foresight.ahead(sample(speed_slider=share, target_qd=share * velocity), self.now, self.now)
         foreseen: Float64 = (ahead.positions[-1] - ahead.positions[0]) / 0.2
         return foreseen
 
@@ -52,17 +52,30 @@ def test_an_arm_that_lags_behind_a_slider_that_rises_keeps_what_is_known_of_its_
     program = Program()
     program.run([1.0] * 50, FIRST)
     program.run([0.0] * 50, FIRST)
-    lagging = program.foresight.ahead(sample(speed_slider=0.04, target_qd=0.004 * FIRST), program.now + PACKAGE_NS)
+    now = program.now + PACKAGE_NS
+    lagging = program.foresight.ahead(sample(speed_slider=0.04, target_qd=0.004 * FIRST), now, now)
     np.testing.assert_allclose((lagging.positions[-1] - lagging.positions[0]) / 0.2, FIRST, atol=1e-9)
 
 
 def test_braking_is_not_taken_for_a_faster_program() -> None:
     program = Program()
     program.run([1.0] * 50, FIRST)
-    still_fast = program.foresight.ahead(sample(speed_slider=0.2, target_qd=FIRST), program.now + PACKAGE_NS)
+    now = program.now + PACKAGE_NS
+    still_fast = program.foresight.ahead(sample(speed_slider=0.2, target_qd=FIRST), now, now)
     np.testing.assert_allclose((still_fast.positions[-1] - still_fast.positions[0]) / 0.2, FIRST, atol=1e-9)
 
 
 def test_a_scaling_beyond_one_makes_no_program_slower_than_it_is() -> None:
-    ahead = Foresight(MODEL).ahead(sample(speed_slider=0.5, speed_scaling=100.0, target_qd=0.5 * FIRST), 1)
+    ahead = Foresight(MODEL).ahead(sample(speed_slider=0.5, speed_scaling=100.0, target_qd=0.5 * FIRST), 1, 1)
+    np.testing.assert_allclose((ahead.positions[-1] - ahead.positions[0]) / 0.2, FIRST, atol=1e-9)
+
+
+def test_an_arm_that_was_heard_of_a_while_ago_has_gone_on_as_it_was_told() -> None:
+    """At 3 rad/s it is 15 cm from where it was, a metre away, before its driver calls the controller silent."""
+    program = Program()
+    program.run([1.0] * 50, FIRST)
+    state = sample(speed_slider=0.5, target_qd=0.5 * FIRST)
+    ahead = program.foresight.ahead(state, program.now, program.now + 48_000_000)
+    assert ahead.stamps[0] == program.now + 48_000_000
+    np.testing.assert_allclose(ahead.positions[0] - state.target_q, 0.5 * FIRST * 0.048, atol=1e-12)
     np.testing.assert_allclose((ahead.positions[-1] - ahead.positions[0]) / 0.2, FIRST, atol=1e-9)

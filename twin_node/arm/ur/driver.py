@@ -320,5 +320,6 @@ class UrDriver:
         )
         if self._sample is None:
             return report
-        ahead = self._follower.ahead(now) if self._follower else self._foresight.ahead(self._sample, now)
-        return replace(report, sample=self._sample, sample_stamp=self._sample_stamp, future=ahead)
+        sample, received = self._sample, self._sample_stamp
+        ahead = self._follower.ahead(now) if self._follower else self._foresight.ahead(sample, received, now)
+        return replace(report, sample=sample, sample_stamp=received, future=ahead)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from twin_node.arm.path import extrapolate
+from twin_node.arm.path import extrapolate, path_from_sample
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.arm.ur.sample import UrSample
 from twin_node.robot import ArmModel
-from twin_node.scene import JointPath
+from twin_node.scene import JointPath, JointSample
 
 _LEAST_SHARE = 0.005
 """Below it the target tells nothing of the program: the driver's smallest step."""
@@ -19,11 +19,16 @@ class Foresight:
         self._model = model
         self._programmed = ProgrammedVelocity(_LEAST_SHARE)
 
-    def ahead(self, sample: UrSample, stamp: int) -> JointPath:
-        """The next 200 ms from a time on (ns) of an arm in the state of a checked sample."""
+    def ahead(self, sample: UrSample, received: int, stamp: int) -> JointPath:
+        """The next 200 ms from a time on (ns) of an arm that was in the state of a checked sample when that came (ns).
+
+        Until now it has gone on as it was told, from now on it goes as its program means to.
+        """
         velocities = sample.target_qd
         if sample.is_playing and sample.may_move:
-            velocities = self._programmed.seen(velocities, sample.speed_share, stamp)
+            velocities = self._programmed.seen(velocities, sample.speed_share, received)
         else:
             self._programmed.forget()
-        return extrapolate(self._model, sample.target_q, velocities, stamp)
+        told = JointSample(received, self._model.joint_names, sample.target_q, sample.target_qd)
+        here = path_from_sample(self._model, told, stamp).positions[0]
+        return extrapolate(self._model, here, velocities, stamp)
