@@ -191,6 +191,17 @@ def test_wrong_obstacles_are_refused_and_the_old_ones_stay(ur5e_checker: ArmColl
     before = ur5e_checker.distance(READY).distance
     with pytest.raises(ArmError, match="1 rows of finite positions"):
         ur5e_checker.update(obstacles(Thing((np.nan, 0.0, 0.0))))
+    beyond = (2e6, 0.0, 0.0)
+    for wild in (
+        Thing(beyond),
+        Thing((1.0, 0.0, 0.5), size=beyond),
+        Thing((1.0, 0.0, 0.5), velocity=beyond),
+        Thing((1.0, 0.0, 0.5), quat=(*beyond, 0.0)),
+        Thing((1.0, 0.0, 0.5), reach=(2e6, 0.0)),
+        Thing((1.0, 0.0, 0.5), reach=(1.0, 2e6)),
+    ):
+        with pytest.raises(ArmError, match=r"expected 1 (rows of )?finite \w+ of at most 1e\+06, found 1"):
+            ur5e_checker.update(obstacles(wild))
     with pytest.raises(ArmError, match="expected sizes in metres of zero or more"):
         ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), size=(-1.0, 1.0, 1.0))))
     with pytest.raises(ArmError, match="unit quaternions for boxes"):

@@ -20,7 +20,7 @@ from twin_node.arm import (
     extrapolate,
     stopping_table,
 )
-from twin_node.arm.separation import Reaches
+from twin_node.arm.separation import Encounter, Motion, Reaches, hazards
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.robot.ur import JOINT_NAMES
@@ -354,3 +354,17 @@ def test_paths_and_reactions_that_cannot_be_are_refused_not_called_clear(
     ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.25)))
     with pytest.raises(ArmError, match=word):
         decide(ur5e_checker, path, NOW, reaction_s)
+
+
+def test_a_law_that_gives_no_number_lets_nothing_move(ur5e_checker: ArmCollisionChecker) -> None:
+    """Of a velocity whose square is infinite it said "clear"."""
+    infinite = SeparationParameters(intrusion_m=1e308, position_error_m=1.7e308)
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.25)))
+    with np.errstate(over="ignore"), pytest.raises(ArmError, match="protective distance from obstacle 100, found inf"):
+        decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, infinite)
+    motion = Motion(NOW, REACTION_S, TURNING, stopping_table("ur5e"))
+    found = hazards(ur5e_checker.obstacles, NOW, SeparationParameters())
+    pair, one = np.zeros(1, np.int64), np.ones(1)
+    unknown = Encounter(found, pair, pair, np.full(1, np.nan), one, motion, SeparationParameters())
+    assert np.isnan(unknown.shortfall(1.0)).all()
+    assert unknown.largest_share() == 0.0

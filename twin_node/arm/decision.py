@@ -78,10 +78,15 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches,
         speed_fraction=1.0,
         reason="clear" if len(shortfall) == 0 else "not closing in",
     )
-    if not np.isfinite(shortfall.max(initial=-np.inf)):
+    if (shortfall == -np.inf).all():
         return idle
-    worst = int(shortfall.argmax())
+    worst = int(shortfall.argmax())  # one that is not a number comes before all others
     row = int(pairs.obstacles[worst])
+    if not np.isfinite(shortfall[worst]):
+        raise ArmError(
+            f"separation: expected a protective distance from obstacle {checker.obstacles.ids[row]}, found "
+            f"{terms.required[worst]:g} m; check its speed and the law's constants"
+        )
     share = encounter.largest_share()
     kind = ObstacleKind(int(checker.obstacles.kinds[row])).name
     state = "clear of" if share >= 1 else "slow for" if share > 0 else "stopped for"

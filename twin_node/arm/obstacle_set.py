@@ -13,6 +13,8 @@ from twin_node.scene import Bool, Float64, ObstacleKind, Obstacles, ObstacleShap
 
 _SHAPES, _KINDS = np.array(ObstacleShape, np.uint8), np.array(ObstacleKind, np.uint8)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+_FARTHEST = 1e6
+"""m, m/s and s: no obstacle is farther, larger, faster or later. With numbers beyond it distances become infinite."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +119,17 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         ("sizes", obstacles.sizes),
         ("velocities", obstacles.velocities),
     ):
-        if len(values) != count or not np.isfinite(values).all():
+        wild = ~(np.abs(values) <= _FARTHEST)
+        if len(values) != count or wild.any():
             raise ArmError(
-                f"obstacles: expected {count} rows of finite {name}, found {len(values)} rows, "
-                f"{int((~np.isfinite(values)).sum())} values not finite; check the forecast"
+                f"obstacles: expected {count} rows of finite {name} of at most {_FARTHEST:g}, found {len(values)} "
+                f"rows, {int(wild.sum())} values not finite or larger; check the forecast"
             )
     for name, told in (("reach_speeds", obstacles.reach_speeds), ("reach_delays", obstacles.reach_delays)):
-        if told is not None and (len(told) != count or not np.isfinite(told).all()):
+        if told is not None and (len(told) != count or not (np.abs(told) <= _FARTHEST).all()):
             raise ArmError(
-                f"obstacles: expected {count} finite {name}, found {len(told)}, of which "
-                f"{int((~np.isfinite(told)).sum())} are not finite; check the forecast"
+                f"obstacles: expected {count} finite {name} of at most {_FARTHEST:g}, found {len(told)}, of which "
+                f"{int((~(np.abs(told) <= _FARTHEST)).sum())} are not finite or larger; check the forecast"
             )
     if obstacles.reach_speeds is not None and (obstacles.reach_speeds < 0).any():
         raise ArmError(

@@ -275,12 +275,16 @@ class Encounter:
 
         Every term rises with the share, and so does the lesser of two proofs, so bisection finds it.
         """
-        if not (self.shortfall(1.0) > 0).any():
+        if self._holds(1.0):
             return 1.0
-        if (self.shortfall(0.0) > 0).any():
+        if not self._holds(0.0):
             return 0.0
         low, high = 0.0, 1.0
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            low, high = (low, middle) if (self.shortfall(middle) > 0).any() else (middle, high)
+            low, high = (middle, high) if self._holds(middle) else (low, middle)
         return low
+
+    def _holds(self, share: float) -> bool:
+        """Whether no pair falls short at a share of the speed; of one that is not a number nobody knows."""
+        return bool((self.shortfall(share) <= 0).all())
