@@ -149,7 +149,7 @@ def test_a_path_that_has_not_begun_or_is_over_does_not_say_where_the_arm_is() ->
 def test_an_arm_does_not_stand_where_its_path_is_told_no_further(begun_ms: int, begins_ms: int) -> None:
     """A driver tells of 200 ms; the joints of an arm that is slowed say less than what its program means to do."""
     cell = Cell()
-    cell.joints(qd=0.02 * TURNING)
+    cell.joints(READY + begun_ms * 1e-3 * TURNING, qd=0.02 * TURNING)
     cell.path(begins_ms=-begun_ms, lasts_ms=200)
     assert "for MOVING" in cell.somebody(begins_ms=begins_ms).reason
 
@@ -185,6 +185,20 @@ def test_an_arm_that_is_told_to_stay_goes_along_its_path_no_longer() -> None:
     alone.path(begins_ms=-100, lasts_ms=2000)
     alone.stay()
     assert alone.somebody().reason == "stopped: the arm's trajectory is over, and no joints come"
+
+
+def test_a_path_that_the_arm_is_not_on_is_told_of() -> None:
+    """A planner publishes it once and knows nothing of an arm that the twin holds back: that stood 1 rad behind it."""
+    cell = Cell()
+    cell.path(begins_ms=-1000, lasts_ms=4000)
+    cell.joints(qd=np.zeros(6))
+    assert cell.somebody().reason == "clear"
+    (diagnosis,) = cell.node.diagnoses()
+    assert diagnosis.level is convert.Level.WARN
+    assert diagnosis.message.startswith("the arm is 0.90 rad from where /arm/trajectory has it")
+    cell.path(begins_ms=0, lasts_ms=4000)
+    cell.somebody()
+    assert [d.level for d in cell.node.diagnoses()] == [convert.Level.OK]
 
 
 def test_a_path_that_is_not_finite_is_refused_when_it_comes() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin_node.arm.errors import ArmError
-from twin_node.arm.path import CyclicPath, path_ahead, path_from_sample
+from twin_node.arm.path import STEP_NS, CyclicPath, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel
 from twin_node.scene import JointPath, JointSample
@@ -16,10 +16,19 @@ _LEAST_SHARE = 0.05
 """Below this share of its speed what is measured of an arm is not told from noise: that would count twenty times."""
 _GONE_ON_NS = 1_000_000_000
 """An arm is taken to go on for so long as at the end of what its path tells, ns: late forecasts look as far."""
+_STRAY_RAD = 0.05
+"""So near to its path an arm is found that follows it: 3 degrees, as near as a trajectory must begin."""
+_LAG_NS = 100_000_000
+"""So long, ns, it may be behind its path or before it: as servoJ's look-ahead, the longest lag of those who obey."""
+_LAGS_NS = np.arange(-_LAG_NS, _LAG_NS + 1, STEP_NS)
 
 
 class Whereabouts:
-    """The arm's path while it lasts, else its joints extrapolated; a given cycle where nobody has told of an arm."""
+    """The arm's path while it lasts, else its joints extrapolated; a given cycle where nobody has told of an arm.
+
+    Fresh joints that are elsewhere than the path has them end it: who plans a trajectory and publishes it once does not
+    know that the arm is held back.
+    """
 
     def __init__(self, model: ArmModel, cycle: CyclicPath, lasting_s: float) -> None:
         """`lasting_s`: what was heard of the joints longer ago tells nothing of where the arm is."""
@@ -29,6 +38,7 @@ class Whereabouts:
         self._path: JointPath | None = None
         self._is_held = False
         """Whether the arm has been told to leave its path and stay where it is."""
+        self._stray_rad: float | None = None
         self._joints: JointSample | None = None
         self._measured: JointSample | None = None
         self._programmed = ProgrammedVelocity(_LEAST_SHARE)
@@ -39,11 +49,17 @@ class Whereabouts:
         """Whether nobody has told of an arm yet: the cycle stands for it."""
         return self._path is None and self._joints is None
 
+    @property
+    def stray_rad(self) -> float | None:
+        """How far the joints were from where the newest path had them, rad, when that ended it; None: they were not."""
+        return self._stray_rad
+
     def take_path(self, path: JointPath) -> None:
         """A new path; raises `RobotError` where a joint is missing or an angle is not finite."""
         positions = self._model.order(path.names, path.positions)
         self._path = JointPath(self._model.joint_names, path.stamps, positions)
         self._is_held = False
+        self._stray_rad = None
 
     def leave_path(self) -> None:
         """The path holds no longer: from now on the joints alone tell where the arm goes."""
@@ -80,7 +96,10 @@ class Whereabouts:
         """
         path, joints = self._path, self._joints
         if path is not None and not self._is_held and path.stamps[0] <= now <= path.stamps[-1]:
-            return path_ahead(self._model, _gone_on(self._model, path), stamp)
+            gone_on = _gone_on(self._model, path)
+            self._stray_rad = self._stray_rad or self._strays(gone_on, now)
+            if self._stray_rad is None:
+                return path_ahead(self._model, gone_on, stamp)
         if joints is not None:
             age_ms = (now - joints.stamp) / 1e6
             if abs(age_ms) * 1e6 > self._lasting_ns:
@@ -93,6 +112,19 @@ class Whereabouts:
             return self._cycle.ahead(stamp)
         state = "has not begun" if path.stamps[0] > now and not self._is_held else "is over"
         raise ArmError(f"the arm's trajectory {state}, and no joints come")
+
+    def _strays(self, path: JointPath, now: int) -> float | None:
+        """How far (rad) the joints are from all of the path that an arm on it may be at; None: no farther than it may.
+
+        So too where the joints are old, or much older than the path.
+        """
+        joints = self._measured
+        if joints is None or abs(now - joints.stamp) > self._lasting_ns or path.stamps[0] - joints.stamp > _LAG_NS:
+            return None
+        before_s = max(int(path.stamps[0]) - joints.stamp, 0) * 1e-9
+        q = joints.positions + before_s * joints.velocities
+        away = np.abs(sample_path(path, max(joints.stamp, int(path.stamps[0])) + _LAGS_NS) - q).max(axis=1).min()
+        return float(away) if away > _STRAY_RAD else None
 
 
 def _gone_on(model: ArmModel, path: JointPath) -> JointPath:

@@ -43,9 +43,10 @@ ROUNDING = 1e-6
 class ArmNode(Node):
     """Looks along the arm's next 200 ms at every new set of obstacles, and publishes `/twin/separation`.
 
-    The arm's future comes from `/arm/trajectory` while it lasts, else from `/joint_states` extrapolated, which must be
-    as fresh as forecasts. In a live graph they are those of an arm that obeys: the share that it was told is taken out.
-    Where neither has ever come it is that of the given cycle: a log without an arm is judged as if one worked in it.
+    The arm's future comes from `/arm/trajectory` while it lasts and the joints are on it, else from `/joint_states`
+    extrapolated, which must be as fresh as forecasts. In a live graph they are those of an arm that obeys: the share
+    that it was told is taken out. Where neither has ever come it is that of the given cycle: a log without an arm is
+    judged as if one worked in it.
     """
 
     def __init__(
@@ -90,6 +91,12 @@ class ArmNode(Node):
         if self._arm.is_made_up:
             level = convert.Level.WARN
             message = f"nobody publishes {JOINT_STATES} or {TRAJECTORY}: a made-up cycle is judged in place of an arm"
+        elif self._arm.stray_rad is not None:
+            level = convert.Level.WARN
+            message = (
+                f"the arm is {self._arm.stray_rad:.2f} rad from where {TRAJECTORY} has it: {JOINT_STATES} alone are "
+                "believed until another one comes; publish what it will do as it is held back"
+            )
         return (convert.Diagnosis(f"{self.name}: joints", level, message),)
 
     def _on_silence(self) -> None:

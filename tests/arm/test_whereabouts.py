@@ -1,0 +1,103 @@
+"""What is known of where the arm is: a path while the joints are on it, else the joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin_node.arm import ArmError, Whereabouts, default_path
+from twin_node.robot import ur_model
+from twin_node.scene import Float64, JointPath, JointSample
+
+MODEL = ur_model("ur5e")
+CYCLE = default_path(MODEL)
+MS = 1_000_000
+NOW = 1_700_000_000_000_000_000
+READY = np.array([0.0, -1.8, 1.9, -1.7, -1.57, 0.0])
+TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+"""rad/s."""
+
+
+def planned(begins_ms: int = 0, lasts_ms: int = 4000, velocity: Float64 = TURNING) -> JointPath:
+    """From `READY` on, so many ms after `NOW`."""
+    stamps = NOW + begins_ms * MS + np.array([0, lasts_ms * MS])
+    return JointPath(MODEL.joint_names, stamps, np.stack([READY, READY + lasts_ms * 1e-3 * velocity]))
+
+
+def joints(at: Float64, velocity: Float64, when_ms: int) -> JointSample:
+    return JointSample(NOW + when_ms * MS, MODEL.joint_names, at, velocity)
+
+
+def whereabouts(path: JointPath, sample: JointSample | None = None) -> Whereabouts:
+    found = Whereabouts(MODEL, CYCLE, 0.4)
+    found.take_path(path)
+    if sample is not None:
+        found.take_joints(sample)
+    return found
+
+
+def pose_at(found: Whereabouts, when_ms: int) -> Float64:
+    """Where the arm is said to be, [J] rad."""
+    stamp = NOW + when_ms * MS
+    pose: Float64 = found.ahead(stamp, stamp).positions[0]
+    return pose
+
+
+def test_an_arm_that_is_held_back_is_judged_where_it_stands_and_not_where_it_was_planned_to_be() -> None:
+    found = whereabouts(planned(), joints(READY, 0 * TURNING, 2000))
+    np.testing.assert_allclose(pose_at(found, 2000), READY)
+    assert found.stray_rad == pytest.approx(1.9)  # of what it may lag at most
+
+
+def test_a_path_that_was_left_once_is_not_come_back_to() -> None:
+    """An arm that comes by where its path would have it by now may be on its way anywhere."""
+    found = whereabouts(planned(), joints(READY, 0 * TURNING, 500))
+    pose_at(found, 500)
+    found.take_joints(joints(READY + TURNING, -TURNING, 1000))
+    ahead = found.ahead(NOW + 1000 * MS, NOW + 1000 * MS)
+    assert ahead.positions[-1, 0] < ahead.positions[0, 0]
+    found.take_path(planned(begins_ms=0))
+    assert found.stray_rad is None
+    ahead = found.ahead(NOW + 1000 * MS, NOW + 1000 * MS)
+    assert ahead.positions[-1, 0] > ahead.positions[0, 0]
+
+
+@pytest.mark.parametrize("lag_ms", [-95, -40, 0, 40, 95])
+def test_an_arm_that_lags_behind_its_path_or_leads_it_a_little_is_on_it(lag_ms: int) -> None:
+    found = whereabouts(planned(), joints(READY + (1.0 - lag_ms * 1e-3) * TURNING, TURNING, 1000))
+    np.testing.assert_allclose(pose_at(found, 1000), READY + TURNING)
+    assert found.stray_rad is None
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_every_joint_must_be_on_the_path(joint: int) -> None:
+    off = 0.06 * (np.arange(6) == joint)
+    found = whereabouts(planned(velocity=0 * TURNING), joints(READY + off, 0 * TURNING, 1000))
+    np.testing.assert_allclose(pose_at(found, 1000), READY + off)
+    near = whereabouts(planned(velocity=0 * TURNING), joints(READY + off / 2, 0 * TURNING, 1000))
+    np.testing.assert_allclose(pose_at(near, 1000), READY)
+
+
+def test_joints_that_were_heard_a_little_before_the_path_begins_do_not_contradict_it() -> None:
+    """A driver tells of the next 200 ms by joints that it has just heard of."""
+    fast = 3 * TURNING
+    before = joints(READY - 0.02 * fast, fast, -20)
+    found = whereabouts(planned(velocity=fast, lasts_ms=200), before)
+    np.testing.assert_allclose(pose_at(found, 10), READY + 0.01 * fast)
+
+
+@pytest.mark.parametrize("when_ms", [-150, -500])
+def test_joints_that_are_much_older_than_the_path_or_stale_say_nothing_of_it(when_ms: int) -> None:
+    found = whereabouts(planned(), joints(READY - TURNING, 0 * TURNING, when_ms))
+    np.testing.assert_allclose(pose_at(found, 100), READY + 0.1 * TURNING)
+
+
+def test_a_path_alone_is_believed() -> None:
+    np.testing.assert_allclose(pose_at(whereabouts(planned()), 1000), READY + TURNING)
+
+
+def test_joints_that_have_become_old_stop_the_arm_though_they_had_ended_its_path() -> None:
+    found = whereabouts(planned(), joints(READY, 0 * TURNING, 1000))
+    pose_at(found, 1000)
+    with pytest.raises(ArmError, match="joints are 500 ms old"):
+        pose_at(found, 1500)
