@@ -31,6 +31,7 @@ class ProgrammedVelocity:
         self._share = 0.0
         self._fell = 0
         self._learnt = 0
+        self._seen = 0
 
     def forget(self) -> None:
         """The program has ended."""
@@ -41,9 +42,11 @@ class ProgrammedVelocity:
 
         As they are where nothing is known of the program yet.
         """
+        if stamp < self._seen:  # the clock was put back: when the arm braked, and when not, nobody can tell by it
+            self._fell = self._learnt = stamp - _BRAKING_NS
         if share < self._share:
             self._fell = stamp
-        self._share = share
+        self._share, self._seen = share, stamp
         is_braking = self._known is not None and stamp - min(self._fell, self._learnt) < _BRAKING_NS
         if share > self._least_share and not is_braking:
             self._learn(velocities / share, share, stamp)

@@ -1,0 +1,63 @@
+"""The program's own velocity behind the share that an arm is held to, also where the clock is put back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin_node.arm.programmed import ProgrammedVelocity
+from twin_node.scene import Float64
+
+PACKAGE_NS = 8_000_000
+NOW = 1_700_000_000_000_000_000
+THERE = np.array([1.0, 0, 0, 0, 0, 0])
+MINUTE_NS = 60_000_000_000
+
+
+class Arm:
+    """An arm that obeys its share within a package."""
+
+    def __init__(self) -> None:
+        self.programmed = ProgrammedVelocity(0.05)
+        self.now = NOW
+
+    def run(self, packages: int, share: float, program: Float64) -> Float64:
+        for _ in range(packages):
+            self.now += PACKAGE_NS
+            seen = self.programmed.seen(share * program, share, self.now)
+        return seen
+
+
+def test_the_share_is_taken_out_and_the_program_remembered_while_the_arm_stands() -> None:
+    arm = Arm()
+    np.testing.assert_allclose(arm.run(100, 0.5, THERE), THERE)
+    np.testing.assert_allclose(arm.run(500, 0.0, THERE), THERE)
+
+
+def test_what_is_braking_yet_is_not_taken_for_a_faster_program() -> None:
+    arm = Arm()
+    arm.run(100, 1.0, THERE)
+    np.testing.assert_allclose(arm.programmed.seen(THERE, 0.2, arm.now + PACKAGE_NS), THERE)
+
+
+@pytest.mark.parametrize("back_ns", [500_000_000, MINUTE_NS])
+def test_a_clock_that_is_put_back_does_not_freeze_what_is_known_of_the_program(back_ns: int) -> None:
+    """Until it had caught up an arm that went the other way was judged by where it had gone before."""
+    arm = Arm()
+    arm.run(100, 1.0, THERE)
+    arm.run(50, 0.5, THERE)
+    arm.run(100, 1.0, THERE)
+    arm.now -= back_ns
+    np.testing.assert_allclose(arm.run(1, 1.0, -THERE), -THERE)
+    np.testing.assert_allclose(arm.run(100, 0.5, -THERE), -THERE)
+
+
+def test_an_arm_that_stands_when_its_clock_is_put_back_still_means_to_go_on() -> None:
+    arm = Arm()
+    arm.run(100, 1.0, THERE)
+    arm.run(100, 0.0, THERE)
+    arm.now -= MINUTE_NS
+    np.testing.assert_allclose(arm.run(500, 0.0, THERE), THERE)
+    arm.run(250, 0.0, THERE)
+    led = arm.programmed.seen(-0.3 * THERE, 0.0, arm.now + PACKAGE_NS)  # by hand: it obeys nobody
+    np.testing.assert_allclose(led, -0.3 * THERE)
