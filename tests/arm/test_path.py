@@ -26,6 +26,8 @@ WORKSPACES = {
     "front": np.array([[0.2, -0.4, -0.05], [0.9, 0.4, 0.6]]),
     "around": np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]]),
     "far": np.array([[1.5, 1.0, 0.0], [2.5, 2.0, 2.0]]),
+    "far and high": np.array([[1.5, 1.0, 0.5], [2.5, 2.0, 2.0]]),
+    "behind": np.array([[-0.9, -0.4, 0.0], [-0.2, 0.4, 0.6]]),
 }
 
 
@@ -42,6 +44,7 @@ def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None
     assert (q >= model.lower).all()
     assert (q <= model.upper).all()
     assert forward_kinematics(model, q)[:, -1, 2, 3].min() > 0.04
+    assert np.ptp(q[:, 0]) < np.pi  # from pick to place the short way
     checker = ArmCollisionChecker(model, max_obstacles=1)
     assert min(checker.self_distance(pose).distance for pose in q[::25]) > 0
 

@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin_node.arm import ArmError, Whereabouts, default_path
+from twin_node.arm import ArmError, CyclicPath, Whereabouts, default_path
 from twin_node.robot import ur_model
 from twin_node.scene import Float64, JointPath, JointSample
 
 MODEL = ur_model("ur5e")
-CYCLE = default_path(MODEL)
 MS = 1_000_000
 NOW = 1_700_000_000_000_000_000
 READY = np.array([0.0, -1.8, 1.9, -1.7, -1.57, 0.0])
 TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 """rad/s."""
+
+
+def unwanted() -> CyclicPath:
+    raise AssertionError("nobody looks for a made-up arm here")
 
 
 def planned(begins_ms: int = 0, lasts_ms: int = 4000, velocity: Float64 = TURNING) -> JointPath:
@@ -29,7 +32,7 @@ def joints(at: Float64, velocity: Float64, when_ms: int) -> JointSample:
 
 
 def whereabouts(path: JointPath, sample: JointSample | None = None) -> Whereabouts:
-    found = Whereabouts(MODEL, CYCLE, 0.4)
+    found = Whereabouts(MODEL, unwanted, 0.4)
     found.take_path(path)
     if sample is not None:
         found.take_joints(sample)
@@ -101,3 +104,35 @@ def test_joints_that_have_become_old_stop_the_arm_though_they_had_ended_its_path
     pose_at(found, 1000)
     with pytest.raises(ArmError, match="joints are 500 ms old"):
         pose_at(found, 1500)
+
+
+def test_a_cycle_is_made_up_when_it_is_looked_for_and_only_once() -> None:
+    made: list[CyclicPath] = []
+
+    def make() -> CyclicPath:
+        made.append(default_path(MODEL))
+        return made[-1]
+
+    found = Whereabouts(MODEL, make, 0.4)
+    assert made == []
+    for when_ms in (0, 33):
+        stamp = NOW + when_ms * MS
+        np.testing.assert_array_equal(found.ahead(stamp, stamp).positions, made[0].ahead(stamp).positions)
+    assert len(made) == 1
+
+
+def test_an_arm_for_which_no_cycle_can_be_made_up_stands_until_it_tells_of_itself() -> None:
+    """Its node did not start, though the arm published its joints."""
+    tries: list[int] = []
+
+    def fail() -> CyclicPath:
+        tries.append(1)
+        raise ArmError("it cannot put its tool there")
+
+    found = Whereabouts(MODEL, fail, 0.4)
+    for _ in range(3):
+        with pytest.raises(ArmError, match="nobody tells of an arm, and none can be made up: it cannot put its tool"):
+            found.ahead(NOW, NOW)
+    assert len(tries) == 1
+    found.take_joints(joints(READY, 0 * TURNING, 0))
+    np.testing.assert_allclose(pose_at(found, 0), READY)

@@ -38,7 +38,7 @@ def reactions(gaps_ms: list[int], monkeypatch: pytest.MonkeyPatch) -> list[float
     monkeypatch.setattr(arm_node, "decide", watch)
     arm = ur_model("ur5e")
     bus, clock = LocalBus(), SteppedClock(START)
-    node = ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm), PARAMETERS)
+    node = ArmNode(bus, clock, ArmCollisionChecker(arm), lambda: default_path(arm), PARAMETERS)
     node.configure()
     node.activate()
     stamp = START
@@ -71,7 +71,7 @@ def test_silence_is_answered_at_its_deadlines_and_said_again_and_again() -> None
     def hear(message: Any) -> None:
         told.append(((clock.now() - arrived) * 1e-9, convert.separation_from_message(message).speed_fraction))
 
-    node = ArmNode(bus, clock, ArmCollisionChecker(arm), default_path(arm), PARAMETERS, timers)
+    node = ArmNode(bus, clock, ArmCollisionChecker(arm), lambda: default_path(arm), PARAMETERS, timers)
     bus.subscribe(SEPARATION, hear)
     node.configure()
     for i in range(100):

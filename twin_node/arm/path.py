@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ _TEMPLATE_STEP_NS = 8_000_000
 """Sampling of a template, ns: 125 Hz, the slowest rate that a UR controller speaks."""
 _NOMINAL_WORKSPACE = np.array([[0.3, -0.4, 0.0], [0.7, 0.4, 0.5]])
 """Where the default cycle works without a workspace: in front of the arm, m."""
+_DRAWN_IN = (1.0, 0.85, 0.7, 0.55)
+"""Shares of their distance from `base_link` at which pick and place are tried: far out a small arm lifts nothing."""
 
 
 @dataclass(frozen=True)
@@ -139,19 +142,42 @@ def default_path(
 
     Pick and place lie at a quarter and three quarters of the workspace's width as the arm sees it, near its floor,
     drawn into the arm's comfortable reach. Every move is a quintic in joint space, all joints in step, so that
-    velocities and accelerations are continuous and within the limits of parameters and model. Raises `ArmError` for a
-    workspace that is no box.
+    velocities and accelerations are continuous and within the limits of parameters and model. Where the arm cannot lift
+    there, both are drawn in. Raises `ArmError` for a workspace that is no box, and for an arm that cannot put its tool
+    down anywhere before it.
     """
     chosen = parameters or CycleParameters()
-    pick, place = _pick_and_place(model, _NOMINAL_WORKSPACE if workspace is None else np.asarray(workspace))
-    tip = np.array([0.0, 0.0, chosen.tool_length_m])
-    lift = np.array([0.0, 0.0, chosen.lift_m])
+    points = _pick_and_place(model, _NOMINAL_WORKSPACE if workspace is None else np.asarray(workspace))
+    stops = _first_reached(model, [share * points for share in _DRAWN_IN], chosen)
+    return CyclicPath(_through(model, stops, chosen))
+
+
+def _first_reached(model: ArmModel, places: Sequence[Float64], parameters: CycleParameters) -> Float64:
+    """Stops [S, J] of the cycle between the first pick and place points [2, 3] that the arm reaches.
+
+    Raises `ArmError` for the last where it reaches none.
+    """
+    *others, last = places
+    for pick, place in others:
+        try:
+            return _stops(model, pick, place, parameters)
+        except ArmError:
+            continue  # farther in it may reach them
+    pick, place = last
+    return _stops(model, pick, place, parameters)
+
+
+def _stops(model: ArmModel, pick: Float64, place: Float64, parameters: CycleParameters) -> Float64:
+    """Joint angles [S, J] (rad) of a cycle between two points [3]; raises `ArmError` where the arm cannot reach one."""
+    tip = np.array([0.0, 0.0, parameters.tool_length_m])
+    lift = np.array([0.0, 0.0, parameters.lift_m])
     above_pick = reach_down(model, pick + tip + lift, _posture(model, pick))
     at_pick = reach_down(model, pick + tip, above_pick)
     above_place = reach_down(model, place + tip + lift, above_pick + _pan(model, pick, place))
     at_place = reach_down(model, place + tip, above_place)
-    stops = [above_pick, at_pick, at_pick, above_pick, above_place, at_place, at_place, above_place, above_pick]
-    return CyclicPath(_through(model, np.array(stops), chosen))
+    return np.array(
+        [above_pick, at_pick, at_pick, above_pick, above_place, at_place, at_place, above_place, above_pick]
+    )
 
 
 def _pick_and_place(model: ArmModel, workspace: Float64) -> Float64:
@@ -185,9 +211,10 @@ def _posture(model: ArmModel, point: Float64) -> Float64:
 
 
 def _pan(model: ArmModel, start: Float64, end: Float64) -> Float64:
-    """Turn [J] of the first joint alone that brings one point's direction to another's."""
+    """Turn [J] of the first joint alone that brings one point's direction to another's the short way."""
     turn = np.zeros(model.joints)
-    turn[0] = np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0])
+    apart = np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0])
+    turn[0] = apart - 2 * np.pi * np.round(apart / (2 * np.pi))
     return turn
 
 

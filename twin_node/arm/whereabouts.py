@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +31,15 @@ class Whereabouts:
     know that the arm is held back.
     """
 
-    def __init__(self, model: ArmModel, cycle: CyclicPath, lasting_s: float) -> None:
-        """`lasting_s`: what was heard of the joints longer ago tells nothing of where the arm is."""
+    def __init__(self, model: ArmModel, make_cycle: Callable[[], CyclicPath], lasting_s: float) -> None:
+        """`make_cycle()` is asked for only if an arm is looked for before anybody has told of one.
+
+        `lasting_s`: what was heard of the joints longer ago tells nothing of where the arm is.
+        """
         self._model = model
-        self._cycle = cycle
+        self._make_cycle = make_cycle
+        self._cycle: CyclicPath | None = None
+        self._no_cycle: str | None = None
         self._lasting_ns = round(lasting_s * 1e9)
         self._path: JointPath | None = None
         self._is_held = False
@@ -91,8 +97,8 @@ class Whereabouts:
     def ahead(self, stamp: int, now: int) -> JointPath:
         """The arm's next 200 ms from a time on (ns), as it is known by now (ns).
 
-        Raises `ArmError`, with the reason, where nobody knows any more, and `RobotError` where only another arm's
-        joints have come.
+        Raises `ArmError`, with the reason, where nobody knows any more or no cycle can be made up, and `RobotError`
+        where only another arm's joints have come.
         """
         path, joints = self._path, self._joints
         if path is not None and not self._is_held and path.stamps[0] <= now <= path.stamps[-1]:
@@ -109,9 +115,20 @@ class Whereabouts:
         if path is None and self._other is not None:
             self._model.order(self._other.names, self._other.positions)
         if path is None:
-            return self._cycle.ahead(stamp)
+            return self._made_up().ahead(stamp)
         state = "has not begun" if path.stamps[0] > now and not self._is_held else "is over"
         raise ArmError(f"the arm's trajectory {state}, and no joints come")
+
+    def _made_up(self) -> CyclicPath:
+        """The cycle of an arm of which nobody has told; raises `ArmError` where it has none, having tried only once."""
+        if self._no_cycle is not None:
+            raise ArmError(self._no_cycle)
+        try:
+            self._cycle = self._cycle or self._make_cycle()
+        except ArmError as error:
+            self._no_cycle = f"nobody tells of an arm, and none can be made up: {error}"
+            raise ArmError(self._no_cycle) from error
+        return self._cycle
 
     def _strays(self, path: JointPath, now: int) -> float | None:
         """How far (rad) the joints are from all of the path that an arm on it may be at; None: no farther than it may.

@@ -45,7 +45,7 @@ class ArmNode(Node):
 
     The arm's future comes from `/arm/trajectory` while it lasts and the joints are on it, else from `/joint_states`
     extrapolated, which must be as fresh as forecasts. In a live graph they are those of an arm that obeys: the share
-    that it was told is taken out. Where neither has ever come it is that of the given cycle: a log without an arm is
+    that it was told is taken out. Where neither has ever come it is that of a made-up cycle: a log without an arm is
     judged as if one worked in it.
     """
 
@@ -54,13 +54,14 @@ class ArmNode(Node):
         bus: Bus,
         clock: Clock,
         checker: ArmCollisionChecker,
-        cycle: CyclicPath,
+        make_cycle: Callable[[], CyclicPath],
         parameters: ArmParameters,
         timers: Timers | None = None,
         is_servoed: Callable[[], bool] | None = None,
     ) -> None:
-        """`timers`: tell of forecasts that do not come; None in lockstep, where nothing is late.
+        """`make_cycle()`: what an arm of which nobody tells is taken to do.
 
+        `timers`: tell of forecasts that do not come; None in lockstep, where nothing is late.
         `is_servoed()`: whether a driver servoes the arm now; it may beside what the parameters say.
         """
         super().__init__("arm", bus, clock)
@@ -74,7 +75,7 @@ class ArmNode(Node):
         self._is_servoed = is_servoed or (lambda: False)
         self._limiter = SpeedLimiter(parameters.limiter)
         limits = parameters.limiter
-        self._arm = Whereabouts(checker.model, cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
+        self._arm = Whereabouts(checker.model, make_cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
         self._refused: str | None = None
         self._is_live = timers is not None
         self._share = 0.0
@@ -183,4 +184,4 @@ def make_arm_node(
     """The arm's node of a chain; `workspace` [2, 3] m. `timers` and `is_servoed`: see `ArmNode`."""
     arm = parameters.arm()
     checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles, allowed=parameters.regions(arm))
-    return ArmNode(bus, clock, checker, default_path(arm, workspace), parameters, timers, is_servoed)
+    return ArmNode(bus, clock, checker, lambda: default_path(arm, workspace), parameters, timers, is_servoed)
