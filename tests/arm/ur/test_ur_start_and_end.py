@@ -158,6 +158,17 @@ def test_servo_mode_follows_slows_and_refuses(other: StandInProcess) -> None:
     shift.close()
 
 
+@pytest.mark.parametrize("robot", ["192.168.1..10", "a" * 64, ".", "ur 5", ""])
+def test_an_address_that_is_none_is_refused_before_a_socket_is_asked(robot: str) -> None:
+    with pytest.raises(ArmError, match="expected an address or host name"):
+        UrParameters(robot=robot)
+
+
+@pytest.mark.parametrize("robot", ["192.168.1.10", "ur5e", "my-arm.lab.local.", "::1", "fe80::1"])
+def test_addresses_and_names_of_hosts_are_taken(robot: str) -> None:
+    assert UrParameters(robot=robot).robot == robot
+
+
 def test_what_cannot_be_driven_is_refused_before_a_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RobotError, match="ur3e"):
         SupervisedDriver(UrParameters(model="kuka"))

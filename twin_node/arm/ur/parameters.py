@@ -64,7 +64,7 @@ class UrParameters:
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for values that no controller accepts."""
-        if not re.fullmatch(r"[A-Za-z0-9_.:-]+", self.robot):
+        if not re.fullmatch(r"[A-Za-z0-9_.:-]+", self.robot) or not _is_name(self.robot):
             raise ArmError(f"robot {self.robot!r}: expected an address or host name such as 192.168.1.10")
         if not 18 <= self.heartbeat_register <= 22:
             raise ArmError(
@@ -90,3 +90,12 @@ class UrParameters:
     def arm(self) -> ArmModel:
         """The arm's model, calibrated where there is a file; raises `RobotError` for a wrong name or file."""
         return arm_model(self.model, self.kinematics)
+
+
+def _is_name(host: str) -> bool:
+    """Whether the parts of a host's name are as long as they may be, and none is empty: no socket looks for another."""
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        return False
+    return True
