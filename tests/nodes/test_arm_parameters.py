@@ -163,6 +163,17 @@ def test_what_stands_may_be_touched_where_it_is_allowed() -> None:
         assert touched == [True, True, kind == ObstacleKind.MOVING]
 
 
+def test_an_arm_of_a_file_with_other_joints_is_told_its_own(tmp_path: Path) -> None:
+    arm = '<body><joint name="{}" axis="0 0 1"/><geom size=".1"/>{}</body>'
+    (tmp_path / "two.xml").write_text(
+        f"<mujoco><worldbody>{arm.format('turn', '')}{arm.format('belt', '')}</worldbody></mujoco>"
+    )
+    given = {"model": str(tmp_path / "two.xml"), "joints": ["turn"]}
+    assert fill(ArmParameters, given, "arm").arm().joint_names == ("turn",)
+    with pytest.raises(TwinError, match="expected joint bend, found turn, belt"):
+        fill(ArmParameters, {**given, "joints": ["bend"]}, "arm").arm()
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

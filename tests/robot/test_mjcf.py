@@ -172,6 +172,39 @@ def test_an_arm_of_unknown_shape_is_refused(tmp_path: Path, name: str, text: str
         arm_model(tmp_path / name)
 
 
+VISUAL_ARM = """<mujoco><worldbody>{}
+  <body name="link"><joint axis="0 0 1"/><geom size=".1" contype="0" conaffinity="0"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("around", ["", '<geom type="plane" size="1 1 1"/>', '<body><geom size=".5"/></body>'])
+def test_what_else_a_file_holds_does_not_take_the_arms_shapes_away(tmp_path: Path, around: str) -> None:
+    """A floor takes part in contacts; the geoms of the arm, none of which does, were left out for that."""
+    path = tmp_path / "visual.xml"
+    path.write_text(VISUAL_ARM.format(around))
+    np.testing.assert_allclose(arm_model(path).capsules.radii, [0.1])
+
+
+GRIPPED = """<mujoco><worldbody><body name="a"><geom size=".05"/>
+  <body name="b"><joint name="shoulder" axis="0 1 0"/><geom size=".05"/>
+    <body name="c" pos="0 0 .3"><joint name="elbow" axis="0 1 0"/><geom size=".05"/>
+      <body name="left"><joint name="finger" type="slide" axis="0 1 0"/><geom size=".02"/></body>
+      <body name="right"><joint name="thumb" type="slide" axis="0 1 0"/><geom size=".02"/></body>
+</body></body></body></worldbody></mujoco>"""
+
+
+def test_an_arm_with_a_gripper_is_told_how_to_name_its_joints(tmp_path: Path) -> None:
+    path = tmp_path / "gripped.xml"
+    path.write_text(GRIPPED)
+    with pytest.raises(RobotError, match="with joint_names, of a launched arm with 'arm: joints'"):
+        arm_model(path)
+    model = arm_model(path, joint_names=("shoulder", "elbow"))
+    assert model.joint_names == ("shoulder", "elbow")
+    assert (model.capsules.links == 2).sum() == 3  # the fingers are carried by the last link
+    with pytest.raises(RobotError, match="joints: expected those of ur5e, shoulder_pan_joint"):
+        arm_model("ur5e", joint_names=("shoulder",))
+
+
 def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
     assert arm_model("ur5e").name == "ur5e"
     assert arm_model("sim/ur3e.xml").joint_names == ur_model("ur3e").joint_names

@@ -100,6 +100,8 @@ class ArmParameters:
     """One of the arms of `twin_node.robot.UR_NAMES`, or an MJCF or URDF file."""
     kinematics: str | None = None
     """A UR arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
+    joints: tuple[str, ...] = ()
+    """Names of its joints from base to tool, in a file that has others too (a gripper's); none: all of the file's."""
     tool: tuple[ToolCapsule, ...] = ()
     """What it carries for good, a gripper at its widest for example: kept away, and masked, as the arm's links are."""
     allowed: tuple[AllowedBox, ...] = ()
@@ -122,7 +124,7 @@ class ArmParameters:
 
     def arm(self) -> ArmModel:
         """The arm's model with its tool. Raises `RobotError` or `ResourceError` for a wrong name or file."""
-        bare = arm_model(self.model, self.kinematics)
+        bare = arm_model(self.model, self.kinematics, self.joints or None)
         if not self.tool:
             return bare
         carried = Capsules(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from twin_node.resources import find
@@ -13,17 +14,22 @@ AIRO = "airo:"
 """Before the name of an arm of the package airo-models, whose capsules are fitted to detailed collision meshes."""
 
 
-def arm_model(name: str | Path, kinematics: str | Path | None = None) -> ArmModel:
+def arm_model(
+    name: str | Path, kinematics: str | Path | None = None, joint_names: Sequence[str] | None = None
+) -> ArmModel:
     """Model of a UR arm ("ur5e"), of the arm in an MJCF or URDF file ("my_arm.xml"), or of airo-models' ("airo:ur5e").
 
-    `kinematics` is a UR arm's own calibration file (see `with_factory_kinematics`). Raises `RobotError` for a name that
-    is neither, and for a file that holds no serial arm or another's calibration; `ResourceError` for a file that is not
-    there.
+    `kinematics` is a UR arm's own calibration file (see `with_factory_kinematics`), `joint_names` picks the arm's
+    joints of a file that has others too (see `load_arm`). Raises `RobotError` for a name that is neither, for joints
+    that the arm does not have, and for a file that holds no serial arm or another's calibration; `ResourceError` for a
+    file that is not there.
     """
     if str(name).startswith(AIRO):
         name = _airo_file(str(name).removeprefix(AIRO))
     if str(name) in UR_NAMES or not Path(name).suffix:
         model = ur_model(str(name))
+        if joint_names is not None and tuple(joint_names) != model.joint_names:
+            raise RobotError(f"joints: expected those of {name}, {', '.join(model.joint_names)}; leave them out")
         return model if kinematics is None else with_factory_kinematics(model, kinematics)
     if kinematics is not None:
         raise RobotError(
@@ -31,7 +37,7 @@ def arm_model(name: str | Path, kinematics: str | Path | None = None) -> ArmMode
         )
     from twin_node.robot.mjcf import load_arm  # MuJoCo takes a third of a second to import
 
-    return load_arm(find(name))
+    return load_arm(find(name), joint_names)
 
 
 def _airo_file(name: str) -> str:

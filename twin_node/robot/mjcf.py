@@ -136,7 +136,7 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
         if engine.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE or before not in _ancestors(engine, body):
             raise RobotError(
                 f"{path}: expected hinges that form one chain, found that {known[joint]} does not go on from the joint "
-                "before it; pass joint_names to say which joints are the arm's"
+                "before it; say which joints are the arm's with joint_names, of a launched arm with 'arm: joints'"
             )
         before = body
     return joints
@@ -173,16 +173,15 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
     links = {int(body): k for k, body in enumerate(bodies, 1)}
     root = int(engine.body_rootid[bodies[0]])
     owners, ends, radii = [], [], []
-    touching = (engine.geom_contype != 0) | (engine.geom_conaffinity != 0)
-    for geom in range(engine.ngeom):
+    of_arm = engine.body_rootid[engine.geom_bodyid] == root
+    touching = of_arm & ((engine.geom_contype != 0) | (engine.geom_conaffinity != 0))
+    for geom in np.flatnonzero(touching if touching.any() else of_arm):
         body = int(engine.geom_bodyid[geom])
-        if int(engine.body_rootid[body]) != root or (touching.any() and not touching[geom]):
-            continue
         link = next((links[b] for b in [body, *_ancestors(engine, body)] if b in links), 0)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
         local = inverse_pose(frames[link]) @ pose
-        for capsule in _geom_capsules(engine, geom):
+        for capsule in _geom_capsules(engine, int(geom)):
             owners.append(link)
             ends.append(transform(local, capsule.ends))
             radii.append(capsule.radius)
