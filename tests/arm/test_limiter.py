@@ -96,6 +96,16 @@ def test_never_above_the_decision_and_never_rising_too_fast(steps: list[tuple[fl
         before = told
 
 
+@pytest.mark.parametrize(("silence_ms", "told"), [(99, 1.0), (110, 0.2), (1000, 0.0)])
+def test_a_silence_that_nobody_asked_through_slows_and_stops_as_any_other(silence_ms: int, told: float) -> None:
+    """In lockstep no alarm rings: after a second without forecasts the first one let the arm go at full speed."""
+    limiter = at_full_speed()
+    first = limiter.decide(decision(1.0, silence_ms), NOW + silence_ms * MS)
+    assert first.speed_fraction == told
+    then = limiter.decide(decision(1.0, silence_ms + 30), NOW + (silence_ms + 30) * MS)
+    assert then.speed_fraction == pytest.approx(min(told + 0.03 * LimiterParameters().rise_per_s, 1.0))
+
+
 @pytest.mark.parametrize(
     ("changes", "word"),
     [

@@ -51,7 +51,12 @@ class SpeedLimiter:
         self._stamp: int | None = None
 
     def decide(self, separation: Separation, now: int) -> Separation:
-        """Takes a new decision at a time (ns) and gives back what the arm is told: `tick` at that time."""
+        """Takes a new decision at a time (ns) and gives back what the arm is told: `tick` at that time.
+
+        Where nobody has asked for longer than a deadline, it rises from what the arm would have been told by now.
+        """
+        if self._stamp is not None and (now - self._stamp) * 1e-9 > self.parameters.deadline_s:
+            self.tick(now)
         self._decision = separation
         self._arrival = now
         return self.tick(now)
