@@ -23,7 +23,7 @@ class Range:
     def holds(self, value: float) -> bool:
         """Whether a number lies in the range."""
         is_above = value > self.least if self.above else value >= self.least
-        return is_above and value <= self.most and math.isfinite(value)
+        return is_above and value <= self.most and value < math.inf
 
     def __str__(self) -> str:
         least = f"{self.least:.15g}"
@@ -45,4 +45,5 @@ def check_ranges(parameters: object, error: type[TwinError], where: str, **range
     for name, allowed in ranges.items():
         found = getattr(parameters, name)
         if not allowed.holds(found):
-            raise error(f"{where}{name}: expected {allowed}, found {found:.15g}; leave it out for what ships")
+            told = str(found) if isinstance(found, int) else f"{found:.15g}"  # no float holds every integer
+            raise error(f"{where}{name}: expected {allowed}, found {told}; leave it out for what ships")

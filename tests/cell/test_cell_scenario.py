@@ -92,7 +92,16 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
         ({"cameras": [CAMERA], "voxel_size_m": 20.0}, "voxel_size_m"),
         ({"cameras": [CAMERA], "workspace": [[0, -600, 0], [1000, 600, 800]]}, "voxels.*metres"),
         ({"cameras": [{**CAMERA, "position": [1.0, float("inf"), 1.0]}]}, r"cameras\[0\]\.position\[1\].*found inf"),
+        (
+            {"cameras": [{**CAMERA, "position": [1e200, 0.0, 1.0]}]},
+            "camera 'cam': expected position and look_at in met",
+        ),
+        (
+            {"cameras": [{**CAMERA, "look_at": [0.0, 0.0, 1200.0]}]},
+            "camera 'cam': expected position and look_at in met",
+        ),
         ({"cameras": [{**CAMERA, "skew_ms": 1e12}]}, "skew_ms"),
+        ({"cameras": [CAMERA], "seed": -(10**400)}, "seed: expected a number of 0 or more, found -1000"),
         ({"cameras": [CAMERA], "sensing": {"width": 10**12}}, "width"),
         ({"cameras": [CAMERA], "sensing": {"rate_hz": 1e9, "jitter_ms": 0.0}}, "rate_hz"),
         ({"cameras": [CAMERA], "sensing": {"rgb_sigma": -1.0}}, "rgb_sigma"),
@@ -125,6 +134,10 @@ def test_a_wrong_scenario_gives_one_line_that_says_what_is_wrong(tmp_path: Path,
         load_scenario(path)
     assert "scenario.yaml" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_seed_may_be_any_whole_number(tmp_path: Path) -> None:
+    assert load_scenario(written(tmp_path, {"cameras": [CAMERA], "seed": 10**400})).seed == 10**400
 
 
 def test_a_scenario_that_is_not_there_says_where_it_was_looked_for() -> None:

@@ -19,6 +19,9 @@ Triple = tuple[float, float, float]
 SIZES = {Form.SPHERE: 1, Form.CAPSULE: 2, Form.BOX: 3}
 """Numbers that give a form its size."""
 
+FARTHEST_CAMERA_M = 1000.0
+"""No camera stands, or looks, farther from `base_link` along an axis, m: who gives more means millimetres."""
+
 FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen", "bumped")
 """Faults a camera can be given."""
 
@@ -149,6 +152,11 @@ class CameraSpec:
         if not 0 < self.gain <= 16:
             raise CellError(f"camera '{self.name}': gain must lie above 0 and be at most 16, found {self.gain}")
         check_ranges(self, CellError, f"camera '{self.name}': ", skew_ms=Range(-10_000, 10_000))
+        if not (np.abs([self.position, self.look_at]) <= FARTHEST_CAMERA_M).all():
+            raise CellError(
+                f"camera '{self.name}': expected position and look_at in metres, at most {FARTHEST_CAMERA_M:g} from "
+                f"base_link, found {list(self.position)} and {list(self.look_at)}"
+            )
         if self.position == self.look_at:
             raise CellError(f"camera '{self.name}': look_at must differ from position, both are {self.position}")
 
