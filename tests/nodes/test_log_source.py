@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from twin_logs import with_gripper
+
 from twin_node.bag import LogWriter, open_log
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.robot import ur_model
 
 
 def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callable[..., Path], tmp_path: Path) -> None:
@@ -22,3 +25,11 @@ def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callabl
         frames = next(iter(LogSource(session, SynchronizerParameters(width=80))))
     assert [view.camera.name for view in frames.views] == ["cam_back", "cam_front", "cam_left"]
     assert frames.joints is not None
+
+
+def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    names = ur_model("ur5e").joint_names
+    with LogSession(with_gripper(cell_log(0.3), tmp_path / "gripper.mcap")) as session:
+        sets = list(LogSource(session, SynchronizerParameters(width=80), names))
+    assert len(sets) >= 5
+    assert all(frames.joints is not None and frames.joints.names == names for frames in sets)

@@ -7,10 +7,12 @@ import os
 import signal
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from twin_logs import with_gripper
 
 from twin_node.bag import open_log
 from twin_node.cell.scenario import Fault
@@ -18,6 +20,11 @@ from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.apart import Apart
 from twin_node.native_library import kernel_threads
+from twin_node.nodes.arm_parameters import ArmParameters
+from twin_node.nodes.chain_parameters import load_parameters
+from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.replay import replay
+from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
 from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier, TwinState
 
@@ -148,6 +155,24 @@ def test_in_real_time_the_model_follows_in_a_process_of_its_own(cell_log: Callab
     with open_log(out) as log:
         counts = {topic.name: topic.count for topic in log.topics}
     assert (counts[OCCUPANCY], counts[GAUSSIANS_MOVING]) == (figures["sets"], figures["followed"])
+
+
+def test_in_real_time_the_first_decision_is_made_for_the_arm_that_the_log_tells_of(
+    cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Not for a made-up one, nor for the gripper that tells of itself on the same topic."""
+    parameters = replace(
+        load_parameters(None), synchronizer=SynchronizerParameters(width=64), arm=ArmParameters("ur5e")
+    )
+    parameters = replace(parameters, model=replace(parameters.model, own_process=False))
+    with LogSession(with_gripper(cell_log(0.3), tmp_path / "gripper.mcap"), duration_s=0.2) as session:
+        first = []
+        for rate in (None, 1.0):
+            with replay(session, parameters, rate, None, False, lambda _: None) as run:
+                first.append(run.collector.separations[0])
+    lockstep, real_time = first
+    assert real_time.evidence_stamp == lockstep.evidence_stamp
+    assert real_time.distance == pytest.approx(lockstep.distance)
 
 
 def test_where_the_models_process_dies_the_run_ends_in_one_line(

@@ -8,7 +8,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from twin_node.bag import LogWriter, open_log
-from twin_node.messages import convert
+from twin_node.messages import convert, from_time
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES
 from twin_node.scene import GaussianCloud, JointSample, ObstacleKind, Obstacles, ObstacleShape, Tier
 
@@ -81,6 +81,18 @@ def write_twin_log(path: Path) -> None:
             log.write(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(cloud_at(k, False), stamp), stamp)
             log.write(OBSTACLES, convert.obstacles_to_message(obstacles_at(k, stamp)), stamp)
             log.write(JOINT_STATES, joints, stamp)
+
+
+def with_gripper(log: Path, path: Path) -> Path:
+    """Copies a log, and has a gripper tell of its joint where the arm does, with the very stamps of the images."""
+    with open_log(log) as read, LogWriter(path) as written:
+        for message in read.messages():
+            if "image_raw" in message.topic:
+                stamp = from_time(message.message.header.stamp)
+                finger = JointSample(stamp, ("finger_joint",), np.zeros(1), np.zeros(1))
+                written.write(JOINT_STATES, convert.joint_sample_to_message(finger), message.stamp)
+            written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+    return path
 
 
 def with_notes(log: Path, path: Path) -> Path:

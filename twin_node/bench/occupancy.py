@@ -117,7 +117,8 @@ def run(
     remaps = dict(parameters.remaps or {})
     session = LogSession(log, parameters.rig, remaps, parameters.start_offset_s, parameters.duration_s)
     with session:
-        source = LogSource(session, SynchronizerParameters(parameters.width, parameters.max_rate_hz))
+        synchronizer = SynchronizerParameters(parameters.width, parameters.max_rate_hz)
+        source = LogSource(session, synchronizer, parameters.chain.arm.arm().joint_names)
         grid = default_grid(source.workspace, parameters.chain.grid.voxel_size)
         truth = _truth_of(session, markers, colour)
         tally = None if colour is None else BodyTally(colour, round(parameters.latency_ms * 1e6))

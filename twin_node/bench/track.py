@@ -132,7 +132,7 @@ def run(log: Path, parameters: TrackBenchParameters | None = None, progress: Pro
         session = stack.enter_context(
             LogSession(log, parameters.rig, dict(parameters.remaps), parameters.start_offset_s, parameters.duration_s)
         )
-        source = LogSource(session, parameters.chain.synchronizer)
+        source = LogSource(session, parameters.chain.synchronizer, parameters.chain.arm.arm().joint_names)
         hidden = _hidden(source, parameters.leave_out, log)
         if parameters.bounce:
             bench = _bounce(list(source), parameters, log, progress)

@@ -127,7 +127,8 @@ def follow_live(
     Another process reads, decodes and groups, this one works. As a twin that goes live does, the model is built from
     the first set before the clock starts.
     """
-    with contextlib.closing(Reading(Order(session, chain.synchronizer))) as reading:
+    names = chain.arm.arm().joint_names
+    with contextlib.closing(Reading(Order(session, chain.synchronizer, names))) as reading:
         clock, working = PacedClock(session.span.start_ns, rate), LocalBus()
         node = ModelNode(working, clock, followed.model, is_live=True)
         node.configure()
@@ -137,7 +138,7 @@ def follow_live(
         published: list[int] = []
         working.subscribe(GAUSSIANS_MOVING, lambda _: published.append(clock.now()))
         bridge = Bridge(lambda frames: _keep(spool, Tick(frames)))
-        first = next(iter(LogSource(session, chain.synchronizer)), None)
+        first = next(iter(LogSource(session, chain.synchronizer, names)), None)
         if first is None:
             return
 

@@ -90,9 +90,10 @@ def _bake_log(options: argparse.Namespace) -> Baked:
     remaps = parse_remaps(options.remap)
     with LogSession(options.source, options.rig, remaps, options.start_offset, options.duration) as session:
         model = make_model(chain)
+        source = LogSource(session, chain.synchronizer, chain.arm.arm().joint_names)
 
         def states() -> Iterator[TwinState]:
-            for frames in tqdm(LogSource(session, chain.synchronizer), unit="set", desc="bake", disable=None):
+            for frames in tqdm(source, unit="set", desc="bake", disable=None):
                 yield model.update(frames)
 
         return bake_clouds(states())

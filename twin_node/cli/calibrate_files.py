@@ -146,7 +146,7 @@ def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
     raw = replace(rig, cameras=tuple(lenses))
     arm = arm_model(options.arm) if options.arm else None
     with LogSession(options.recording, raw, duration_s=options.duration) as session:
-        source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ))
+        source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ), arm.joint_names if arm else ())
         sets = list(tqdm(source, unit="set", desc="read", disable=None))
     return check_against_recording(rig, sets, arm)
 

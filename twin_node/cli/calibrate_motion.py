@@ -272,9 +272,10 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     topics = {topic: images[name] for topic, name in session.topics.items() if name in images}
     for camera, step in camera_clock_steps(session.log, topics, session.span).items():
         print(f"twin_node: warning: camera {camera}: {step.told(session.span.start_ns)}", file=sys.stderr)
-    source = LogSource(session, SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate))
-    sets = tqdm(source, unit="set", desc="time", disable=None)
     arm = arm_model(options.arm) if options.arm else None
+    parameters = SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate)
+    source = LogSource(session, parameters, arm.joint_names if arm else ())
+    sets = tqdm(source, unit="set", desc="time", disable=None)
     result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +67,13 @@ class LogSession:
 class LogSource:
     """Frame sets of a log in lockstep; a `scene.FrameSource`."""
 
-    def __init__(self, session: LogSession, parameters: SynchronizerParameters) -> None:
+    def __init__(
+        self, session: LogSession, parameters: SynchronizerParameters, joint_names: Collection[str] = ()
+    ) -> None:
+        """`joint_names`: the arm's, see `SynchronizerNode`."""
         self._session = session
         self._parameters = parameters
+        self._joint_names = joint_names
         self._cameras = self._synchronizer(LocalBus(), SteppedClock()).cameras
 
     @property
@@ -93,7 +97,10 @@ class LogSource:
             ready.clear()
 
     def _synchronizer(self, bus: LocalBus, clock: SteppedClock) -> SynchronizerNode:
-        return SynchronizerNode(bus, clock, self._session.cameras, self._session.rig, self._parameters)
+        session = self._session
+        return SynchronizerNode(
+            bus, clock, session.cameras, session.rig, self._parameters, joint_names=self._joint_names
+        )
 
 
 def workspace_for(rig: Rig, cameras: Sequence[Camera]) -> Float64:

@@ -19,7 +19,7 @@ from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameter
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, GraphError
 from twin_node.runtime.beside import Beside, EndedError, is_worth_it
 from twin_node.runtime.bus import LocalBus
-from twin_node.runtime.clock import PacedClock
+from twin_node.runtime.clock import PacedClock, SteppedClock
 from twin_node.scene import Camera, FrameSet
 
 HANDED_ON = (JOINT_STATES, TRAJECTORY)
@@ -49,7 +49,7 @@ class Finished:
     """Most memory that a process of its own has held, MB."""
 
 
-def play(order: Order, clock: PacedClock, on_frames: OnFrames, on_message: OnMessage) -> Iterator[int]:
+def play(order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on_message: OnMessage) -> Iterator[int]:
     """Plays the session's span at the clock's pace, grouped into sets; yields the log time, ns, after each message."""
     session, bus = order.session, LocalBus(is_latched)
     synchronizer = SynchronizerNode(

@@ -18,7 +18,7 @@ from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.player import Player
-from twin_node.nodes.reading import Finished, Order, Reading
+from twin_node.nodes.reading import Finished, Order, Reading, play
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
 from twin_node.nodes.synchronizer import SynchronizerNode
@@ -147,18 +147,16 @@ class _Engine:
 
         As a twin that goes live does, it first builds its model from the first set, and only then the clock starts.
         """
-        names = self._parameters.arm.arm().joint_names
-        reading = Reading(Order(self._session, self._parameters.synchronizer, names))
+        order = Order(self._session, self._parameters.synchronizer, self._parameters.arm.arm().joint_names)
+        reading = Reading(order)
         with contextlib.closing(reading):
             clock, working = PacedClock(self._session.span.start_ns, rate), LocalBus(is_latched)
             latency = Latency(ASSUMED_LATENCY_NS, True)
             collector = CollectorNode(working, clock, self._spool)
             bridge = Bridge(collector.keep_dropped, PATIENCE)
-            source = LogSource(self._session, self._parameters.synchronizer)
-            chain = self._chain(collector, source.cameras, latency, lambda: bridge.dropped, own_process=True)
-            first = next(iter(source), None)
-            if first is None:
-                raise _no_sets(self._session)
+            cameras = LogSource(self._session, self._parameters.synchronizer).cameras
+            chain = self._chain(collector, cameras, latency, lambda: bridge.dropped, own_process=True)
+            first = self._first_set(order, working)
             working.publish(FRAMES, first)
             chain.follow()
             chain.settle()
@@ -180,6 +178,14 @@ class _Engine:
             finally:
                 bridge.close()
         return self._finish(chain, collector, bridge.dropped, self._session.span.seconds, reading.finished)
+
+    def _first_set(self, order: Order, bus: LocalBus) -> FrameSet:
+        """The first set; what the log says of the arm by then goes out on the bus, lest a made-up one be judged."""
+        sets: list[FrameSet] = []
+        for _ in play(order, SteppedClock(), sets.append, bus.publish):
+            if sets:
+                return sets[0]
+        raise _no_sets(self._session)
 
     def _chain(
         self,

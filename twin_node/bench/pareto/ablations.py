@@ -177,7 +177,8 @@ def _follow(job: _Job) -> Ablated:
     with LogSession(job.log, start_offset_s=parameters.start_offset_s) as session:
         has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in session.log.topics)
         truth: VoxelTruth | LaterTruth = VoxelTruth(session.log) if has_exact else LaterTruth()
-        source = LogSource(session, replace(chain.synchronizer, width=parameters.width))
+        names = chain.arm.arm().joint_names
+        source = LogSource(session, replace(chain.synchronizer, width=parameters.width), names)
         follower = Follower(chain, arm, source.workspace, truth)
         ticks = follower.follow(islice(source, parameters.frames))
         quality = score(clouds_against_images(ticks, lambda camera: follower.model.render_frozen(camera).rgb))

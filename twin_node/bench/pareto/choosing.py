@@ -72,8 +72,9 @@ def by_budget(
 
 def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], float] = time.perf_counter) -> float:
     """Median time of model and forecast on the first sets of a log, ms by the wall clock."""
-    source = LogSource(session, chain.synchronizer)
-    forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, chain.arm.arm())
+    arm = chain.arm.arm()
+    source = LogSource(session, chain.synchronizer, arm.joint_names)
+    forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, arm)
     spent = median_ms(islice(source, TRIED_SETS), make_model(chain), forecaster, clock)
     if spent is None:
         raise BenchError(f"{session.log.path}: expected two sets of images to measure on, found less")

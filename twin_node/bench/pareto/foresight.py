@@ -54,8 +54,9 @@ def foresee(job: ForesightJob) -> list[ForesightPoint]:
     size = SIZES[job.size]
     chain = replace(job.chain, model=size.model(job.chain.model))
     with LogSession(job.log, start_offset_s=job.start_offset_s) as session:
-        source = LogSource(session, replace(chain.synchronizer, width=size.width))
-        follower = Follower(chain, chain.arm.arm(), source.workspace, VoxelTruth(session.log))
+        arm = chain.arm.arm()
+        source = LogSource(session, replace(chain.synchronizer, width=size.width), arm.joint_names)
+        follower = Follower(chain, arm, source.workspace, VoxelTruth(session.log))
         for _ in follower.follow(islice(source, job.frames)):
             pass
     scores, laps = follower.scores, follower.laps
