@@ -30,6 +30,7 @@ SECONDS = 0.6
 NARROW = SynchronizerParameters(width=80)
 PACE = 0.25
 """Of the log's time: a machine that is held up for a moment does not make a set late."""
+WAIT_S = 60.0
 both_ways = pytest.mark.parametrize("apart", [True, False])
 
 
@@ -126,6 +127,34 @@ def test_reading_ends_when_nobody_listens_any_more(
         bridge.close()
     assert not any(thread.name == "reader" for thread in threading.enumerate())
     assert one.finished == Finished()
+
+
+class Asked(Bridge):
+    """Tells when it has said whether it is closed."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda _: None)
+        self.has_said = threading.Event()
+
+    @property
+    def is_closed(self) -> bool:
+        closed = super().is_closed
+        self.has_said.set()
+        return closed
+
+
+def test_a_thread_that_waits_for_a_log_with_nothing_to_say_for_hours_ends(
+    session: LogSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reading, "is_worth_it", lambda: False)
+    bridge, one = Asked(), Reading(Order(session, NARROW))
+    one.start(PacedClock(session.span.start_ns, 1e-9), bridge, bridge.put_frames)
+    assert bridge.has_said.wait(WAIT_S)
+    bridge.close()
+    closing = threading.Thread(target=one.close, daemon=True)
+    closing.start()
+    closing.join(WAIT_S)
+    assert not closing.is_alive()
 
 
 def test_a_process_that_dies_is_told_of_in_one_line(session: LogSession, monkeypatch: pytest.MonkeyPatch) -> None:

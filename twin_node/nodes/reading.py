@@ -24,6 +24,8 @@ from twin_node.scene import Camera, FrameSet
 
 HANDED_ON = (JOINT_STATES, TRAJECTORY)
 """Topics whose messages must not be lost."""
+LONGEST_WAIT_S = 0.1
+"""How long a thread that waits for its log's next message may take to notice that nobody listens any more, s."""
 
 OnFrames = Callable[[FrameSet], None]
 OnMessage = Callable[[str, Any], None]
@@ -50,7 +52,8 @@ class Finished:
 
 
 def play(order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on_message: OnMessage) -> Iterator[int]:
-    """Plays the session's span at the clock's pace, grouped into sets; yields the log time, ns, after each message."""
+    """Plays the session's span at the clock's pace, grouped into sets; yields the log time, ns, after each message, and
+    while the next is long in coming."""
     session, bus = order.session, LocalBus(is_latched)
     synchronizer = SynchronizerNode(
         bus, clock, session.cameras, session.rig, order.synchronizer, joint_names=order.joint_names
@@ -60,7 +63,7 @@ def play(order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on
     bus.subscribe(FRAMES, on_frames)
     for topic in HANDED_ON:
         bus.subscribe(topic, partial(on_message, topic))
-    yield from Player(session.log, bus, session.topics, session.span).steps(clock)
+    yield from Player(session.log, bus, session.topics, session.span).steps(clock, LONGEST_WAIT_S)
 
 
 class Reading:
