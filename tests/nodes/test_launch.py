@@ -172,11 +172,14 @@ def test_a_second_launch_of_the_same_nodes_is_refused(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     plan = on_loopback(arm_alone(tmp_path, "true"), endpoint)
     shared = replace(plan, zenoh=replace(plan.zenoh, router="auto"))
+    joined = replace(plan, zenoh=replace(plan.zenoh, endpoint=free_endpoint(), routers=("", endpoint)))
     with launched(plan, tmp_path / "first"):
         with Ear(endpoint) as ear:
             ear.hear(SEPARATION, lambda message: True)
-        with pytest.raises(TwinError, match=r"node '(recorder|arm)' is alive already in ROS domain 0"):
-            Launcher(shared, tmp_path / "second", print).run()
+        for again in (shared, joined):  # on this machine, and on another one whose router is joined to this one's
+            alive = pytest.raises(TwinError, match=r"node '(recorder|arm)' is alive already in ROS domain 0")
+            with launched(again, tmp_path / "second") as running, alive:
+                running.wait()
         other = replace(shared, zenoh=replace(shared.zenoh, domain=1))
         with launched(other, tmp_path / "third") as running:
             assert running.stop().status == 0

@@ -98,7 +98,7 @@ class Launcher:
             ) from None
         router = None if self._plan.is_lockstep else open_router(self._plan.zenoh)
         try:
-            if router is None and not self._plan.is_lockstep:
+            if not self._plan.is_lockstep and (router is None or any(self._plan.zenoh.routers)):
                 self._check_neighbours()
             for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
                 self._children[process.name] = self._spawned(process)
