@@ -47,7 +47,7 @@ def test_arguments_fill_values_of_their_own_type(small: Path) -> None:
 
 def test_conditions_choose_processes(small: Path) -> None:
     plan = read_launch_file(small, ["log:=a", "who:=nobody", "loop:=true"])
-    assert [p.name for p in plan.processes] == ["play", "write"]
+    assert [(p.name, p.place) for p in plan.processes] == [("play", 0), ("write", 2)]
 
 
 def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> None:
@@ -141,7 +141,9 @@ def test_the_chain_s_sections_are_those_of_its_parameters() -> None:
 
 def test_all_nodes_in_one_process(small: Path) -> None:
     [process] = in_one_process(read_launch_file(small, ["log:=a"])).processes
-    assert (process.nodes, process.ends_launch) == (("player", "arm"), True)
+    assert (process.nodes, process.ends_launch, process.restarts) == (("player", "arm"), True, False)
+    small.write_text(SMALL.replace(", restart: false", ""))
+    assert in_one_process(read_launch_file(small, ["log:=a"])).processes[0].restarts
 
 
 def test_a_launch_file_is_a_parameter_file_too() -> None:

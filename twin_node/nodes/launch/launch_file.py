@@ -34,6 +34,8 @@ class ProcessPlan:
     """When it has finished, everything else is brought down."""
     has_spare: bool = False
     """A second process waits with its nodes made, and takes over when the first fails."""
+    place: int = 0
+    """Among all processes of the file, those left out by their `if` too."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,11 @@ def read_launch_file(
     values = _values(_arguments(section, path), given, path)
     section = _substituted(section, values)
     entries = _table(section, "processes", path)
-    processes = tuple(_process(str(name), entry, path) for name, entry in entries.items() if _is_wanted(entry))
+    processes = tuple(
+        replace(_process(str(name), entry, path), place=place)
+        for place, (name, entry) in enumerate(entries.items())
+        if _is_wanted(entry)
+    )
     if not processes:
         raise GraphError(f"{path}: expected at least one process under launch: processes, found none")
     _check_nodes_once(processes, path)
@@ -123,9 +129,14 @@ def remapped(plan: LaunchPlan, remaps: Sequence[str]) -> LaunchPlan:
 
 
 def in_one_process(plan: LaunchPlan) -> LaunchPlan:
-    """The plan with all nodes in one process, a thread each: messages go by reference."""
+    """The plan with all nodes in one process, a thread each: messages go by reference.
+
+    It is started again only where each of its processes would be.
+    """
     nodes = tuple(node for process in plan.processes for node in process.nodes)
-    whole = ProcessPlan("all", nodes, ends_launch=any(process.ends_launch for process in plan.processes))
+    restarts = all(process.restarts for process in plan.processes)
+    ends_launch = any(process.ends_launch for process in plan.processes)
+    whole = ProcessPlan("all", nodes, restarts, ends_launch)
     return replace(plan, processes=(whole,))
 
 

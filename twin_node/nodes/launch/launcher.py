@@ -19,7 +19,7 @@ from twin_node.runtime.zenoh_session import open_router
 FIRST_STATUS = 10
 """Exit status of a launch whose first process failed for good; the second's is one more, and so on."""
 RESTARTS_ALLOWED = 5
-"""A process that fails so often within `RESTART_WINDOW_S` is given up, and the launch with it."""
+"""A process that fails so often within `RESTART_WINDOW_S` is given up, and the launch with it; a spare alone."""
 RESTART_WINDOW_S = 30.0
 """Long enough that a fault at start-up, some seconds each time, is told from one a day."""
 STEP_S = 0.5
@@ -53,6 +53,7 @@ class Launcher:
         self._spares: dict[str, Child] = {}
         self._spareless: set[str] = set()
         self._failures: dict[str, list[float]] = {}
+        self._spare_failures: dict[str, list[float]] = {}
         self._restarts = 0
 
     def interrupt(self) -> None:
@@ -128,7 +129,7 @@ class Launcher:
             self._news.clear()
             self._activate_when_ready()
             self._keep_spares()
-            for place, process in enumerate(self._processes()):
+            for process in self._processes():
                 child = self._children[process.name]
                 if child.status is None:
                     continue
@@ -140,7 +141,7 @@ class Launcher:
                         self._say(f"{process.name}: finished")
                         return LaunchResult(restarts=self._restarts)
                 elif not self._restarted(process, child):
-                    return LaunchResult(process.name, _reason(child), FIRST_STATUS + place, self._restarts)
+                    return LaunchResult(process.name, _reason(child), FIRST_STATUS + process.place, self._restarts)
         return LaunchResult(restarts=self._restarts)
 
     def _processes(self) -> tuple[ProcessPlan, ...]:
@@ -174,9 +175,17 @@ class Launcher:
                 # What it wants only one can have, or what it needs has gone: trying again would not help it.
                 self._spareless.add(process.name)
                 self._say(f"{process.name}: no spare can be kept: {spare.error}")
-            elif spare is None or spare.status is not None:
+            elif spare is None or (spare.status is not None and self._replaces(process, spare)):
                 self._spares[process.name] = self._spawned(process)
                 return
+
+    def _replaces(self, process: ProcessPlan, spare: Child) -> bool:
+        """Whether another spare is tried after one that has ended without a word; where not, that is told."""
+        if _counted(self._spare_failures, process.name) <= RESTARTS_ALLOWED:
+            return True
+        self._spareless.add(process.name)
+        self._say(f"{process.name}: no spare can be kept: the last was {_reason(spare)}")
+        return False
 
     def _spawned(self, process: ProcessPlan) -> Child:
         plan = self._plan
@@ -194,10 +203,8 @@ class Launcher:
 
     def _restarted(self, process: ProcessPlan, child: Child) -> bool:
         """Starts a failed process again, unless it must not be, or has failed too often."""
-        now = time.monotonic()
-        failures = [t for t in self._failures.get(process.name, []) if now - t < RESTART_WINDOW_S]
-        self._failures[process.name] = [*failures, now]
-        if not process.restarts or len(failures) >= RESTARTS_ALLOWED:
+        failures = _counted(self._failures, process.name)
+        if not process.restarts or failures > RESTARTS_ALLOWED:
             return False
         self._restarts += 1
         self._say(f"{process.name}: {_reason(child)}; starting it again")
@@ -217,6 +224,13 @@ class Launcher:
 
 
 _LOCKSTEP = ProcessPlan("lockstep", (), restarts=False, ends_launch=True)
+
+
+def _counted(failures: dict[str, list[float]], name: str) -> int:
+    """Adds one of now to the failures by their names; gives back how many have been since `RESTART_WINDOW_S`."""
+    now = time.monotonic()
+    failures[name] = [*(t for t in failures.get(name, []) if now - t < RESTART_WINDOW_S), now]
+    return len(failures[name])
 
 
 def _reason(child: Child) -> str:

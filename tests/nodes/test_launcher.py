@@ -1,0 +1,93 @@
+"""A launcher among processes of the test's own: which it takes to have failed, and what it makes of them."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from twin_node.nodes.launch import launcher as launcher_module
+from twin_node.nodes.launch.host import Order
+from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
+from twin_node.nodes.launch.launcher import FIRST_STATUS, RESTARTS_ALLOWED, Launcher
+
+ENOUGH = 20
+"""Spares that no launcher is to begin."""
+
+
+class Process:
+    """Stands for a process: is configured as soon as it is told to be, and killed where the test says so."""
+
+    def __init__(
+        self, name: str, order: Order, log: Path, on_news: Callable[[], None], on_word: Callable[[str], None]
+    ) -> None:
+        self.name, self.pid, self.error, self.status = name, 0, None, None
+        self.is_loaded = self.is_configured = self.is_active = False
+        self._on_news = on_news
+        self.has_begun()
+        on_news()
+
+    def has_begun(self) -> None:
+        """For tests."""
+
+    def configure(self) -> None:
+        self.is_configured = True
+        self._on_news()
+
+    def activate(self) -> None:
+        self.is_active = True
+        self._on_news()
+
+    def hear_out(self) -> None:
+        """It says nothing."""
+
+    stop = discard = hear_out
+
+
+@pytest.fixture
+def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Launcher]:
+    """`begin(kind, say, *processes)`: a launcher of processes of a kind."""
+    monkeypatch.setattr(launcher_module, "open_router", lambda _: SimpleNamespace(close=lambda: None))
+
+    def make(kind: type[Process], say: Callable[[str], None], *processes: ProcessPlan) -> Launcher:
+        monkeypatch.setattr(launcher_module, "Child", kind)
+        return Launcher(LaunchPlan(Path("test.yaml"), processes, {}), tmp_path, say)
+
+    return make
+
+
+def test_a_spare_that_dies_again_and_again_is_given_up_and_the_launch_goes_on(begin: Callable[..., Launcher]) -> None:
+    begun: list[Process] = []
+
+    class Dying(Process):
+        def has_begun(self) -> None:
+            begun.append(self)
+            if len(begun) > 1:  # of one process all others are spares
+                self.status = -signal.SIGKILL
+            if len(begun) > ENOUGH:
+                launcher.interrupt()
+
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        if "no spare" in line:
+            launcher.interrupt()
+
+    launcher = begin(Dying, say, ProcessPlan("arm", ("arm",), has_spare=True))
+    assert launcher.run().status == 0
+    assert len(begun) == 1 + RESTARTS_ALLOWED + 1
+    assert said == ["active: arm", "arm: no spare can be kept: the last was killed by signal 9"]
+
+
+def test_the_exit_status_tells_the_place_in_the_file_whatever_was_left_out(begin: Callable[..., Launcher]) -> None:
+    class Failing(Process):
+        def activate(self) -> None:
+            self.is_active, self.status = True, 1
+            self._on_news()
+
+    launcher = begin(Failing, lambda line: None, ProcessPlan("arm", ("arm",), restarts=False, place=3))
+    assert launcher.run().status == FIRST_STATUS + 3
