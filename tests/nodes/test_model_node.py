@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import gc
 import math
+import weakref
 from dataclasses import replace
 
 import cv2
@@ -54,6 +56,22 @@ def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: 
         node.rest(lambda: not waits)
     assert model.done == expected
     assert order == [f"{index} published after {index}" for index in range(8)]
+
+
+def test_a_model_whose_node_has_ended_is_let_go() -> None:
+    """A launched twin begins anew whenever time jumps back: each of its models stayed, 115 MB of them."""
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model)
+    node.configure()
+    node.activate()
+    bus.publish(TRUSTED_FRAMES, frames(0))
+    node.follow()
+    node.deactivate()
+    node.cleanup()
+    known = weakref.ref(model)
+    del node, model, bus
+    gc.collect()
+    assert known() is None
 
 
 def test_where_sets_wait_every_other_one_is_followed() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -122,6 +124,20 @@ def test_a_jump_in_time_makes_the_node_anew(bench: Bench) -> None:
     assert (first.count, second.count) == (1, 1)
     assert first.state is second.state is LifecycleState.UNCONFIGURED
     assert bench.life == ["configure", "activate", "deactivate", "cleanup"] * 2
+
+
+def test_a_node_that_was_made_anew_is_let_go(bench: Bench) -> None:
+    """At once: a process of a launch looks for garbage rarely, and nodes and their buses hold each other."""
+    gc.disable()
+    try:
+        bench.begin()
+        first = weakref.ref(bench.nodes.pop())
+        bench.thread.begin_anew()
+        assert bench.heard.acquire(timeout=WAIT_S)
+        assert first() is None
+    finally:
+        gc.enable()
+    bench.thread.stop()
 
 
 def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(bench: Bench) -> None:

@@ -90,6 +90,8 @@ class ModelNode(Node):
     def on_cleanup(self) -> None:
         if self._apart is not None:
             self._apart.close()
+        if not self._is_first:
+            gc.unfreeze()  # nobody would ever look for what goes with this node
 
     def _on_frames(self, frames: FrameSet) -> None:
         if self._trial is not None:
@@ -121,7 +123,7 @@ class ModelNode(Node):
         if self._is_first:
             self._is_first = False
             gc.collect()
-            gc.freeze()  # what is there now lives as long as the process: to go through it again costs tens of ms
+            gc.freeze()  # what is there now lives as long as this node: to go through it again costs tens of ms
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
             self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -123,6 +124,7 @@ class NodeThread:
         self._end_node()
         self._executor.clear_timers()
         self.make()
+        gc.collect()  # the node before and its bus hold each other, and this process looks for such rarely
         self.configure()
         if is_active:
             self._made.activate()
