@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 
 from twin_node.runtime import clock as clock_module
@@ -69,6 +71,26 @@ def test_a_log_that_begins_again_is_told(steady: Steady) -> None:
     clock.set(9_000 * MS)
     clock.set(1_000 * MS)
     assert jumps == [1_000 * MS]
+    assert clock.now() == 1_000 * MS
+
+
+def test_a_log_that_begins_again_while_somebody_asks_for_the_time(
+    steady: Steady, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who asked put time forward again to where the log had been, and there it stood for all nodes of the process."""
+    clock, jumps = FollowedClock(), list[threading.Thread]()
+    clock.set(9_000 * MS)
+
+    def interrupted(*values: int) -> int:
+        if not jumps:
+            jumps.append(threading.Thread(target=clock.set, args=(1_000 * MS,)))
+            jumps[0].start()
+            jumps[0].join(0.1)
+        return max(values)
+
+    monkeypatch.setattr(clock_module, "max", interrupted, raising=False)
+    clock.now()
+    jumps[0].join()
     assert clock.now() == 1_000 * MS
 
 

@@ -97,10 +97,25 @@ class FollowedClock:
         self._told: deque[tuple[int, int]] = deque(maxlen=self.KEPT)
         self._rate = 0.0
         self._shown = 0
+        self._lock = threading.Lock()
 
     def set(self, stamp: int) -> None:
         """Takes what `/clock` says, ns."""
-        at = time.monotonic_ns()
+        with self._lock:
+            is_back = self._take(stamp, time.monotonic_ns())
+        if is_back:
+            self._on_jump_back()
+
+    def now(self) -> int:
+        """Time, ns; 0 before the first message. It never goes back but when `/clock` does."""
+        with self._lock:
+            since = time.monotonic_ns() - self._told_at
+            ahead = min(int(since * self._rate), self.LONGEST_STEP_NS)
+            self._shown = max(self._shown, self._told_ns + max(ahead, 0))
+            return self._shown
+
+    def _take(self, stamp: int, at: int) -> bool:
+        """Takes a stamp, ns, told at a time of the monotonic clock, ns; gives back whether time goes back."""
         is_back = stamp < self._told_ns
         expected = self._told_ns + (at - self._told_at) * self._rate
         if is_back or (self._rate and stamp > expected + self.LEAST_JUMP_NS):
@@ -112,11 +127,4 @@ class FollowedClock:
         self._told_ns, self._told_at = stamp, at
         if is_back:
             self._shown = stamp
-            self._on_jump_back()
-
-    def now(self) -> int:
-        """Time, ns; 0 before the first message. It never goes back but when `/clock` does."""
-        since = time.monotonic_ns() - self._told_at
-        ahead = min(int(since * self._rate), self.LONGEST_STEP_NS)
-        self._shown = max(self._shown, self._told_ns + max(ahead, 0))
-        return self._shown
+        return is_back
