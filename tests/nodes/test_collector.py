@@ -37,10 +37,11 @@ def nodes() -> NodeStates:
 class Cell:
     """A bus with a collector, on which sets are told of."""
 
-    def __init__(self, spool: Spool) -> None:
+    def __init__(self, spool: Spool | None, rate: float = 1.0) -> None:
         self.bus = LocalBus()
         self.spool = spool
-        self.collector = CollectorNode(self.bus, SteppedClock(), spool)
+        self.clock = SteppedClock()
+        self.collector = CollectorNode(self.bus, self.clock, spool, rate)
         self.collector.configure()
         self.collector.activate()
 
@@ -88,3 +89,11 @@ def test_a_set_is_kept_with_the_newest_that_was_followed_up_to_it(cell: Cell) ->
     assert cell.shown()[4:] == [(5, 4, 4)]
     assert [sum(counts) for counts in cell.collector.tier_counts] == [1, 2, 2, 4, 4]
     assert cell.collector.stamps == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.25])
+def test_latencies_are_told_in_real_time_whatever_the_pace_of_the_log(rate: float) -> None:
+    cell = Cell(None, rate)
+    cell.clock.advance_to(50_000_000)
+    cell.see(30_000_000, 0)
+    assert cell.collector.latencies_ms == [20.0 / rate]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import signal
@@ -141,6 +142,8 @@ def test_real_time_counts_what_it_drops(cell_log: Callable[..., Path], tmp_path:
     assert figures["sets"] >= 2
     assert 30 <= figures["sets"] + figures["dropped"] <= 40
     assert figures["sets"] // 2 <= figures["followed"] <= figures["sets"]
+    assert figures["rate_hz"] == pytest.approx(20 * figures["sets"] / SECONDS, rel=0.1)
+    assert "replayed in real time at 20 times the log's pace" in html.unescape((report / "report.html").read_text())
 
 
 def test_in_real_time_the_model_follows_in_a_process_of_its_own(cell_log: Callable[..., Path], tmp_path: Path) -> None:

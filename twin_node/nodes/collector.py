@@ -23,12 +23,13 @@ from twin_node.scene import FrameSet, Separation, Tier, TwinState
 class CollectorNode(Node):
     """Keeps per-set figures in memory and whole ticks in a spool."""
 
-    def __init__(self, bus: Bus, clock: Clock, spool: Spool | None) -> None:
+    def __init__(self, bus: Bus, clock: Clock, spool: Spool | None, rate: float = 1.0) -> None:
+        """`rate`: seconds of the clock in a real one."""
         super().__init__("collector", bus, clock)
         self.stamps: list[int] = []
         """Of every set that went through the chain, ns."""
         self.latencies_ms: list[float] = []
-        """From the newest image's stamp to the speed decision, by the run's clock."""
+        """From the newest image's stamp to the speed decision, by the run's clock, in real time."""
         self.work_ms: list[float] = []
         """From a set's arrival at the chain to the speed decision, by the wall clock."""
         self.tier_counts: list[list[int]] = []
@@ -45,6 +46,7 @@ class CollectorNode(Node):
         """Camera -> number of sets that it was left out of because it had moved."""
         self._distrusted: tuple[str, ...] = ()
         self._spool = spool
+        self._rate = rate
         self._frames: FrameSet | None = None
         self._seen: TwinState | None = None
         self._forecast: Forecast | None = None
@@ -128,7 +130,7 @@ class CollectorNode(Node):
             return
         separation = convert.separation_from_message(message)
         self.stamps.append(frames.stamp)
-        self.latencies_ms.append((self.clock.now() - frames.stamp) / 1e6)
+        self.latencies_ms.append((self.clock.now() - frames.stamp) / (1e6 * self._rate))
         self.work_ms.append((time.perf_counter() - self._begun) * 1e3)
         self.tier_counts.append(_tiers_of(seen))
         self.separations.append(separation)

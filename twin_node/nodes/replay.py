@@ -46,7 +46,7 @@ class Run:
     dropped: int
     """Sets that a newer one replaced before the chain had time for them."""
     seconds: float
-    """Length of the span in real time, wall-clock time in lockstep."""
+    """That the span took at the clock's rate, wall-clock time in lockstep."""
     peak_rss_mb: float
     """Of the process and of the model's and the reader's beside it."""
     bytes_per_frame: float
@@ -57,9 +57,15 @@ class Run:
     """Numbers that described the scene at the end."""
     collector: CollectorNode
     spool: Spool | None
-    is_lockstep: bool
+    rate: float | None
+    """Speed of the clock by the log's; None in lockstep."""
     damage: str | None = None
     """Where the log could not be read on; None: it was read to its end."""
+
+    @property
+    def is_lockstep(self) -> bool:
+        """Whether every set went through in turn, however long it took."""
+        return self.rate is None
 
 
 @contextlib.contextmanager
@@ -140,7 +146,7 @@ class _Engine:
         for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
             chain.follow()
             self._progress((stamp - self._session.span.start_ns) / 1e9)
-        return self._finish(chain, collector, 0, time.perf_counter() - begun, None)
+        return self._finish(chain, collector, 0, time.perf_counter() - begun, None, None)
 
     def in_real_time(self, rate: float) -> Run:
         """Another process, or a thread, reads at the log's pace times `rate`, this one works; the newest set wins.
@@ -152,7 +158,7 @@ class _Engine:
         with contextlib.closing(reading):
             clock, working = PacedClock(self._session.span.start_ns, rate), LocalBus(is_latched)
             latency = Latency(ASSUMED_LATENCY_NS, True)
-            collector = CollectorNode(working, clock, self._spool)
+            collector = CollectorNode(working, clock, self._spool, rate)
             bridge = Bridge(collector.keep_dropped, PATIENCE)
             cameras = LogSource(self._session, self._parameters.synchronizer).cameras
             chain = self._chain(collector, cameras, latency, lambda: bridge.dropped, own_process=True)
@@ -177,7 +183,8 @@ class _Engine:
                     chain.rest(lambda: not bridge.is_waiting)
             finally:
                 bridge.close()
-        return self._finish(chain, collector, bridge.dropped, self._session.span.seconds, reading.finished)
+        seconds = self._session.span.seconds / rate
+        return self._finish(chain, collector, bridge.dropped, seconds, rate, reading.finished)
 
     def _first_set(self, order: Order, bus: LocalBus) -> FrameSet:
         """The first set; what the log says of the arm by then goes out on the bus, lest a made-up one be judged."""
@@ -209,7 +216,13 @@ class _Engine:
         return chain
 
     def _finish(
-        self, chain: Chain, collector: CollectorNode, dropped: int, seconds: float, read: Finished | None
+        self,
+        chain: Chain,
+        collector: CollectorNode,
+        dropped: int,
+        seconds: float,
+        rate: float | None,
+        read: Finished | None,
     ) -> Run:
         """What the run leaves behind; `read`: what was said by who has read for it, None in lockstep."""
         if collector.newest_state is None:
@@ -227,7 +240,7 @@ class _Engine:
             parameters_count=chain.parameters_count,
             collector=collector,
             spool=self._spool,
-            is_lockstep=read is None,
+            rate=rate,
             damage=self._session.log.damage if read is None else read.damage,
         )
 

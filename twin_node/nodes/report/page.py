@@ -123,6 +123,8 @@ def _page(
 def _lead(session: LogSession, run: Run) -> str:
     names = ", ".join(camera.name for camera in session.rig.cameras)
     pace = "in lockstep" if run.is_lockstep else "in real time"
+    if run.rate is not None and run.rate != 1:
+        pace += f" at {run.rate:g} times the log's pace"
     return (
         f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {run.sets} sets went through the twin, "
         f"whose model followed {run.followed} of them; {run.dropped} were dropped because a newer one was there."
