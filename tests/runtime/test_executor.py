@@ -91,6 +91,27 @@ def test_a_timer_that_was_held_up_is_called_once(monkeypatch: pytest.MonkeyPatch
     assert calls == [103.5, 104.5]
 
 
+def test_a_timer_that_takes_longer_than_its_period_lets_messages_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is due again as soon as it is done: its node would hear of nothing any more."""
+    now, calls, seen = [100.0], [], []
+    monkeypatch.setattr("twin_node.runtime.executor.time.monotonic", lambda: now[0])
+    executor = Executor()
+    inbox = executor.inbox(seen.append, 3)
+
+    def slowly() -> None:
+        calls.append(now[0])
+        now[0] += 1.5
+
+    executor.every(1.0, slowly)
+    now[0] += 1.0
+    for message in range(3):
+        inbox.offer(message)
+    for _ in range(6):
+        assert executor.step(0.0)
+    assert seen == [0, 1, 2]
+    assert len(calls) == 3
+
+
 def test_an_alarm_rings_once_and_when_it_was_set_last() -> None:
     executor, seen = Executor(), []
     early, late = executor.alarm(lambda: seen.append("early")), executor.alarm(lambda: seen.append("late"))

@@ -153,7 +153,10 @@ def _bytes_of(message: Any) -> int:
 
 
 class Executor:
-    """Runs callbacks one at a time. `offer` and `stop` may be called from any thread, the rest from one."""
+    """Runs callbacks one at a time. `offer` and `stop` may be called from any thread, the rest from one.
+
+    Timers that are due go first, but no two in a row while a message waits.
+    """
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -162,6 +165,7 @@ class Executor:
         self._ready: deque[Inbox] = deque()
         self._timers: list[_Timer] = []
         self._order = itertools.count()
+        self._was_timer = False
         self._stopped = False
 
     def inbox(
@@ -215,13 +219,15 @@ class Executor:
         with self._condition:
             while not self._stopped:
                 now = time.monotonic()
-                if self._timers and self._timers[0].due <= now:
-                    callback = self._next_timer(now)
-                    break
                 waits = [inbox.worth_waiting_s(now) for inbox in self._ready]
-                if 0.0 in waits:
+                is_ready = 0.0 in waits
+                is_due = bool(self._timers) and self._timers[0].due <= now
+                if is_due and not (is_ready and self._was_timer):
+                    callback, self._was_timer = self._next_timer(now), True
+                    break
+                if is_ready:
                     row = waits.index(0.0)
-                    callback = self._ready[row].run
+                    callback, self._was_timer = self._ready[row].run, False
                     del self._ready[row]
                     break
                 if now >= deadline:
