@@ -11,6 +11,7 @@ import pytest
 
 from twin_node.messages import convert
 from twin_node.messages.convert import Level
+from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.nodes.early import KEPT, EarlyViews
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
@@ -230,6 +231,18 @@ def test_duplicates_are_counted_and_named(cell: Cell) -> None:
     assert "duplicate: 1 images" in cell.said()["left"][1]
 
 
+def test_of_two_images_with_one_stamp_the_first_is_shown_as_in_lockstep(cell: Cell) -> None:
+    """The second is refused: what was decoded of it while the set was not whole must not be shown either."""
+    for i in range(SECOND, SECOND + 10):
+        stamp = START + i * PERIOD
+        cell._pass_time(stamp + 5 * MS)
+        for name, value in (("back", 50), ("back", 200), ("front", 50), ("left", 50)):
+            image = convert.raw_image(name, stamp, np.full((12, 16, 3), value, np.uint8))
+            cell.bus.publish(cell.topics[name].image, image)
+    assert "duplicate: 10 images" in cell.said()["back"][1]
+    assert [frames.views[0].rgb.max() for frames in cell.sets[-8:]] == [50] * 8
+
+
 def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell: Cell) -> None:
     """It publishes on the same topic, nearer to the images' stamps than the arm does."""
     before = len(cell.sets)
@@ -327,9 +340,10 @@ def test_views_whose_sets_never_come_are_let_go() -> None:
     early = EarlyViews(["cam"])
     camera = Camera("cam", 16, 12, np.eye(3), np.eye(4))
     views = [View(camera, stamp, np.zeros((12, 16, 3), np.uint8), None) for stamp in range(2 * KEPT)]
+    image = EncodedView(None, None)
     for view in views:
-        early.keep("cam", view)
-    assert [early.get("cam", view.stamp) is view for view in views] == [False] * KEPT + [True] * KEPT
+        early.keep("cam", image, view)
+    assert [early.get("cam", view.stamp, image) is view for view in views] == [False] * KEPT + [True] * KEPT
     early.pass_set(2 * KEPT - 1, [("cam", 2 * KEPT - 2)])
-    assert early.get("cam", 2 * KEPT - 2) is None and early.get("cam", 2 * KEPT - 1) is views[-1]
+    assert early.get("cam", 2 * KEPT - 2, image) is None and early.get("cam", 2 * KEPT - 1, image) is views[-1]
     assert early.set_of("cam", 2 * KEPT - 2) is None and early.set_of("cam", 100) == 101

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
+from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.scene import View
 
 KEPT = 4
@@ -19,7 +20,7 @@ class EarlyViews:
     """Views of sets that are not whole, and what tells which set an image will be in."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        self._kept: dict[str, dict[int, View]] = {name: {} for name in names}
+        self._kept: dict[str, dict[int, tuple[EncodedView, View]]] = {name: {} for name in names}
         self._leads = dict.fromkeys(self._kept, 0)
         """By how much each camera's image was older than the last set that it was in, ns."""
         self._passed = dict.fromkeys(self._kept, -1)
@@ -31,7 +32,7 @@ class EarlyViews:
         """A set of a stamp, ns, is whole, of images of the cameras named: what is older is in no other one."""
         for name, own in members:
             self._leads[name], self._passed[name] = stamp - own, own
-            self._kept[name] = {later: view for later, view in self._kept[name].items() if later > own}
+            self._kept[name] = {at: kept for at, kept in self._kept[name].items() if at > own}
         if self._last is not None:
             self._gaps.append(max(stamp - self._last, 0))
         self._last = stamp
@@ -43,13 +44,14 @@ class EarlyViews:
             return None
         return expected
 
-    def keep(self, name: str, view: View) -> None:
-        """Keeps a view until its set is whole, or some later ones have come."""
+    def keep(self, name: str, encoded: EncodedView, view: View) -> None:
+        """Keeps a view, and what it was decoded from, until its set is whole, or some later ones have come."""
         kept = self._kept[name]
-        kept[view.stamp] = view
+        kept[view.stamp] = encoded, view
         if len(kept) > KEPT:
             del kept[next(iter(kept))]
 
-    def get(self, name: str, stamp: int) -> View | None:
-        """The view of an image, if it was decoded already."""
-        return self._kept[name].get(stamp)
+    def get(self, name: str, stamp: int, encoded: EncodedView) -> View | None:
+        """The view of an image, if it was decoded already; what was of another one with its stamp is not its view."""
+        source, view = self._kept[name].get(stamp, (None, None))
+        return view if source is encoded else None

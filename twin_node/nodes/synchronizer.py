@@ -159,7 +159,7 @@ class SynchronizerNode(Node):
         self._take(self._synchronizer.add(name, stamp, view, now), now)
         if self._decodes_early and self._is_due(self._early.set_of(name, stamp)):
             with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then
-                self._early.keep(name, self._decoded(name, stamp, view))
+                self._early.keep(name, view, self._decoded(name, stamp, view))
 
     def _take(self, ready: Sequence[SyncSet[EncodedView]], now: int) -> None:
         """Hands on the sets that are ready at a time, ns, and sees to it that what waits does not wait too long."""
@@ -198,7 +198,7 @@ class SynchronizerNode(Node):
 
     def _view(self, name: str, member: Stamped[EncodedView]) -> View | None:
         """A camera's part of a set; None, and told, where a live camera's image is no good: the others go on."""
-        early = self._early.get(name, member.stamp)
+        early = self._early.get(name, member.stamp, member.payload)
         try:
             return self._decoded(name, member.stamp, member.payload) if early is None else early
         except TwinError as error:
