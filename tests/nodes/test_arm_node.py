@@ -209,6 +209,18 @@ def test_a_path_that_is_not_finite_is_refused_when_it_comes() -> None:
     assert cell.somebody().reason == "slow for MOVING"
 
 
+def test_who_sends_a_path_that_is_refused_goes_no_longer_along_the_one_before() -> None:
+    cell, alone = Cell(), Cell()
+    cell.joints()
+    for one in (cell, alone):
+        one.path(begins_ms=-100, lasts_ms=2000, velocity=np.zeros(6))
+        assert one.somebody().reason == "clear"  # its path has it stand
+        with pytest.raises(TwinError, match="finite"):
+            one.path(begins_ms=0, lasts_ms=2000, velocity=TURNING * np.nan)
+    assert cell.somebody().reason == "slow for MOVING"  # its joints turn
+    assert alone.somebody().reason == "stopped: the arm's trajectory is over, and no joints come"
+
+
 def test_obstacles_that_are_refused_are_named_where_the_arm_is_told_to_stand() -> None:
     timers = Timers()
     cell = Cell(timers)

@@ -126,7 +126,11 @@ class ArmNode(Node):
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are
             self._arm.leave_path()
             return
-        self._arm.take_path(convert.joint_path_from_message(message, self.clock.now()))
+        try:
+            self._arm.take_path(convert.joint_path_from_message(message, self.clock.now()))
+        except TwinError:
+            self._arm.leave_path()  # whatever this one says, the arm goes along it and not along the one before
+            raise
 
     def _on_joints(self, message: Any) -> None:
         sample = convert.joint_sample_from_message(message)
