@@ -173,6 +173,11 @@ def test_a_remap_that_changes_nothing_is_refused(small: Path, remap: str, words:
         remapped(read_launch_file(small, ["log:=a"]), [remap])
 
 
+def test_lockstep_has_nobody_to_show_a_page() -> None:
+    with pytest.raises(TwinError, match=r"process 'page': node 'viewer' has no part in lockstep, .*; leave it out"):
+        read_launch_file("launch/replay.yaml", ["log:=a", "lockstep:=true", "viewer:=true"])
+
+
 def test_lockstep_has_nothing_to_rename() -> None:
     plan = read_launch_file("launch/replay.yaml", ["log:=a", "lockstep:=true"])
     with pytest.raises(TwinError, match="in lockstep there is no graph"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import threading
 from collections.abc import Callable
@@ -10,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin_node.bag import open_log
+from twin_node.errors import TwinError
 from twin_node.nodes.launch.lockstep import run_in_lockstep
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.topics import JOINT_STATES, SEPARATION, GraphError
 from twin_node.rig import RigFile, save_rig
 from twin_node.scene import Rig, RigCamera
 
@@ -42,3 +45,34 @@ def test_topics_of_a_foreign_log_are_renamed(cell_log: Callable[..., Path]) -> N
     player = {"log": str(cell_log(0.4)), "remap": ["/robot/joints:=/joint_states"]}
     with pytest.raises(GraphError, match="has no topic /robot/joints"):
         run_in_lockstep({**SMALL, "player": player}, "test", threading.Event())
+
+
+def test_the_recorders_topics_are_heeded(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    recorder = {"output": str(output), "topics": [SEPARATION, JOINT_STATES]}
+    sections = {**SMALL, "player": {"log": str(cell_log(0.4)), "playback_duration": 0.15}, "recorder": recorder}
+    run_in_lockstep(sections, "test", threading.Event())
+    with open_log(output) as log:
+        assert {topic.name for topic in log.topics} == {SEPARATION, JOINT_STATES}
+
+
+@pytest.mark.parametrize(
+    ("node", "values", "words"),
+    [
+        ("recorder", {"outptu": "a.mcap"}, "test: recorder: unknown parameter 'outptu'; did you mean 'output'?"),
+        ("recorder", {"all": True}, "test: recorder: all: expected none in lockstep"),
+        ("recorder", {"split": {"max_size_mb": 5.0}}, "test: recorder: split: expected none in lockstep"),
+        ("recorder", {"topics": ["/tf"]}, "test: recorder: topics: expected some of /arm/trajectory, "),
+        ("player", {"rate": 0.5}, "test: player: rate: expected none in lockstep, where all is dealt with in turn"),
+        ("player", {"loop": True}, "test: player: loop: expected none in lockstep"),
+        ("player", {"start_paused": True}, "test: player: start_paused: expected none in lockstep"),
+        ("player", {"topics": ["/joint_states"]}, "test: player: topics: expected none in lockstep"),
+    ],
+)
+def test_what_cannot_be_heeded_is_refused(
+    cell_log: Callable[..., Path], tmp_path: Path, node: str, values: dict[str, object], words: str
+) -> None:
+    sections: dict[str, dict[str, object]] = {"player": {"log": str(cell_log(0.4))}, "recorder": {}}
+    sections[node] |= values
+    with pytest.raises(TwinError, match=re.escape(words)):
+        run_in_lockstep({**SMALL, **sections}, "test", threading.Event())

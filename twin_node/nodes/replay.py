@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,8 +76,9 @@ def replay(
     output: Path | None,
     keep_ticks: bool,
     progress: Progress,
+    recorded: Collection[str] = RECORDED,
 ) -> Iterator[Run]:
-    """Run the chain on a session's span; `rate` None is lockstep. The `/twin` topics go to `output`.
+    """Run the chain on a session's span; `rate` None is lockstep. The topics `recorded` go to `output`.
 
     Yields the run with its spool of ticks (where `keep_ticks`), which is gone when the context ends. `output` appears
     only when the run has come to its end.
@@ -89,7 +90,7 @@ def replay(
             spool = stack.enter_context(Spool(session.span.start_ns, session.span.stop_ns, expected_hz))
         with contextlib.ExitStack() as writing:
             log = writing.enter_context(LogWriter(output)) if output is not None else None
-            engine = _Engine(session, parameters, spool, log, progress)
+            engine = _Engine(session, parameters, spool, log, recorded, progress)
             try:
                 run = engine.in_lockstep() if rate is None else engine.in_real_time(rate)
             except EndedError as error:
@@ -117,12 +118,14 @@ class _Engine:
         parameters: ChainParameters,
         spool: Spool | None,
         log: LogWriter | None,
+        recorded: Collection[str],
         progress: Progress,
     ) -> None:
         self._session = session
         self._parameters = parameters
         self._spool = spool
         self._log = log
+        self._recorded = recorded
         self._progress = progress
 
     def in_lockstep(self) -> Run:
@@ -208,7 +211,7 @@ class _Engine:
         chain = Chain(bus, clock, workspace, self._parameters, latency, dropped, own_process=own_process)
         observers: list[Node] = [collector]
         if self._log is not None:
-            observers.append(RecorderNode(bus, clock, self._log, RECORDED))
+            observers.append(RecorderNode(bus, clock, self._log, self._recorded))
         for node in observers:
             node.configure()
             node.activate()

@@ -33,6 +33,9 @@ KINDS = {
 SOURCES = ("cameras", "cell", "player", "recorder", "ur_driver", "ur_sim")
 """Nodes that a jump in time does not concern: they make the time, or only write down what comes."""
 
+IN_LOCKSTEP = ("player", "synchronizer", "twin", "arm", "recorder")
+"""Nodes that a launch in lockstep stands for."""
+
 CHAIN_SECTIONS = ("synchronizer", "drift", "model", "grid", "forecast", "obstacles", "arm", "size")
 """Sections that the chain's nodes read; `nodes.chain_parameters.ChainParameters` documents them."""
 

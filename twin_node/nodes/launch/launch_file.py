@@ -10,7 +10,7 @@ from typing import Any
 
 from twin_node import resources
 from twin_node.errors import kind_in_words, kind_of, told
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, check_kind, is_foreign, nearest
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, IN_LOCKSTEP, KINDS, check_kind, is_foreign, nearest
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
@@ -95,6 +95,9 @@ def read_launch_file(
     if not processes:
         raise GraphError(f"{path}: expected at least one process under launch: processes, found none")
     _check_nodes_once(processes, path)
+    is_lockstep = _flag(section, "lockstep", False, f"{path}: {LAUNCH}")
+    if is_lockstep:
+        _check_lockstep(processes, path)
     sections = _substituted(read_parameters(path), values)
     for file in parameter_files:
         given_here = read_parameters(file)
@@ -108,7 +111,7 @@ def read_launch_file(
         processes,
         sections,
         follows_clock=_flag(section, "use_sim_time", False, f"{path}: {LAUNCH}"),
-        is_lockstep=_flag(section, "lockstep", False, f"{path}: {LAUNCH}"),
+        is_lockstep=is_lockstep,
         zenoh=fill(ZenohParameters, section.get("zenoh") or {}, f"{path}: {LAUNCH}: zenoh"),
     )
 
@@ -283,6 +286,17 @@ def _check_nodes_once(processes: Sequence[ProcessPlan], path: Path) -> None:
                 )
                 raise GraphError(f"{path}: node '{node}' is {found}; take one away")
             place[node] = process.name
+
+
+def _check_lockstep(processes: Sequence[ProcessPlan], path: Path) -> None:
+    """Raises `GraphError` for a node that would not run."""
+    for process in processes:
+        for node in process.nodes:
+            if node not in IN_LOCKSTEP:
+                raise GraphError(
+                    f"{path}: process '{process.name}': node '{node}' has no part in lockstep, which runs "
+                    f"{', '.join(IN_LOCKSTEP)} alone; leave it out"
+                )
 
 
 def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -> None:

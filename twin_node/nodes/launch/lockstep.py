@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,26 @@ from twin_node.nodes.calibration import load_base_rig
 from twin_node.nodes.chain_parameters import ChainParameters, sized
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
 from twin_node.nodes.live.player import PlayParameters
+from twin_node.nodes.live.recorder import RecordParameters
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
-from twin_node.nodes.topics import GraphError, parse_remaps
+from twin_node.nodes.topics import RECORDED, GraphError, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, fill
 
 
 def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop: threading.Event) -> None:
-    """Replays the player's log through the chain into the recorder's output; `stop` ends it with nothing written."""
+    """Replays the player's log through the chain into the recorder's output; `stop` ends it with nothing written.
+
+    Raises `GraphError` for what the player and the recorder are asked for and cannot do in lockstep.
+    """
     player = fill(PlayParameters, sections.get("player", {}), f"{where}: player")
+    _refuse(player, ("rate", "loop", "topics", "start_paused"), f"{where}: player")
+    recorder = fill(RecordParameters, sections.get("recorder", {}), f"{where}: recorder")
+    _refuse(recorder, ("all", "split"), f"{where}: recorder")
     rig = fill(RigParameters, sections.get(EVERY_NODE, {}).get("rig", {}), f"{where}: {EVERY_NODE}: rig")
     chain = {name: sections[name] for name in CHAIN_SECTIONS if name in sections}
-    output = sections.get("recorder", {}).get("output", "")
+    output = recorder.output
     if output and Path(output).resolve() == Path(player.log).resolve():
         raise GraphError(f"{where}: recorder: output: expected another file than the log that is played, {output}")
     if rig.file:
@@ -41,6 +48,27 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
             raise GraphError(f"{where}: stopped before the log's end; nothing was written")
 
     with session:
+        _check_recorded(recorder.topics, {*RECORDED, *session.topics.values()}, where)
         parameters = sized(fill(ChainParameters, chain, where), where)
-        with replay(session, parameters, None, Path(output) if output else None, False, check) as run:
+        with replay(session, parameters, None, Path(output) if output else None, False, check, recorder.topics) as run:
             print(f"{player.log}: {run.sets} sets in lockstep, in {run.seconds:.1f} s", flush=True)
+
+
+def _refuse(parameters: object, names: Collection[str], where: str) -> None:
+    """Raises `GraphError` for a parameter that is not as by default, and would have no effect."""
+    usual = type(parameters)()
+    for name in names:
+        if getattr(parameters, name) != getattr(usual, name):
+            raise GraphError(
+                f"{where}: {name}: expected none in lockstep, where all is dealt with in turn and once, found one; "
+                "leave it out"
+            )
+
+
+def _check_recorded(topics: Collection[str], heard: Collection[str], where: str) -> None:
+    for topic in topics:
+        if topic not in heard:
+            raise GraphError(
+                f"{where}: recorder: topics: expected some of {', '.join(sorted(heard))}, which are all in lockstep, "
+                f"found {topic!r}; take it out"
+            )
