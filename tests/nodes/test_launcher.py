@@ -11,7 +11,7 @@ import pytest
 
 from twin_node.nodes.launch import launcher as launcher_module
 from twin_node.nodes.launch.host import Order
-from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
+from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.nodes.launch.launcher import FIRST_STATUS, RESTARTS_ALLOWED, Launcher
 
 ENOUGH = 20
@@ -49,12 +49,13 @@ class Process:
 
 @pytest.fixture
 def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Launcher]:
-    """`begin(kind, say, *processes)`: a launcher of processes of a kind."""
+    """`begin(kind, say, processes)`: a launcher of a launch file's processes, which are of a kind."""
     monkeypatch.setattr(launcher_module, "open_router", lambda _: SimpleNamespace(close=lambda: None))
 
-    def make(kind: type[Process], say: Callable[[str], None], *processes: ProcessPlan) -> Launcher:
+    def make(kind: type[Process], say: Callable[[str], None], processes: str) -> Launcher:
         monkeypatch.setattr(launcher_module, "Child", kind)
-        return Launcher(LaunchPlan(Path("test.yaml"), processes, {}), tmp_path, say)
+        (tmp_path / "test.yaml").write_text(f"launch: {{processes: {{{processes}}}}}")
+        return Launcher(read_launch_file(tmp_path / "test.yaml"), tmp_path, say)
 
     return make
 
@@ -77,7 +78,7 @@ def test_a_spare_that_dies_again_and_again_is_given_up_and_the_launch_goes_on(be
         if "no spare" in line:
             launcher.interrupt()
 
-    launcher = begin(Dying, say, ProcessPlan("arm", ("arm",), has_spare=True))
+    launcher = begin(Dying, say, "arm: {nodes: [arm], spare: true}")
     assert launcher.run().status == 0
     assert len(begun) == 1 + RESTARTS_ALLOWED + 1
     assert said == ["active: arm", "arm: no spare can be kept: the last was killed by signal 9"]
@@ -89,5 +90,5 @@ def test_the_exit_status_tells_the_place_in_the_file_whatever_was_left_out(begin
             self.is_active, self.status = True, 1
             self._on_news()
 
-    launcher = begin(Failing, lambda line: None, ProcessPlan("arm", ("arm",), restarts=False, place=3))
-    assert launcher.run().status == FIRST_STATUS + 3
+    processes = "page: {nodes: [viewer], if: false}, arm: {nodes: [arm], restart: false}"
+    assert begin(Failing, lambda line: None, processes).run().status == FIRST_STATUS + 1
