@@ -11,7 +11,7 @@ from twin_node.errors import TwinError
 from twin_node.model.apart import Followed
 from twin_node.model.kernels import kernels
 from twin_node.model.window_model import WindowModel
-from twin_node.runtime.beside import READY, Failed, run, send
+from twin_node.runtime.beside import READY, Failed, receive, run, send
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.memory import peak_mb
 from twin_node.scene import TwinState
@@ -34,11 +34,11 @@ def main(connection: Connection) -> None:
 
 def serve(connection: Connection) -> None:
     """Takes a model and then sets, until the other end is closed, or something fails that no set is to blame for."""
-    model = connection.recv()
+    model = receive(connection)
     gc.collect()
     gc.freeze()  # what is there now lives as long as the process
     while True:
-        seen = connection.recv()
+        seen = receive(connection)
         try:
             send(connection, follow(model, seen))
             model.refine(lambda: not connection.poll(), LEAST)

@@ -7,7 +7,7 @@ from multiprocessing.connection import Connection
 
 from twin_node.errors import TwinError
 from twin_node.nodes.reading import Finished, Order, dump, play
-from twin_node.runtime.beside import READY, Failed, run, send
+from twin_node.runtime.beside import READY, Failed, receive, run, send
 from twin_node.runtime.clock import PacedClock
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.memory import peak_mb
@@ -17,10 +17,10 @@ def main(connection: Connection) -> None:
     """The process's work: it takes an `Order`, and a clock when there is somebody to read for."""
     image_loops_alone()
     try:
-        order = connection.recv()
+        order = receive(connection)
         with order.session:
             send(connection, READY)
-            send(connection, read(connection, order, connection.recv()))
+            send(connection, read(connection, order, receive(connection)))
     except (ConnectionError, EOFError):
         raise
     except TwinError as error:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from twin_node.errors import TwinError
 from twin_node.native_library import processors
@@ -48,6 +48,15 @@ def send(connection: Connection, thing: object) -> None:
     connection.send_bytes(pickle.dumps(thing, pickle.HIGHEST_PROTOCOL))
 
 
+def receive(connection: Connection) -> Any:
+    """What was sent next, waited for. Raises `EOFError` where the other end is closed, also within a message."""
+    try:
+        come = connection.recv_bytes()
+    except OSError as error:
+        raise EOFError from error
+    return pickle.loads(come)
+
+
 class Beside:
     """The process as whoever began it sees it."""
 
@@ -59,7 +68,7 @@ class Beside:
         self._name, self._advice = name, advice
         self.connection, its = Pipe()
         """This end of the pipe."""
-        with its:
+        with its, _uninterrupted():
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, str(its.fileno())],
                 stdin=subprocess.DEVNULL,
@@ -122,9 +131,21 @@ class Beside:
             ) from None
 
 
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Processes that are begun within never hear of a Ctrl-C in their terminal, from their first moment on.
+
+    Who has begun them ends them.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def run(work: Callable[[Connection], None]) -> NoReturn:
     """The process's own side of it: works on what comes through its end of the pipe until the other one is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's group: who has begun it ends it
     with contextlib.suppress(EOFError, ConnectionError):  # nobody hands it anything more
         work(Connection(int(sys.argv[1])))
     sys.stdout.flush()

@@ -1,0 +1,46 @@
+"""A process beside another hears nothing of its terminal's Ctrl-C, and ends in silence with who has begun it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import struct
+from multiprocessing import Pipe
+from pathlib import Path
+
+import pytest
+
+from twin_node.runtime.beside import READY, Beside, receive, send
+
+INTERRUPTED = f"""
+import os, signal
+os.kill(os.getpid(), signal.SIGINT)  # before anything of this package is imported
+from twin_node.runtime.beside import receive, run, send
+
+def main(connection):
+    send(connection, {READY!r})
+    send(connection, receive(connection))
+
+run(main)
+"""
+
+
+def test_an_interrupt_is_left_to_who_began_it(tmp_path: Path) -> None:
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    with contextlib.closing(Beside("interrupted", "echo", "try again", {"PYTHONPATH": paths})) as begun:
+        assert begun.is_loaded(wait=True)
+        begun.send("said")
+        assert begun.receive() == "said"
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_nobody_hands_over_more_where_a_message_breaks_off() -> None:
+    ours, its = Pipe()
+    send(ours, {"whole": 1})
+    os.write(ours.fileno(), struct.pack("!i", 100) + b"begun")
+    ours.close()
+    assert receive(its) == {"whole": 1}
+    with pytest.raises(EOFError):
+        receive(its)
