@@ -131,7 +131,8 @@ def test_the_log_is_never_its_own_output(
 
 
 @pytest.mark.parametrize(
-    ("option", "value"), [("--rate", "0"), ("--width", "nan"), ("--max-rate", "-3"), ("--duration", "x")]
+    ("option", "value"),
+    [("--rate", "0"), ("--rate", "1e300"), ("--width", "nan"), ("--max-rate", "-3"), ("--duration", "x")],
 )
 def test_numbers_that_make_no_sense(option: str, value: str, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:

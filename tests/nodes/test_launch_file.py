@@ -65,6 +65,7 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log=a"], [], "expected NAME:=VALUE"),
         (["log:=a"], ["rate:=2"], "expected NODE.KEY:=VALUE"),
         (["log:=a"], ["plaier.rate:=2"], "unknown node 'plaier'; did you mean 'player'"),
+        (["log:=a"], ["twin.x:=1"], r"has no node 'twin'; it has arm, player, recorder"),
         (["log:=a"], ["cell.duration:=5"], "-p cell.duration:=5: .* has no node 'cell'; it has arm, player, recorder"),
         (["log:=a", "rate:=["], [], r"rate:=\[: expected a number, found what is no YAML"),
         (["log:=a"], ["player.rate:=["], r"-p player.rate:=\[: expected a value, found what is no YAML"),
@@ -72,7 +73,11 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log:=a"], [f"player.rate:={'9' * 5000}"], "expected a value, found what is no YAML"),
         (["log:=a"], [f"player.rate:={'[' * 3000}"], "expected a value, found what is no YAML"),
         (["log:=a"], ["player.rate:=&x [*x]"], "expected a value, found what is no YAML"),
-        (["log:=a"], ["player.log:=2026-11-23"], r"player.log: expected text or numbers, found 2026-11-23 \(a date\)"),
+        (
+            ["log:=a"],
+            ["player.log:=2026-11-23"],
+            r"11-23\): player.log: expected text .* 2026-11-23 \(a date\)",
+        ),
         (["log:=a"], ["player.topics:=[!!binary aGk=]"], r"player.topics: expected text or numbers, found b'hi'"),
         (["log:=a"], ["player.rate.x:=1"], "-p player.rate.x:=1: expected keys and values under 'rate', found 1.0"),
     ],
@@ -149,6 +154,34 @@ def test_all_nodes_in_one_process(small: Path) -> None:
 def test_a_launch_file_is_a_parameter_file_too() -> None:
     assert load_parameters(None).synchronizer.width == 160
     assert load_parameters(Path("launch/sim_cell.yaml")).arm.model == "ur5e"
+
+
+def test_parameters_that_no_node_reads_are_refused(small: Path, tmp_path: Path) -> None:
+    """The twin's own are in the sections of the chain, and those of viewers' topics too."""
+    words = r"node 'twin' has no parameters of its own, found width; .* in synchronizer, drift, model"
+    given = tmp_path / "given.yaml"
+    given.write_text("twin: {ros__parameters: {width: 80}}")
+    with pytest.raises(TwinError, match=f"given.yaml: parameters: {words}"):
+        read_launch_file(small, ["log:=a"], [], [given])
+    with pytest.raises(TwinError, match=f"given.yaml: {words}"):
+        load_parameters(given)
+    with pytest.raises(TwinError, match=r"with -p twin.width:=80\): parameters: node 'twin' has no parameters"):
+        read_launch_file("launch/replay.yaml", ["log:=a"], ["twin.width:=80"])
+    given.write_text("twin: {ros__parameters: {}}\nplayer: {ros__parameters: {log: a}}\n/**: {ros__parameters: {}}")
+    assert load_parameters(given) == ChainParameters()
+    given.write_text("modle: {ros__parameters: {}}")
+    with pytest.raises(TwinError, match=r"given.yaml: unknown node 'modle'; did you mean 'model'\?"):
+        load_parameters(given)
+
+
+def test_what_parameters_refuse_names_where_they_came_from(tmp_path: Path) -> None:
+    plan = read_launch_file("launch/replay.yaml", ["log:=a"], ["synchronizer.width:=80"], [Path("launch/demo.yaml")])
+    assert plan.where == f"{plan.path} (with launch/demo.yaml, -p synchronizer.width:=80)"
+    assert read_launch_file("launch/replay.yaml", ["log:=a"]).where == str(plan.path)
+    given = tmp_path / "given.yaml"
+    given.write_text("synchronizer: {ros__parameters: {width: -3}}")
+    with pytest.raises(TwinError, match=r"given.yaml: synchronizer: width: expected 16 to 16384 pixels, found -3"):
+        load_parameters(given)
 
 
 def test_topics_of_all_nodes_are_renamed(small: Path) -> None:

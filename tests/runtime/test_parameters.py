@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from twin_node.ranges import SHARE, check_ranges
 from twin_node.runtime.parameters import ParameterError, fill, read_parameters
 
 
@@ -28,6 +29,14 @@ class Named:
 
 
 @dataclass(frozen=True)
+class Bounded:
+    share: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_ranges(self, ParameterError, "bounded: ", share=SHARE)
+
+
+@dataclass(frozen=True)
 class Outer:
     width: int | None = None
     rate_hz: float = 30.0
@@ -38,6 +47,7 @@ class Outer:
     quieter: Inner = Inner(gain=0.5)
     middle: Middle = field(default_factory=lambda: Middle(Inner(gain=5.0), 2))
     cameras: tuple[Named, ...] = ()
+    bounded: Bounded = field(default_factory=Bounded)
 
 
 def test_values_replace_defaults_at_any_depth() -> None:
@@ -68,6 +78,7 @@ def test_what_is_left_out_of_a_nested_mapping_keeps_the_default_of_that_place() 
         ({"rate_hz": 10**400}, "model.rate_hz: expected a number, found one beyond 1.8e"),
         ({"horizons": [float("nan")]}, "model.horizons: expected a number, found nan"),
         ({"cameras": [{"gain": 2.0}]}, "model.cameras: expected 'name', found none"),
+        ({"bounded": {"share": 2}}, "^model: bounded: share: expected 0 to 1, found 2; "),
         (3, "model: expected keys and values, found 3"),
         (None, "model: expected keys and values, found nothing"),
         ({"rate_hz": [1, 2]}, "model.rate_hz: expected a number, found a list"),

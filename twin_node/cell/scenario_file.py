@@ -25,7 +25,7 @@ def load_scenario(name: str | Path) -> Scenario:
     path = _find(name)
     content = _whole(path)
     try:
-        return _with_files(fill(Scenario, content, path.name), path.parent)
+        return _with_files(fill(Scenario, content, str(path)), path.parent)
     except ParameterError as error:
         raise CellError(str(error)) from error
     except CellError as error:

@@ -17,6 +17,9 @@ from twin_node.unfinished import is_taken, refuse_taken, taken
 RATES = Range(0.001, 1000)
 """Of films and exports, Hz: the fastest of what they show, the arm's joints, come at 500 Hz."""
 
+SPEEDS = Range(0.001, 1000)
+"""Of clocks, by the recording's: at the least a camera of 15 Hz has an image a minute."""
+
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
     """Which part of a log to read, and how."""
@@ -117,6 +120,14 @@ def rate(text: str) -> float:
     value = _number(text)
     if not RATES.holds(value):
         raise argparse.ArgumentTypeError(f"{text}: expected {RATES} per second")
+    return value
+
+
+def speed(text: str) -> float:
+    """The speed of a clock, by that of the recording."""
+    value = _number(text)
+    if not SPEEDS.holds(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected {SPEEDS} times the recording's speed")
     return value
 
 

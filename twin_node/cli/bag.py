@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, positive, whole
+from twin_node.cli.arguments import not_negative, positive, speed, whole
 
 
 def add_record(commands: Any) -> None:
@@ -36,7 +36,7 @@ def add_play(commands: Any) -> None:
         description="Play a log under the flags of `ros2 bag play`. Enter pauses and goes on.",
     )
     play.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
-    play.add_argument("-r", "--rate", type=positive, default=1.0, metavar="R", help="speed (default 1)")
+    play.add_argument("-r", "--rate", type=speed, default=1.0, metavar="R", help="speed (default 1)")
     play.add_argument("-l", "--loop", action="store_true", help="again and again; time jumps back each time")
     play.add_argument(
         "--start-offset",

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, positive, whole, with_source_options
+from twin_node.cli.arguments import add_source_options, speed, whole, with_source_options
 from twin_node.cli.bench_calibration import add_bench_calibration
 from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
@@ -33,7 +33,7 @@ def add_bench(commands: Any) -> None:
     add_bench_occupancy(benches)
     track = benches.add_parser("track", help="how well and how fast the model follows a log")
     track.add_argument("log", type=Path, metavar="LOG")
-    track.add_argument("--rate", type=positive, metavar="R", help="follow in real time at R times the log's pace")
+    track.add_argument("--rate", type=speed, metavar="R", help="follow in real time at R times the log's pace")
     track.add_argument(
         "--leave-out", metavar="CAMERA", help="score a model that never sees this camera, or all in turn"
     )

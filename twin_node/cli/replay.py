@@ -11,7 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, port, positive, refuse_given, with_source_options
+from twin_node.cli.arguments import add_source_options, port, positive, refuse_given, speed, with_source_options
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
 from twin_node.unfinished import refuse_taken
@@ -26,7 +26,7 @@ def add_replay(commands: Any) -> None:
     replay.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="write the /twin topics here")
     replay.add_argument("--report", type=Path, metavar="DIR", help="write report.json and report.html here")
     pace = replay.add_mutually_exclusive_group()
-    pace.add_argument("--rate", type=positive, default=1.0, metavar="R", help="speed of the clock (default 1)")
+    pace.add_argument("--rate", type=speed, default=1.0, metavar="R", help="speed of the clock (default 1)")
     pace.add_argument("--lockstep", action="store_true", help="every set in turn, repeatable to the byte")
     size = replay.add_mutually_exclusive_group()
     size.add_argument("--budget-ms", type=positive, metavar="MS", help="the best size whose sets take so long here")

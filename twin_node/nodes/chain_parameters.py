@@ -10,15 +10,13 @@ from twin_node import resources
 from twin_node.forecast import CoverParameters, ForecastParameters
 from twin_node.model import ModelParameters
 from twin_node.nodes.arm_parameters import ArmParameters
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
 from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
-OTHER_SECTIONS = {EVERY_NODE, *KINDS} - {*CHAIN_SECTIONS}
-"""Sections of launch files that say nothing of the chain."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +53,14 @@ class ChainParameters:
 def load_parameters(path: Path | None) -> ChainParameters:
     """Parameters from a ROS parameter file; None: the file that ships with the package.
 
-    Raises `ParameterError` for a section or key that does not exist, with the nearest one.
+    Raises `ParameterError` for a key that does not exist, with the nearest one, and `GraphError` for such a section.
     """
     path = resources.find(path or DEFAULT_PARAMETERS)
-    sections = {name: values for name, values in read_parameters(path).items() if name not in OTHER_SECTIONS}
-    known = {f.name for f in dataclasses.fields(ChainParameters)}
-    for name in sections:
-        if name not in known:
-            raise ParameterError(f"{path}: unknown node '{name}'; expected some of {', '.join(sorted(known))}")
+    given = read_parameters(path)
+    sections = {name: given.pop(name) for name in CHAIN_SECTIONS if name in given}
+    for name, values in given.items():
+        if name != EVERY_NODE:
+            check_section(name, values, str(path))
     return sized(fill(ChainParameters, sections, str(path)), str(path))
 
 

@@ -28,6 +28,10 @@ class ParameterError(TwinError):
     """A parameter file or a value in it is wrong."""
 
 
+class _RefusedError(Exception):
+    """A dataclass has refused its values; it knows no file."""
+
+
 def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     """Node name -> its `ros__parameters`, of a ROS 2 parameter file or a launch file.
 
@@ -53,8 +57,15 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None
 
     Nested dataclasses take nested mappings; what is left out of one is as the defaults have it at that place. Lists
     become tuples. Raises `ParameterError` that names `where` and the key for an unknown key (with the nearest known
-    one) or a value of the wrong type.
+    one), a value of the wrong type, or values that the dataclass refuses.
     """
+    try:
+        return _fill(kind, values, where, default)
+    except _RefusedError as error:
+        raise ParameterError(f"{where}: {error}") from error.__cause__
+
+
+def _fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None) -> T:
     if not isinstance(values, Mapping):
         raise ParameterError(f"{where}: expected keys and values, found {told(values)}")
     fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
@@ -71,7 +82,10 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None
             raise ParameterError(f"{where}: unknown parameter '{key}'; {hint}")
         nested = _default_of(fields[key], default) if isinstance(value, Mapping) else None
         filled[key] = _convert(hints[key], value, f"{where}.{key}", nested)
-    return kind(**filled) if default is None else dataclasses.replace(default, **filled)  # type: ignore[type-var]
+    try:
+        return kind(**filled) if default is None else dataclasses.replace(default, **filled)  # type: ignore[type-var]
+    except TwinError as error:
+        raise _RefusedError(str(error)) from error
 
 
 def _default_of(field: dataclasses.Field[Any], whole: Any) -> Any:
@@ -90,7 +104,7 @@ def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         if not isinstance(value, Mapping):
             raise ParameterError(f"{where}: expected keys and values, found {told(value)}")
-        return fill(hint, value, where, default if isinstance(default, hint) else None)
+        return _fill(hint, value, where, default if isinstance(default, hint) else None)
     if origin in (types.UnionType, typing.Union):
         if value is None and type(None) in typing.get_args(hint):
             return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -39,12 +39,23 @@ IN_LOCKSTEP = ("player", "synchronizer", "twin", "arm", "recorder")
 CHAIN_SECTIONS = ("synchronizer", "drift", "model", "grid", "forecast", "obstacles", "arm", "size")
 """Sections that the chain's nodes read; `nodes.chain_parameters.ChainParameters` documents them."""
 
+WITHOUT_PARAMETERS = ("twin", "viewer_topics")
+"""Nodes that read the chain's sections alone, none of their own."""
+
 
 def check_kind(name: str, where: str) -> None:
     """Raises `GraphError` for a name that no node has, with the nearest one."""
-    known = {*KINDS, *_foreign()}
-    if name not in known:
-        raise GraphError(f"{where}: unknown node '{name}'; {nearest(name, known)}")
+    _check_known(name, {*KINDS, *_foreign()}, where)
+
+
+def check_section(name: str, values: Mapping[str, Any], where: str) -> None:
+    """Raises `GraphError` for parameters of a node that there is not, or that reads none of them."""
+    _check_known(name, {*CHAIN_SECTIONS, *KINDS, *_foreign()}, where)
+    if values and name in WITHOUT_PARAMETERS and not is_foreign(name):
+        raise GraphError(
+            f"{where}: node '{name}' has no parameters of its own, found {', '.join(map(str, values))}; those of the "
+            f"chain are in {', '.join(CHAIN_SECTIONS)}"
+        )
 
 
 def is_foreign(name: str) -> bool:
@@ -67,6 +78,11 @@ def nearest(name: str, known: set[str]) -> str:
     """What was probably meant, or all that could have been."""
     near = difflib.get_close_matches(name, known, n=1)
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(sorted(known))}"
+
+
+def _check_known(name: str, known: set[str], where: str) -> None:
+    if name not in known:
+        raise GraphError(f"{where}: unknown node '{name}'; {nearest(name, known)}")
 
 
 def _foreign() -> dict[str, Any]:

@@ -10,7 +10,15 @@ from typing import Any
 
 from twin_node import resources
 from twin_node.errors import kind_in_words, kind_of, told
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, IN_LOCKSTEP, KINDS, check_kind, is_foreign, nearest
+from twin_node.nodes.launch.kinds import (
+    CHAIN_SECTIONS,
+    IN_LOCKSTEP,
+    KINDS,
+    check_kind,
+    check_section,
+    is_foreign,
+    nearest,
+)
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
@@ -43,6 +51,8 @@ class LaunchPlan:
     """What is to run, all values filled in."""
 
     path: Path
+    where: str
+    """What errors about parameters name: the file, and what was given beside it."""
     processes: tuple[ProcessPlan, ...]
     sections: Sections
     follows_clock: bool = False
@@ -101,13 +111,15 @@ def read_launch_file(
     sections = _substituted(read_parameters(path), values)
     for file in parameter_files:
         given_here = read_parameters(file)
-        _check_sections(given_here, file)
+        _check_sections(given_here, str(file))
         sections = _merged(sections, given_here)
     _set_parameters(sections, parameters)
     _check_takes_part(parameters, entries, path)
-    _check_sections(sections, path)
+    where = _named(path, parameter_files, parameters)
+    _check_sections(sections, where)
     return LaunchPlan(
         path,
+        where,
         processes,
         sections,
         follows_clock=_flag(section, "use_sim_time", False, f"{path}: {LAUNCH}"),
@@ -129,6 +141,12 @@ def remapped(plan: LaunchPlan, remaps: Sequence[str]) -> LaunchPlan:
     if not any(is_foreign(node) for process in plan.processes for node in process.nodes):
         check_remaps(pairs)
     return replace(plan, remaps=pairs)
+
+
+def _named(path: Path, parameter_files: Sequence[Path], parameters: Sequence[str]) -> str:
+    """A launch file and what wins over its values, for errors about those: they may be of any of these."""
+    given = [*map(str, parameter_files), *(f"-p {text}" for text in parameters)]
+    return f"{path} (with {', '.join(given)})" if given else str(path)
 
 
 def in_one_process(plan: LaunchPlan) -> LaunchPlan:
@@ -333,11 +351,11 @@ def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def _check_sections(sections: Sections, path: Path) -> None:
+def _check_sections(sections: Sections, where: str) -> None:
     for name, values in sections.items():
-        if name not in (EVERY_NODE, *CHAIN_SECTIONS):
-            check_kind(name, f"{path}: parameters")
-        _check_plain(values, f"{path}: {name}")
+        if name != EVERY_NODE:
+            check_section(name, values, f"{where}: parameters")
+        _check_plain(values, f"{where}: {name}")
 
 
 def _check_plain(value: Any, where: str) -> None:

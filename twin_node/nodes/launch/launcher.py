@@ -196,7 +196,7 @@ class Launcher:
             plan.is_lockstep,
             dataclasses.asdict(plan.zenoh),
             plan.remaps,
-            str(plan.path),
+            plan.where,
         )
         log = self._log_folder / f"{process.name}.log"
         return Child(process.name, order, log, self._news.set, lambda line: self._say(f"{process.name}: {line}"))
