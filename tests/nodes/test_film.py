@@ -20,12 +20,16 @@ from twin_node.nodes.film.film import Film
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import GAUSSIANS, SEPARATION
+from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.rig import RigFile, save_rig
 from twin_node.robot import arm_model
-from twin_node.scene import Rig, RigCamera, Separation
+from twin_node.scene import HORIZONS_NS, Grid, Occupancy, OccupancyLayer, Rig, RigCamera, Separation
 
 pytest.importorskip("av")
+
+GRID = Grid(np.zeros(3), 0.1, (2, 2, 2))
+LAYERS = tuple(OccupancyLayer(h, np.zeros(0, np.uint32), np.zeros(0, np.uint8)) for h in HORIZONS_NS)
+EMPTY = Occupancy(START, START, GRID, LAYERS, LAYERS[0], np.zeros((0, 2), np.uint32))
 
 
 def render(*arguments: object) -> int:
@@ -165,6 +169,17 @@ def test_a_rig_file_of_some_of_the_cameras_shows_those(tmp_path: Path) -> None:
     assert cv2.imread(str(out)).shape == (22 + 24, 64, 3)
 
 
+def test_a_recording_that_no_twin_has_seen_is_refused(
+    cell_log: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    """Pictures of it would be black where the twin is to be seen."""
+    topics = {"beside": "gaussians", "cameras": "gaussians", "orbit": "gaussians", "forecast": "occupancy"}
+    for view, topic in topics.items():
+        told = refused("render", cell_log(0.5), "--view", view, "-o", "a.png")
+        assert f"expected /twin/{topic}, which --view {view} needs" in told
+        assert "give a log that 'twin_node replay LOG -o FILE' has written" in told
+
+
 def test_an_orbit_has_no_camera_of_the_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_images(tmp_path / "images.mcap", {"left": (64, 48)})
     assert render(log, "--view", "orbit", "--camera", "left", "-o", tmp_path / "a.png") == 2
@@ -202,10 +217,16 @@ def camera_of(name: str, size: tuple[int, int]) -> RigCamera:
 
 
 def write_images(path: Path, sizes: dict[str, tuple[int, int]], again: Mapping[str, int] | None = None) -> Path:
-    """A log of one grey image per camera, of sizes (width, height), with their calibration; `again`: s of another."""
+    """A log of one grey image per camera, of sizes (width, height), with their calibration; `again`: s of another.
+
+    The twin says that there is nothing.
+    """
     rig = Rig(tuple(camera_of(name, size) for name, size in sizes.items()))
     with LogWriter(path) as log:
         write_rig(log, rig, START)
+        nothing = cloud_at(0, True).only(np.zeros(0, np.int64))
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(nothing, START), START)
+        log.write(OCCUPANCY, convert.occupancy_to_message(EMPTY), START)
         for camera in rig.cameras:
             image = np.full((camera.height, camera.width, 3), 128, np.uint8)
             log.write(f"/{camera.name}/image_raw", convert.raw_image(camera.name, START, image), START)

@@ -14,7 +14,7 @@ from twin_node.nodes.overlays import arm_mask, moving_mask
 from twin_node.nodes.playback import SILENT_S, Playback, Snapshot, in_force
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
-from twin_node.nodes.topics import SEPARATION
+from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
 from twin_node.scene import Camera, Float32, ObstacleKind, UInt8, View
 
@@ -32,7 +32,7 @@ class Film:
     def __init__(self, playback: Playback, view: str, width: int, arm: ArmModel, camera: str | None = None) -> None:
         """`width`: of one camera's picture, px; `arm`: of the log's joints; `camera`: only this one.
 
-        Raises `FilmError` for what is not there.
+        Raises `FilmError` for what is not there, and `GraphError` for logs without what the view shows of the twin.
         """
         if view not in VIEWS:
             raise FilmError(f"--view {view}: expected one of {', '.join(VIEWS)}")
@@ -42,6 +42,7 @@ class Film:
                 f"--view {view}: expected images, found none in {playback.name}; give the log that the twin's was made "
                 "from too, or --view orbit"
             )
+        playback.require(NEEDED[view], f"--view {view}")
         if camera is not None and camera not in names:
             raise FilmError(f"--camera {camera}: expected one of {', '.join(names) or 'none'}")
         if camera is not None and view == "orbit":
@@ -124,6 +125,9 @@ VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
     "forecast": Film.forecast,
     "orbit": Film.orbit,
 }
+
+NEEDED: Mapping[str, str] = {"beside": GAUSSIANS, "cameras": GAUSSIANS, "forecast": OCCUPANCY, "orbit": GAUSSIANS}
+"""View -> the topic that it shows nothing of the twin without."""
 
 
 def _views(snapshot: Snapshot) -> dict[str, View]:
