@@ -47,6 +47,16 @@ def test_a_partial_file_of_somebody_else_stays(tmp_path: Path, name: str) -> Non
     assert not list(tmp_path.glob("*.partial"))
 
 
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_is_written_may_be_read_by_who_may_read_other_files(tmp_path: Path, name: str) -> None:
+    if name == "film.mp4":
+        pytest.importorskip("av")
+    WRITERS[name](tmp_path / name)
+    other = tmp_path / "other"
+    other.touch()
+    assert (tmp_path / name).stat().st_mode == other.stat().st_mode
+
+
 def test_what_breaks_off_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("old")

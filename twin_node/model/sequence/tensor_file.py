@@ -25,9 +25,11 @@ def write_tensors(tensors: Mapping[str, Tensor], metadata: dict[str, str], path:
     """A safetensors file, whole or not at all. Raises `ModelError` where it cannot be."""
     try:
         with whole_file(path, ModelError) as partial:
+            mode = partial.stat().st_mode
             save_file(
                 {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}, partial, metadata
             )
+            partial.chmod(mode)  # safetensors lets nobody else read what it writes
     except (OSError, SafetensorError) as error:
         why = reason(error)
         raise ModelError(f"{path}: cannot be written ({why}); choose a folder that exists, with room") from None
