@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from twin_node.bag import LogWriter, open_log
 from twin_node.messages import message_type
 from twin_node.nodes.player import Player, span_of
+from twin_node.nodes.topics import GraphError
 from twin_node.runtime.bus import LocalBus
-from twin_node.runtime.clock import PacedClock
+from twin_node.runtime.clock import PacedClock, SteppedClock
 
 HOUR_NS = 3_600_000_000_000
 
@@ -28,3 +31,16 @@ def test_who_is_impatient_is_told_the_time_while_a_log_has_nothing_to_say(tmp_pa
     assert spoken == ["0"]
     assert times[0] == 0
     assert 0 < times[1] < times[2] < times[3] < times[4] < HOUR_NS
+
+
+def test_a_damaged_message_is_told_with_its_place(tmp_path: Path) -> None:
+    said, heard = message_type("std_msgs/msg/String"), []
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.write("/chatter", said(data="0"), HOUR_NS)
+        writer.write_raw("/chatter", "std_msgs/msg/String", b"\0\1\0\0\xff\xff", HOUR_NS + 1_250_000_000)
+    bus = LocalBus()
+    bus.subscribe("/chatter", lambda message: heard.append(message.data))
+    words = r"log\.mcap: /chatter, 1\.250 s after the log's start: std_msgs/msg/String: 6 bytes are not a CDR .*check"
+    with open_log(tmp_path / "log.mcap") as log, pytest.raises(GraphError, match=words):
+        list(Player(log, bus, {"/chatter": "/chatter"}, span_of(log)).steps(SteppedClock()))
+    assert heard == ["0"]

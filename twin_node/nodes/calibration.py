@@ -13,6 +13,7 @@ from twin_node.bag import LogReader
 from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
+from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, absolute
 from twin_node.rig import load_rig
 from twin_node.scene import Float64, Rig
@@ -84,7 +85,7 @@ def _first_messages(log: LogReader, topics: Collection[str]) -> dict[str, Any]:
     """The first message of each of the topics that has any."""
     found: dict[str, Any] = {}
     for message in log.messages(list(topics)):
-        found.setdefault(message.topic, message.message)
+        found.setdefault(message.topic, content_of(message, log))
         if len(found) == len(topics):
             break
     return found
@@ -129,9 +130,9 @@ def _calibration_messages(log: LogReader, cameras: Sequence[CameraTopics]) -> tu
     placing = {topic.name for topic in log.topics if absolute(topic.name) == TF_STATIC}
     for message in log.messages([*wanted, *placing]):
         if message.topic in placing:
-            tree.add(message.message)
+            tree.add(content_of(message, log))
         elif message.topic not in infos:
-            infos[message.topic] = message.message
+            infos[message.topic] = content_of(message, log)
         else:
             continue
         if len(infos) == len(wanted) and all(_is_placed(tree, info) for info in infos.values()):

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from twin_node.bag import LogReader
+from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import GraphError
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import PacedClock, SteppedClock
@@ -56,7 +57,7 @@ class Player:
         """Publish the span's messages in the log's order; yields the log time, ns, after each.
 
         A stepped clock is moved to each message's time, a paced one is waited for: where that takes longer than
-        `patience_s`, the time is yielded so often meanwhile.
+        `patience_s`, the time is yielded so often meanwhile. Raises `GraphError` for a message that is damaged.
         """
         for message in self._log.messages(list(self._topics), self._span.start_ns, self._span.stop_ns):
             if isinstance(clock, SteppedClock):
@@ -66,5 +67,5 @@ class Player:
                     time.sleep(patience_s)
                     yield clock.now()
                 time.sleep(max(0.0, left_s))
-            self._bus.publish(self._topics[message.topic], message.message)
+            self._bus.publish(self._topics[message.topic], content_of(message, self._log))
             yield message.stamp
