@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from twin_logs import with_gripper
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.nodes.topics import GraphError
 from twin_node.robot import ur_model
 
 
@@ -33,3 +35,15 @@ def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., 
         sets = list(LogSource(session, SynchronizerParameters(width=80), names))
     assert len(sets) >= 5
     assert all(frames.joints is not None and frames.joints.names == names for frames in sets)
+
+
+def test_damage_is_told_before_what_cannot_be_read_for_it(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    """What tells where the cameras stand comes first in a log."""
+    content = bytearray(cell_log(0.3).read_bytes())
+    content[2000] ^= 0xFF
+    (tmp_path / "flipped.mcap").write_bytes(content)
+    words = (
+        r"^\S*flipped.mcap: damaged at byte .* 'twin_node check \S* --repair OUT' .* of what was: .*camera 'cam_back'"
+    )
+    with pytest.raises(GraphError, match=words):
+        LogSession(tmp_path / "flipped.mcap")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.bag import LogReader, open_log
+from twin_node.messages import MessageError
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
@@ -27,11 +28,14 @@ class LogSession:
         self,
         path: Path,
         rig_file: Path | Rig | None = None,
-        remaps: dict[str, str] | None = None,
+        remaps: Mapping[str, str] | None = None,
         start_offset_s: float = 0.0,
         duration_s: float | None = None,
     ) -> None:
-        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names."""
+        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names.
+
+        What a damaged log lacks may stand where it cannot be read: the damage is told first.
+        """
         self._opened = (path, rig_file, remaps, start_offset_s, duration_s)
         remaps = remaps or {}
         self.log: LogReader = open_log(path)
@@ -44,9 +48,14 @@ class LogSession:
             self.rig: Rig = rig_for(self.log, in_log, rig_file)
             check_depth(self.log, in_log)
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-        except BaseException:
+        except BaseException as error:
+            damage = self.log.damage
             self.log.close()
-            raise
+            if damage is None or not isinstance(error, GraphError | MessageError):
+                raise
+            raise GraphError(
+                f"{damage}; 'twin_node check {path} --repair OUT' writes all that can be read; of what was: {error}"
+            ) from None
         played = {JOINT_STATES, TRAJECTORY}
         for camera in self.cameras:
             played |= {camera.image} | ({camera.depth} if camera.depth else set())
