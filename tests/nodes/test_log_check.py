@@ -20,17 +20,18 @@ from twin_node.scene import JointSample, Rig, RigCamera
 MS = 1_000_000
 START = 1_700_000_000_000 * MS
 PERIOD = 33 * MS
+BOX = np.array([[-1.0, -1, 0], [1, 1, 1]])
 LEFT = RigCamera("left", 32, 24, np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), np.eye(4))
 
 
-def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0) -> None:
-    """Images of all cameras, taken at once by the rig's clock and stamped by their own."""
+def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0, apart_ns: int = 0) -> None:
+    """Images of all cameras, taken `apart_ns` one after the other by the rig's clock and stamped by their own."""
     with LogWriter(path) as log:
         write_rig(log, rig, START)
         for k in range(sets):
             taken = START + k * PERIOD
-            for camera in rig.cameras:
-                stamp = camera.own_time(taken)
+            for place, camera in enumerate(rig.cameras):
+                stamp = camera.own_time(taken + place * apart_ns)
                 log.write(f"/{camera.name}/camera_info", convert.camera_info(camera, stamp), taken)
                 image = convert.raw_image(camera.name, stamp, np.zeros((24, 32, 3), np.uint8))
                 log.write(f"/{camera.name}/image_raw", image, taken)
@@ -51,22 +52,27 @@ def checked(path: Path) -> LogCheck:
 @pytest.mark.parametrize("offset_ms", [0, 12, -12])
 def test_cameras_whose_clocks_the_log_knows_are_not_apart(tmp_path: Path, offset_ms: int) -> None:
     """They were calibrated already: to say it again would send their user in a circle."""
-    rig = Rig((LEFT, replace(LEFT, name="right", time_offset_ns=offset_ms * MS)))
+    rig = Rig((LEFT, replace(LEFT, name="right", time_offset_ns=offset_ms * MS)), BOX)
     write_log(tmp_path / "log.mcap", rig)
     assert checked(tmp_path / "log.mcap").faults == ()
 
 
+def test_what_a_replay_would_refuse_is_found(tmp_path: Path) -> None:
+    """One camera implies no workspace, and one image of each camera is no set yet: nobody knows what comes next."""
+    alone, seldom = tmp_path / "alone.mcap", tmp_path / "seldom.mcap"
+    write_log(alone, Rig((LEFT,)))
+    (fault,) = checked(alone).faults
+    assert fault.startswith("camera left: expected two or more to derive the workspace from, found this one alone; ")
+    write_log(alone, Rig((LEFT,), BOX))
+    assert checked(alone).faults == ()
+    write_log(seldom, Rig((LEFT, replace(LEFT, name="right")), BOX), sets=1, apart_ns=5 * MS)
+    (fault,) = checked(seldom).faults
+    assert fault.startswith("no set of images of left, right: their stamps lie too far apart, or too few")
+
+
 def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    with LogWriter(path) as log:
-        write_rig(log, Rig((LEFT, replace(LEFT, name="right"))), START)
-        for k in range(40):
-            for name, later in (("left", 0), ("right", 12 * MS)):
-                stamp = START + k * PERIOD + later
-                camera = replace(LEFT, name=name)
-                log.write(f"/{name}/camera_info", convert.camera_info(camera, stamp), stamp)
-                image = convert.raw_image(name, stamp, np.zeros((24, 32, 3), np.uint8))
-                log.write(f"/{name}/image_raw", image, stamp)
+    write_log(path, Rig((LEFT, replace(LEFT, name="right"))), apart_ns=12 * MS)
     (fault,) = checked(path).faults
     assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
 

@@ -125,10 +125,12 @@ def test_cameras_below_the_base_see_below_it() -> None:
     assert workspace_of(FrameAssembler(lowered, width=160).cameras)[0, 2] < -2
 
 
-@pytest.mark.parametrize("names", [["left"], ["left", "twin"]])
-def test_parallel_views_imply_no_workspace(names: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("names", "found"), [(["left"], "two or more .*, found this one alone"), (["left", "twin"], "found parallel ones")]
+)
+def test_parallel_views_imply_no_workspace(names: list[str], found: str) -> None:
     left = CAMERAS[0]
     twin = replace(left, name="twin", T_base_cam=pose(np.eye(3), np.array([0.0, 0.1, 0])) @ left.T_base_cam)
     chosen = [c for c in (left, twin) if c.name in names]
-    with pytest.raises(RigError, match="found parallel ones; set `workspace"):
+    with pytest.raises(RigError, match=rf"{found}; give a rig file \(--rig RIG.yaml\) with `workspace"):
         workspace_of(FrameAssembler(chosen, width=160).cameras)

@@ -13,7 +13,9 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
+from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
+from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
 from twin_node.scene import RigCamera
 
@@ -191,7 +193,23 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), *faults, str(error)]
     known = {camera.name: camera for camera in rig.cameras}
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
-    return [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig), *faults]
+    faults = [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig), *faults]
+    return faults or _first_set_faults(log)
+
+
+def _first_set_faults(log: LogReader) -> list[str]:
+    """What keeps a twin from beginning where cameras, images and calibration are sound, each by itself."""
+    try:
+        with LogSession(log.path) as session:
+            source = LogSource(session, SynchronizerParameters())
+            workspace_for(session.rig, source.cameras)
+            first = next(iter(source), None)
+    except TwinError as error:
+        return [str(error)]
+    if first is not None:
+        return []
+    names = ", ".join(camera.name for camera in session.rig.cameras)
+    return [f"no set of images of {names}: their stamps lie too far apart, or too few were recorded"]
 
 
 def _image_faults(

@@ -25,6 +25,8 @@ CELLS = 64
 MIN_AXES_SPREAD = 0.003
 """Mean squared sine of the angles between optical axes and their mean (3 degrees); below it they may not meet."""
 
+_GIVE_IT = "give a rig file (--rig RIG.yaml) with `workspace: {min, max}`"
+
 
 def workspace_of(cameras: Sequence[Camera]) -> Float64:
     """The box [2, 3] (lower and upper corner, metres, `base_link`) about what most of the cameras see together.
@@ -32,12 +34,17 @@ def workspace_of(cameras: Sequence[Camera]) -> Float64:
     Raises `RigError` where fewer than two cameras see anything together, or their axes are too parallel to tell at what
     distance.
     """
+    if len(cameras) == 1:
+        raise RigError(
+            f"camera {cameras[0].name}: expected two or more to derive the workspace from, found this one "
+            f"alone; {_GIVE_IT}"
+        )
     poses = np.stack([camera.T_base_cam for camera in cameras])
     if axes_spread(poses) < MIN_AXES_SPREAD:
         names = ", ".join(camera.name for camera in cameras)
         raise RigError(
             f"cameras {names}: expected views from different sides to derive the workspace from, found parallel ones; "
-            "set `workspace: {min, max}` in the rig file"
+            f"{_GIVE_IT}"
         )
     focus, centres = axes_focus(poses), poses[:, :3, 3]
     distances = np.linalg.norm(centres - focus, axis=1)
@@ -50,8 +57,7 @@ def workspace_of(cameras: Sequence[Camera]) -> Float64:
     seen = cells[seen_by > len(cameras) // 2]
     if not len(seen):
         raise RigError(
-            "cameras: expected a volume that most of them see, found none; check `T_base_cam` or set "
-            "`workspace` in the rig file"
+            f"cameras: expected a volume that most of them see, found none; check `T_base_cam`, or {_GIVE_IT}"
         )
     half_cell = (upper - lower) / (2 * CELLS)
     box = np.percentile(seen, [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)
