@@ -51,6 +51,18 @@ def test_rig_file_of_another_rig(refused: Callable[..., str], cell_log: Callable
     assert "cam_front" in line
 
 
+def test_commands_that_advise_a_remap_take_one(
+    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log, rig = str(cell_log(0.5)), str(tmp_path / "rig.yaml")
+    Path(rig).write_text(RIG.format(name="elsewhere"))
+    for command in (["calibrate", "check", rig, log], ["train", log, "--rig", rig, "-o", f"{rig}.safetensors"]):
+        assert main(command) == 2
+        assert "--remap the topic to /<camera>/image_raw" in capfd.readouterr().err
+        assert main([*command, "--remap", "/nowhere:=/elsewhere/image_raw"]) == 2
+        assert "has no topic /nowhere" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("frame", ["cam_front_optical_frame", "tool0"])
 def test_rig_file_that_is_not_tied_to_the_robot(
     refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, frame: str

@@ -41,6 +41,7 @@ def add_check(kinds: Any) -> None:
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--arm", metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF")
     parser.add_argument("--duration", type=positive, default=20.0, metavar="S", help="of the log to read (default 20)")
+    parser.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_check)
 
@@ -139,13 +140,14 @@ def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
 
     from twin_node.nodes.log_source import LogSession, LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
+    from twin_node.nodes.topics import parse_remaps
     from twin_node.rig.calibrate.check import check_against_recording
     from twin_node.robot import arm_model
 
     lenses = (replace(camera, distortion_model="plumb_bob", D=np.zeros(5)) for camera in rig.cameras)
     raw = replace(rig, cameras=tuple(lenses))
     arm = arm_model(options.arm) if options.arm else None
-    with LogSession(options.recording, raw, duration_s=options.duration) as session:
+    with LogSession(options.recording, raw, parse_remaps(options.remap), duration_s=options.duration) as session:
         source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ), arm.joint_names if arm else ())
         sets = list(tqdm(source, unit="set", desc="read", disable=None))
     return check_against_recording(rig, sets, arm)

@@ -50,6 +50,7 @@ def add_train(commands: Any) -> None:
     )
     train.add_argument("--gaussians", type=whole, metavar="N", help="at most N Gaussians (default 20000)")
     train.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    train.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
     train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint, exactly")
     train.add_argument("--device", metavar="NAME", help="torch device, cuda for one (default cpu)")
     train.add_argument("--seed", type=seed, metavar="N", help="seed of all that is drawn (default 0)")
@@ -60,11 +61,13 @@ def _train(options: argparse.Namespace) -> None:
     from twin_node.model.sequence import SUFFIX, ReadOptions, save_checkpoint
     from twin_node.nodes.recordings import read_recording
     from twin_node.nodes.synchronizer import SynchronizerParameters
+    from twin_node.nodes.topics import parse_remaps
 
     check_output(options.output, SUFFIX)
     hold_out = None if options.hold_out is None else tuple(options.hold_out)
     reading = ReadOptions(options.width, options.frames, hold_out)
-    recording = read_recording(options.data, reading, SynchronizerParameters(width=options.width), options.rig)
+    parameters = SynchronizerParameters(width=options.width)
+    recording = read_recording(options.data, reading, parameters, options.rig, parse_remaps(options.remap))
     print(
         f"{options.data}: {len(recording.train)} images at {recording.steps} times to learn from, "
         f"{len(recording.held_out)} held out"

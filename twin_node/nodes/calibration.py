@@ -55,7 +55,8 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path
     if missing:
         raise GraphError(
             f"{log}: no images of camera '{missing[0]}' of {rig_name}; the log has {', '.join(sorted(seen))}; "
-            "give the rig file of this log, or --remap its topic to /<camera>/image_raw"
+            "give the rig file of this log, name its cameras as the log does, or --remap the topic to "
+            "/<camera>/image_raw where the command has that"
         )
     return rig
 

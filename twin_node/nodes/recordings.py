@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from twin_node.model import ModelError
@@ -18,17 +19,23 @@ def is_log(path: Path) -> bool:
 
 
 def read_recording(
-    path: Path, options: ReadOptions, parameters: SynchronizerParameters | None = None, rig: Path | None = None
+    path: Path,
+    options: ReadOptions,
+    parameters: SynchronizerParameters | None = None,
+    rig: Path | None = None,
+    remaps: Mapping[str, str] | None = None,
 ) -> Recording:
-    """All images of a log or a folder; `parameters` and the rig file `rig` are for logs alone.
+    """All images of a log or a folder; `parameters`, the rig file `rig` and `remaps` of topics are for logs alone.
 
-    Raises `ModelError` for a folder of no known layout, data that is incomplete or a rig file beside a folder, and a
-    log's own errors.
+    Raises `ModelError` for a folder of no known layout, data that is incomplete, a rig file or remaps beside a folder,
+    and a log's own errors.
     """
     if not is_log(path):
         if rig is not None:
             raise ModelError(f"--rig {rig}: expected with a log; {path} is a data set, which has its own cameras")
+        if remaps:
+            raise ModelError(f"--remap: expected with a log; {path} is a data set, which has no topics")
         return read_folder(path, options)
-    with LogSession(path, rig) as session:
+    with LogSession(path, rig, remaps) as session:
         source = LogSource(session, parameters or SynchronizerParameters())
         return recording_of(str(path), source, options.hold_out or (), options.frames)

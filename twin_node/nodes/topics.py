@@ -165,7 +165,10 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
             (depth if "depth" in topic else colour).setdefault(camera_of(topic), topic)
     if not colour:
         held = ", ".join(sorted(types)) or "none"
-        renamed = "what says depth is taken for depth, so give colour images other names by --remap FROM:=TO"
+        renamed = (
+            "what says depth is taken for depth, so give colour images other names, by --remap FROM:=TO where the "
+            "command has that"
+        )
         missing = "record the cameras too, or import videos with 'twin_node import video'"
         raise GraphError(
             f"{source}: no image topic; expected sensor_msgs/CompressedImage or Image on /<camera>/image_raw, found "
