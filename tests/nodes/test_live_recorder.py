@@ -186,6 +186,39 @@ def test_a_second_type_under_a_topic_s_name_is_told_once(tmp_path: Path, monkeyp
     studio.end()
 
 
+@pytest.mark.parametrize(
+    ("more", "silent", "wanted"),
+    [({}, "/diagnostics", "/diagnostics, /tf_static"), ({"all": True}, "anything", "any topic")],
+)
+def test_who_records_nothing_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any], silent: str, wanted: str
+) -> None:
+    monkeypatch.setattr("twin_node.nodes.live.recorder.SILENCE_S", 0.0)
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), tells=True, **more)
+    if not more:
+        who = NodeIdentity("1", 1, "somebody")
+        kind = kind_of(TF_STATIC)
+        studio.graph = (Endpoint(EntityKind.PUBLISHER, who, 1, TF_STATIC, str(kind.msgtype), "RIHS01_0", kind.qos),)
+    studio.step()
+    studio.end()
+    hint = "'twin_node doctor' tells what there is"
+    assert studio.said == [
+        f"nobody publishes {silent} yet; {hint}",
+        f"{tmp_path / 'run.mcap'}: 0 messages, nothing came on {wanted}; {hint}",
+    ]
+
+
+def test_what_was_recorded_is_told_in_the_end(tmp_path: Path) -> None:
+    clock = FollowedClock()
+    studio = Studio(tmp_path / "run", clock, tells=True)
+    for after in (0, 1, 2):
+        clock.set(LOG_START + after * 1_500_000_000)
+        studio.hear_diagnostics()
+    studio.end()
+    [told] = studio.said
+    assert told.startswith(f"{tmp_path / 'run'}: 3 messages of 1 topic in 3.")
+
+
 @pytest.mark.parametrize("topic", ["/twin/*", "/", "/a b", "", "joint_states"])
 def test_names_that_no_topic_has_are_refused(tmp_path: Path, topic: str) -> None:
     bus = WireBus(LocalWire(), Executor(), "recorder", kind_of)

@@ -103,6 +103,17 @@ class RecordingWriter:
         return sum(sum(file.counts.values()) for file in self._files)
 
     @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that messages were written of."""
+        return tuple(self._channels)
+
+    @property
+    def seconds(self) -> float:
+        """From the first message to the last one, s."""
+        starts = [file.start for file in self._files if file.start is not None]
+        return (max(file.end for file in self._files) - min(starts)) / 1e9 if starts else 0.0
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """Files begun so far."""
         return tuple(file.path for file in self._files)

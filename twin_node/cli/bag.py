@@ -71,6 +71,7 @@ def _record(options: argparse.Namespace) -> None:
         "output": str(output),
         "all": options.all,
         "ends_when_refused": True,
+        "tells": True,
         "split": {"max_size_mb": options.max_bag_size / 1e6, "max_duration_s": options.max_bag_duration},
     }
     if options.topics:

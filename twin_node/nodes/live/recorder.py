@@ -21,7 +21,8 @@ DISCOVERY_S = 0.2
 """How often the graph is looked over for topics to record, s."""
 FLUSH_TIMER_S = 0.25
 """How often a recorder without messages looks whether a chunk is due, s: half of its time."""
-
+SILENCE_S = 3.0
+"""By then a graph that runs is known: what nobody publishes is told."""
 EARLY_KEPT = 100
 """Latched messages that are kept until time begins, the newest: some for each camera of any rig."""
 
@@ -38,6 +39,8 @@ class RecordParameters:
     split: SplitParameters = field(default_factory=SplitParameters)
     ends_when_refused: bool = False
     """Where the disk refuses, the node ends with that error; else it stays, so that a graph goes on, and says so."""
+    tells: bool = False
+    """Says what nobody publishes, and in the end what was recorded: for a user who has started the recorder alone."""
 
 
 def make_recorder(setup: Setup) -> Node:
@@ -92,6 +95,8 @@ class LiveRecorderNode(Node):
         self._find_more()
         self._timers.every(DISCOVERY_S, self._find_more)
         self._timers.every(FLUSH_TIMER_S, self._flush)
+        if self._parameters.tells:
+            self._timers.alarm(self._tell_of_silence).set(SILENCE_S)
 
     def on_activate(self) -> None:
         self._has_begun = True
@@ -104,9 +109,12 @@ class LiveRecorderNode(Node):
         if self._writer is not None and not self._has_begun:
             self._writer.discard()
             self._writer = None
+        writer = self._writer
         self._end()
         if self._error is not None and self._parameters.ends_when_refused:
             raise self._error
+        if writer is not None and self._parameters.tells:
+            self._say(self._summary(writer))
 
     def add(self, topic: str, kind: TopicKind) -> None:
         """Record a topic from now on."""
@@ -134,6 +142,20 @@ class LiveRecorderNode(Node):
                 self.add(endpoint.topic, TopicKind(endpoint.msgtype, endpoint.qos))
             elif recorded is None:
                 self._leave_out(endpoint, f", whose type {endpoint.msgtype} is not known here")
+
+    def _tell_of_silence(self) -> None:
+        published = {one.topic for one in self._endpoints() if one.kind is EntityKind.PUBLISHER}
+        silent = [topic for topic in self._topics if self._bus.resolved(topic) not in published]
+        if silent or (self._is_all and not published):
+            self._say(f"nobody publishes {', '.join(silent) or 'anything'} yet; 'twin_node doctor' tells what there is")
+
+    def _summary(self, writer: RecordingWriter) -> str:
+        """What has become of a recording."""
+        if writer.messages:
+            topics = "1 topic" if len(writer.topics) == 1 else f"{len(writer.topics)} topics"
+            return f"{writer.path}: {writer.messages} messages of {topics} in {writer.seconds:.1f} s"
+        wanted = "any topic" if self._is_all else ", ".join(self._topics)
+        return f"{writer.path}: 0 messages, nothing came on {wanted}; 'twin_node doctor' tells what there is"
 
     def _leave_out(self, endpoint: Endpoint, why: str) -> None:
         """Tells, once, of what cannot be recorded."""
