@@ -10,6 +10,7 @@ from twin_logs import with_gripper
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.playback import Playback
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import GraphError
 from twin_node.robot import ur_model
@@ -45,5 +46,6 @@ def test_damage_is_told_before_what_cannot_be_read_for_it(cell_log: Callable[...
     words = (
         r"^\S*flipped.mcap: damaged at byte .* 'twin_node check \S* --repair OUT' .* of what was: .*camera 'cam_back'"
     )
-    with pytest.raises(GraphError, match=words):
-        LogSession(tmp_path / "flipped.mcap")
+    for opened in (LogSession, lambda path: Playback([path])):
+        with pytest.raises(GraphError, match=words):
+            opened(tmp_path / "flipped.mcap")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import contextlib
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,18 @@ def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Ri
     if rig_file is not None:
         return _matched(load_rig(rig_file).rig, cameras, str(rig_file), log.path)
     return _rig_of_log(log, cameras)
+
+
+@contextlib.contextmanager
+def damage_first(log: LogReader) -> Iterator[None]:
+    """What a damaged log lacks may stand where it cannot be read: raises `GraphError` that tells the damage first."""
+    try:
+        yield
+    except (GraphError, MessageError) as error:
+        if log.damage is None:
+            raise
+        repair = f"'twin_node check {log.path} --repair OUT' writes all that can be read"
+        raise GraphError(f"{log.damage}; {repair}; of what was: {error}") from None
 
 
 def load_base_rig(file: Path) -> Rig:

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.bag import LogReader, open_log
-from twin_node.messages import MessageError
-from twin_node.nodes.calibration import check_depth, rig_for
+from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError, absolute, find_cameras
@@ -32,10 +31,7 @@ class LogSession:
         start_offset_s: float = 0.0,
         duration_s: float | None = None,
     ) -> None:
-        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names.
-
-        What a damaged log lacks may stand where it cannot be read: the damage is told first.
-        """
+        """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names."""
         self._opened = (path, rig_file, remaps, start_offset_s, duration_s)
         remaps = remaps or {}
         self.log: LogReader = open_log(path)
@@ -43,19 +39,15 @@ class LogSession:
             types = {topic.name: topic.msgtype for topic in self.log.topics}
             original = _named(types, remaps, path)
             renamed = {name: types[source] for name, source in original.items()}
-            self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
-            in_log = tuple(_originals(camera, original) for camera in self.cameras)
-            self.rig: Rig = rig_for(self.log, in_log, rig_file)
-            check_depth(self.log, in_log)
+            with damage_first(self.log):
+                self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
+                in_log = tuple(_originals(camera, original) for camera in self.cameras)
+                self.rig: Rig = rig_for(self.log, in_log, rig_file)
+                check_depth(self.log, in_log)
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-        except BaseException as error:
-            damage = self.log.damage
+        except BaseException:
             self.log.close()
-            if damage is None or not isinstance(error, GraphError | MessageError):
-                raise
-            raise GraphError(
-                f"{damage}; 'twin_node check {path} --repair OUT' writes all that can be read; of what was: {error}"
-            ) from None
+            raise
         played = {JOINT_STATES, TRAJECTORY}
         for camera in self.cameras:
             played |= {camera.image} | ({camera.depth} if camera.depth else set())

@@ -13,7 +13,7 @@ import numpy as np
 from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.bag.latched import newest_before
 from twin_node.messages import Message, convert, header_stamp
-from twin_node.nodes.calibration import rig_for
+from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.topics import (
     GAUSSIANS,
     GAUSSIANS_MOVING,
@@ -298,8 +298,9 @@ class Playback:
         for log in self._logs:
             types = {topic.name: topic.msgtype for topic in log.topics}
             if any(kind in IMAGE_TYPES for kind in types.values()):
-                cameras = find_cameras(types, str(log.path))
-                rig = rig_for(log, cameras, rig_file)
+                with damage_first(log):
+                    cameras = find_cameras(types, str(log.path))
+                    rig = rig_for(log, cameras, rig_file)
                 calibrated = {camera.name for camera in rig.cameras}
                 known = {camera.name: camera for camera in cameras if camera.name in calibrated}
                 return known, FrameAssembler(rig.cameras, width)
