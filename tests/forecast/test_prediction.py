@@ -86,3 +86,16 @@ def test_weights_follow_what_is_told_of_nodes_and_of_experts() -> None:
     assert first.max(axis=0).tolist() == [1.0, 1.0]  # newcomers are led by one expert alone
     assert vouched[:, 0].max() < 1.0 == vouched[:, 1].max()
     assert judged[0, 0] > vouched[0, 0]
+
+
+def test_horizons_that_become_shorter_do_not_spoil_what_was_learnt() -> None:
+    """A few sets were late, and count no longer: their forecasts come due after those of the sets that followed."""
+    tracks, predictor = Tracks(), Predictor()
+    for sample in range(60):
+        places = np.array([[0.2 * np.sin(sample / 5), 0.0, 0.5]])
+        succession = tracks.follow(sample / 30, places, np.array([[1.2 * np.cos(sample / 5), 0.0, 0.0]]))
+        predictor.advance(tracks.history, succession, 0.8 if sample < 30 else 0.26)
+        prediction = predictor.predict(HORIZONS)
+        assert np.isfinite(prediction.displacements).all()
+        assert 0 < prediction.radii[-1, 0] < np.inf
+    assert (predictor._records.squared >= 0).all()

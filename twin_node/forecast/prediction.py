@@ -281,8 +281,11 @@ class Predictor:
                 self.bound.observe(time, cues, found.wrong, radii, one.elapsed_s, found.grown)
 
     def _since_last(self, issued: Issued) -> float:
-        """Time in seconds since the knot that is due was learnt about last; takes note of this one."""
+        """Time in seconds since the knot that is due was learnt about last; takes note of this one.
+
+        Where horizons have become shorter, forecasts for later may have been learnt from already: then it is 0.
+        """
         knot, valid_at = issued.due, issued.valid_at(issued.due)
-        elapsed = min(valid_at - self._learnt_at[knot], issued.horizon_s)
-        self._learnt_at[knot] = valid_at
+        elapsed = min(max(valid_at - self._learnt_at[knot], 0.0), issued.horizon_s)
+        self._learnt_at[knot] = max(valid_at, self._learnt_at[knot])
         return float(elapsed)
