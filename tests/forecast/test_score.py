@@ -141,3 +141,20 @@ def test_views_far_from_the_forecast_time_do_not_count() -> None:
     comparison.add(state_of(0, CENTER), {"ball": occupancy(ball, ball)})
     comparison.add(state_of(300_000_000, CENTER), {})
     assert comparison.scores()["ball"].iou is None
+
+
+class TruthAtTimes(BallTruth):
+    """Knows the volume at every other set alone."""
+
+    def volume_l(self, stamp: int) -> float | None:
+        return super().volume_l(stamp) if stamp % 400_000_000 == 0 else None
+
+
+def test_inflation_compares_forecasts_for_times_at_which_the_true_volume_is_known() -> None:
+    ball = ball_voxels(CENTER)
+    comparison, forecast = Comparison(TruthAtTimes(), "ball"), occupancy(ball, ball)
+    for stamp in range(0, 1_000_000_000, 200_000_000):
+        comparison.add(state_of(stamp, CENTER), {"ball": replace(forecast, stamp=stamp, publish_stamp=stamp)})
+    score = comparison.scores()["ball"]
+    assert np.isclose(score.inflation or 0, 1.0)
+    assert np.isclose(score.moving_volume_l or 0, len(ball) * 27e-3)

@@ -58,7 +58,7 @@ class Score:
     moving_volume_l: float | None
     """Mean volume of the moving voxels alone, litres."""
     inflation: float | None
-    """`moving_volume_l` over the true volume."""
+    """Mean volume of the moving voxels over the true one, of the forecasts for times at which that is known."""
     iou: float | None
     """Mean overlap (intersection over union) with the true pixels at its time of the projected voxels that are
     occupied more likely than not: the forecast without its bound."""
@@ -139,6 +139,8 @@ class _Tally:
     new_of: int = 0
     blocked: list[float] = field(default_factory=list)
     moving: list[float] = field(default_factory=list)
+    compared: list[float] = field(default_factory=list)
+    """Those of `moving` at times whose true volume is known."""
     true_volumes: list[float] = field(default_factory=list)
     overlaps: list[float] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
@@ -148,6 +150,7 @@ class _Tally:
         self.blocked.append(blocked_volume(forecast, layer))
         self.moving.append(len(layer.indices) * litres_per_voxel(forecast.grid))
         if true_volume is not None:
+            self.compared.append(self.moving[-1])
             self.true_volumes.append(true_volume)
 
     def add_points(self, forecast: Occupancy, before: UInt32, now: Float64 | None, later: Float64 | None) -> None:
@@ -179,7 +182,7 @@ class _Tally:
             recall_new=_share(self.new_found, self.new_of),
             volume_l=_mean(self.blocked),
             moving_volume_l=_mean(self.moving),
-            inflation=_share(sum(self.moving), sum(self.true_volumes)),
+            inflation=_share(sum(self.compared), sum(self.true_volumes)),
             iou=_mean(self.overlaps),
             error_mm=_mean([1e3 * error for error in self.errors if np.isfinite(error)]),
         )
