@@ -55,3 +55,8 @@ def test_runs_may_touch() -> None:
 def test_runs_that_overlap_or_reach_too_far_are_refused(runs: list[list[int]]) -> None:
     with pytest.raises(ForecastError, match="disjoint"):
         decode_runs(np.array(runs, np.uint32), 5)
+
+
+def test_a_workspace_in_millimetres_is_refused() -> None:
+    with pytest.raises(ForecastError, match=r"workspace: expected one in metres .* found 1200 x 1200 x 900 m; .*1000"):
+        default_grid(np.array([[-600.0, -600, 0], [600, 600, 900]]))

@@ -16,7 +16,8 @@ LARGEST_VOXEL_M = 1.0
 def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int = MOST_VOXELS) -> Grid:
     """Grid over a workspace [2, 3] (lower and upper corner, m), coarsened until it has at most `most_voxels`.
 
-    Raises `ForecastError` for a workspace that is not finite or not lower < upper, and for a voxel size that is none.
+    Raises `ForecastError` for a workspace that is not finite, not lower < upper, or too large for voxels that tell
+    anything, and for a voxel size that is none.
     """
     corners = np.asarray(workspace, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
@@ -33,6 +34,12 @@ def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int 
     size = max(voxel_size, float(np.cbrt(extent.prod() / most_voxels)))
     while np.prod(np.ceil(extent / size - 1e-9)) > most_voxels:
         size *= 1.02
+    if size > LARGEST_VOXEL_M:
+        across = " x ".join(f"{side:g}" for side in extent)
+        raise ForecastError(
+            f"workspace: expected one in metres that {most_voxels} voxels of at most {LARGEST_VOXEL_M:g} m fill, found "
+            f"{across} m; correct `workspace` in the rig file: divide millimetres by 1000"
+        )
     dims = np.maximum(np.ceil(extent / size - 1e-9), 1).astype(int)
     return Grid(corners[0].copy(), size, (int(dims[0]), int(dims[1]), int(dims[2])))
 
