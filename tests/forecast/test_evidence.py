@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from forecast_worlds import GRID, ball_depth, floor_depth, state_of
 
 from twin_node.forecast.evidence import Observer
@@ -57,3 +58,19 @@ def test_neighbours_that_are_found_meanwhile_are_those_of_the_parts() -> None:
     found, expected = evidence.near.result(), closest(evidence.parts.centers)
     assert np.array_equal(found.rows, expected.rows)
     assert np.array_equal(found.distances, expected.distances)
+
+
+def test_an_errand_that_failed_does_not_fail_all_that_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    observer = Observer(GRID, CarvingParameters(), StaticParameters())
+    with monkeypatch.context() as patched:
+
+        def fails(*_: object) -> None:
+            raise MemoryError("no room for hiding places")
+
+        patched.setattr(observer._hiding, "update", fails)
+        with pytest.raises(MemoryError, match="no room"):
+            observer.observe(over_a_table(0, None)).unseen.result()
+    with pytest.raises(MemoryError, match="no room"):
+        observer.observe(over_a_table(PERIOD_NS, None))
+    evidence = observer.observe(over_a_table(2 * PERIOD_NS, None))
+    assert decode_runs(evidence.unseen.result().unknown_runs, GRID.size).any()

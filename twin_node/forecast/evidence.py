@@ -139,8 +139,9 @@ class Observer:
 
     def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Unseen]:
         """What there may be in the inner grid's `unknown` space; states are followed one after the other."""
-        if self._errand is not None:
-            self._errand.result()
+        before, self._errand = self._errand, None  # one that failed says so once
+        if before is not None:
+            before.result()
         unseen = self._unseen
 
         def look() -> Unseen:

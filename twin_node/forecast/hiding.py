@@ -62,10 +62,10 @@ class HidingPlaces:
     def update(self, stamp: int, unknown: Bits, moving: Bits, standing: Bits) -> Hidden:
         """What unknown, moving and standing voxels at a time (ns, rising) leave possible."""
         elapsed_s = 0.0 if self._stamp is None else (stamp - self._stamp) * 1e-9
-        self._stamp = stamp
         if elapsed_s > LONGEST_GAP_S:
             self._memory.maybe_full.words[:] = Bits.all(self._grid.dims).words
         reachable = follow(self._grid, self._memory, Seen(elapsed_s, unknown, moving, standing))
+        self._stamp = stamp
         return Hidden(reachable, self._memory.maybe_full.without(reachable))
 
 
