@@ -81,7 +81,7 @@ def test_weights_follow_what_is_told_of_nodes_and_of_experts() -> None:
     first = predictor.weights
     predictor.vouch(np.array([True, False]))
     vouched = predictor.weights
-    predictor.judge_experts(np.array([0.0, 0.5, 0.5, 0.5, 0.5, 0.5]), 0.05)
+    predictor.judge_experts(np.array([0.0, 0.5, 0.5, 0.5, 0.5, 0.5]))
     judged = predictor.weights
     assert first.max(axis=0).tolist() == [1.0, 1.0]  # newcomers are led by one expert alone
     assert vouched[:, 0].max() < 1.0 == vouched[:, 1].max()

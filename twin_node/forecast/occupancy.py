@@ -200,7 +200,7 @@ class Forecaster:
             self._control.observe(found.share, steady.share if steady.seen else None, due.factor, elapsed)
         if known.any() and due.places.shape[1]:
             missed = _missed(due.places, evidence.parts.centers[known])
-            self._predictor.judge_experts(missed, min(state.stamp - self._judged_at, JUDGED_EVERY_NS) * 1e-9)
+            self._predictor.judge_experts(missed)
         self._judged_at = state.stamp
 
     def _foreseen(self, stamp: int, centers: Float64) -> Bool:

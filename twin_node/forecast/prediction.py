@@ -16,7 +16,7 @@ from twin_node.forecast.neighbours import Closest
 from twin_node.forecast.outlook import Standing, outlook, weighed
 from twin_node.forecast.reaches import Known, Span, reaches
 from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
-from twin_node.forecast.records import RECORD_S, USUAL_ERROR, Records, Rows
+from twin_node.forecast.records import USUAL_ERROR, Records, Rows
 from twin_node.forecast.swerving import Swerves, swerves_of
 from twin_node.scene import Bool, Float64
 
@@ -55,6 +55,10 @@ _NOW_S = 0.002
 """A forecast for so soon after the last sample is judged by it, s: what rounding and jitter make of equal times."""
 _TRUST_SHARPNESS, _TRUST_SHARE = 0.02, 0.002
 """An expert is trusted 1/e as much as the best one if it misses so much more, relative and in shares of what moves."""
+
+
+_JUDGEMENTS = 13.0
+"""Judgements in which earlier ones lose their say, however far apart: 0.87 s at 30 Hz, where every other set judges."""
 
 
 class Predictor:
@@ -151,12 +155,12 @@ class Predictor:
         for own, issued in zip(rows.take(paths, axis=1), self._issued, strict=True):
             issued.rows = own
 
-    def judge_experts(self, missed: Float64, elapsed_s: float) -> None:
+    def judge_experts(self, missed: Float64) -> None:
         """Takes in which share [E] of what moves now each expert alone would have missed.
 
         Paths of parts of a hull are put together from velocities; this tells whether they lead where things turn up.
         """
-        rate = 1 - np.exp(-elapsed_s / RECORD_S) if self._missed.any() else 1.0
+        rate = 1 - np.exp(-1 / _JUDGEMENTS) if self._missed.any() else 1.0
         self._missed = self._missed + rate * (missed - self._missed)
         self._weights = None
         best = float(self._missed.min())
