@@ -225,3 +225,41 @@ def test_fine_voxels_hold_as_much_as_coarse_ones(voxel_size: float) -> None:
     assert forecaster.quality.bound_radius > 0.4
     later = ball_voxels(appears + np.array([1.6 * 0.233, 0.0, 0.0]), 0.036, grid)
     assert len(later) and np.isin(later, occupancy.layers[-1].indices).all()
+
+
+def waved(stamp: int) -> np.ndarray:
+    """Where a ball is that goes to and fro once a second, at up to 1.6 m/s."""
+    return np.array([0.25 * np.sin(2 * np.pi * stamp * 1e-9), 0.0, 0.45])
+
+
+@pytest.mark.parametrize("with_depth", [True, False])
+@pytest.mark.parametrize("pause_s", [0.3, 1, 100_000])
+def test_after_a_pause_nothing_is_known_of_how_things_move(with_depth: bool, pause_s: float) -> None:
+    """After whole seconds the ball is where it was seen last, as fast as it was: it looks as if it had stood."""
+    forecaster = Forecaster(GRID)
+    stamps = [tick * PERIOD_NS for tick in range(30)]
+    stamps.append(stamps[-1] + round(pause_s * 1e9))
+    for stamp in stamps:
+        state = state_of(stamp, waved(stamp), RADIUS, with_depth=with_depth)
+        occupancy = forecaster.update(state, stamp + LATENCY_NS)
+        if stamp < stamps[-1]:
+            assert not any("pause" in warning for warning in forecaster.quality.warnings)
+    assert any("pause" in warning for warning in forecaster.quality.warnings)
+    later = ball_voxels(waved(occupancy.publish_stamp + HORIZONS_NS[-1]), 0.9 * RADIUS)
+    assert np.isin(later, occupancy.layers[-1].indices).all()
+    assert forecaster.motion.radii[-1].min() > 1.6 * 0.233
+
+
+def test_obstacles_of_a_set_in_which_something_was_not_finite_keep_what_is_known_of_them() -> None:
+    spoilt, sound = Forecaster(GRID), Forecaster(GRID)
+    for state in moving_ball(14, with_depth=True):
+        for forecaster in (spoilt, sound):
+            forecaster.update(state, state.stamp + LATENCY_NS)
+    (*_, last) = moving_ball(15, with_depth=True)
+    spoilt._predictor.bound._scale.gram[:] = np.nan
+    for forecaster in (spoilt, sound):
+        forecaster.update(last, last.stamp + LATENCY_NS)
+    assert "non-finite" in spoilt.quality.warnings[0]
+    assert np.array_equal(spoilt.motion.velocities, sound.motion.velocities)
+    assert np.abs(spoilt.motion.velocities).max() > 0.3
+    assert np.allclose(spoilt.motion.radii[-1], 1.6 * 0.233)

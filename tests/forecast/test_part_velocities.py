@@ -132,3 +132,16 @@ def test_shifts_spread_over_a_window_are_those_of_the_whole_image(window: Window
     spread = spread_about(window, pixels, shifts, (width, height))
     assert np.array_equal(spread, whole[window.slices])
     assert np.ptp(spread[..., 0]) > 5
+
+
+@pytest.mark.parametrize(("gap_s", "is_told"), [(0.1, True), (0.4, True), (0.6, False)])
+def test_images_from_before_a_long_gap_tell_no_velocity(gap_s: float, is_told: bool) -> None:
+    """What has gone to and fro meanwhile looks as if it stood."""
+    velocities = PartVelocities(RigTables(GRID))
+    center = np.array([0.0, 0.0, 0.45])
+    parts = parts_of_ball(center, 0.11)
+    velocities.update(state_of(0, center, radius=0.11, cameras=RIG), nothing(), unknown(nothing()))
+    later = state_of(round(gap_s * 1e9), center, radius=0.11, cameras=RIG)
+    moving, _ = velocities.update(later, parts, unknown(parts))
+    assert (moving.sigmas < 1.0).all() == is_told
+    assert (moving.sigmas == UNKNOWN_SPEED).all() != is_told

@@ -110,9 +110,15 @@ class Observer:
         self._last = Estimate.unknown(0)
         self._last_stamp = 0
 
-    def observe(self, state: TwinState) -> Evidence:
-        """The evidence of a state; states come in rising order of stamps."""
+    def observe(self, state: TwinState, anew: bool = False) -> Evidence:
+        """The evidence of a state; states come in rising order of stamps.
+
+        `anew`: what was known of how things move no longer holds.
+        """
         found = self._without_arm(state, self._carver.carve(state, self._speed()))
+        if anew:
+            self._velocities = PartVelocities(self.tables)
+            self._last_centers, self._last = np.zeros((0, 3)), Estimate.unknown(0)
         parts, carved = self._without_specks(found)
         near = Errand(partial(closest, parts.centers))
         static = self._static.update(state, self._carver)

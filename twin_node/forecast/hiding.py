@@ -13,6 +13,7 @@ from twin_node.forecast.bits import WORD, Bits, Words
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.kernel_requests import HideRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.pace import LONGEST_GAP_S
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, Grid
 
@@ -26,8 +27,6 @@ forearm that it hangs on would show."""
 ATTACHED_S = 0.3
 """What was attached to something that moves counts as attached for so long, s: three sets at 10 Hz in which the limb
 that it hangs on is not seen to move. What is still in there afterwards hangs on nobody."""
-LONGEST_GAP_S = 0.5
-"""After a longer time without evidence nothing is known of space that is not seen, s."""
 _NEVER = np.float32(1e9)
 
 

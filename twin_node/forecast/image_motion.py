@@ -11,6 +11,7 @@ import numpy as np
 
 from twin_node.forecast.blobs import COMPACT, SMALLEST_BLOB, Blobs, blobs_plainly, flights_plainly
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.pace import LONGEST_GAP_S
 from twin_node.forecast.part_requests import SeeRequest
 from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8, View
@@ -163,11 +164,15 @@ class ImageMotion:
 
     @property
     def elapsed_s(self) -> float | None:
-        """Time between the last two images, s; None where there are not two that can be compared."""
+        """Time between the last two images, s; None where there are not two that can be compared.
+
+        Those of before and after a long gap cannot: what has gone to and fro meanwhile would be told to stand.
+        """
         now, before = self._now, self._before
-        if now is None or before is None or before.stamp >= now.stamp or before.grey.shape != now.grey.shape:
+        if now is None or before is None or before.grey.shape != now.grey.shape:
             return None
-        return (now.stamp - before.stamp) * 1e-9
+        elapsed_s = (now.stamp - before.stamp) * 1e-9
+        return elapsed_s if 0 < elapsed_s <= LONGEST_GAP_S else None
 
     @property
     def window(self) -> Window:

@@ -17,6 +17,7 @@ from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.nearest import nearest
 from twin_node.forecast.obstacles import Motion
+from twin_node.forecast.pace import Pace
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.passing import passed_between
 from twin_node.forecast.prediction import Prediction, Predictor
@@ -78,12 +79,16 @@ class Forecaster:
         self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
         self._predictor = self._new_predictor()
+        self._pace = Pace()
+        self._begins_anew = False
+        """Whether nothing that is known of motion holds for the next state."""
+        self._anew_at = _NEVER
+        """Stamp of the last state that nothing known of motion held for, ns."""
+        self._has_depth = False
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._due: _Issued | None = None
-        self._radii = np.zeros((len(HORIZONS_NS), 0))
-        self._sigmas = np.zeros(0)
-        self._passed: tuple[NDArray[np.int64], ...] = ()
+        self._motion = Motion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((len(HORIZONS_NS), 0)))
         self._watch = Watch()
         self._sees_motion_from = 0
         self._warnings: tuple[str, ...] = ()
@@ -106,7 +111,7 @@ class Forecaster:
         return ForecastQuality(
             coverage=self._control.coverage,
             target=self.parameters.bound.coverage,
-            bound_radius=float(np.median(self._radii[-1])) if self._radii.shape[1] else 0.0,
+            bound_radius=float(np.median(self._motion.radii[-1])) if self._motion.radii.shape[1] else 0.0,
             factor=self._control.factor,
             expert_weights=self._mean_weights(),
             warnings=self._warnings + self._watch.warnings,
@@ -115,11 +120,7 @@ class Forecaster:
     @property
     def motion(self) -> Motion:
         """Where the parts are, how they move, their bounds and their experts, as of the last update."""
-        if len(self._tracks.times) == 0:
-            return Motion(np.zeros((0, 3)), np.zeros((0, 3)), self._radii)
-        experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
-        places, velocities = self._tracks.positions[-1], self._tracks.velocities
-        return Motion(places, velocities, self._radii, experts, self._sigmas, self._passed)
+        return self._motion
 
     def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
@@ -134,19 +135,9 @@ class Forecaster:
                 "one clock"
             )
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
-        has_depth = any(view.depth is not None for view in state.frames.views)
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
-        evidence = self._observer.observe(state)
-        may_start = evidence.resting if has_depth else np.zeros(0, np.int64)
-        succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, evidence.motion.velocities)
-        motion = evidence.motion
-        self._sigmas = motion.sigmas
-        # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
-        whole = evidence.whole
-        told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
-        measured = told if has_depth else None
-        ahead_s, factor = float(horizons[-1]), self._control.factor
-        self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor, evidence.near)
+        evidence = self._follow(state, float(horizons[-1]))
+        may_start = evidence.resting if self._has_depth else np.zeros(0, np.int64)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.alone
@@ -155,7 +146,10 @@ class Forecaster:
         moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
         layers = layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
         self._sighted = sighted(self._observer.grid, evidence.parts, may_start, prediction, started, horizons)
-        self._passed = passed_between(self.grid, evidence.parts, prediction.displacements, prediction.radii)
+        passed = passed_between(self.grid, evidence.parts, prediction.displacements, prediction.radii)
+        self._motion = self._motion_within(prediction.radii, evidence.motion.sigmas, passed)
+        if self._begins_anew:
+            self._predictor = self._new_predictor()
         indices = layers[-1].indices.astype(np.int64)
         valid_at = publish_stamp + HORIZONS_NS[-1]
         ahead = evidence.parts.centers + prediction.displacements[-1]
@@ -172,6 +166,32 @@ class Forecaster:
             static=evidence.static,
             unknown_runs=unseen.unknown_runs,
         )
+
+    def _follow(self, state: TwinState, ahead_s: float) -> Evidence:
+        """What a state shows, and forecasts of all that moves in it for so long (s) from then.
+
+        Nothing that was known of motion before a pause is gone on with.
+        """
+        paused = self._pace.pauses_before(state.stamp)
+        anew = self._begins_anew = self._begins_anew or paused
+        evidence = self._observer.observe(state, anew)
+        if anew:
+            self._tracks, self._anew_at, self._begins_anew = Tracks(), state.stamp, False
+        self._warnings = (_PAUSED,) if paused and evidence.parts.count else ()
+        self._has_depth = any(view.depth is not None for view in state.frames.views)
+        motion, whole = evidence.motion, evidence.whole
+        succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, motion.velocities)
+        # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
+        told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
+        measured = told if anew or self._has_depth else None
+        factor = self._control.factor
+        self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor, evidence.near)
+        return evidence
+
+    def _motion_within(self, radii: Float64, sigmas: Float64, passed: tuple[NDArray[np.int64], ...]) -> Motion:
+        """That of the parts, bounded by `radii` [H, M] (m)."""
+        experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
+        return Motion(self._tracks.positions[-1], self._tracks.velocities, radii, experts, sigmas, passed)
 
     def _new_predictor(self) -> Predictor:
         """Without any record. Nothing falls out of the grid: below it is a table or the floor."""
@@ -206,10 +226,13 @@ class Forecaster:
     def _foreseen(self, stamp: int, centers: Float64) -> Bool:
         """[M] parts, by their centres, that lie where the newest forecast whose time has come had some part.
 
-        One whose time was longer ago than it looked ahead says nothing of now.
+        One whose time was longer ago than it looked ahead says nothing of now, nor does one of before a pause, or the
+        first after it: that foresaw everything.
         """
         due = self._due
-        if due is None or stamp - due.valid_at > HORIZONS_NS[-1] or len(due.radii) == 0 or len(centers) == 0:
+        if due is None or stamp - due.valid_at > HORIZONS_NS[-1] or due.stamp <= self._anew_at:
+            return np.zeros(len(centers), np.bool_)
+        if len(due.radii) == 0 or len(centers) == 0:
             return np.zeros(len(centers), np.bool_)
         count = min(_NEIGHBOURS, len(due.radii))
         distances, rows = nearest(centers, due.ahead, count)
@@ -220,15 +243,13 @@ class Forecaster:
         found = self._predictor.predict(horizons, self._control.factor)
         moved, radii = found.displacements, found.radii
         lost = ~(np.isfinite(moved).all(axis=(0, 2)) & np.isfinite(radii).all(axis=0))
-        self._warnings = ()
         if lost.any():
             moved[:, lost] = 0
             radii[:, lost] = PERSON_SPEED * horizons[:, None]
-            self._warnings = (
+            self._warnings += (
                 f"forecast: {lost.sum()} parts became non-finite: worst case for them, tracks begun anew",
             )
-            self._tracks, self._predictor = Tracks(), self._new_predictor()
-        self._radii = radii
+            self._begins_anew = True
         return found
 
 
@@ -249,6 +270,10 @@ class _Issued:
     """[M] and how far from there at most, m."""
 
 
+_PAUSED = (
+    "forecast: nothing is known of how things move after a pause in the images: worst case for them, tracks begun anew"
+)
+_NEVER = np.iinfo(np.int64).min // 2
 _NOWHERE = 1e6
 """Stands for a place that is not finite, m."""
 
