@@ -250,6 +250,39 @@ def test_after_a_pause_nothing_is_known_of_how_things_move(with_depth: bool, pau
     assert forecaster.motion.radii[-1].min() > 1.6 * 0.233
 
 
+def without_depth(state: TwinState) -> TwinState:
+    """The state, if no depth image had come."""
+    views = tuple(replace(view, depth=None) for view in state.frames.views)
+    return replace(state, frames=replace(state.frames, views=views))
+
+
+def test_who_rests_may_start_where_depth_images_are_missing_for_a_while() -> None:
+    forecaster, there = Forecaster(GRID), np.array([0.0, 0.0, 0.45])
+    held = []
+    for tick in range(24):
+        state = state_of(2 * tick * PERIOD_NS, there - [0.04 * max(8 - tick, 0), 0, 0], 0.33, with_depth=True)
+        if tick > 10:
+            state = replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
+        if tick > 21:
+            state = without_depth(state)
+        held.append(forecaster.update(state, state.stamp + LATENCY_NS).layers[-1].indices)
+    assert len(held[21]) > 1000
+    assert np.array_equal(held[22], held[21])
+    assert np.array_equal(held[23], held[21])
+
+
+def test_who_is_new_where_depth_images_are_missing_gets_as_far_as_people_do() -> None:
+    """Something moves from the first set without depth on: its velocity is not known, with depth as without."""
+    radii = []
+    for missing in (False, True):
+        forecaster = Forecaster(GRID)
+        for tick in range(6):
+            state = state_of(tick * PERIOD_NS, place(0) if tick == 5 else None, RADIUS, with_depth=True)
+            forecaster.update(without_depth(state) if missing and tick == 5 else state, state.stamp + LATENCY_NS)
+        radii.append(forecaster.quality.bound_radius)
+    assert radii[1] >= radii[0] > 1.6 * 0.233
+
+
 def test_obstacles_of_a_set_in_which_something_was_not_finite_keep_what_is_known_of_them() -> None:
     spoilt, sound = Forecaster(GRID), Forecaster(GRID)
     for state in moving_ball(14, with_depth=True):

@@ -17,10 +17,11 @@ from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.nearest import nearest
 from twin_node.forecast.obstacles import Motion
-from twin_node.forecast.pace import Pace
+from twin_node.forecast.pace import LONGEST_GAP_S, Pace
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.passing import passed_between
 from twin_node.forecast.prediction import Prediction, Predictor
+from twin_node.forecast.resting import RESTING_S
 from twin_node.forecast.sighting import Sighted, sighted
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
@@ -84,7 +85,8 @@ class Forecaster:
         """Whether nothing that is known of motion holds for the next state."""
         self._anew_at = _NEVER
         """Stamp of the last state that nothing known of motion held for, ns."""
-        self._has_depth = False
+        self._depth_at: int | None = None
+        """Stamp of the last state with depth, ns."""
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._due: _Issued | None = None
@@ -137,7 +139,7 @@ class Forecaster:
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._follow(state, float(horizons[-1]))
-        may_start = evidence.resting if self._has_depth else np.zeros(0, np.int64)
+        may_start = evidence.resting if self._had_depth(state.stamp, RESTING_S) else np.zeros(0, np.int64)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.alone
@@ -178,15 +180,20 @@ class Forecaster:
         if anew:
             self._tracks, self._anew_at, self._begins_anew = Tracks(), state.stamp, False
         self._warnings = (_PAUSED,) if paused and evidence.parts.count else ()
-        self._has_depth = any(view.depth is not None for view in state.frames.views)
+        if any(view.depth is not None for view in state.frames.views):
+            self._depth_at = state.stamp
         motion, whole = evidence.motion, evidence.whole
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, motion.velocities)
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
         told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
-        measured = told if anew or self._has_depth else None
+        measured = told if anew or self._had_depth(state.stamp, LONGEST_GAP_S) else None
         factor = self._control.factor
         self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor, evidence.near)
         return evidence
+
+    def _had_depth(self, stamp: int, within_s: float) -> bool:
+        """Whether any camera has measured depth of late, as seen at `stamp` (ns): single depth images get lost."""
+        return self._depth_at is not None and stamp - self._depth_at <= within_s * 1e9
 
     def _motion_within(self, radii: Float64, sigmas: Float64, passed: tuple[NDArray[np.int64], ...]) -> Motion:
         """That of the parts, bounded by `radii` [H, M] (m)."""
