@@ -48,7 +48,7 @@ def test_what_comes_in_is_foreseen_where_it_will_be() -> None:
 
     for tick in range(10):
         stamp = tick * PERIOD_NS
-        occupancy = forecaster.update(state_of(stamp, place(stamp)), stamp + 33_000_000)
+        occupancy = forecaster.update(state_of(stamp, place(stamp)), stamp + 33_000_000).occupancy
     then = ball_voxels(place(occupancy.publish_stamp + HORIZONS_NS[-1]), 0.1)
     now = ball_voxels(place(9 * PERIOD_NS), 0.12)
     assert len(now) < 0.4 * len(then)

@@ -32,7 +32,7 @@ def place(stamp: int, speed: float = 0.5) -> np.ndarray:
 def run(states: list[TwinState]) -> Occupancy:
     forecaster = Forecaster(GRID)
     for state in states:
-        occupancy = forecaster.update(state, state.stamp + LATENCY_NS)
+        occupancy = forecaster.update(state, state.stamp + LATENCY_NS).occupancy
     return occupancy
 
 
@@ -65,9 +65,9 @@ def test_forecast_is_far_smaller_than_the_worst_case() -> None:
 def test_the_flow_of_the_images_tells_the_velocity() -> None:
     forecaster = Forecaster(GRID)
     for state in moving_ball(12):
-        forecaster.update(state, state.stamp + LATENCY_NS)
-    inner = np.linalg.norm(forecaster.motion.centers - place(11 * PERIOD_NS), axis=1) < RADIUS
-    assert np.abs(forecaster.motion.velocities[inner].mean(axis=0) - [0.5, 0, 0]).max() < 0.15
+        motion = forecaster.update(state, state.stamp + LATENCY_NS).motion
+    inner = np.linalg.norm(motion.centers - place(11 * PERIOD_NS), axis=1) < RADIUS
+    assert np.abs(motion.velocities[inner].mean(axis=0) - [0.5, 0, 0]).max() < 0.15
 
 
 def test_vacated_space_is_free_at_once() -> None:
@@ -86,7 +86,7 @@ def test_what_stops_stays() -> None:
         forecaster.update(state, state.stamp + LATENCY_NS)
     for tick in range(10, 40):
         still = state_of(tick * PERIOD_NS, place(9 * PERIOD_NS))
-        occupancy = forecaster.update(still, still.stamp + LATENCY_NS)
+        occupancy = forecaster.update(still, still.stamp + LATENCY_NS).occupancy
     for layer in occupancy.layers:
         assert np.isin(ball_voxels(place(9 * PERIOD_NS), 0.9 * RADIUS), layer.indices).all()
 
@@ -169,12 +169,12 @@ def test_what_is_no_longer_finite_is_forecast_as_the_worst_case_and_said() -> No
         assert forecaster.quality.warnings == ()
     forecaster._predictor.autoregression.moment[:] = np.nan
     spoilt = forecaster.update(states[14], states[14].stamp + LATENCY_NS)
-    assert recall(spoilt, -1) == 1.0
+    assert recall(spoilt.occupancy, -1) == 1.0
     assert "non-finite" in forecaster.quality.warnings[0]
-    obstacles = cover(spoilt, motion=forecaster.motion)
+    obstacles = cover(spoilt.occupancy, motion=spoilt.motion)
     assert np.isfinite(obstacles.velocities).all()
     assert np.isfinite(obstacles.bounds).all()
-    mended = forecaster.update(states[15], states[15].stamp + LATENCY_NS)
+    mended = forecaster.update(states[15], states[15].stamp + LATENCY_NS).occupancy
     assert recall(mended, -1) == 1.0
     assert forecaster.quality.warnings == ()
     assert np.isfinite(forecaster.quality.bound_radius)
@@ -186,8 +186,8 @@ def test_no_radius_exceeds_the_largest_however_much_was_missed() -> None:
     bound = forecaster.parameters.bound
     for number in range(40):
         side = 0.35 if number // 8 % 2 else -0.35
-        forecaster.update(state_of(number * 33_000_000, np.array([side, 0.0, 0.45])), number * 33_000_000)
-    radii = forecaster.motion.radii
+        found = forecaster.update(state_of(number * 33_000_000, np.array([side, 0.0, 0.45])), number * 33_000_000)
+    radii = found.motion.radii
     assert radii.size and radii.max() <= bound.largest_radius + 1e-9
 
 
@@ -199,8 +199,8 @@ def test_what_comes_after_a_pause_is_new_though_something_was_forecast_there_bef
             forecaster.update(state_of(number * 33_000_000, np.array([0.0, 0.0, 0.45])), number * 33_000_000)
         later = 20 * 33_000_000 + pause_ns
         forecaster.update(state_of(later - 33_000_000, None), later - 33_000_000)
-        forecaster.update(state_of(later, np.array([0.0, 0.0, 0.45])), later)
-        return float(forecaster.motion.radii[-1].max())
+        found = forecaster.update(state_of(later, np.array([0.0, 0.0, 0.45])), later)
+        return float(found.motion.radii[-1].max())
 
     assert reach_after(2_000_000_000) > 1.2 * reach_after(33_000_000)
 
@@ -210,7 +210,7 @@ def test_a_forecast_to_be_read_before_its_evidence_is_refused() -> None:
     (state,) = moving_ball(1, with_depth=True)
     with pytest.raises(ForecastError, match=r"publish_stamp: expected .* found 1 ms before it"):
         forecaster.update(state, state.stamp - 1_000_000)
-    assert len(forecaster.update(state, state.stamp).layers) == len(HORIZONS_NS)
+    assert len(forecaster.update(state, state.stamp).occupancy.layers) == len(HORIZONS_NS)
 
 
 @pytest.mark.parametrize("voxel_size", [0.02, 0.005])
@@ -221,7 +221,7 @@ def test_fine_voxels_hold_as_much_as_coarse_ones(voxel_size: float) -> None:
     forecaster, appears = Forecaster(grid), np.array([-0.2, 0.0, 0.4])
     for tick, center in enumerate((None, None, appears)):
         state = state_of(tick * PERIOD_NS, center, 0.04, with_depth=True)
-        occupancy = forecaster.update(state, state.stamp + LATENCY_NS)
+        occupancy = forecaster.update(state, state.stamp + LATENCY_NS).occupancy
     assert forecaster.quality.bound_radius > 0.4
     later = ball_voxels(appears + np.array([1.6 * 0.233, 0.0, 0.0]), 0.036, grid)
     assert len(later) and np.isin(later, occupancy.layers[-1].indices).all()
@@ -241,13 +241,13 @@ def test_after_a_pause_nothing_is_known_of_how_things_move(with_depth: bool, pau
     stamps.append(stamps[-1] + round(pause_s * 1e9))
     for stamp in stamps:
         state = state_of(stamp, waved(stamp), RADIUS, with_depth=with_depth)
-        occupancy = forecaster.update(state, stamp + LATENCY_NS)
+        found = forecaster.update(state, stamp + LATENCY_NS)
         if stamp < stamps[-1]:
             assert not any("pause" in warning for warning in forecaster.quality.warnings)
     assert any("pause" in warning for warning in forecaster.quality.warnings)
-    later = ball_voxels(waved(occupancy.publish_stamp + HORIZONS_NS[-1]), 0.9 * RADIUS)
-    assert np.isin(later, occupancy.layers[-1].indices).all()
-    assert forecaster.motion.radii[-1].min() > 1.6 * 0.233
+    later = ball_voxels(waved(found.occupancy.publish_stamp + HORIZONS_NS[-1]), 0.9 * RADIUS)
+    assert np.isin(later, found.occupancy.layers[-1].indices).all()
+    assert found.motion.radii[-1].min() > 1.6 * 0.233
 
 
 def without_depth(state: TwinState) -> TwinState:
@@ -265,7 +265,7 @@ def test_who_rests_may_start_where_depth_images_are_missing_for_a_while() -> Non
             state = replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
         if tick > 21:
             state = without_depth(state)
-        held.append(forecaster.update(state, state.stamp + LATENCY_NS).layers[-1].indices)
+        held.append(forecaster.update(state, state.stamp + LATENCY_NS).occupancy.layers[-1].indices)
     assert len(held[21]) > 1000
     assert np.array_equal(held[22], held[21])
     assert np.array_equal(held[23], held[21])
@@ -290,9 +290,8 @@ def test_obstacles_of_a_set_in_which_something_was_not_finite_keep_what_is_known
             forecaster.update(state, state.stamp + LATENCY_NS)
     (*_, last) = moving_ball(15, with_depth=True)
     spoilt._predictor.bound._scale.gram[:] = np.nan
-    for forecaster in (spoilt, sound):
-        forecaster.update(last, last.stamp + LATENCY_NS)
+    found, expected = (one.update(last, last.stamp + LATENCY_NS).motion for one in (spoilt, sound))
     assert "non-finite" in spoilt.quality.warnings[0]
-    assert np.array_equal(spoilt.motion.velocities, sound.motion.velocities)
-    assert np.abs(spoilt.motion.velocities).max() > 0.3
-    assert np.allclose(spoilt.motion.radii[-1], 1.6 * 0.233)
+    assert np.array_equal(found.velocities, expected.velocities)
+    assert np.abs(found.velocities).max() > 0.3
+    assert np.allclose(found.radii[-1], 1.6 * 0.233)

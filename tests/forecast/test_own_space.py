@@ -71,7 +71,7 @@ def seen_arm(stamp: int) -> TwinState:
 def test_neither_forecast_nor_baselines_hold_the_arm_itself() -> None:
     inside = np.flatnonzero(distances(GRID.centers(np.arange(GRID.size))) < 0)
     state = seen_arm(0)
-    alone = Forecaster(GRID).update(state, 0)
+    alone = Forecaster(GRID).update(state, 0).occupancy
     assert np.isin(inside, alone.layers[0].indices).any()
     others = BaselineForecaster(GRID, arm=ARM).update(state, 0).persistence
     assert not np.isin(inside, others.layers[0].indices).any()
@@ -82,7 +82,7 @@ def test_neither_forecast_nor_baselines_hold_the_arm_itself() -> None:
 def test_states_without_joints_lose_nothing() -> None:
     state = seen_arm(0)
     without = replace(state, frames=replace(state.frames, joints=None))
-    one, other = Forecaster(GRID, arm=ARM).update(without, 0), Forecaster(GRID).update(without, 0)
+    one, other = (Forecaster(GRID, arm=arm).update(without, 0).occupancy for arm in (ARM, None))
     assert np.array_equal(one.layers[0].indices, other.layers[0].indices)
 
 
@@ -90,11 +90,11 @@ def test_what_all_cameras_see_on_the_arm_but_it_is_not_is_unknown_where_the_arm_
     state = state_of(0, None)
     masks = tuple(np.ones_like(mask) for mask in state.moving_masks)
     hidden = replace(state, robot_masks=masks, frames=replace(state.frames, joints=JOINTS))
-    by_masks, by_joints = (Forecaster(GRID, arm=arm) for arm in (None, ARM))
-    unknown = [decode_runs(one.update(hidden, 0).unknown_runs, GRID.size) for one in (by_masks, by_joints)]
+    found = [Forecaster(GRID, arm=arm).update(hidden, 0) for arm in (None, ARM)]  # by masks alone, and by joints
+    unknown = [decode_runs(one.occupancy.unknown_runs, GRID.size) for one in found]
     own = own_space(GRID, ARM, JOINTS).mask()
     assert not unknown[1][own].any()
     assert unknown[1][~own].all()
     assert not unknown[0].all()
-    reachable = [one.hidden.reachable.mask() for one in (by_masks, by_joints) if one.hidden is not None]
+    reachable = [one.hidden.reachable.mask() for one in found]
     assert np.array_equal(reachable[1], reachable[0] & ~own), "it is no hiding place"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
 
-from twin_node.forecast import Forecaster
+from twin_node.forecast import Forecaster, Foreseen
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.resting import RESTING_S, Memory, Resting, rested, rested_plainly
@@ -139,7 +139,7 @@ def test_compiled_memory_is_the_plain_one(seed: int) -> None:
         assert np.array_equal(one.moved.words, other.moved.words)
 
 
-def comes_and_rests(radius: float, rest_s: float) -> tuple[Forecaster, Occupancy]:
+def comes_and_rests(radius: float, rest_s: float) -> Foreseen:
     """A body that moves for half a second and then looks as furniture does."""
     forecaster, moving_sets = Forecaster(GRID), 15
     for tick in range(moving_sets + round(rest_s * 1e9 / STEP_NS)):
@@ -147,8 +147,8 @@ def comes_and_rests(radius: float, rest_s: float) -> tuple[Forecaster, Occupancy
         state: TwinState = state_of(tick * STEP_NS, place, radius, with_depth=True)
         if tick > moving_sets:
             state = replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
-        occupancy = forecaster.update(state, state.stamp + LATENCY_NS)
-    return forecaster, occupancy
+        found = forecaster.update(state, state.stamp + LATENCY_NS)
+    return found
 
 
 def held(occupancy: Occupancy, radius: float, layer: int) -> float:
@@ -157,14 +157,14 @@ def held(occupancy: Occupancy, radius: float, layer: int) -> float:
 
 
 def test_a_person_who_keeps_still_is_expected_to_start_again() -> None:
-    forecaster, occupancy = comes_and_rests(PERSON_M, rest_s=1.5)
-    assert len(forecaster.motion.centers) == 0  # no part of it is seen to move
-    assert held(occupancy, PERSON_M + 0.12, layer=-1) > 0.9
-    assert len(occupancy.layers[0].indices) < len(occupancy.layers[-1].indices)
-    sighted = forecaster.sighted
-    assert sighted is not None and len(sighted.likely.reached) > 0  # the proof by sight counts it too
+    found = comes_and_rests(PERSON_M, rest_s=1.5)
+    layers = found.occupancy.layers
+    assert len(found.motion.centers) == 0  # no part of it is seen to move
+    assert held(found.occupancy, PERSON_M + 0.12, layer=-1) > 0.9
+    assert len(layers[0].indices) < len(layers[-1].indices)
+    assert len(found.sighted.likely.reached) > 0  # the proof by sight counts it too
 
 
 def test_a_ball_that_rolled_to_rest_is_not() -> None:
-    _, occupancy = comes_and_rests(BALL_M, rest_s=1.5)
+    occupancy = comes_and_rests(BALL_M, rest_s=1.5).occupancy
     assert held(occupancy, BALL_M, layer=-1) == 0

@@ -99,7 +99,7 @@ def test_a_first_turn_is_foreseen_once_it_brakes() -> None:
     forecaster, held = Forecaster(GRID), []
     for number in range(15):
         stamp = number * PERIOD_NS
-        occupancy = forecaster.update(state_of(stamp, place(stamp), with_depth=False), stamp + LATENCY_NS)
+        occupancy = forecaster.update(state_of(stamp, place(stamp), with_depth=False), stamp + LATENCY_NS).occupancy
         if stamp * 1e-9 > STRAIGHT_S + 0.12:
             held.append(share_held(occupancy))
     assert min(held) > 0.9

@@ -96,7 +96,7 @@ def test_what_is_thrown_is_expected_to_fall() -> None:
     for number in range(4):
         stamp = number * PERIOD_NS
         state = state_of(stamp, place(stamp), radius=0.09, with_depth=True)
-        occupancy = forecaster.update(state, stamp + 33_000_000)
+        occupancy = forecaster.update(state, stamp + 33_000_000).occupancy
     there = ball_voxels(place(occupancy.publish_stamp + HORIZONS_NS[-1]), 0.09)
     assert len(there) > 0
     assert np.isin(there, occupancy.layers[-1].indices).all()

@@ -64,7 +64,7 @@ def test_a_turn_is_foreseen_of_what_has_turned_before() -> None:
     first, second, sizes = [], [], []
     for number in range(second_ns // PERIOD_NS + 1):
         stamp = number * PERIOD_NS
-        occupancy = forecaster.update(state_of(stamp, place(stamp), with_depth=True), stamp + LATENCY_NS)
+        occupancy = forecaster.update(state_of(stamp, place(stamp), with_depth=True), stamp + LATENCY_NS).occupancy
         if turn_ns - 100_000_000 < stamp < turn_ns:
             first.append(share_held(occupancy))
         if second_ns - 100_000_000 < stamp < second_ns:

@@ -62,7 +62,7 @@ def test_the_forecast_holds_the_person_now_and_200_ms_ahead(states: list[TwinSta
     forecaster, baselines = Forecaster(grid), BaselineForecaster(grid)
     now, later, ours, worst = [], [], [], []
     for state in states:
-        occupancy = forecaster.update(state, state.stamp)
+        occupancy = forecaster.update(state, state.stamp).occupancy
         frame = round(state.stamp / PERIOD_NS)
         if frame < WARM_UP or frame + 12 >= len(markers) or frame % SCORED_EVERY:
             continue

@@ -31,7 +31,7 @@ for frames in sliding(14, rig(56, 42), depth=True):
     measures, *others = frames.views
     state = model.update(replace(frames, views=(measures, *(replace(view, depth=None) for view in others))))
     model.refine()
-    occupancy = forecaster.update(state, state.stamp + 50_000_000)
+    occupancy = forecaster.update(state, state.stamp + 50_000_000).occupancy
     obstacles = cover(occupancy, obstacles)
 assert all(np.isfinite(values).all() for values in (state.gaussians.means, state.gaussians.rgb, state.gaussians.scales))
 assert (state.gaussians.tiers == Tier.RIGID).sum() > 3 and len(obstacles.positions), "the block that slides is found"

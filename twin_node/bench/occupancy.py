@@ -177,7 +177,7 @@ def score_states(
         begin = state.stamp if begin is None else begin
         publish = state.stamp + round(parameters.latency_ms * 1e6)
         started = time.perf_counter()
-        ours = forecaster.update(state, publish)
+        ours = forecaster.update(state, publish).occupancy
         spent.append(time.perf_counter() - started)
         others = baselines.update(state, publish)
         if isinstance(truth, LaterTruth):

@@ -4,7 +4,7 @@ from twin_node.forecast.baselines import BaselineForecaster, Baselines
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import default_grid
 from twin_node.forecast.obstacles import CoverParameters, Motion, cover
-from twin_node.forecast.occupancy import Forecaster, ForecastParameters, ForecastQuality
+from twin_node.forecast.occupancy import Forecaster, ForecastParameters, ForecastQuality, Foreseen
 from twin_node.forecast.points import PointForecast, PointForecaster
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "ForecastParameters",
     "ForecastQuality",
     "Forecaster",
+    "Foreseen",
     "Motion",
     "PointForecast",
     "PointForecaster",

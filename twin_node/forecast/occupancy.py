@@ -27,7 +27,7 @@ from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, TwinState
+from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState
 
 _NEIGHBOURS = 8
 """Forecast places that are looked at about a part: those nearest to it."""
@@ -69,6 +69,19 @@ class ForecastQuality:
     """What went wrong with the last forecast and what was forecast instead, and what earlier ones turn out to miss."""
 
 
+@dataclass(frozen=True)
+class Foreseen:
+    """The forecast on one state, and what obstacles are told by beside it."""
+
+    occupancy: Occupancy
+    motion: Motion
+    """Where the parts are, how they move, their bounds and their experts."""
+    hidden: Hidden
+    """What may be in the unknown space."""
+    sighted: Sighted
+    """What is seen to move."""
+
+
 class Forecaster:
     """Forecasts the occupancy of one grid, state by state."""
 
@@ -90,22 +103,10 @@ class Forecaster:
         self._issued: deque[_Issued] = deque(maxlen=64)
         self._judged_at = 0
         self._due: _Issued | None = None
-        self._motion = Motion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((len(HORIZONS_NS), 0)))
+        self._bound_radius = 0.0
         self._watch = Watch()
         self._sees_motion_from = 0
         self._warnings: tuple[str, ...] = ()
-        self._hidden: Hidden | None = None
-        self._sighted: Sighted | None = None
-
-    @property
-    def hidden(self) -> Hidden | None:
-        """What may be in the unknown space of the last update; None before the first."""
-        return self._hidden
-
-    @property
-    def sighted(self) -> Sighted | None:
-        """What was seen to move at the last update; None before the first."""
-        return self._sighted
 
     @property
     def quality(self) -> ForecastQuality:
@@ -113,18 +114,13 @@ class Forecaster:
         return ForecastQuality(
             coverage=self._control.coverage,
             target=self.parameters.bound.coverage,
-            bound_radius=float(np.median(self._motion.radii[-1])) if self._motion.radii.shape[1] else 0.0,
+            bound_radius=self._bound_radius,
             factor=self._control.factor,
             expert_weights=self._mean_weights(),
             warnings=self._warnings + self._watch.warnings,
         )
 
-    @property
-    def motion(self) -> Motion:
-        """Where the parts are, how they move, their bounds and their experts, as of the last update."""
-        return self._motion
-
-    def update(self, state: TwinState, publish_stamp: int) -> Occupancy:
+    def update(self, state: TwinState, publish_stamp: int) -> Foreseen:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
 
         Raises `ForecastError` where it is to be read before its evidence, and for images or masks that are not of their
@@ -139,28 +135,22 @@ class Forecaster:
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._follow(state, float(horizons[-1]))
-        may_start = evidence.resting if self._had_depth(state.stamp, RESTING_S) else np.zeros(0, np.int64)
         self._judge(state, evidence)
         self._predictor.vouch(self._foreseen(state.stamp, evidence.parts.centers))
         places = self._tracks.positions[-1] + self._predictor.alone
         prediction = self._predict(horizons)
+        may_start = evidence.resting if self._had_depth(state.stamp, RESTING_S) else np.zeros(0, np.int64)
         started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
-        moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
-        layers = layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
-        self._sighted = sighted(self._observer.grid, evidence.parts, may_start, prediction, started, horizons)
-        passed = passed_between(self.grid, evidence.parts, prediction.displacements, prediction.radii)
-        self._motion = self._motion_within(prediction.radii, evidence.motion.sigmas, passed)
+        layers = self._layers(evidence, prediction, may_start, started)
+        seen = sighted(self._observer.grid, evidence.parts, may_start, prediction, started, horizons)
+        motion = self._motion(evidence, prediction)
         if self._begins_anew:
             self._predictor = self._new_predictor()
-        indices = layers[-1].indices.astype(np.int64)
-        valid_at = publish_stamp + HORIZONS_NS[-1]
-        ahead = evidence.parts.centers + prediction.displacements[-1]
-        self._issued.append(
-            _Issued(state.stamp, valid_at, indices, places, self._control.factor, ahead, prediction.radii[-1])
-        )
+        valid_at, taken = publish_stamp + HORIZONS_NS[-1], layers[-1].indices.astype(np.int64)
+        ahead, factor = evidence.parts.centers + prediction.displacements[-1], self._control.factor
+        self._issued.append(_Issued(state.stamp, valid_at, taken, places, factor, ahead, prediction.radii[-1]))
         unseen = evidence.unseen.result()
-        self._hidden = unseen.hidden
-        return Occupancy(
+        occupancy = Occupancy(
             stamp=state.stamp,
             publish_stamp=publish_stamp,
             grid=self.grid,
@@ -168,6 +158,7 @@ class Forecaster:
             static=evidence.static,
             unknown_runs=unseen.unknown_runs,
         )
+        return Foreseen(occupancy, motion, unseen.hidden, seen)
 
     def _follow(self, state: TwinState, ahead_s: float) -> Evidence:
         """What a state shows, and forecasts of all that moves in it for so long (s) from then.
@@ -195,9 +186,20 @@ class Forecaster:
         """Whether any camera has measured depth of late, as seen at `stamp` (ns): single depth images get lost."""
         return self._depth_at is not None and stamp - self._depth_at <= within_s * 1e9
 
-    def _motion_within(self, radii: Float64, sigmas: Float64, passed: tuple[NDArray[np.int64], ...]) -> Motion:
-        """That of the parts, bounded by `radii` [H, M] (m)."""
+    def _layers(
+        self, evidence: Evidence, prediction: Prediction, may_start: NDArray[np.int64], started: Float64
+    ) -> tuple[OccupancyLayer, ...]:
+        """What moves takes at every horizon; cells that `may_start` reach `started` [H] (m) from where they are."""
+        moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
+        return layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
+
+    def _motion(self, evidence: Evidence, prediction: Prediction) -> Motion:
+        """That of the parts, and what they pass between two layers; takes note of how wide their bounds are."""
+        radii = prediction.radii
+        self._bound_radius = float(np.median(radii[-1])) if radii.shape[1] else 0.0
+        passed = passed_between(self.grid, evidence.parts, prediction.displacements, radii)
         experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
+        sigmas = evidence.motion.sigmas
         return Motion(self._tracks.positions[-1], self._tracks.velocities, radii, experts, sigmas, passed)
 
     def _new_predictor(self) -> Predictor:

@@ -41,17 +41,11 @@ class ForecastNode(Node):
         self.bus.subscribe(SEEN, self._on_seen)
 
     def _on_seen(self, state: TwinState) -> None:
-        occupancy = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
-        forecaster = self._forecaster
+        found = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
         self._obstacles = cover(
-            occupancy,
-            self._obstacles,
-            self._cover_parameters,
-            forecaster.motion,
-            forecaster.hidden,
-            forecaster.sighted,
+            found.occupancy, self._obstacles, self._cover_parameters, found.motion, found.hidden, found.sighted
         )
-        self.bus.publish(FORECAST, Forecast(occupancy, self._obstacles, self._forecaster.quality))
-        self.bus.publish(OCCUPANCY, convert.occupancy_to_message(occupancy))
+        self.bus.publish(FORECAST, Forecast(found.occupancy, self._obstacles, self._forecaster.quality))
+        self.bus.publish(OCCUPANCY, convert.occupancy_to_message(found.occupancy))
         self.bus.publish(OBSTACLES, convert.obstacles_to_message(self._obstacles))
         self._latency.add(self.clock.now() - state.stamp)

@@ -86,7 +86,7 @@ class Follower:
     def _forecast(self, state: TwinState, is_warm: bool) -> None:
         publish = state.stamp + ASSUMED_LATENCY_NS
         times = [time.process_time()]
-        ours = self._forecaster.update(state, publish)
+        ours = self._forecaster.update(state, publish).occupancy
         times.append(time.process_time())
         others = self._baselines.update(state, publish)
         times.append(time.process_time())
