@@ -118,12 +118,14 @@ def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -
 
 
 def separation_over_time(seconds: NDArray[np.float64], separations: Sequence[Separation]) -> bytes:
-    """PNG of the arm's distance, the distance the law requires, and the speed it leaves."""
+    """PNG of the smallest distance, the one that is required of what falls most short, and the speed that is left."""
     figure = Figure(figsize=(7.2, 3.4), dpi=110, layout="constrained")
     upper, lower = figure.subplots(2, sharex=True)
     distances = np.array([s.distance for s in separations])
-    upper.plot(seconds, np.where(np.isfinite(distances), distances, np.nan), color="#1a73e8", label="distance")
-    upper.plot(seconds, [s.required for s in separations], color="#d93025", linewidth=1, label="required at full speed")
+    upper.plot(seconds, np.where(np.isfinite(distances), distances, np.nan), color="#1a73e8", label="nearest")
+    required = [s.required for s in separations]
+    label = "required at full speed, of what falls most short"
+    upper.plot(seconds, required, color="#d93025", linewidth=1, label=label)
     upper.axhline(0, color="#202124", linewidth=0.8)
     upper.set(title="Smallest distance along the arm's next 200 ms", ylabel="m")
     lower.fill_between(seconds, [s.speed_fraction for s in separations], color="#34a853", alpha=0.5, step="post")

@@ -43,18 +43,15 @@ def _silence(snapshot: Snapshot, topics: Sequence[str], what: str) -> str:
 
 def _arm(separation: Separation) -> str:
     distance = f"{separation.distance:.2f} m" if math.isfinite(separation.distance) else "nothing near"
-    lines = [
-        f"### Speed {separation.speed_fraction:.0%}",
-        plain(separation.reason),
-        "",
-        "| distance | required at full speed |",
-        "| --- | --- |",
-        f"| {distance} | {separation.required:.2f} m |",
-        "",
-        f"{plain(separation.link) or 'no link'}; person {separation.term_human:.2f}, "
-        f"reaction {separation.term_reaction:.2f}, stopping {separation.term_stopping:.2f}, "
-        f"intrusion {separation.term_intrusion:.2f}, uncertainty {separation.term_uncertainty:.2f} m",
-    ]
+    lines = [f"### Speed {separation.speed_fraction:.0%}", plain(separation.reason), "", f"nearest: {distance}"]
+    if separation.required > 0:
+        lines += [
+            "",
+            f"falls most short: {plain(separation.link)}, {separation.required:.2f} m required at full speed "
+            f"(person {separation.term_human:.2f}, reaction {separation.term_reaction:.2f}, "
+            f"stopping {separation.term_stopping:.2f}, intrusion {separation.term_intrusion:.2f}, "
+            f"uncertainty {separation.term_uncertainty:.2f})",
+        ]
     return "\n".join(lines)
 
 
