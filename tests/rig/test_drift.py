@@ -222,10 +222,25 @@ def test_when_all_cameras_move_what_they_look_at_has(recording: tuple[FrameSet, 
     assert last.warnings[0].startswith("all cameras seem to have moved")
 
 
-def test_the_last_camera_left_is_told(recording: tuple[FrameSet, ...]) -> None:
-    last = reports(turned(recording, range(2), AXES[0], 1.0))[-1]
+@pytest.mark.parametrize(
+    ("depth_until_s", "consequence"),
+    [
+        (9.0, ": what it does not see is unknown"),
+        (0.5, ": what it does not see is unknown"),  # a depth image that does not come makes it no camera without depth
+        (-1.0, ", and measures no depth: all along its lines of sight to what moves is unknown"),
+    ],
+)
+def test_the_last_camera_left_is_told_and_what_it_cannot_tell(
+    recording: tuple[FrameSet, ...], depth_until_s: float, consequence: str
+) -> None:
+    def left(camera: int, view: View, t: float) -> View:
+        moved = bumped(view, AXES[0], 1.0) if camera < 2 and t > BUMPED_AT_S else view
+        return moved if t <= depth_until_s else replace(moved, depth=None)
+
+    last = reports(edited(recording, left))[-1]
     assert len(last.warnings) == 3
-    assert f"{recording[0].views[2].camera.name} is the only one left" in last.warnings[-1]
+    name = recording[0].views[2].camera.name
+    assert last.warnings[-1] == f"camera {name} is the only one left{consequence}"
 
 
 def test_a_tenth_of_a_degree_in_an_hour_is_told_apart_from_a_knock(recording: tuple[FrameSet, ...]) -> None:

@@ -95,6 +95,8 @@ class Drift:
     """When the verdict's cause began, ns; of a drift, when it was last at half its size or less."""
     slow: bool = False
     """Whether it came little by little: heat and loosening mounts creep, knocks do not."""
+    measures_depth: bool = False
+    """Whether the camera has ever measured depth."""
 
     @property
     def trusted(self) -> bool:
@@ -131,11 +133,9 @@ class DriftReport:
         if self.drifts and len(self.distrusted) == len(self.drifts):
             return (_none_left(self.drifts),)
         lines = [f"camera {drift.camera} {drift.message}" for drift in self.drifts if drift.verdict != Verdict.STEADY]
-        left = [drift.camera for drift in self.drifts if drift.trusted]
+        left = [drift for drift in self.drifts if drift.trusted]
         if len(left) == 1 < len(self.drifts):
-            lines.append(
-                f"camera {left[0]} is the only one left: what it alone sees has no depth, most space is unknown"
-            )
+            lines.append(f"camera {left[0].camera} is the only one left{_ALONE[left[0].measures_depth]}")
         return tuple(lines)
 
 
@@ -146,6 +146,10 @@ _MESSAGES = {
     Verdict.DRIFTING: "creeps out of place: run `twin_node calibrate refine` on a recording of today",
     Verdict.BUMPED: "has moved: its images are left out; put it back, or calibrate it anew",
     Verdict.LOST: "sees nothing of what stood before it, turned away or covered: its images are left out; free it",
+}
+_ALONE = {
+    True: ": what it does not see is unknown",
+    False: ", and measures no depth: all along its lines of sight to what moves is unknown",
 }
 
 
@@ -183,9 +187,11 @@ class DriftWatch:
         for view in frames.views:
             watched = self._cameras.get(view.camera.name)
             if watched is None or not _is_same(watched.camera, view.camera):
-                watched = _Watched(view.camera, Landmarks(contrast(view.rgb), view.valid, view.camera.K), view.stamp)
+                landmarks = Landmarks(contrast(view.rgb), view.valid, view.camera.K)
+                watched = _Watched(view.camera, landmarks, view.stamp, view.depth is not None)
                 self._cameras[view.camera.name] = watched
                 continue
+            watched.measures_depth |= view.depth is not None
             if view.stamp < watched.checked:
                 watched.put_back(watched.checked - view.stamp)
             if view.stamp - watched.checked >= self._parameters.period_ms * 1e6:
@@ -201,6 +207,8 @@ class _Watched:
     landmarks: Landmarks
     checked: int
     """When it was last looked at, ns."""
+    measures_depth: bool
+    """Whether it ever has."""
     drift: Drift = field(init=False)
     turn: Float64 = field(default_factory=lambda: np.zeros(3))
     """[3] rotation vector by which the camera was off when its landmarks were last found, rad."""
@@ -212,7 +220,8 @@ class _Watched:
     still: _Stillness = field(init=False)
 
     def __post_init__(self) -> None:
-        self.drift = Drift(self.camera.name, Verdict.STEADY, 0.0, 0.0, len(self.landmarks), self.checked)
+        name, count = self.camera.name, len(self.landmarks)
+        self.drift = Drift(name, Verdict.STEADY, 0.0, 0.0, count, self.checked, measures_depth=self.measures_depth)
         self.creep = _Creep(self.checked)
         self.still = _Stillness(self.checked)
 
@@ -276,7 +285,8 @@ class _Watched:
             since = self.creep.began if slow or told == Verdict.DRIFTING else self.suspected_since
         turn = self.creep.turn if told == Verdict.DRIFTING else self.turn
         pixels = self.landmarks.displacement_px(turn)
-        self.drift = Drift(self.camera.name, told, pixels, _degrees(turn), features, since, slow)
+        angle_deg = _degrees(turn)
+        self.drift = Drift(self.camera.name, told, pixels, angle_deg, features, since, slow, self.measures_depth)
 
     def _renew(self, image: UInt8, valid: Bool | None, parameters: DriftParameters) -> None:
         """New landmarks where few are left, or where none was ever found again: the watch began in the dark."""
