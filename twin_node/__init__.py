@@ -3,7 +3,7 @@
 import os
 
 # Before torch is imported: OpenMP workers that spin while they wait cost busy neighbours, our own reading thread among
-# them, up to 60 times their time; a short spin is worth its while (docs/design.md, "Threads").
+# them, up to ten times their time; a short spin is worth its while (docs/design.md, "Threads").
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 # Before NumPy is: OpenBLAS's workers spin for tens of milliseconds after a product of a few hundred rows, which took a
