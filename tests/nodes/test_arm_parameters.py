@@ -101,6 +101,18 @@ def test_measured_stops_that_are_none_are_refused(rows: list[dict[str, Any]], wo
         fill(ArmParameters, {"stopping": rows}, "arm").table(MODEL)
 
 
+def test_the_sections_on_the_arms_page_can_be_pasted(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "arm.md").read_text()
+    path, arms = tmp_path / "arm.yaml", []
+    for section in page.split("```yaml\n")[1:]:
+        path.write_text(section.split("```")[0])
+        arms.append(load_parameters(path).arm)
+    carrying, allowed = arms
+    assert len(carrying.tool) == 1 and carrying.servoed
+    assert carrying.table(carrying.arm()).speeds.tolist() == [3.2]
+    assert len(allowed.regions(allowed.arm())) == 1
+
+
 def test_a_cover_of_more_obstacles_can_be_given_room() -> None:
     """As many as 'obstacles: most_static' and the like may ask for: the error tells to raise it."""
     cell = Cell(max_obstacles=9)

@@ -136,7 +136,7 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
         if engine.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE or before not in _ancestors(engine, body):
             raise RobotError(
                 f"{path}: expected hinges that form one chain, found that {known[joint]} does not go on from the joint "
-                "before it; say which joints are the arm's with joint_names, of a launched arm with 'arm: joints'"
+                "before it; say which joints are the arm's with joint_names, of a launched arm with 'arm.joints'"
             )
         before = body
     return joints
