@@ -167,6 +167,17 @@ def test_allowed_contacts_hold_for_what_stands_inside_the_region_only() -> None:
         assert checker.distance(READY).distance <= 0
 
 
+def test_a_region_lets_its_own_links_touch_and_no_others() -> None:
+    model = ur_model("ur5e")
+    of_forearm = model.capsules.links == model.link_names.index("forearm_link")
+    middle = place_capsules(model, forward_kinematics(model, READY)).ends[of_forearm][0].mean(axis=0)
+    region = AllowedRegion(middle - 0.3, middle + 0.3, links=("wrist_3_link",))
+    checker = ArmCollisionChecker("ur5e", max_obstacles=4, allowed=(region,))
+    checker.update(obstacles(Thing(tuple(middle), size=(0.1,) * 3, kind=ObstacleKind.STATIC)))
+    assert checker.distance(READY).link == "forearm_link"
+    assert checker.distance(READY).distance <= 0
+
+
 def test_where_contact_is_allowed_nothing_stands_unseen() -> None:
     tool = forward_kinematics(ur_model("ur5e"), READY)[-1, :3, 3]
     links = ur_model("ur5e").link_names

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from obstacle_sets import MS, NOW, Thing, obstacles
+from turning_arm import REACTION_S, READY, TURNING, ahead, beside_the_tool, decided, decided_since
 
 from twin_node.arm import (
     ArmCollisionChecker,
@@ -20,33 +21,11 @@ from twin_node.arm import (
     extrapolate,
     stopping_table,
 )
-from twin_node.arm.separation import Encounter, Motion, Reaches, hazards
+from twin_node.arm.separation import Encounter, Motion, hazards
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.robot.ur import JOINT_NAMES
-from twin_node.scene import JointPath, ObstacleKind, ObstacleShape, Separation
-
-READY = np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0])
-REACTION_S = 0.06
-TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-"""Joint velocities, rad/s: the arm sweeps to its left."""
-
-
-def ahead(velocity: np.ndarray, begin: int = NOW) -> JointPath:
-    offsets = np.arange(0, 201 * MS, 10 * MS)
-    return JointPath(JOINT_NAMES, begin + offsets, READY + velocity * offsets[:, None] * 1e-9)
-
-
-def beside_the_tool(checker: ArmCollisionChecker, left_m: float, **changes: object) -> Thing:
-    """A ball of 10 cm whose surface is `left_m` to the left of the last link's origin."""
-    tool = forward_kinematics(checker.model, READY)[-1, :3, 3]
-    thing = Thing(tuple(tool + np.array([0.0, left_m + 0.05, 0.0])), size=(0.1,) * 3)
-    return replace(thing, **changes)
-
-
-def decided(checker: ArmCollisionChecker, *things: Thing, velocity: np.ndarray = TURNING, **law: object) -> Separation:
-    checker.update(obstacles(*things))
-    return decide(checker, ahead(velocity), NOW, REACTION_S, replace(SeparationParameters(), **law))
+from twin_node.scene import JointPath, ObstacleKind, ObstacleShape
 
 
 def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
@@ -61,7 +40,12 @@ def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
     assert found.term_uncertainty == 0.005
     parts = found.term_human + found.term_reaction + found.term_stopping + found.term_intrusion + found.term_uncertainty
     assert found.required == pytest.approx(parts)
-    assert (found.stamp, found.evidence_stamp, found.obstacle_id) == (NOW, NOW, 100)
+    assert (found.stamp, found.obstacle_id) == (NOW, 100)
+
+
+def test_a_decision_tells_the_stamp_of_its_evidence(ur5e_checker: ArmCollisionChecker) -> None:
+    found = decided_since(ur5e_checker, beside_the_tool(ur5e_checker, 0.3))
+    assert (found.stamp, found.evidence_stamp) == (NOW, NOW - 150 * MS)
 
 
 def test_beyond_the_forecast_people_walk(ur5e_checker: ArmCollisionChecker) -> None:
@@ -115,6 +99,34 @@ def test_retreat_is_not_slowed(ur5e_checker: ArmCollisionChecker) -> None:
     assert decided(ur5e_checker, close, velocity=np.zeros(6)).speed_fraction == 1.0
 
 
+def test_an_arm_that_creeps_up_to_somebody_stops(ur5e_checker: ArmCollisionChecker) -> None:
+    close = beside_the_tool(ur5e_checker, 0.12)
+    assert decided(ur5e_checker, close, velocity=0.05 * TURNING).speed_fraction == 0.0
+
+
+def speeding_up(sign: float) -> JointPath:
+    """From rest to 2 rad/s about the base within 200 ms; a positive sign leads to the arm's left."""
+    offsets = np.arange(0, 201 * MS, 10 * MS)
+    way = sign * 5.0 * (offsets * 1e-9) ** 2
+    return JointPath(JOINT_NAMES, NOW + offsets, READY + TURNING * way[:, None])
+
+
+@pytest.mark.parametrize(("sign", "left_m"), [(1.0, 0.42), (-1.0, -0.52)])
+def test_an_arm_that_begins_to_move_stops_as_late_as_at_its_fastest(
+    ur5e_checker: ArmCollisionChecker, sign: float, left_m: float
+) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, left_m, valid_ms=(0, 20))))
+    found = decide(ur5e_checker, speeding_up(sign), NOW, REACTION_S)
+    stop = stopping_table("ur5e").stop(1.95 * TURNING)  # the mean of the last 10 ms
+    assert found.term_human == pytest.approx(1.6 * (REACTION_S + stop.duration_s - 0.020), abs=1e-6)
+    assert found.speed_fraction < 1.0
+
+
+def test_an_arm_that_begins_to_move_reaches_as_far_as_at_its_fastest(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.27)))
+    assert decide(ur5e_checker, speeding_up(1.0), NOW, REACTION_S).reason == "slow for MOVING"
+
+
 def test_an_arm_that_leaves_stands_for_what_may_touch_it(ur5e_checker: ArmCollisionChecker) -> None:
     for velocity in (-TURNING, 0.05 * -TURNING):
         overtaken = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.06), velocity=velocity)
@@ -126,110 +138,15 @@ def test_an_arm_that_leaves_stands_for_what_may_touch_it(ur5e_checker: ArmCollis
         assert decided(ur5e_checker, beside, velocity=-TURNING).speed_fraction == 1.0
 
 
-SEEN = (-150, -150)
-"""Validity of what was seen 150 ms ago, ms."""
-
-
-def decided_since(checker: ArmCollisionChecker, *things: Thing, velocity: np.ndarray = TURNING) -> Separation:
-    """As `decided`, on evidence of 150 ms ago."""
-    checker.update(obstacles(*things, stamp=NOW - 150 * MS))
-    return decide(checker, ahead(velocity), NOW, REACTION_S)
-
-
-def test_what_was_seen_is_a_second_proof(ur5e_checker: ArmCollisionChecker) -> None:
-    wild = beside_the_tool(ur5e_checker, -0.1, size=(0.6,) * 3, valid_ms=(0, 200))
-    assert decided_since(ur5e_checker, wild).speed_fraction == 0.0
-    shares = []
-    for left_m in (0.25, 0.6, 0.8, 1.5):
-        seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
-        both = decided_since(ur5e_checker, wild, seen)
-        alone = decided_since(ur5e_checker, seen)
-        assert both.speed_fraction == pytest.approx(alone.speed_fraction)
-        shares.append(both.speed_fraction)
-    assert shares[0] == 0.0
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
-
-
-def test_a_fast_thing_proves_less(ur5e_checker: ArmCollisionChecker) -> None:
-    wild = beside_the_tool(ur5e_checker, -0.1, size=(0.6,) * 3)
-    seen = beside_the_tool(ur5e_checker, 1.0, valid_ms=SEEN)
-    walking = decided_since(ur5e_checker, wild, seen)
-    thrown = decided_since(ur5e_checker, wild, replace(seen, velocity=(0.0, -5.0, 0.0)))
-    assert thrown.speed_fraction < walking.speed_fraction
-
-
-def test_a_close_forecast_that_is_clear_is_proof_enough(ur5e_checker: ArmCollisionChecker) -> None:
-    leaves = beside_the_tool(ur5e_checker, 0.8)
-    was_near = beside_the_tool(ur5e_checker, 0.2, valid_ms=SEEN)
-    assert decided_since(ur5e_checker, was_near).speed_fraction == 0.0
-    assert decided_since(ur5e_checker, leaves, was_near).speed_fraction == 1.0
-
-
-def test_the_second_proof_holds_for_an_arm_that_leaves(ur5e_checker: ArmCollisionChecker) -> None:
-    overtakes = beside_the_tool(ur5e_checker, 0.06)
-    gone_since_m = 1.6 * 0.15 + 0.035  # what touches counts from the plain clearance and the arm's own error on
-    for left_m, share in ((gone_since_m - 0.03, 0.0), (gone_since_m + 0.1, 1.0)):
-        seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
-        assert decided_since(ur5e_checker, overtakes, seen, velocity=-TURNING).speed_fraction == share
-
-
-@given(
-    left_m=st.floats(0.0, 1.5),
-    size_m=st.floats(0.05, 0.8),
-    forecast_m=st.floats(-0.3, 1.0),
-    speed=st.floats(0.0, 5.0),
-    delay_s=st.floats(-0.5, 0.3),
-)
-@settings(max_examples=30, deadline=None)
-def test_a_second_proof_never_slows(
-    ur5e_checker: ArmCollisionChecker, left_m: float, size_m: float, forecast_m: float, speed: float, delay_s: float
-) -> None:
-    forecast = beside_the_tool(ur5e_checker, forecast_m, size=(size_m,) * 3)
-    seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
-    alone = decided_since(ur5e_checker, forecast)
-    by_law = decided_since(ur5e_checker, forecast, seen)
-    assert by_law.speed_fraction >= alone.speed_fraction - 1e-9
-    told = decided_since(ur5e_checker, forecast, replace(seen, reach=(speed, delay_s)))
-    assert told.speed_fraction >= by_law.speed_fraction - 1e-9
-
-
-def wild_forecast(checker: ArmCollisionChecker, *valid_ms: int) -> Thing:
-    """One that proves nothing."""
-    return beside_the_tool(checker, -0.1, size=(0.6,) * 3, valid_ms=valid_ms)
-
-
-def test_what_was_seen_gets_no_farther_than_its_forecast_says(ur5e_checker: ArmCollisionChecker) -> None:
-    wild = wild_forecast(ur5e_checker, -50, 400)
-    seen = beside_the_tool(ur5e_checker, 0.47, valid_ms=SEEN)
-    found = {
-        reach: decided_since(ur5e_checker, wild, replace(seen, reach=reach))
-        for reach in ((0.0, 0.0), (9.0, 0.0), (0.9, 0.0), (0.9, 0.045), (0.5, 0.0))
-    }
-    shares = [one.speed_fraction for one in found.values()]
-    assert shares[0] == shares[1] < shares[2] < shares[3] < shares[4]
-    slow = found[0.9, 0.045]
-    stop = stopping_table("ur5e").stop(TURNING)  # terms are those of the whole speed
-    assert slow.term_human == pytest.approx(0.9 * (0.15 + REACTION_S + stop.duration_s - 0.045), abs=1e-6)
-
-
-def test_after_its_forecast_what_was_seen_goes_on_as_the_law_has_it(ur5e_checker: ArmCollisionChecker) -> None:
-    wild = wild_forecast(ur5e_checker, -50, 100)
-    seen = beside_the_tool(ur5e_checker, 0.4, valid_ms=SEEN, reach=(0.5, 0.0))
-    found = decided_since(ur5e_checker, wild, seen)
-    beyond_s = REACTION_S + stopping_table("ur5e").stop(TURNING).duration_s - 0.1
-    assert found.term_human == pytest.approx(0.5 * 0.25 + 1.6 * beyond_s, abs=1e-6)
-
-
-def test_before_its_forecast_begins_it_may_be_as_far_as_then() -> None:
-    """A line through what is reached from the first horizon on says nothing of the time before."""
-    told = Reaches(
-        np.array([1.0, 0.0]), np.array([0.05, 0.0]), evidence=NOW, begins=NOW + 100 * MS, ends=NOW + 300 * MS
-    )
-    for ms, reach_m in ((0, 0.05), (100, 0.05), (200, 0.15), (300, 0.25), (400, 0.25 + 0.16)):
-        found = told.until(NOW + ms * MS, np.full(2, 1.6))
-        assert found[0] == pytest.approx(reach_m)
-        assert found[1] == np.inf  # nobody says it
+def test_what_is_nearer_than_the_arms_own_error_may_touch_it(ur5e_checker: ArmCollisionChecker) -> None:
+    """Beyond the clearance, which alone would let the arm leave."""
+    beside = beside_the_tool(ur5e_checker, 0.1)
+    ur5e_checker.update(obstacles(beside))
+    nearer = ur5e_checker.distance(READY).distance - 0.033
+    x, y, z = beside.position
+    found = decided(ur5e_checker, replace(beside, position=(x, y - nearer, z)), velocity=-TURNING)
+    assert 0.03 < ur5e_checker.distance(READY).distance < 0.035
+    assert found.speed_fraction == 0.0
 
 
 def test_furniture_gets_plain_clearance(ur5e_checker: ArmCollisionChecker) -> None:
@@ -281,6 +198,15 @@ def test_an_earlier_layer_ends_and_the_last_goes_on(ur5e_checker: ArmCollisionCh
 def test_the_distance_is_taken_along_the_path(ur5e_checker: ArmCollisionChecker) -> None:
     found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.3))
     assert found.distance < ur5e_checker.distance(READY).distance
+    assert found.distance == pytest.approx(ur5e_checker.distance(READY + TURNING * 0.2).distance, abs=1e-6)
+
+
+def test_poses_after_the_forecast_are_held_against_its_last_layer(ur5e_checker: ArmCollisionChecker) -> None:
+    """Of its own kind: furniture is said to stand for longer."""
+    furniture = Thing((0.0, -3.0, 0.0), kind=ObstacleKind.STATIC, valid_ms=(0, 10_000))
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.3), furniture))
+    late = NOW + 150 * MS
+    found = decide(ur5e_checker, ahead(TURNING, late), late, REACTION_S)
     assert found.distance == pytest.approx(ur5e_checker.distance(READY + TURNING * 0.2).distance, abs=1e-6)
 
 

@@ -44,6 +44,12 @@ def test_down_at_once_and_up_slowly() -> None:
     assert up.speed_fraction == pytest.approx(0.1 + LimiterParameters().rise_per_s * 0.03)
 
 
+def test_the_arm_is_at_full_speed_again_after_three_quarters_of_a_second() -> None:
+    limiter = SpeedLimiter()
+    told = [limiter.decide(decision(1.0, at_ms), NOW + at_ms * MS).speed_fraction for at_ms in range(0, 770, 10)]
+    assert told[74] < 1.0 == told[76]
+
+
 def test_silence_slows_within_one_deadline_and_stops_within_two() -> None:
     limiter = at_full_speed()
     assert limiter.tick(NOW + 99 * MS).speed_fraction == 1.0
@@ -76,6 +82,12 @@ def test_a_clock_that_is_put_back_does_not_make_a_forecast_last() -> None:
     assert limiter.tick(NOW - 901 * MS).speed_fraction == 1.0
     assert limiter.tick(NOW - 900 * MS).speed_fraction == LimiterParameters().slow_fraction
     assert limiter.tick(NOW - 800 * MS).speed_fraction == 0.0
+
+
+def test_a_clock_that_is_put_back_does_not_make_the_arm_faster() -> None:
+    limiter = at_full_speed()
+    limiter.decide(decision(0.1, 10), NOW + 10 * MS)
+    assert limiter.decide(decision(1.0, -1000), NOW - 1000 * MS).speed_fraction == pytest.approx(0.1)
 
 
 def test_a_stop_stays_a_stop_when_the_forecast_is_late() -> None:

@@ -40,6 +40,15 @@ def test_what_is_braking_yet_is_not_taken_for_a_faster_program() -> None:
     np.testing.assert_allclose(arm.programmed.seen(THERE, 0.2, arm.now + PACKAGE_NS), THERE)
 
 
+def test_an_arm_that_brakes_for_a_second_still_means_to_go_on_as_fast() -> None:
+    arm = Arm()
+    arm.run(100, 1.0, THERE)
+    for package in range(125):
+        arm.now += PACKAGE_NS
+        seen = arm.programmed.seen((1 - package / 150) * THERE, 0.0, arm.now)
+    np.testing.assert_allclose(seen, THERE)
+
+
 @pytest.mark.parametrize("back_ns", [500_000_000, MINUTE_NS])
 def test_a_clock_that_is_put_back_does_not_freeze_what_is_known_of_the_program(back_ns: int) -> None:
     """Until it had caught up an arm that went the other way was judged by where it had gone before."""

@@ -46,6 +46,14 @@ def test_rows_are_met_and_joined() -> None:
     assert table.stop(np.array([4.0])).duration_s == pytest.approx(0.6)
 
 
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0, 6.0])
+def test_beyond_its_last_row_a_table_counts_in_proportion_among_others_too(speed: float) -> None:
+    slow = StoppingTable(np.array([1.0]), np.array([[0.5]]), np.array([[0.3]]))
+    quick = StoppingTable(np.array([1.0, 4.0]), np.array([[0.1], [0.4]]), np.array([[0.05], [0.8]]))
+    both = slow.slower_of(quick)
+    assert both.stop(np.array([speed])).duration_s == pytest.approx(slow.stop(np.array([speed])).duration_s)
+
+
 def test_wrong_tables_are_refused() -> None:
     with pytest.raises(ArmError, match="expected rising speeds"):
         StoppingTable(np.array([2.0, 1.0]), np.ones((2, 6)), np.ones((2, 6)))

@@ -87,6 +87,30 @@ def test_joints_that_were_heard_a_little_before_the_path_begins_do_not_contradic
     before = joints(READY - 0.02 * fast, fast, -20)
     found = whereabouts(planned(velocity=fast, lasts_ms=200), before)
     np.testing.assert_allclose(pose_at(found, 10), READY + 0.01 * fast)
+    assert found.stray_rad is None
+
+
+def test_joints_from_before_the_path_begins_go_on_at_the_speed_that_was_measured() -> None:
+    """Not at their program's: of an arm held to a quarter that would be 10 cm instead of 2.5."""
+    found = whereabouts(planned(velocity=0 * TURNING, lasts_ms=200))
+    found.take_joints(joints(READY, 0.5 * TURNING, -50), share=0.25)
+    pose_at(found, 10)
+    assert found.stray_rad is None
+
+
+def test_a_path_may_name_its_joints_in_any_order() -> None:
+    path = planned()
+    turned = JointPath(path.names[::-1], path.stamps, path.positions[:, ::-1])
+    np.testing.assert_allclose(pose_at(whereabouts(turned), 1000), READY + TURNING)
+
+
+def test_joints_without_velocities_that_come_twice_keep_those_known_before() -> None:
+    found = Whereabouts(MODEL, unwanted, 0.4)
+    for when_ms in (0, 100, 100):
+        sample = joints(READY + when_ms * 1e-3 * TURNING, 0 * TURNING, when_ms)
+        found.take_joints(sample, has_velocities=False)
+    ahead = found.ahead(NOW + 100 * MS, NOW + 100 * MS)
+    np.testing.assert_allclose(ahead.positions[-1] - ahead.positions[0], 0.2 * TURNING, atol=1e-9)
 
 
 @pytest.mark.parametrize("when_ms", [-150, -500])
