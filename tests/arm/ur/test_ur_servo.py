@@ -46,6 +46,16 @@ def test_servo_brakes_on_its_path_when_forecasts_stop_then_leaves_the_script_to_
     np.testing.assert_allclose(bench.link.servoed[-1], last)
 
 
+def test_a_halted_arm_of_which_nothing_is_heard_is_sent_nowhere() -> None:
+    bench = servo_bench()
+    bench.run(1000)
+    bench.is_alive = False
+    bench.ms_until(DriverState.HALTED)
+    sent = len(bench.link.servoed)
+    bench.run(200)
+    assert len(bench.link.servoed) == sent
+
+
 def test_servo_commands_to_a_script_that_has_stopped_are_not_believed() -> None:
     bench = servo_bench()
     bench.run(400)

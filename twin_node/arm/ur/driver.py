@@ -216,8 +216,6 @@ class UrDriver:
         if self._halt is None:
             return
         problem = self._look(now)
-        if problem is None and self._sample is None:
-            problem = "no state from the controller yet"
         if problem is not None:
             raise ArmError(f"acknowledge: expected an arm that is well, found: {problem}")
         if self._is_braking:

@@ -1,0 +1,128 @@
+"""How a halted driver goes on: acknowledged, or by itself where it may."""
+
+from __future__ import annotations
+
+import pytest
+from driver_bench import Bench
+
+from twin_node.arm import LimiterParameters
+from twin_node.arm.ur import DriverState, Halt
+
+
+def protectively_stopped(bench: Bench, milliseconds: int) -> None:
+    """The arm is stopped for a while, and well again."""
+    bench.run(320)
+    bench.link.tell(safety_mode=3)
+    bench.run(milliseconds)
+    bench.link.tell(safety_mode=1)
+    bench.run(40)
+
+
+def test_an_acknowledged_arm_speeds_up_from_rest_whatever_was_decided_while_it_was_halted() -> None:
+    bench = Bench(limiter=LimiterParameters(deadline_s=0.07))
+    protectively_stopped(bench, 1500)  # forecasts would let it go all the while
+    bench.acknowledge()
+    told = bench.run(64)
+    assert told.state is DriverState.READY
+    assert told.speed_fraction is not None and told.speed_fraction < 0.1
+
+
+def test_a_halt_of_an_earlier_connection_is_kept() -> None:
+    bench = Bench(halt=Halt("driver process ended by signal 9"))
+    assert bench.run(400).reason == "driver process ended by signal 9"
+    assert bench.link.beats == []
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+
+
+def test_a_driver_that_may_resume_waits_for_all_to_be_well_for_a_while() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    bench.is_alive = False
+    bench.run(200)
+    bench.is_alive = True
+    assert bench.report.state is DriverState.HALTED
+    assert 500 <= bench.ms_until(DriverState.READY) <= 560
+    bench.is_fed = False
+    assert (bench.run(300).state, bench.report.speed_fraction) == (DriverState.READY, 0.0)
+    bench.is_fed = True
+    assert bench.run(200).speed_fraction == 1.0
+
+
+def test_a_driver_that_may_resume_waits_anew_after_each_time_that_something_was_wrong() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    for well_ms in (0, 300):
+        bench.is_alive = True
+        bench.run(well_ms)
+        bench.is_alive = False
+        bench.run(120)
+    bench.is_alive = True
+    assert bench.report.state is DriverState.HALTED
+    assert bench.ms_until(DriverState.READY) >= 500
+
+
+def test_what_the_safety_system_stopped_never_resumes_by_itself() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    bench.link.tell(safety_mode=3)
+    bench.run(200)
+    bench.link.tell(safety_mode=1)
+    assert bench.run(2000).state is DriverState.HALTED
+
+
+@pytest.mark.parametrize(("is_safety", "state"), [(False, DriverState.READY), (True, DriverState.HALTED)])
+def test_an_earlier_halt_resumes_unless_it_was_a_safety_stop(is_safety: bool, state: DriverState) -> None:
+    bench = Bench(halt=Halt("earlier", is_safety), resumes=True)
+    assert bench.run(1000).state is state
+
+
+@pytest.mark.parametrize("plays", [True, False])
+def test_play_is_pressed_once_after_a_halt_where_that_is_wanted(plays: bool) -> None:
+    bench = Bench(plays=plays)
+    bench.run(320)
+    bench.link.tell(safety_mode=3, runtime_state=4)
+    bench.run(100)
+    bench.link.tell(safety_mode=1)
+    bench.run(100)
+    assert bench.link.plays == 0
+    bench.acknowledge()
+    bench.run(400)
+    assert bench.link.plays == int(plays)
+    bench.link.tell(runtime_state=4)  # somebody pauses the program: that is not ours to end
+    bench.run(400)
+    assert bench.link.plays == int(plays)
+
+
+def test_play_is_not_pressed_where_the_program_runs() -> None:
+    bench = Bench(plays=True)
+    protectively_stopped(bench, 100)
+    bench.acknowledge()
+    assert bench.link.plays == 0
+
+
+def test_a_safety_stop_during_another_halt_does_not_resume_either() -> None:
+    bench = Bench(resumes=True)
+    bench.run(320)
+    bench.is_alive = False
+    bench.run(100)
+    bench.is_alive = True
+    bench.link.tell(safety_mode=3)
+    assert "PROTECTIVE_STOP" in bench.run(100).reason
+    bench.link.tell(safety_mode=1)
+    assert bench.run(2000).state is DriverState.HALTED
+
+
+def test_a_dashboard_that_refuses_to_play_keeps_the_halt_and_the_connection() -> None:
+    bench = Bench(plays=True, resumes=True)
+    bench.run(320)
+    bench.link.is_remote = False
+    bench.link.tell(runtime_state=4)
+    bench.is_alive = False
+    bench.run(100)
+    bench.is_alive = True
+    report = bench.run(1500)
+    assert (report.state, report.is_over) == (DriverState.HALTED, False)
+    assert report.reason == "the dashboard does not start the program"
+    bench.link.is_remote = True
+    assert bench.run(1000).state is DriverState.READY
