@@ -73,11 +73,14 @@ class Cell:
         sample = JointSample(self.clock.now(), ("finger_joint",), np.zeros(1), np.zeros(1))
         self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(sample))
 
-    def path(self, begins_ms: int, lasts_ms: int, velocity: Float64 = TURNING) -> None:
+    def path(self, begins_ms: int, lasts_ms: int, velocity: Float64 = TURNING, is_stamped: bool = True) -> None:
         seconds = np.linspace(0, lasts_ms * 1e-3, 11)
         stamps = self.clock.now() + begins_ms * MS + np.rint(seconds * 1e9).astype(np.int64)
         path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
-        self.bus.publish(TRAJECTORY, convert.joint_path_to_message(path))
+        message = convert.joint_path_to_message(path)
+        if not is_stamped:
+            message.header.stamp.sec = message.header.stamp.nanosec = 0
+        self.bus.publish(TRAJECTORY, message)
 
     def stay(self) -> None:
         path = JointPath(MODEL.joint_names, np.array([self.clock.now()]), READY[None])

@@ -89,6 +89,21 @@ def test_silence_is_answered_at_its_deadlines_and_said_again_and_again() -> None
     assert fractions[2:] == [0.0] * 3
 
 
+def test_an_arm_is_told_to_stand_before_any_forecast_has_come() -> None:
+    timers = Timers()
+    cell = Cell(timers)
+    assert timers.alarm_.delays
+    timers.ring()
+    assert (cell.told[-1].speed_fraction, cell.told[-1].reason) == (0.0, "stopped: no forecast yet")
+
+
+@pytest.mark.parametrize(("given", "intrusion_m"), [({}, 0.2), ({"separation": {"intrusion_m": 0.5}}, 0.5)])
+def test_the_law_is_that_of_the_arms_file(given: dict[str, object], intrusion_m: float) -> None:
+    cell = Cell(**given)
+    cell.joints()
+    assert cell.somebody().term_intrusion == intrusion_m
+
+
 def test_an_arm_whose_joints_come_without_velocities_is_known_to_move() -> None:
     cell = Cell()
     for i in range(20):
@@ -201,6 +216,13 @@ def test_a_path_that_the_arm_is_not_on_is_told_of() -> None:
     assert [d.level for d in cell.node.diagnoses()] == [convert.Level.OK]
 
 
+def test_a_path_without_a_stamp_begins_when_it_comes() -> None:
+    cell = Cell()
+    cell.joints()
+    cell.path(begins_ms=0, lasts_ms=2000, velocity=np.zeros(6), is_stamped=False)
+    assert cell.somebody().reason == "clear"  # its path has it stand, its joints do not
+
+
 def test_a_path_that_is_not_finite_is_refused_when_it_comes() -> None:
     cell = Cell()
     cell.joints()
@@ -235,6 +257,19 @@ def test_obstacles_that_are_refused_are_named_where_the_arm_is_told_to_stand() -
     assert "no forecast for 338 ms; the last was refused: obstacles: expected at most 8" in cell.told[-1].reason
     cell.joints()
     assert cell.somebody().reason == "slow for MOVING"
+
+
+def test_a_refusal_is_not_told_of_a_silence_after_later_obstacles() -> None:
+    timers = Timers()
+    cell = Cell(timers)
+    cell.joints()
+    with pytest.raises(TwinError, match="raise max_obstacles"):
+        cell.somebody(count=9)
+    cell.wait(33)
+    cell.somebody()
+    cell.wait(300)
+    timers.ring()
+    assert cell.told[-1].reason == "stopped: no forecast for 305 ms"
 
 
 @pytest.mark.parametrize("value", [-1.0, math.nan])

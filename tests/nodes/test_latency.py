@@ -2,21 +2,53 @@ from __future__ import annotations
 
 import math
 
-from twin_node.nodes.latency import Latency
+import pytest
+
+from twin_node.nodes.latency import SAMPLES, Latency
+
+ASSUMED_NS = 33_000_000
+
+
+def add(latency: Latency, *latencies_ms: float) -> None:
+    for one in latencies_ms:
+        latency.add(round(one * 1e6))
 
 
 def measured(*latencies_ms: float) -> Latency:
-    latency = Latency(33_000_000, is_measured=True)
+    latency = Latency(ASSUMED_NS, is_measured=True)
     latency.start()
-    for one in latencies_ms:
-        latency.add(round(one * 1e6))
+    add(latency, *latencies_ms)
     return latency
 
 
 def test_what_was_measured_takes_the_place_of_what_was_assumed_when_there_is_enough() -> None:
-    assert measured(*[80.0] * 29).expected_ns == 33_000_000
+    assert measured(*[80.0] * 29).expected_ns == ASSUMED_NS
     assert measured(*[80.0] * 30).expected_ns == 80_000_000
     assert math.isnan(measured().percentile_ms(50))
+
+
+def test_a_forecast_bridges_what_one_in_twenty_take_longer() -> None:
+    latency = measured(*[40.0] * 95, *[90.0] * 5)
+    assert latency.expected_ns == pytest.approx(90e6)
+    assert latency.percentile_ms(50) == 40.0
+
+
+def test_what_came_before_the_start_does_not_count() -> None:
+    latency = Latency(ASSUMED_NS, is_measured=True)
+    add(latency, *[900.0] * 60)
+    assert latency.expected_ns == ASSUMED_NS
+
+
+def test_lockstep_measures_nothing() -> None:
+    """Its results would depend on the computer."""
+    latency = Latency(ASSUMED_NS, is_measured=False)
+    latency.start()
+    add(latency, *[900.0] * 60)
+    assert latency.expected_ns == ASSUMED_NS
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    assert measured(*[900.0] * 50, *[40.0] * SAMPLES).expected_ns == 40_000_000
 
 
 def test_a_camera_clock_that_is_ahead_makes_no_forecast_of_the_past() -> None:

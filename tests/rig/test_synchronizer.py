@@ -65,6 +65,14 @@ def test_a_rate_bound_learned_from_the_stamps_saves_the_wait_for_the_next_image(
     assert lags[0.0] == []
 
 
+def test_a_camera_that_leaves_images_out_may_send_the_next_after_its_shortest_period() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=None))
+    for k in (0, 1, 3, 4, 6, 7, 8, 10, 11):
+        sync.add("a", k * 20 * MS, None, now=k * 20 * MS)
+    assert sync.add("b", 233 * MS, None, now=233 * MS) == []
+    assert stamps_of(sync.add("a", 240 * MS, None, now=240 * MS)) == [[240 * MS, 233 * MS]]
+
+
 def test_a_silent_camera_costs_one_deadline_and_not_the_stream() -> None:
     sync = ApproximateTimeSynchronizer[None](["a", "b", "c"], SyncParameters(deadline_ns=100 * MS))
     emitted_at: list[int] = []
@@ -146,6 +154,20 @@ def test_late_duplicate_and_future_images_are_refused_and_counted() -> None:
     assert stamps_of(sync.add("a", 40 * MS, None, now=43 * MS)) == [[40 * MS, 40 * MS]]
 
 
+def test_an_image_that_went_out_is_a_duplicate_though_others_came_since() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(period_share=0, deadline_ns=None))
+    for name, t in (("a", 0), ("b", 0), ("a", 40), ("b", 40), ("a", 80), ("a", 40)):
+        sync.add(name, t * MS, None, now=80 * MS)
+    assert sync.report.inputs[0].duplicate == 1
+
+
+@pytest.mark.parametrize(("ahead_ms", "refused"), [(99, 0), (101, 1)])
+def test_a_tenth_of_a_second_ahead_of_its_arrival_is_too_much(ahead_ms: int, refused: int) -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"])
+    sync.add("a", (1000 + ahead_ms) * MS, None, now=1000 * MS)
+    assert sync.report.inputs[0].future == refused
+
+
 def test_unsorted_images_are_kept_and_counted() -> None:
     sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(period_share=0, deadline_ns=None))
     for t in (0, 40 * MS, 20 * MS):
@@ -171,11 +193,18 @@ def test_a_clock_that_steps_back_is_refused_and_forward_goes_silent() -> None:
 
 
 def test_images_too_far_apart_make_no_set() -> None:
-    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(max_interval_ns=10 * MS, deadline_ns=None))
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(max_interval_ns=10 * MS, deadline_ns=100 * MS))
     assert sync.add("a", 0, None, now=0) == []
     assert sync.add("b", 30 * MS, None, now=30 * MS) == []
-    assert stamps_of(sync.add("a", 30 * MS, None, now=30 * MS)) == [[30 * MS, 30 * MS]]
+    assert stamps_of(sync.poll(200 * MS)) == [[None, 30 * MS]]
     assert sync.report.inputs[0].unmatched == 1
+
+
+def test_a_set_spans_no_more_than_50_ms_where_nothing_else_is_said() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"])
+    sync.add("a", 0, None, now=0)
+    sync.add("b", 60 * MS, None, now=60 * MS)
+    assert stamps_of(sync.poll(300 * MS)) == [[None, 60 * MS]]
 
 
 def test_reset_starts_anew() -> None:

@@ -20,9 +20,9 @@ def test_messages_of_all_inboxes_come_in_the_order_of_their_arrival() -> None:
     a, b = executor.inbox(lambda m: seen.append(("a", m)), 10), executor.inbox(lambda m: seen.append(("b", m)), 10)
     a.offer(1)
     b.offer(2)
-    a.offer(3)
+    b.offer(3)
     run_all(executor)
-    assert seen == [("a", 1), ("b", 2), ("a", 3)]
+    assert seen == [("a", 1), ("b", 2), ("b", 3)]
 
 
 def test_an_inbox_keeps_its_newest_and_counts_the_rest() -> None:
@@ -126,6 +126,39 @@ def test_an_alarm_rings_once_and_when_it_was_set_last() -> None:
     while executor.step(0.05):
         pass
     assert seen == ["early", "late"]
+
+
+def rung(executor: Executor, now: list[float], rings: list[float]) -> list[float]:
+    """When an alarm rings within three seconds, looked at once a second."""
+    for _ in range(3):
+        now[0] += 1.0
+        run_all(executor)
+    return rings
+
+
+def test_an_alarm_that_is_set_while_it_rings_rings_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm's node that hears nothing would say "slow" once, and never "stopped"."""
+    now, rings = [100.0], []
+    monkeypatch.setattr("twin_node.runtime.executor.time.monotonic", lambda: now[0])
+    executor = Executor()
+
+    def ring() -> None:
+        rings.append(now[0])
+        alarm.set(1.0)
+
+    alarm = executor.alarm(ring)
+    alarm.set(1.0)
+    assert rung(executor, now, rings) == [101.0, 102.0, 103.0]
+
+
+def test_an_alarm_that_is_put_forward_rings_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, rings = [100.0], []
+    monkeypatch.setattr("twin_node.runtime.executor.time.monotonic", lambda: now[0])
+    executor = Executor()
+    alarm = executor.alarm(lambda: rings.append(now[0]))
+    alarm.set(2.0)
+    alarm.set(1.0)
+    assert rung(executor, now, rings) == [101.0]
 
 
 def test_stop_ends_spinning_and_a_failure_passes_through() -> None:
