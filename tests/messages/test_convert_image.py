@@ -58,9 +58,30 @@ def test_jpeg_keeps_colours_in_their_channels() -> None:
     assert np.abs(decoded.astype(int) - gradient()).mean() < 2
 
 
+def upright(jpeg: bytes) -> np.ndarray:
+    """A JPEG with a note (EXIF) that its camera was turned by 90 degrees."""
+    tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"  # one entry: orientation 6
+    note = b"Exif\0\0" + tiff
+    return np.frombuffer(jpeg[:2] + b"\xff\xe1" + (len(note) + 2).to_bytes(2, "big") + note + jpeg[2:], np.uint8)
+
+
+def test_a_jpeg_stays_as_its_sensor_saw_it_whatever_its_exif_says() -> None:
+    """It is the sensor's pixels that are calibrated."""
+    message = compressed_image("cam", STAMP, gradient())
+    turned = upright(message.data.tobytes())
+    assert cv2.imdecode(turned, cv2.IMREAD_COLOR).shape == (64, 48, 3)
+    assert rgb_from_message(replace(message, data=turned)).shape == (48, 64, 3)
+
+
 @pytest.mark.parametrize(
     ("encoding", "conversion"),
-    [("bgr8", cv2.COLOR_RGB2BGR), ("rgba8", cv2.COLOR_RGB2RGBA), ("bgra8", cv2.COLOR_RGB2BGRA)],
+    [
+        ("bgr8", cv2.COLOR_RGB2BGR),
+        ("8UC3", cv2.COLOR_RGB2BGR),
+        ("rgba8", cv2.COLOR_RGB2RGBA),
+        ("bgra8", cv2.COLOR_RGB2BGRA),
+        ("8UC4", cv2.COLOR_RGB2BGRA),
+    ],
 )
 def test_other_colour_orders(encoding: str, conversion: int) -> None:
     message = image(encoding, cv2.cvtColor(gradient(), conversion))

@@ -76,8 +76,8 @@ def test_clouds_of_others_are_refused_by_what_they_lack() -> None:
 
 
 def test_gaussians_of_tiers_that_nobody_knows_are_refused() -> None:
-    message = c.gaussians_to_pointcloud2(replace(cloud(3), tiers=np.array([0, 9, 1], np.uint8)), STAMP)
-    with pytest.raises(MessageError, match="expected known tiers, found 9; check the versions"):
+    message = c.gaussians_to_pointcloud2(replace(cloud(3), tiers=np.array([0, len(Tier), 1], np.uint8)), STAMP)
+    with pytest.raises(MessageError, match=f"expected known tiers, found {len(Tier)}; check the versions"):
         c.gaussians_from_pointcloud2(sent(message))
 
 
@@ -176,16 +176,16 @@ def test_obstacles_survive(n: int) -> None:
 @pytest.mark.parametrize("valid_to", [2**31 * 10**9, 2**63 - 1, -1])
 def test_obstacles_valid_until_a_time_that_ros_cannot_hold_are_refused(valid_to: int) -> None:
     """Wrapped, one that holds for ever would have ended in 1990."""
-    one = Obstacles(
+    two = Obstacles(
         STAMP,
-        *(np.array([value], np.uint8) for value in (7, ObstacleKind.STATIC, ObstacleShape.BOX)),
-        *(np.ones((1, width)) for width in (3, 4, 3, 3)),
-        np.ones(1),
-        valid_from=np.full(1, STAMP),
-        valid_to=np.full(1, valid_to),
+        *(np.full(2, value, np.uint8) for value in (7, ObstacleKind.STATIC, ObstacleShape.BOX)),
+        *(np.ones((2, width)) for width in (3, 4, 3, 3)),
+        np.ones(2),
+        valid_from=np.full(2, STAMP),
+        valid_to=np.array([STAMP, valid_to]),
     )
     with pytest.raises(MessageError, match=f"valid_to .*{valid_to} ns"):
-        c.obstacles_to_message(one)
+        c.obstacles_to_message(two)
 
 
 def test_obstacles_of_older_logs_say_neither_their_experts_nor_how_far_they_get() -> None:
@@ -248,8 +248,13 @@ def test_joints_survive() -> None:
     np.testing.assert_array_equal(still.velocities, [0, 0])
     with pytest.raises(MessageError, match="2 names, 1 positions"):
         c.joint_sample_from_message(replace(message, position=np.zeros(1)))
+
+
+@pytest.mark.parametrize("field", ["position", "velocity"])
+def test_joints_that_are_not_finite_are_refused(field: str) -> None:
+    message = c.joint_sample_to_message(JointSample(STAMP, ("a", "b"), np.zeros(2), np.zeros(2)))
     with pytest.raises(MessageError, match="not finite"):
-        c.joint_sample_from_message(replace(message, position=np.array([0.0, np.nan])))
+        c.joint_sample_from_message(replace(message, **{field: np.array([0.0, np.nan])}))
 
 
 def path() -> JointPath:
@@ -268,6 +273,8 @@ def test_paths_that_do_not_advance_are_refused() -> None:
     message = c.joint_path_to_message(path())
     with pytest.raises(MessageError, match=r"point 1: time_from_start 0 s is not after 0\.04 s"):
         c.joint_path_from_message(replace(message, points=[message.points[1], message.points[0]]), received=0)
+    with pytest.raises(MessageError, match=r"point 1: time_from_start 0\.04 s is not after 0\.04 s"):
+        c.joint_path_from_message(replace(message, points=[message.points[1], message.points[1]]), received=0)
     with pytest.raises(MessageError, match="at least one point"):
         c.joint_path_from_message(replace(message, points=[]), received=0)
     with pytest.raises(MessageError, match="point 0: 2 positions for 1 joints"):
