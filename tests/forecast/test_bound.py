@@ -64,6 +64,32 @@ def test_surprises_widen_the_bound_step_by_step_and_are_forgotten() -> None:
     assert radius() < 1.5 * before
 
 
+def quantile_after(share: float) -> float:
+    """Of 2 s of errors whose radii were this share of them."""
+    rng, bound = np.random.default_rng(3), Bound(BoundParameters(coverage=0.9))
+    for step in range(60):
+        errors = rng.uniform(0.01, 0.1, 20)
+        bound.observe(step * PERIOD, like(np.full(20, 0.05)), errors, share * errors, PERIOD)
+    return float(bound.quantile)
+
+
+def test_misses_ask_for_a_larger_quantile_of_the_same_errors() -> None:
+    """Adaptive conformal inference: who misses more than he may aims at missing less from then on."""
+    assert quantile_after(0.95) > 1.02 * quantile_after(1.05)
+
+
+def test_forecasts_of_before_something_new_began_tell_nothing_of_errors_to_come() -> None:
+    """However wild those were."""
+    spreads, known = np.full(20, 0.01), np.arange(20) >= 10
+    found = []
+    for grown, wild in ((known, 0.5), (known, 5.0), (None, 0.5)):
+        bound = Bound()
+        followed(bound, 4.0, spreads)
+        bound.observe(4.0, like(spreads), np.where(known, 0.005, wild), np.full(20, 0.05), PERIOD, grown)
+        found.append(bound.radii(like(spreads), np.ones(20), HORIZON)[0])
+    assert found[0] == found[1] < found[2]
+
+
 def test_without_a_record_the_reachable_set_stands_in() -> None:
     bound = Bound(BoundParameters(acceleration=8.0))
     followed(bound, 4.0, np.full(5, 0.002))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.errors import ForecastError
+from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
 from twin_node.geometry import transform
@@ -147,6 +148,29 @@ def test_calibration_error_and_skew_widen_the_hull() -> None:
     assert np.isin(plain.may_move.indices(), widened.may_move.indices()).all()
     assert len(widened.may_move.indices()) > 1.3 * len(plain.may_move.indices())
     assert len(carve(late, speed=2.0).may_move.indices()) > 1.3 * len(carve(late, speed=0.0).may_move.indices())
+
+
+def test_a_camera_that_does_not_tell_its_error_is_taken_to_err_as_assumed() -> None:
+    untold: tuple[Camera, ...] = tuple(replace(cam, sigma_m=0.0) for cam in RIG)
+    exact, rough = (
+        Carver(RigTables(GRID), CarvingParameters(assumed_sigma_m=sigma)).carve(
+            state_of(0, CENTER, cameras=untold), 0.0
+        )
+        for sigma in (0.0, 0.03)
+    )
+    assert len(rough.may_move.indices()) > 1.3 * len(exact.may_move.indices())
+
+
+def test_what_a_view_sees_before_the_arm_is_not_the_arm() -> None:
+    """Two views show the arm there, and a third something else before it."""
+    arm = np.zeros((HEIGHT, WIDTH), np.bool_)
+    arm[:, WIDTH // 2 - 6 : WIDTH // 2 + 6] = True
+    state = state_of(0, None, cameras=RIG[:3], robot_masks=(arm, arm, None))
+    middle = GRID.indices(WORKSPACE.mean(axis=0)[None])
+    assert carve(replace(state, robot_masks=(arm, arm, arm))).on_arm.holds(middle).all()
+    carved = carve(replace(state, moving_masks=(*state.moving_masks[:2], arm)))
+    assert carved.unknown.holds(middle).all()
+    assert not carved.on_arm.holds(middle).any()
 
 
 def test_a_camera_whose_calibration_changes_gets_a_new_table() -> None:

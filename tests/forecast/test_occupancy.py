@@ -52,6 +52,15 @@ def test_every_layer_holds_the_ball_at_its_time() -> None:
         assert len(layer.probability) == len(layer.indices)
 
 
+def test_layers_hold_the_ball_where_it_is_when_they_are_read() -> None:
+    """A forecast that is a quarter of a second under way looks as much farther ahead."""
+    forecaster, speed, late_ns = Forecaster(GRID), 1.2, 250_000_000
+    for state in moving_ball(16, speed):
+        found = forecaster.update(state, state.stamp + late_ns)
+    assert recall(found.occupancy, 0, speed) > 0.97
+    assert np.isclose(found.sighted.since_s, 0.25)
+
+
 def test_forecast_is_far_smaller_than_the_worst_case() -> None:
     states = moving_ball(20)
     ours, baselines = run(states), BaselineForecaster(GRID)

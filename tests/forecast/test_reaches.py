@@ -7,7 +7,7 @@ import pytest
 
 from twin_node.forecast.bound import Bound, Expected
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.measured import UNKNOWN_SPEED, Measured
+from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, start_radii
 from twin_node.forecast.reaches import Known, Span, reaches, reaches_plainly
 
 COUNT, NOW, HORIZON_S = 400, 3.0, 0.2
@@ -52,3 +52,25 @@ def test_who_has_turned_may_get_as_far_as_it_can_reach() -> None:
     ((calm, turned),) = reaches(nodes, bound, 1.0, Span(np.array([HORIZON_S]), np.ones(1), capped=True))
     assert calm < 0.01
     assert turned == bound.reachable(HORIZON_S)
+
+
+def of_two(born: np.ndarray, spread: float, sigma: float, alone: np.ndarray) -> Known:
+    """Two nodes of which hardly any error is expected, with measured velocities."""
+    no, never, zeros = np.zeros(2, np.bool_), np.full(2, -np.inf), np.zeros(2)
+    told = Measured(np.full(2, sigma), no, alone, no, never)
+    return Known(NOW, HORIZON_S, Expected(np.full(2, 0.001), np.full(2, spread)), born, born, never, zeros, told)
+
+
+def test_a_limb_at_rest_may_start_however_little_error_is_expected() -> None:
+    nodes = of_two(np.zeros(2), spread=0.0, sigma=0.0, alone=np.array([False, True]))
+    ((limb, whole),) = reaches(nodes, Bound(), 1.0, Span(np.array([HORIZON_S]), np.ones(1), capped=True))
+    assert limb == start_radii(np.array([HORIZON_S]))[0]
+    assert whole < 0.01
+
+
+def test_who_is_new_may_get_as_far_as_its_measured_velocity_is_uncertain() -> None:
+    nodes = of_two(np.array([0.0, NOW - 0.05]), spread=0.3, sigma=0.5, alone=np.ones(2, np.bool_))
+    bound = Bound()
+    ((tried, new),) = reaches(nodes, bound, 1.0, Span(np.array([HORIZON_S]), np.ones(1), capped=False))
+    assert tried < 0.01
+    assert new == bound.reachable(HORIZON_S) + 1.5 * 0.5 * HORIZON_S

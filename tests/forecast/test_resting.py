@@ -34,11 +34,11 @@ def block(start: tuple[int, int, int], *sides: int) -> np.ndarray:
     return np.flatnonzero(mask)
 
 
-def test_what_stands_where_something_moved_is_resting_until_it_is_forgotten() -> None:
+def test_what_stands_where_something_moved_is_resting_for_20_s() -> None:
     resting, nothing = Resting(COARSE), np.zeros(0, np.int64)
     assert resting.update(0, np.array([5, 6]), standing(7)).tolist() == []
     assert resting.update(STEP_NS, nothing, standing(5, 7)).tolist() == [5]
-    almost = round(RESTING_S * 1e9) - 1
+    almost = 20_000_000_000 - 1
     assert resting.update(almost, nothing, standing(5, 7)).tolist() == [5]
     assert resting.update(almost + 1, nothing, standing(5, 7)).tolist() == []
     assert resting.update(almost + 2, np.array([5]), standing(7)).tolist() == []
