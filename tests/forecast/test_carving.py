@@ -57,6 +57,23 @@ def test_nothing_moving_frees_all_that_is_seen() -> None:
     assert np.array_equal(carved.unknown.mask(), unseen)
 
 
+def test_what_a_state_frees_is_asked_of_that_state() -> None:
+    carver, ball = Carver(RigTables(GRID)), ball_voxels(CENTER)
+    seen, empty = state_of(0, CENTER), state_of(33_000_000, None)
+    carver.carve(seen, 0.0)
+    assert not carver.frees(seen, ball).any()
+    assert carver.frees(empty, ball).all()
+
+
+def test_voxels_are_freed_one_by_one_as_all_at_once() -> None:
+    state, carver = state_of(0, CENTER, with_depth=True), Carver(RigTables(GRID))
+    carved = carver.carve(state, 0.0)
+    freed = carver.frees(state, np.arange(GRID.size))
+    held = carved.may_move.mask() | carved.unknown.mask() | carved.on_arm.mask()
+    assert np.array_equal(freed, ~held)
+    assert freed.any() and held.any()
+
+
 def test_space_behind_a_camera_is_unknown() -> None:
     inside = camera("inside", WORKSPACE.mean(axis=0) + np.array([0.3, 0.0, 0.1]))
     carved = carve(state_of(0, None, cameras=(inside,)))

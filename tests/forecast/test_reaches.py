@@ -74,3 +74,12 @@ def test_who_is_new_may_get_as_far_as_its_measured_velocity_is_uncertain() -> No
     ((tried, new),) = reaches(nodes, bound, 1.0, Span(np.array([HORIZON_S]), np.ones(1), capped=False))
     assert tried < 0.01
     assert new == bound.reachable(HORIZON_S) + 1.5 * 0.5 * HORIZON_S
+
+
+def test_nobody_gets_farther_than_people_do_however_wide_the_calibrated_bound_is() -> None:
+    nodes = of_two(np.zeros(2), spread=0.0, sigma=0.1, alone=np.ones(2, np.bool_))
+    wide, horizons = 1000.0, np.array([HORIZON_S])
+    free, capped = (reaches(nodes, Bound(), wide, Span(horizons, np.ones(1), capped)) for capped in (False, True))
+    assert nodes.measured is not None
+    assert np.allclose(capped, nodes.measured.most(nodes.speeds, horizons))
+    assert (capped < 0.5 * free).all()

@@ -89,6 +89,15 @@ def test_rims_are_widened_little() -> None:
     assert (seen.likely.speeds == 0).all() and (seen.rims.speeds == 0).all()
 
 
+def test_what_rests_is_widened_as_the_layers_are() -> None:
+    """By the rounding of places to voxels."""
+    parts, resting = moving(3)
+    seen = sighted(GRID, parts, resting, predicted(parts, 3), STARTED, HORIZONS)
+    of_resting = seen.likely.reached[parts.count :]
+    assert len(of_resting)
+    assert np.allclose(of_resting, STARTED[0] + np.sqrt(3) / 2 * GRID.voxel_size)
+
+
 def test_a_box_takes_nothing_from_groups_that_it_does_not_reach() -> None:
     """Only what is beside a hand that darts is held for as long as it."""
     indices = np.ravel_multi_index(np.array([[2, 3, 25], [5, 5, 5], [5, 5, 5]]), GRID.dims)

@@ -154,6 +154,23 @@ def test_late_duplicate_and_future_images_are_refused_and_counted() -> None:
     assert stamps_of(sync.add("a", 40 * MS, None, now=43 * MS)) == [[40 * MS, 40 * MS]]
 
 
+def test_an_image_of_before_the_last_set_is_late_though_its_camera_was_in_none() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+    sync.add("a", 50 * MS, None, now=50 * MS)
+    assert stamps_of(sync.poll(150 * MS)) == [[50 * MS, None]]
+    sync.add("b", 40 * MS, None, now=151 * MS)
+    assert sync.report.inputs[1].late == 1
+
+
+def test_an_image_of_before_its_cameras_last_in_a_set_is_late_though_the_set_began_before() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+    sync.add("a", 0, None, now=0)
+    sync.add("b", 20 * MS, None, now=20 * MS)
+    assert stamps_of(sync.poll(100 * MS)) == [[0, 20 * MS]]
+    sync.add("b", 10 * MS, None, now=101 * MS)
+    assert sync.report.inputs[1].late == 1
+
+
 def test_an_image_that_went_out_is_a_duplicate_though_others_came_since() -> None:
     sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(period_share=0, deadline_ns=None))
     for name, t in (("a", 0), ("b", 0), ("a", 40), ("b", 40), ("a", 80), ("a", 40)):

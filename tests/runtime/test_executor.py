@@ -54,6 +54,10 @@ def test_an_inbox_keeps_no_more_bytes_than_it_may() -> None:
         inbox.offer(Encoded("std_msgs/msg/String", bytes(size)))
     run_all(executor)
     assert seen[3:] == [400, 401]
+    for size in (600, 401):
+        inbox.offer(Encoded("std_msgs/msg/String", bytes(size)))
+    run_all(executor)
+    assert seen[5:] == [401]
 
 
 def test_a_message_wakes_an_executor_that_waits() -> None:
