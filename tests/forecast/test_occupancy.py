@@ -61,6 +61,21 @@ def test_layers_hold_the_ball_where_it_is_when_they_are_read() -> None:
     assert np.isclose(found.sighted.since_s, 0.25)
 
 
+def test_between_two_layers_is_what_passes_too_fast_for_them() -> None:
+    forecaster, speed, radius = Forecaster(GRID), 4.0, 0.05
+
+    def flown(stamp: int) -> np.ndarray:
+        return np.array([-0.55 + speed * stamp * 1e-9, 0.05, 0.45])
+
+    for tick in range(6):
+        state = state_of(tick * PERIOD_NS, flown(tick * PERIOD_NS), radius, with_depth=True)
+        found = forecaster.update(state, state.stamp + LATENCY_NS)
+    middle = ball_voxels(flown(found.occupancy.publish_stamp + (HORIZONS_NS[1] + HORIZONS_NS[2]) // 2), radius)
+    layers = np.concatenate([layer.indices for layer in found.occupancy.layers[1:3]])
+    assert len(middle) and not np.isin(middle, layers).all()
+    assert np.isin(middle, np.concatenate([layers, found.motion.between[1]])).all()
+
+
 def test_forecast_is_far_smaller_than_the_worst_case() -> None:
     states = moving_ball(20)
     ours, baselines = run(states), BaselineForecaster(GRID)
