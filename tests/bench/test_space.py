@@ -1,4 +1,4 @@
-"""Vacated and unseen space, and persistence at equal recall, against made-up truths."""
+"""Vacated and unseen space, against made-up truths."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin_node.bench.equal_recall import PersistenceGrowth
 from twin_node.bench.space import SpaceTally
 from twin_node.forecast.grid import encode_runs
 from twin_node.robot import ur_model
@@ -121,36 +120,3 @@ def test_the_arms_own_space_is_no_unseen_space() -> None:
     of_nobody.add(blinded, said, np.zeros((0, 3)))
     assert of_arm.score().unseen_not_free is None
     assert of_nobody.score().unseen_not_free == 0.0
-
-
-class Shifted:
-    """The block, 0.2 m further on."""
-
-    source = "made up"
-
-    def points(self, stamp: int) -> Float64 | None:
-        return BLOCK + np.array([0.2, 0, 0])
-
-    def volume_l(self, stamp: int) -> float | None:
-        return None
-
-    def pixels(self, view: View) -> Bool | None:
-        return None
-
-
-def test_persistence_grows_until_it_finds_as_much() -> None:
-    growth = PersistenceGrowth(GRID, Shifted())
-    places = np.stack(np.unravel_index(GRID.indices(BLOCK), GRID.dims)).astype(np.int32)
-    for stamp in range(100):
-        growth.add(places, stamp)
-    whole, half = growth.grown_to(1.0), growth.grown_to(0.5)
-    assert whole is not None and half is not None
-    assert np.isclose(whole.radius_m, 0.2)
-    assert half.radius_m < whole.radius_m
-    assert half.volume_l < whole.volume_l
-
-
-def test_nothing_seen_cannot_grow() -> None:
-    growth = PersistenceGrowth(GRID, Shifted())
-    growth.add(np.zeros((3, 0), np.int32), 0)
-    assert growth.grown_to(0.9) is None

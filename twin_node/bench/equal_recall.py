@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin_node.forecast.comparison import Truth
-from twin_node.forecast.growth import Points, exact_reach_of, spread
-from twin_node.forecast.score import MOST_POINTS, litres_per_voxel
+from twin_node.forecast.growth import PER_VOXEL, REACHES, Points, spread
+from twin_node.forecast.score import litres_per_voxel
 from twin_node.scene import Float64, Grid
 
 MOST_KEPT = 64
@@ -24,7 +26,7 @@ class EqualRecall:
     volume_l: float
     """Mean volume of its moving voxels, litres."""
     radius_m: float
-    """By which it was grown, m."""
+    """By which it was grown, from middle to middle of voxels, m."""
 
 
 class PersistenceGrowth:
@@ -33,57 +35,71 @@ class PersistenceGrowth:
     def __init__(self, grid: Grid, truth: Truth) -> None:
         self._grid = grid
         self._truth = truth
+        self._waiting: deque[_Due] = deque()
         self._kept: list[_Kept] = []
         self._stride = 1
         self._count = 0
 
     def add(self, places: NDArray[np.int32], valid_at: int) -> None:
         """Takes in the voxels (i, j, k) `places` [3, n] of one set, in the grid or beside it, due at a stamp."""
-        if self._count % self._stride == 0:
-            self._kept.append(_Kept(places, valid_at))
-        self._count += 1
-        if len(self._kept) > MOST_KEPT:
-            self._kept = self._kept[::2]
-            self._stride *= 2
+        self._waiting.append(_Due(places, valid_at))
+
+    def settle(self, stamp: int) -> None:
+        """Asks the truth about the sets that are due by a stamp, ns: later it may no longer know."""
+        while self._waiting and self._waiting[0].valid_at <= stamp:
+            due = self._waiting.popleft()
+            if self._count % self._stride == 0:
+                self._kept.append(_Kept(due.places, self._levels(due)))
+            self._count += 1
+            if len(self._kept) > MOST_KEPT:
+                self._kept = self._kept[::2]
+                self._stride *= 2
 
     def grown_to(self, recall: float) -> EqualRecall | None:
-        """Grown until `recall` of the true points lie inside; None without such points, or with nothing to grow."""
-        distances = [self._distances(kept) for kept in self._kept]
-        all_of_them = np.concatenate([np.zeros(0), *distances])
-        if len(all_of_them) == 0:
-            return None
-        radius = float(np.quantile(all_of_them, recall, method="higher"))
-        if not np.isfinite(radius):
-            return None
-        return EqualRecall(float(np.mean([self._volume_l(kept.places, radius) for kept in self._kept])), radius)
+        """Grown as little as leaves `recall` of the true points inside, all of those settled weighed alike.
 
-    def _distances(self, kept: _Kept) -> Float64:
-        """Distances [m] in metres from true points in the grid to the nearest voxel's centre, 0 in the same voxel."""
-        points = self._truth.points(kept.valid_at)
+        None without such points, or with nothing to grow that reaches so many.
+        """
+        levels = np.sort(np.concatenate([np.zeros(0), *(kept.levels for kept in self._kept)]))
+        if len(levels) == 0:
+            return None
+        level = float(levels[max(math.ceil(recall * len(levels) - 1e-6), 1) - 1])
+        if level > REACHES[-1]:
+            return None
+        volume = float(np.mean([self._volume_l(kept.places, int(level)) for kept in self._kept]))
+        return EqualRecall(volume, level / PER_VOXEL * self._grid.voxel_size)
+
+    def _levels(self, due: _Due) -> Float64:
+        """Quarter voxels [m] that `spread` must reach to hold each true point in the grid."""
+        points = self._truth.points(due.valid_at)
         if points is None:
             return np.zeros(0)
-        grid = self._grid
-        points = points[np.isfinite(points).all(axis=1)]
-        points = points[grid.indices(points) >= 0]
-        points = points[:: -(-len(points) // MOST_POINTS) or 1]
-        if kept.places.shape[1] == 0:
-            return np.full(len(points), np.inf)
-        centers = grid.origin + (kept.places.T + 0.5) * grid.voxel_size
-        distances, nearest = cKDTree(centers).query(points)
-        same = (np.abs(points - centers[nearest]) <= grid.voxel_size / 2).all(axis=1)
-        return np.where(same, 0, distances)
+        indices = self._grid.indices(points[np.isfinite(points).all(axis=1)])
+        true = np.stack(np.unravel_index(indices[indices >= 0], self._grid.dims), axis=1)
+        if due.places.shape[1] == 0:
+            return np.full(len(true), np.inf)
+        levels: Float64 = np.ceil(PER_VOXEL * cKDTree(due.places.T).query(true)[0] - 1e-6)
+        return levels
 
-    def _volume_l(self, places: NDArray[np.int32], radius: float) -> float:
+    def _volume_l(self, places: NDArray[np.int32], level: int) -> float:
         count = places.shape[1]
         points = Points(places, np.zeros(count, np.int64), np.ones(count, np.bool_))
-        reach = exact_reach_of(self._grid, np.array([[radius]]))
-        (reached,) = spread(self._grid, points, np.zeros((1, 1, 3), np.int32), reach)
+        (reached,) = spread(self._grid, points, np.zeros((1, 1, 3), np.int32), np.array([[level]], np.uint16))
         return len(reached.indices) * litres_per_voxel(self._grid)
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _Due:
     """What one set showed, and when its forecast comes due."""
 
     places: NDArray[np.int32]
     valid_at: int
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What one set showed, and how far it must grow to hold what turned out to be occupied."""
+
+    places: NDArray[np.int32]
+    levels: Float64
+    """[m] quarter voxels, per true point."""

@@ -140,6 +140,7 @@ class _Tally:
     def add(self, state: TwinState, forecasts: Mapping[str, Occupancy], places: NDArray[np.int32]) -> None:
         """Takes in the forecasts of a state, none to settle only, and the voxels `places` [3, n] seen to move."""
         self._comparison.add(state, forecasts)
+        self._growth.settle(state.stamp)
         if forecasts:
             self._growth.add(places, forecasts[OURS].publish_stamp + HORIZONS_NS[-1])
 

@@ -59,17 +59,8 @@ def reach_of(grid: Grid, radii: Float64) -> UInt16:
 
     Half a voxel's diagonal is added for the rounding of places to voxels, to all but radii of 0.
     """
-    return np.asarray(REACHES[np.minimum(np.searchsorted(REACHES, _reach(grid, radii)), len(REACHES) - 1)])
-
-
-def exact_reach_of(grid: Grid, radii: Float64) -> UInt16:
-    """As `reach_of`, rounded up to the next quarter voxel: for comparisons, where a seventh would tell."""
-    return np.ceil(_reach(grid, radii)).clip(0, REACHES[-1]).astype(np.uint16)
-
-
-def _reach(grid: Grid, radii: Float64) -> Float64:
-    reach: Float64 = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, ROUNDING, 0)) - 1e-6
-    return reach
+    reach = PER_VOXEL * (radii / grid.voxel_size + np.where(radii > 0, ROUNDING, 0)) - 1e-6
+    return np.asarray(REACHES[np.minimum(np.searchsorted(REACHES, reach), len(REACHES) - 1)])
 
 
 ROUNDING = float(np.sqrt(3) / 2)
