@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from twin_node.bench.errors import BenchError
-from twin_node.bench.track import TrackBenchParameters, run
+from twin_node.bench.track import TrackBenchParameters, last_less_second, run
 from twin_node.bench.track_runs import to_and_fro
-from twin_node.bench.track_scores import score_renderings
+from twin_node.bench.track_scores import MethodScore, TrackScores, score_foresight, score_renderings
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.report.quality import Renderings, score
+from twin_node.nodes.spool import Tick
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.scene import Camera, FrameSet, View
+from twin_node.scene import HORIZONS_NS, Camera, Exposure, FrameSet, GaussianCloud, NodeStates, TwinState, View
 
 SMALL = ChainParameters(
     synchronizer=SynchronizerParameters(width=64, max_rate_hz=20), model=ModelParameters(seed=SeedParameters(steps=10))
@@ -46,7 +47,7 @@ def shown(ours: float, image: float, first: float, stamp: int) -> Renderings:
     """Even images of one camera."""
     planes = [np.full((12, 16, 3), value, np.float32) for value in (image, first, ours)]
     view = View(CAMERA, stamp, (planes[0] * 255).astype(np.uint8))
-    return Renderings(stamp, view, None, None, *planes, planes[1], None)
+    return Renderings(stamp, view, None, None, *planes, planes[1], planes[0] if stamp else None)
 
 
 def test_kinds_of_pixels_and_flicker_are_told_apart() -> None:
@@ -59,6 +60,61 @@ def test_kinds_of_pixels_and_flicker_are_told_apart() -> None:
     still = score_renderings([shown(0.5, 0.5, 0.5, 0), shown(0.52, 0.5, 0.5, 1)])
     assert still.flicker == pytest.approx(2.0, rel=1e-4)
     assert still.images_flicker == 0
+
+
+def test_what_was_out_by_then_is_scored_beside_ours() -> None:
+    late = [
+        replace(one, published=one.ours + np.float32(0.1), moved_on=one.ours + np.float32(0.01))
+        for one in (shown(0.5, 0.5, 0.1, 1), shown(0.5, 0.5, 0.5, 2))
+    ]
+    scores = score_renderings([shown(0.5, 0.5, 0.1, 0), *late])
+    assert asdict(scores.methods["published"]) == pytest.approx({"all": 20, "moving": 20, "unchanged": 20}, abs=1e-3)
+    assert asdict(scores.methods["moved_on"]) == pytest.approx({"all": 40, "moving": 40, "unchanged": 40}, abs=1e-2)
+    lockstep = score_renderings([shown(0.5, 0.5, 0.1, 0)])
+    assert set(asdict(lockstep.methods["published"]).values()) == {None}
+
+
+def test_flicker_is_not_told_across_a_gap() -> None:
+    after = replace(shown(0.9, 0.5, 0.5, 9), previous=None)
+    scores = score_renderings([shown(0.5, 0.5, 0.5, 0), shown(0.52, 0.5, 0.5, 1), after, shown(0.92, 0.5, 0.5, 10)])
+    assert scores.flicker == pytest.approx(2.0, rel=1e-4)
+
+
+def seen(stamp: int, level: float, is_followed: bool = True) -> Tick:
+    """An even image of a camera that shows colours 0.25 brighter than the model, which is black."""
+    images = [np.full((12, 16, 3), round(255 * value), np.uint8) for value in (level, level - 0.25)]
+    frames, levelled = (FrameSet(stamp, (View(CAMERA, stamp, image),)) for image in images)
+    if not is_followed:
+        return Tick(frames)
+    three, four, one = (np.empty((0, width), np.float32) for width in (3, 4, 1))
+    none = np.empty(0, np.uint32)
+    cloud = GaussianCloud(
+        three, four, three, one[:, 0], three, three, none.astype(np.uint8), none, none.astype(np.int32)
+    )
+    nodes = NodeStates(none, *(np.empty((0, width)) for width in (3, 4, 3, 3)), *[np.empty(0)] * 2)
+    light = Exposure(np.ones(3, np.float32), np.full(3, 0.25, np.float32))
+    mask = np.zeros((12, 16), np.bool_)
+    return Tick(frames, TwinState(stamp, levelled, cloud, nodes, (mask,), (None,), exposures=(light,)))
+
+
+@pytest.mark.parametrize("is_followed", [True, False])
+def test_foresight_is_scored_in_the_light_of_each_camera(is_followed: bool) -> None:
+    horizon = HORIZONS_NS[-1]
+    stands = score_foresight([seen(0, 0.5), seen(horizon, 0.5, is_followed)])
+    assert (stands.forecast, stands.present) == (None, None)
+    changed = score_foresight([seen(0, 0.5), seen(horizon, 0.35, is_followed)])
+    assert (changed.forecast, changed.present) == pytest.approx((20, 20), abs=0.2)
+
+
+def of_passes(*levels: float) -> list[TrackScores]:
+    """So many passes of this PSNR."""
+    return [TrackScores({"ours": MethodScore(level, level, None)}, None, None) for level in levels]
+
+
+def test_the_last_pass_is_held_against_the_first_of_its_direction() -> None:
+    assert last_less_second(of_passes(20, 30, 31)) is None
+    assert last_less_second(of_passes(20, 30, 31, 30.5)) == {"all": 0.5, "moving": 0.5, "unchanged": None}
+    assert last_less_second(of_passes(20, 30, 31, 30.5, 31.25)) == {"all": 0.25, "moving": 0.25, "unchanged": None}
 
 
 def spoilt(one: Renderings) -> Renderings:
@@ -90,11 +146,13 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
     live, followed = bench.as_json(), bench.followed
     assert len(followed.updates_ms) == followed.sets == len(followed.tiers)
     assert json.loads(json.dumps(live))["mode"] == "real time"
+    psnr_db = live["psnr_db"]
+    assert psnr_db["published"]["all"] is not None and psnr_db["moved_on"]["all"] is not None  # type: ignore[index]
     latency = live["latency_ms"]
     assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"]  # type: ignore[index]
     camera = run(log, TrackBenchParameters(duration_s=0.1, chain=SMALL)).followed.model
     assert camera.capacity > 0
-    bounced = run(log, TrackBenchParameters(bounce=3, duration_s=0.3, leave_out="all", chain=SMALL)).as_json()
+    bounced = run(log, TrackBenchParameters(bounce=4, duration_s=0.3, leave_out="all", chain=SMALL)).as_json()
     assert set(bounced["last_less_second_db"]) == set(names)  # type: ignore[call-overload]
     assert len(bounced["left_out"]) == 3  # type: ignore[arg-type]
     assert bounced["growth_mb"] is not None

@@ -37,7 +37,7 @@ def nodes() -> NodeStates:
 class Cell:
     """A bus with a collector, on which sets are told of."""
 
-    def __init__(self, spool: Spool | None, rate: float = 1.0) -> None:
+    def __init__(self, spool: Spool | None, rate: float | None = None) -> None:
         self.bus = LocalBus()
         self.spool = spool
         self.clock = SteppedClock()
@@ -89,6 +89,24 @@ def test_a_set_is_kept_with_the_newest_that_was_followed_up_to_it(cell: Cell) ->
     assert cell.shown()[4:] == [(5, 4, 4)]
     assert [sum(counts) for counts in cell.collector.tier_counts] == [1, 2, 2, 4, 4]
     assert cell.collector.stamps == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("rate", [1.0, None])
+def test_a_set_is_kept_with_the_time_at_which_its_cloud_was_out(rate: float | None) -> None:
+    with Spool(0, 1_000_000_000, 30.0) as spool:
+        cell = Cell(spool, rate)
+        seen = {1: cell.see(1, 0)}
+        cell.clock.advance_to(10)
+        cell.follow(seen[1])
+        for stamp in (11, 12):
+            seen[stamp] = cell.see(stamp, 1)
+        cell.clock.advance_to(20)
+        cell.follow(seen[12])
+        cell.see(21, 12)
+        cell.clock.advance_to(30)
+        cell.collector.end()
+        assert [tick.stamp for tick in spool] == [1, 11, 12, 21]
+        assert [tick.published for tick in spool] == ([None] * 4 if rate is None else [10, 10, 20, 20])
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.25])

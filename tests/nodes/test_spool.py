@@ -49,6 +49,15 @@ def test_an_hour_is_kept_in_whole_seconds_spread_over_it() -> None:
     assert kept[-1] > 3400 * 30
 
 
+def test_the_first_set_of_every_block_but_the_first_tells_of_the_gap_before_it() -> None:
+    with Spool(0, 3600 * SECOND, 30) as long, Spool(0, 10 * SECOND, 30) as short:
+        for spool in (long, short):
+            for stamp in (0, SECOND // 2, 3599 * SECOND, 3599 * SECOND + SECOND // 2):
+                spool.add(Tick(FrameSet(stamp=stamp, views=(), sequence=0)))
+        assert [tick.is_after_gap for tick in long] == [False, False, True, False]
+        assert not any(tick.is_after_gap for tick in short)
+
+
 def test_what_cannot_be_written_is_told_to_who_reads_and_to_who_adds() -> None:
     with Spool(0, SECOND, 30) as spool:
         unwritable = threading.Lock()

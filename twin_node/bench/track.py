@@ -16,7 +16,7 @@ from twin_node.bench.visual_hull import HullScore, HullTally
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.report.quality import clouds_against_images, without
+from twin_node.nodes.report.quality import First, clouds_against_images, without
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.scene import FrameSet, Tier
 
@@ -120,7 +120,8 @@ class TrackBench:
 
 
 def run(log: Path, parameters: TrackBenchParameters | None = None, progress: Progress = lambda _: None) -> TrackBench:
-    """Follows a log and scores every input set against the newest cloud that had been published by then.
+    """Follows a log and scores every input set against the cloud that follows it, a dropped one against the one before;
+    in real time also against the newest cloud that was out when its images were taken.
 
     Raises `BenchError` for a camera that the log does not have, a log without sets, or passes to and fro in real time,
     and the errors of the log and its calibration.
@@ -179,10 +180,12 @@ def _bounce(sets: list[FrameSet], parameters: TrackBenchParameters, log: Path, p
     if not sets:
         raise _no_sets(log)
     followed, passes, ends = start(parameters.chain), [], []
+    firsts: dict[str, First] = {}
     begin = sets[0].stamp
     for sets_of_pass in to_and_fro(sets, parameters.bounce):
         ticks = _reporting(follow(followed, sets_of_pass), begin, progress)
-        passes.append(score_renderings(clouds_against_images(ticks, lambda c: followed.model.render_frozen(c).rgb)))
+        shown = clouds_against_images(ticks, lambda c: followed.model.render_frozen(c).rgb, firsts)
+        passes.append(score_renderings(shown))
         ends.append(followed.memory_bytes[-1])
     growth = ends[-1] - ends[1] if len(ends) > 2 else None
     return TrackBench("to and fro", followed, passes[-1], ForesightScore(None, None), {}, passes, growth)
@@ -237,8 +240,11 @@ def gains(scores: TrackScores) -> dict[str, float | None]:
 
 
 def last_less_second(passes: Sequence[TrackScores]) -> dict[str, float | None] | None:
-    """dB that the last pass is better than the second by, per kind of pixel; None without three passes."""
-    if len(passes) < 3:
+    """dB that the last pass is better than the first in its direction by, per kind of pixel; None without four passes.
+
+    The very first does not count, for a model is settling in.
+    """
+    if len(passes) < 4:
         return None
-    second, last = asdict(passes[1].methods["ours"]), asdict(passes[-1].methods["ours"])
-    return {kind: None if last[kind] is None or second[kind] is None else last[kind] - second[kind] for kind in last}
+    first, last = (asdict(one.methods["ours"]) for one in (passes[1 + len(passes) % 2], passes[-1]))
+    return {kind: None if last[kind] is None or first[kind] is None else last[kind] - first[kind] for kind in last}

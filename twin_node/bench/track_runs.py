@@ -156,7 +156,7 @@ def follow_live(
 
         follow(first)
         followed.count(states[-1])
-        _keep(spool, Tick(first, states[-1]))
+        _keep(spool, Tick(first, states[-1], published=published[-1]))
         reading.start(clock, bridge, offer)
         try:
             for _, frames in bridge.batches():
@@ -165,7 +165,7 @@ def follow_live(
                 node.rest(lambda: not bridge.is_waiting)
                 followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
                 followed.count(states[-1])
-                _keep(spool, Tick(frames, states[-1]))
+                _keep(spool, Tick(frames, states[-1], published=published[-1]))
                 states.clear()
                 yield (frames.stamp - session.span.start_ns) * 1e-9
         finally:

@@ -13,10 +13,14 @@ from twin_node.model import WindowModel
 from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, squared_error
 from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Renderings, render_cloud, unit, valid_pixels
 from twin_node.nodes.spool import Tick
-from twin_node.scene import HORIZONS_NS, Bool, FrameSet, GaussianCloud, View
+from twin_node.scene import HORIZONS_NS, Bool, FrameSet, TwinState, View
 
 KINDS = ("all", "moving", "unchanged")
 """Kinds of valid pixels: all; those that differ from the camera's first image; the others."""
+METHODS = ("ours", "frozen", "previous", "published", "moved_on")
+"""What a rendering has in the place of an image: the cloud that follows its set, whenever that was out; the model as
+fitted to the first set; the camera's image before; and the newest cloud that was out when the image was taken, as it is
+and moved on along its velocities (none in lockstep)."""
 
 
 @dataclass
@@ -82,7 +86,7 @@ class TrackScores:
     """What a run's renderings are worth against its images."""
 
     methods: Mapping[str, MethodScore]
-    """ours, frozen (the model as fitted to the first set) and previous (the camera's image before)."""
+    """By each of `METHODS`."""
     flicker: float | None
     """Mean absolute change of our rendering from set to set where the images show no change, x 100."""
     images_flicker: float | None
@@ -90,17 +94,20 @@ class TrackScores:
 
 
 def score_renderings(renderings: Iterable[Renderings]) -> TrackScores:
-    """Scores ours, the frozen first set and the previous image against the same images."""
-    methods = {name: _Psnr() for name in ("ours", "frozen", "previous")}
+    """Scores every one of `METHODS` against the same images."""
+    methods = {name: _Psnr() for name in METHODS}
     ours, images = _Flicker(), _Flicker()
     still: dict[str, Bool] = {}
     for shown in renderings:
         moving, valid = moving_pixels(shown.image, shown.first), shown.valid
-        methods["ours"].add(shown.ours, shown.image, moving, valid)
-        methods["frozen"].add(shown.frozen, shown.image, moving, valid)
-        if shown.previous is not None:
-            methods["previous"].add(shown.previous, shown.image, moving, valid)
+        for name, method in methods.items():
+            rendered: Image | None = getattr(shown, name)
+            if rendered is not None:
+                method.add(rendered, shown.image, moving, valid)
         camera, unchanged = shown.view.camera.name, ~moving & valid
+        if shown.previous is None:
+            for of_camera in (ours.last, images.last, still):
+                of_camera.pop(camera, None)
         both = unchanged & still.get(camera, unchanged)
         ours.add(camera, shown.ours, both)
         images.add(camera, shown.image, both)
@@ -128,8 +135,8 @@ def score_foresight(ticks: Iterable[Tick]) -> ForesightScore:
         while waiting and waiting[0].stamp + horizon <= tick.stamp:
             due = waiting.popleft()
         if due is not None and due.state is not None and tick.stamp - due.stamp < 1.5 * horizon:
-            for then, now in _pairs(due.state.frames, tick.frames if tick.state is None else tick.state.frames):
-                _score_pair(due.state.gaussians, due.stamp, then, now, forecast, present)
+            for then, now in _pairs(due.frames, tick.frames):
+                _score_pair(due.state, then, now, forecast, present)
         if tick.state is not None:
             waiting.append(tick)
     return ForesightScore(forecast.value, present.value)
@@ -142,13 +149,14 @@ def _pairs(then: FrameSet, now: FrameSet) -> Iterator[tuple[View, View]]:
             yield view, later[view.camera.name]
 
 
-def _score_pair(cloud: GaussianCloud, stamp: int, then: View, now: View, forecast: Mean, present: Mean) -> None:
+def _score_pair(state: TwinState, then: View, now: View, forecast: Mean, present: Mean) -> None:
     image = unit(now)
     changed = (np.abs(image - unit(then)).max(-1) > MOVING_THRESHOLD) & valid_pixels(now) & valid_pixels(then)
     if changed.sum() < FEWEST_PIXELS:
         return
-    for mean, seconds in ((forecast, (now.stamp - stamp) * 1e-9), (present, 0.0)):
-        error = squared_error(render_cloud(cloud, now.camera, seconds), image)
+    exposure = state.exposure_of(now.camera.name)
+    for mean, seconds in ((forecast, (now.stamp - state.model_stamp) * 1e-9), (present, 0.0)):
+        error = squared_error(exposure.of(render_cloud(state.gaussians, now.camera, seconds)), image)
         mean.add(psnr(float(error[changed].mean())))
 
 

@@ -23,8 +23,8 @@ from twin_node.scene import FrameSet, Separation, Tier, TwinState
 class CollectorNode(Node):
     """Keeps per-set figures in memory and whole ticks in a spool."""
 
-    def __init__(self, bus: Bus, clock: Clock, spool: Spool | None, rate: float = 1.0) -> None:
-        """`rate`: seconds of the clock in a real one."""
+    def __init__(self, bus: Bus, clock: Clock, spool: Spool | None, rate: float | None = None) -> None:
+        """`rate`: seconds of the clock in a real one; None in lockstep, where nothing has a time of its own."""
         super().__init__("collector", bus, clock)
         self.stamps: list[int] = []
         """Of every set that went through the chain, ns."""
@@ -38,6 +38,8 @@ class CollectorNode(Node):
         """The forecaster's own record, as of the newest set."""
         self.newest_state: TwinState | None = None
         """That the model has followed."""
+        self._published: int | None = None
+        """When that was out, ns; None in lockstep."""
         self.warnings: dict[str, int] = {}
         """Warning -> number of sets it was given with."""
         self.drift: list[DriftReport] = []
@@ -96,6 +98,7 @@ class CollectorNode(Node):
         for place in [place for place, tick in self._open.items() if tick.stamp < state.stamp]:
             self._close(place)
         self.newest_state = state
+        self._published = None if self._rate is None else self.clock.now()
         for place in [place for place, tick in self._open.items() if tick.stamp == state.stamp]:
             self._close(place)
 
@@ -110,7 +113,7 @@ class CollectorNode(Node):
         if model is not None and tick.state is not None:
             followed = None if model.stamp == tick.stamp else model.stamp
             state = replace(tick.state, gaussians=model.gaussians, nodes=model.nodes, followed=followed)
-            tick = replace(tick, state=state)
+            tick = replace(tick, state=state, published=self._published)
             self.tier_counts[place] = _tiers_of(state)
         if self._spool is not None and self._spool.keeps(tick.stamp):
             self._spool.add(tick)
@@ -130,7 +133,8 @@ class CollectorNode(Node):
             return
         separation = convert.separation_from_message(message)
         self.stamps.append(frames.stamp)
-        self.latencies_ms.append((self.clock.now() - frames.stamp) / (1e6 * self._rate))
+        if self._rate is not None:
+            self.latencies_ms.append((self.clock.now() - frames.stamp) / (1e6 * self._rate))
         self.work_ms.append((time.perf_counter() - self._begun) * 1e3)
         self.tier_counts.append(_tiers_of(seen))
         self.separations.append(separation)

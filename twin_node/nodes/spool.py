@@ -6,7 +6,7 @@ import pickle
 import tempfile
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import Queue
 
 from twin_node.errors import TwinError
@@ -31,6 +31,10 @@ class Tick:
     frames: FrameSet
     state: TwinState | None = None
     occupancy: Occupancy | None = None
+    published: int | None = None
+    """When the cloud of `state` was out, ns of the run's clock; None in lockstep, where it has no time of its own."""
+    is_after_gap: bool = False
+    """Whether sets right before it were not kept."""
 
     @property
     def stamp(self) -> int:
@@ -82,10 +86,15 @@ class Spool:
     def __iter__(self) -> Iterator[Tick]:
         """Ticks in the order of their stamps, read one at a time."""
         self._settle()
-        for _, offset, sizes in sorted(self._places):
+        before: int | None = None
+        for stamp, offset, sizes in sorted(self._places):
             self._file.seek(offset)
             data, *arrays = [bytearray(self._file.read(size)) for size in sizes]
-            yield pickle.loads(data, buffers=arrays)
+            tick = pickle.loads(data, buffers=arrays)
+            block = (stamp - self._start_ns) // self._period_ns
+            is_first = before is not None and block != before and self._period_ns > BLOCK_NS
+            yield replace(tick, is_after_gap=True) if is_first else tick
+            before = block
 
     def _settle(self) -> None:
         """Waits until all ticks are written; raises what has kept one from being."""

@@ -96,7 +96,12 @@ def _reasons(figures: Mapping[str, Any], foresight: Foresight) -> dict[str, str]
     }
     for name, value in figures["quality"].items():
         if value is None:
-            reasons[f"quality.{name}"] = "no image had 50 or more pixels of that kind"
+            has_no_time = figures["mode"] == "lockstep" and name.startswith(("published", "moved_on"))
+            reasons[f"quality.{name}"] = (
+                "in lockstep no cloud is out at a time of its own"
+                if has_no_time
+                else "no image had 50 or more pixels of that kind"
+            )
     if not figures["quality"]["left_out"]:
         reasons["quality.left_out"] = "one camera cannot be left out of one"
     return reasons

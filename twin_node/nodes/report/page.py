@@ -219,6 +219,10 @@ def _quality_rows(quality: Mapping[str, Any]) -> list[dict[str, str]]:
         ),
         ("unchanged pixels", quality["psnr_unchanged_db"], quality["frozen_psnr_unchanged_db"], None),
     ]
+    if quality["published_psnr_moving_db"] is not None:
+        out = quality["published_psnr_moving_db"], quality["moved_on_psnr_moving_db"]
+        rows.append(("moving pixels, by the newest cloud that was out when the image was taken", out[0], None, None))
+        rows.append(("the same, moved on along its velocities", out[1], None, None))
     if quality["psnr_arm_db"] is not None:
         rows.append(("the arm", quality["psnr_arm_db"], quality["frozen_psnr_arm_db"], None))
     rows += [

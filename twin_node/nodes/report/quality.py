@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,9 @@ from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, Twin
 
 FEWEST_PIXELS = 50
 """An image with fewer moving pixels than this does not count: its PSNR would be noise."""
+
+EARLIEST_NS = 1_000_000_000
+"""No image of a set is older than the set's newest by more."""
 
 Image = Float32
 """[H, W, 3] 0 to 1."""
@@ -42,8 +46,14 @@ class Quality:
     """The same of the model as it was fitted to the first set."""
     previous_psnr_moving_db: float | None = None
     """The same of the camera's previous image."""
+    published_psnr_moving_db: float | None = None
+    """The same of the newest cloud that was out when the image was taken, as it is; None in lockstep."""
+    moved_on_psnr_moving_db: float | None = None
+    """The same of that cloud, moved on along its velocities."""
     psnr_unchanged_db: float | None = None
     frozen_psnr_unchanged_db: float | None = None
+    published_psnr_unchanged_db: float | None = None
+    moved_on_psnr_unchanged_db: float | None = None
     psnr_arm_db: float | None = None
     """On the arm and its margin, in the images of sets that went through the twin; None without joints."""
     frozen_psnr_arm_db: float | None = None
@@ -64,12 +74,17 @@ class Renderings:
     first: Image
     """The camera's first image."""
     ours: Image
-    """The newest cloud published by then, moved to the image's own stamp, exposed as its camera was."""
+    """The cloud that follows the image's own set, or the one before where none does: whenever it was out, moved to the
+    image's own stamp, exposed as its camera was."""
     frozen: Image
     previous: Image | None
     """The camera's image before this one."""
     state: TwinState | None = None
     """What a model that never saw this camera made of the set; None where it did."""
+    published: Image | None = None
+    """The newest cloud that was out when the image was taken, as it is; None in lockstep and before the first."""
+    moved_on: Image | None = None
+    """That cloud, moved to the image's own stamp along its velocities."""
 
     @property
     def valid(self) -> Bool:
@@ -77,13 +92,31 @@ class Renderings:
         return valid_pixels(self.view)
 
 
-def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Image]) -> Iterator[Renderings]:
-    """Every image beside the newest cloud published by then; a dropped set is shown the cloud before it."""
-    first: dict[str, Image] = {}
+@dataclass(frozen=True)
+class First:
+    """What a camera is held against from its first image on."""
+
+    image: Image
+    frozen: Image
+    """The model as it was fitted to the first set, exposed as the camera was then."""
+
+
+def clouds_against_images(
+    ticks: Iterable[Tick], frozen: Callable[[Camera], Image], firsts: dict[str, First] | None = None
+) -> Iterator[Renderings]:
+    """Every image beside the cloud that follows its set, whenever that was out, and the newest that was out by then.
+
+    A set that was not followed is shown the cloud before it. `firsts`, by camera, takes in those of cameras that it
+    lacks: whoever goes through the same images again hands it on.
+    """
+    firsts = {} if firsts is None else firsts
     previous: dict[str, Image] = {}
-    still: dict[str, Image] = {}
+    out = _Out()
     state: TwinState | None = None
     for tick in ticks:
+        if tick.is_after_gap:
+            previous.clear()
+            out, state = _Out(), None
         state = tick.state or state
         if state is None:
             continue
@@ -92,12 +125,57 @@ def clouds_against_images(ticks: Iterable[Tick], frozen: Callable[[Camera], Imag
         for view, mask, arm in zip(tick.frames.views, masks, arms, strict=True):
             name = view.camera.name
             image = unit(view)
-            if name not in first:
-                first[name], still[name] = image, frozen(view.camera)
-            seen = render_cloud(state.gaussians, view.camera, (view.stamp - state.model_stamp) * 1e-9)
-            ours = state.exposure_of(name).of(seen)
-            yield Renderings(tick.stamp, view, mask, arm, image, first[name], ours, still[name], previous.get(name))
+            if name not in firsts:
+                firsts[name] = First(image, state.exposure_of(name).of(frozen(view.camera)))
+            first, known = firsts[name], out.by(view.stamp)
+            yield Renderings(
+                tick.stamp,
+                view,
+                mask,
+                arm,
+                image,
+                first.image,
+                _shown(state, view),
+                first.frozen,
+                previous.get(name),
+                published=None if known is None else _shown(known, view, is_moved=False),
+                moved_on=None if known is None else _shown(known, view),
+            )
             previous[name] = image
+        out.add(tick)
+
+
+class _Out:
+    """Clouds that were out at some time, the newest last."""
+
+    def __init__(self) -> None:
+        self._known: deque[_Published] = deque()
+
+    def add(self, tick: Tick) -> None:
+        """Takes in the cloud of a tick; ticks come in order of their stamps."""
+        if tick.published is None or tick.state is None:
+            return
+        if not self._known or self._known[-1].stamp < tick.published:
+            self._known.append(_Published(tick.published, tick.state))
+        while len(self._known) > 1 and self._known[1].stamp <= tick.stamp - EARLIEST_NS:
+            self._known.popleft()
+
+    def by(self, stamp: int) -> TwinState | None:
+        """The newest that was out by a stamp, ns."""
+        return next((cloud.state for cloud in reversed(self._known) if cloud.stamp <= stamp), None)
+
+
+@dataclass(frozen=True)
+class _Published:
+    stamp: int
+    """When it was out, ns of the run's clock."""
+    state: TwinState
+
+
+def _shown(state: TwinState, view: View, is_moved: bool = True) -> Image:
+    """What a view's camera sees of a state, exposed as it was; moved to the view's stamp, or as it is."""
+    seconds = (view.stamp - state.model_stamp) * 1e-9 if is_moved else 0.0
+    return state.exposure_of(view.camera.name).of(render_cloud(state.gaussians, view.camera, seconds))
 
 
 def unit(view: View) -> Image:
@@ -128,24 +206,23 @@ def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> 
 def score(renderings: Iterable[Renderings]) -> Quality:
     """Mean PSNR over all images, for all valid pixels, moving ones, unchanged ones and the arm's."""
     totals = {field.name: _Mean() for field in dataclasses.fields(Quality)}
+
+    def add(figure: str, rendered: Image | None, shown: Renderings, pixels: Bool | None) -> None:
+        if rendered is not None and pixels is not None and pixels.sum() >= FEWEST_PIXELS:
+            totals[figure].add(psnr(float(squared_error(rendered, shown.image)[pixels].mean())))
+
     for shown in renderings:
-        error = squared_error(shown.ours, shown.image)
-        frozen_error = squared_error(shown.frozen, shown.image)
         moving, valid = moving_pixels(shown.image, shown.first) & shown.valid, shown.valid
-        kinds = {
-            "moving": moving,
-            "unchanged": ~moving & valid,
-            "arm": None if shown.arm is None else shown.arm & valid,
-        }
+        still, arm = ~moving & valid, None if shown.arm is None else shown.arm & valid
         if valid.any():
-            totals["psnr_db"].add(psnr(float(error[valid].mean())))
-        for kind, pixels in kinds.items():
-            if pixels is not None and pixels.sum() >= FEWEST_PIXELS:
-                totals[f"psnr_{kind}_db"].add(psnr(float(error[pixels].mean())))
-                totals[f"frozen_psnr_{kind}_db"].add(psnr(float(frozen_error[pixels].mean())))
-        if shown.previous is not None and moving.sum() >= FEWEST_PIXELS:
-            previous_error = squared_error(shown.previous, shown.image)
-            totals["previous_psnr_moving_db"].add(psnr(float(previous_error[moving].mean())))
+            totals["psnr_db"].add(psnr(float(squared_error(shown.ours, shown.image)[valid].mean())))
+        for kind, pixels in (("moving", moving), ("unchanged", still), ("arm", arm)):
+            add(f"psnr_{kind}_db", shown.ours, shown, pixels)
+            add(f"frozen_psnr_{kind}_db", shown.frozen, shown, pixels)
+        for kind, pixels in (("moving", moving), ("unchanged", still)):
+            add(f"published_psnr_{kind}_db", shown.published, shown, pixels)
+            add(f"moved_on_psnr_{kind}_db", shown.moved_on, shown, pixels)
+        add("previous_psnr_moving_db", shown.previous, shown, moving)
     return Quality(**{name: total.value for name, total in totals.items()})
 
 
@@ -177,7 +254,7 @@ def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator
         if first is None or still is None:
             first, still = image, model.render_frozen(hidden.camera).rgb
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.model_stamp) * 1e-9)
-        yield Renderings(frames.stamp, hidden, None, None, image, first, ours, still, previous, state)
+        yield Renderings(frames.stamp, hidden, None, None, image, first, ours, still, previous, state=state)
         previous = image
 
 
