@@ -75,6 +75,32 @@ def test_space_that_never_gets_free_is_told() -> None:
     assert (score.vacated_voxels, score.vacated_waiting) == (len(BLOCK) - len(half), len(half))
 
 
+def standing(said: Occupancy, points: Float64) -> Occupancy:
+    """The same, and furniture at points [n, 3] (m)."""
+    indices = np.unique(GRID.indices(points)).astype(np.uint32)
+    return replace(said, static=OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8)))
+
+
+def test_vacated_space_that_is_taken_for_furniture_is_waited_for_as_any_other() -> None:
+    tally, nobody = SpaceTally(GRID), np.zeros((0, 3))
+    tally.add(state(0), occupancy(0, BLOCK), BLOCK)
+    for stamp in range(50_000_000, 1_000_000_000, 50_000_000):
+        tally.add(state(stamp), standing(occupancy(stamp, nobody), BLOCK), nobody)
+    assert (tally.score().vacated_voxels, tally.score().vacated_waiting) == (0, len(BLOCK))
+    tally.add(state(1_000_000_000), occupancy(1_000_000_000, nobody), nobody)
+    assert tally.score().vacated_free_ms_p95 == 960.0
+
+
+def test_furniture_that_somebody_has_reached_into_is_not_waited_for() -> None:
+    tally, nobody, half = SpaceTally(GRID), np.zeros((0, 3)), BLOCK[BLOCK[:, 0] > 0]
+    tally.add(state(0), standing(occupancy(0, nobody), half), nobody)
+    tally.add(state(50_000_000), standing(occupancy(50_000_000, BLOCK), half), BLOCK)
+    for stamp in (100_000_000, 150_000_000):
+        tally.add(state(stamp), standing(occupancy(stamp, nobody), half), nobody)
+    score = tally.score()
+    assert (score.vacated_voxels, score.vacated_waiting) == (len(BLOCK) - len(half), 0)
+
+
 def test_space_that_no_camera_sees_to_be_empty_is_not_waited_for() -> None:
     tally, nobody = SpaceTally(GRID), np.zeros((0, 3))
     tally.add(state(0, depth_m=0.8), occupancy(0, BLOCK), BLOCK)

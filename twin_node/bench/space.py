@@ -32,7 +32,8 @@ class SpaceScore:
     vacated_voxels: int
     """Those that were."""
     vacated_waiting: int
-    """The others that had waited for longer than that when the run ended."""
+    """The others that had waited for longer than that when the run ended; what the twin took for furniture is among
+    them."""
     unseen_not_free: float | None
     """Share of the voxels hidden from every camera that were reported unknown or occupied."""
 
@@ -44,6 +45,8 @@ class SpaceTally:
         """`arm`: where the states' joints are those of this arm, its own space is no unseen space."""
         self._grid, self._arm = grid, arm
         self._was_occupied = np.zeros(grid.size, np.bool_)
+        self._furniture = np.zeros(grid.size, np.bool_)
+        """Said to stand before anything that moves had been there."""
         self._since = np.zeros(grid.size, np.int64)
         self._latencies: list[NDArray[np.int64]] = []
         self._published = 0
@@ -86,10 +89,11 @@ class SpaceTally:
         return own_space(self._grid, self._arm, state.frames.joints).mask()
 
     def _follow_vacated(self, state: TwinState, forecast: Occupancy, occupied: Bool, blocked: Bool) -> None:
-        standing = np.zeros(self._grid.size, np.bool_)
-        standing[forecast.static.indices] = True
-        self._since[occupied | standing] = 0
-        self._was_occupied = (self._was_occupied | occupied) & ~standing
+        self._was_occupied |= occupied
+        stands = forecast.static.indices
+        self._furniture[stands[~self._was_occupied[stands]]] = True
+        self._was_occupied &= ~self._furniture
+        self._since[occupied] = 0
         near = grown(self._grid, occupied, CLEAR_VOXELS)
         left = np.flatnonzero(self._was_occupied & ~near & (self._since == 0))
         self._since[left[_seen_empty(state, self._grid, left)]] = state.stamp
