@@ -26,7 +26,7 @@ class Known:
     at: Mapping[int, Float64] = field(default_factory=dict)
     source: str = "made up"
 
-    def points(self, stamp: int) -> Float64 | None:
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
         return self.at.get(stamp)
 
     def occupied(self, stamp: int) -> Float64 | None:
@@ -60,7 +60,7 @@ def grown(places: NDArray[np.int32], radius: float) -> NDArray[np.uint32]:
 def test_a_voxel_that_went_three_further_costs_a_ball_of_three_voxels() -> None:
     seen, later = voxels((5, 5, 5)), voxels((8, 5, 5))
     growth = PersistenceGrowth(GRID, Known({1: middles(later)}))
-    growth.add(seen, 1)
+    growth.add(seen, 0, 1)
     growth.settle(1)
     told = growth.grown_to(1.0)
     assert told is not None
@@ -77,7 +77,7 @@ def test_it_grows_no_farther_than_it_must_to_find_as_much_of_all_points(recall: 
     at = {stamp: middles(places) + rng.uniform(0, 0.3, 3) * (stamp > 0) for stamp, places in seen.items()}
     growth = PersistenceGrowth(GRID, Known(at))
     for stamp, places in seen.items():
-        growth.add(places, stamp)
+        growth.add(places, 0, stamp)
     growth.settle(40)
 
     def found(radius: float) -> float:
@@ -102,7 +102,7 @@ def test_what_the_truth_forgets_later_counts_all_the_same() -> None:
         place = voxels((min(2 * number, 400) % 20, 5, 5))
         truth.observe(number * period, middles(place), 0.1)
         growth.settle(number * period)
-        growth.add(place, (number + 1) * period)
+        growth.add(place, 0, (number + 1) * period)
     told = growth.grown_to(0.4)
     assert told is not None
     assert told.radius_m == pytest.approx(0)
@@ -113,8 +113,8 @@ def test_what_the_truth_forgets_later_counts_all_the_same() -> None:
 
 def test_sets_whose_time_has_not_come_do_not_count() -> None:
     growth = PersistenceGrowth(GRID, Known({1: middles(voxels((5, 5, 5))), 9: middles(voxels((15, 15, 5)))}))
-    growth.add(voxels((5, 5, 5)), 1)
-    growth.add(voxels((5, 5, 5)), 9)
+    growth.add(voxels((5, 5, 5)), 0, 1)
+    growth.add(voxels((5, 5, 5)), 0, 9)
     growth.settle(8)
     told = growth.grown_to(1.0)
     assert told is not None and told.radius_m == 0
@@ -122,7 +122,7 @@ def test_sets_whose_time_has_not_come_do_not_count() -> None:
 
 def test_nothing_seen_cannot_grow() -> None:
     growth = PersistenceGrowth(GRID, Known({0: middles(voxels((5, 5, 5)))}))
-    growth.add(voxels(), 0)
+    growth.add(voxels(), 0, 0)
     growth.settle(0)
     assert growth.grown_to(0.9) is None
     assert PersistenceGrowth(GRID, Known()).grown_to(0.9) is None

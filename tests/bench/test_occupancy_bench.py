@@ -31,17 +31,17 @@ def write_trc(folder: Path, units: str = "m", rows: str | None = None) -> Path:
 
 def test_markers_are_turned_into_base_and_interpolated(tmp_path: Path) -> None:
     markers = Markers(write_trc(tmp_path), 1_000_000_000)
-    first, between = markers.points(1_000_000_000), markers.points(1_050_000_000)
+    first, between = markers.points(1_000_000_000, 0), markers.points(1_050_000_000, 0)
     assert first is not None and between is not None
     assert np.allclose(first, [[3, 1, 2], [6, 4, 5]])
     assert np.allclose(between[0], [3.5, 1.5, 2.5])
     assert np.isnan(between[1]).all()
-    assert markers.points(2_000_000_000) is None
-    assert markers.points(900_000_000) is None
+    assert markers.points(2_000_000_000, 0) is None
+    assert markers.points(900_000_000, 0) is None
 
 
 def test_markers_in_millimetres_and_other_axes(tmp_path: Path) -> None:
-    points = Markers(write_trc(tmp_path, "mm"), 0, axes="xyz").points(0)
+    points = Markers(write_trc(tmp_path, "mm"), 0, axes="xyz").points(0, 0)
     assert points is not None
     assert np.allclose(points[0], [1e-3, 2e-3, 3e-3])
 

@@ -26,19 +26,21 @@ def scenario() -> Scenario:
     return replace(read, people=(), duration_s=0.3, sensing=replace(read.sensing, width=64, height=48))
 
 
-def test_things_are_asked_for_once_seen_and_the_horizon_later(scenario: Scenario) -> None:
+def test_things_are_asked_for_once_seen(scenario: Scenario) -> None:
     source = CellSource(scenario)
     grid = default_grid(np.array(scenario.workspace))
     sightings = Sightings(source.simulated, grid)
-    truth = SeenThings(sightings, AHEAD_NS)
+    truth = SeenThings(sightings)
     first = next(iter(source))
     later = first.stamp + AHEAD_NS
-    unseen = truth.points(later)
+    unseen = truth.points(later, first.stamp)
     sightings.look(first)
-    seen, occupied, too_early = truth.points(later), truth.occupied(later), truth.points(later - 1)
+    seen, occupied = truth.points(later, first.stamp), truth.occupied(later)
+    too_early, at_once = truth.points(later, first.stamp - 1), truth.points(first.stamp, first.stamp)
     assert seen is not None and unseen is not None and too_early is not None and occupied is not None
     assert len(unseen) == len(too_early) == 0
     assert np.array_equal(seen, occupied)
+    assert at_once is not None and len(at_once) > 0
     litres = truth.volume_l(later)
     assert litres == pytest.approx(len(occupied) * 0.008, rel=1e-6)
     parcel_l = 15 * 18 * 10e-3
@@ -51,12 +53,13 @@ def test_what_was_in_view_is_asked_for_where_it_has_come_once_it_had_moved(scena
     source = CellSource(scenario)
     grid = default_grid(np.array(scenario.workspace))
     sightings = Sightings(source.simulated, grid)
-    truth, whole = SeenSurfaces(sightings, AHEAD_NS), SeenThings(sightings, AHEAD_NS)
+    truth, whole = SeenSurfaces(sightings), SeenThings(sightings)
     sets = list(source)
     for frames in sets:
         sightings.look(frames)
-    at_first, later = sets[0].stamp + AHEAD_NS, sets[-1].stamp + AHEAD_NS
-    standing, shown, all_of_it = truth.points(at_first), truth.points(later), whole.points(later)
+    first, last = sets[0].stamp, sets[-1].stamp
+    standing = truth.points(first + AHEAD_NS, first)
+    shown, all_of_it = (one.points(last + AHEAD_NS, last) for one in (truth, whole))
     assert standing is not None and shown is not None and all_of_it is not None
     assert len(standing) == 0  # nobody could tell yet that it moves
     assert 0 < len(shown) < len(all_of_it)

@@ -81,7 +81,7 @@ class BallTruth:
     def occupied(self, stamp: int) -> np.ndarray | None:
         return self._occupied
 
-    def points(self, stamp: int) -> np.ndarray | None:
+    def points(self, stamp: int, evidence: int) -> np.ndarray | None:
         return GRID.centers(ball_voxels(CENTER))
 
     def volume_l(self, stamp: int) -> float | None:
@@ -133,6 +133,40 @@ def test_new_is_what_was_not_truly_occupied_where_the_truth_knows() -> None:
     half = comparison.scores()["half"]
     assert np.isclose(half.recall or 0, 0.5, atol=0.01)
     assert half.recall_new == 0.0
+
+
+class LargeThenSmall(BallTruth):
+    """Each of the ball's voxels many times at first, one far from it later; notes what it is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked: list[tuple[int, int]] = []
+
+    def points(self, stamp: int, evidence: int) -> np.ndarray | None:
+        self.asked.append((stamp, evidence))
+        return GRID.centers(np.repeat(ball_voxels(CENTER), MANY) if stamp < SECOND else np.array([0]))
+
+
+SECOND = 1_000_000_000
+MANY = 10
+
+
+def test_a_forecast_is_asked_for_what_its_own_evidence_can_tell_now_and_later() -> None:
+    ball, truth = ball_voxels(CENTER), LargeThenSmall()
+    comparison = Comparison(truth, "ball")
+    comparison.add(state_of(0, CENTER), {"ball": replace(occupancy(ball, ball), publish_stamp=33_000_000)})
+    comparison.add(state_of(SECOND, CENTER), {})
+    assert sorted(truth.asked) == [(33_000_000, 0), (233_000_000, 0)]
+
+
+def test_errors_are_those_of_all_points_however_they_are_spread_over_the_forecasts() -> None:
+    ball = ball_voxels(CENTER)
+    comparison = Comparison(LargeThenSmall(), "ball")
+    comparison.add(state_of(0, CENTER), {"ball": occupancy(ball, ball)})
+    comparison.add(state_of(SECOND, CENTER), {"ball": occupancy(ball, np.array([10]), SECOND)})
+    comparison.add(state_of(2 * SECOND, CENTER), {})
+    far = np.linalg.norm(GRID.centers(np.array([0])) - GRID.centers(np.array([10])))
+    assert np.isclose(comparison.scores()["ball"].error_mm or 0, 1e3 * far / (MANY * len(ball) + 1))
 
 
 def test_views_far_from_the_forecast_time_do_not_count() -> None:

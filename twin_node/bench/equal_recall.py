@@ -40,9 +40,10 @@ class PersistenceGrowth:
         self._stride = 1
         self._count = 0
 
-    def add(self, places: NDArray[np.int32], valid_at: int) -> None:
-        """Takes in the voxels (i, j, k) `places` [3, n] of one set, in the grid or beside it, due at a stamp."""
-        self._waiting.append(_Due(places, valid_at))
+    def add(self, places: NDArray[np.int32], evidence: int, valid_at: int) -> None:
+        """Takes in the voxels (i, j, k) `places` [3, n] that one set shows, in the grid or beside it, and when they are
+        due, ns."""
+        self._waiting.append(_Due(places, evidence, valid_at))
 
     def settle(self, stamp: int) -> None:
         """Asks the truth about the sets that are due by a stamp, ns: later it may no longer know."""
@@ -71,7 +72,7 @@ class PersistenceGrowth:
 
     def _levels(self, due: _Due) -> Float64:
         """Quarter voxels [m] that `spread` must reach to hold each true point in the grid."""
-        points = self._truth.points(due.valid_at)
+        points = self._truth.points(due.valid_at, due.evidence)
         if points is None:
             return np.zeros(0)
         indices = self._grid.indices(points[np.isfinite(points).all(axis=1)])
@@ -93,6 +94,7 @@ class _Due:
     """What one set showed, and when its forecast comes due."""
 
     places: NDArray[np.int32]
+    evidence: int
     valid_at: int
 
 

@@ -142,7 +142,7 @@ class _Tally:
         self._comparison.add(state, forecasts)
         self._growth.settle(state.stamp)
         if forecasts:
-            self._growth.add(places, forecasts[OURS].publish_stamp + HORIZONS_NS[-1])
+            self._growth.add(places, state.stamp, forecasts[OURS].publish_stamp + HORIZONS_NS[-1])
 
     @property
     def scores(self) -> Mapping[str, Score]:

@@ -14,7 +14,7 @@ from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
 from twin_node.forecast.comparison import Score
 from twin_node.nodes.chain import make_model
-from twin_node.scene import HORIZONS_NS, TwinState
+from twin_node.scene import TwinState
 
 ALL = "all"
 SCENARIOS = ("reach_in", "thrown_ball", "conveyor", "retreat")
@@ -175,7 +175,6 @@ def at_width(scenario: Scenario, width: int) -> Scenario:
 def _scored(scenario: Scenario, parameters: OccupancyBenchParameters) -> OccupancyBench:
     source = CellSource(scenario)
     grid = default_grid(np.array(scenario.workspace), parameters.chain.grid.voxel_size)
-    ahead_ns = round(parameters.latency_ms * 1e6) + HORIZONS_NS[-1]
     sightings = Sightings(source.simulated, grid)
     model = make_model(parameters.chain)
 
@@ -184,8 +183,7 @@ def _scored(scenario: Scenario, parameters: OccupancyBenchParameters) -> Occupan
             sightings.look(frames)
             yield model.update(frames)
 
-    seen, whole = SeenSurfaces(sightings, ahead_ns), SeenThings(sightings, ahead_ns)
-    return score_states(states(), grid, seen, parameters, whole)
+    return score_states(states(), grid, SeenSurfaces(sightings), parameters, SeenThings(sightings))
 
 
 def _means(rows: list[dict[str, float | None]]) -> dict[str, float | None]:

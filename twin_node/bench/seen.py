@@ -124,17 +124,16 @@ class Sightings:
 
 
 class SeenThings:
-    """Whole things once any of them had been seen when the forecast was made: their hidden sides and limbs too."""
+    """Whole things of which anything had been seen by the forecast's evidence: their hidden sides and limbs too."""
 
     source = "things of the simulated cell that had been seen"
 
-    def __init__(self, sightings: Sightings, ahead_ns: int) -> None:
-        """Forecasts rest on evidence `ahead_ns` older than the time that they are for."""
-        self._sightings, self._ahead_ns = sightings, ahead_ns
+    def __init__(self, sightings: Sightings) -> None:
+        self._sightings = sightings
 
-    def points(self, stamp: int) -> Float64 | None:
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] centres of the voxels that they touch at a stamp, m."""
-        return self._sightings.touched(stamp, self._sightings.seen_by(stamp - self._ahead_ns))
+        return self._sightings.touched(stamp, self._sightings.seen_by(evidence))
 
     def occupied(self, stamp: int) -> Float64 | None:
         """The same of all that moves, seen or not."""
@@ -150,14 +149,13 @@ class SeenThings:
 
 
 class SeenSurfaces(SeenThings):
-    """What of the moving things was in view of a camera when the forecast was made, wherever it is when that is due.
+    """What of the moving things was in view of a camera at the forecast's evidence, wherever it is when that is due.
 
     Things count from when they had moved by a voxel since they were first seen.
     """
 
     source = "surfaces of the simulated cell that a camera saw when the forecast was made"
 
-    def points(self, stamp: int) -> Float64 | None:
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] centres of the voxels that they touch at a stamp, m."""
-        evidence = stamp - self._ahead_ns
         return self._sightings.touched_by_seen(stamp, self._sightings.seen_moving_by(evidence), evidence)

@@ -43,7 +43,7 @@ class Markers:
         self._stamps: NDArray[np.int64] = np.round(table.times * 1e9).astype(np.int64) + start_ns
         self._positions = table.positions[..., order]
 
-    def points(self, stamp: int) -> Float64 | None:
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] markers at a stamp, in metres, interpolated; None outside the file's span."""
         after = int(np.searchsorted(self._stamps, stamp))
         if after == 0 or after == len(self._stamps):
@@ -75,7 +75,7 @@ class PixelTruth:
     def __init__(self, colour: ColourOf) -> None:
         self._colour = colour
 
-    def points(self, stamp: int) -> Float64 | None:
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
         """Pixels have no depth."""
         return None
 

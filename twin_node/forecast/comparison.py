@@ -27,8 +27,9 @@ class Truth(Protocol):
     def source(self) -> str:
         """Where it comes from, in words."""
 
-    def points(self, stamp: int) -> Float64 | None:
-        """Points [n, 3] in metres that are occupied at a stamp (ns); None where nothing is known."""
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
+        """Points [n, 3] in metres that are occupied at a stamp (ns), of those that a forecast can be asked for whose
+        evidence is as of another; None where nothing is known."""
 
     def occupied(self, stamp: int) -> Float64 | None:
         """Points [n, 3] in metres of all that moving things occupy at a stamp; None where that is not known exactly."""
@@ -96,8 +97,8 @@ class Comparison:
         for name, forecast in pending.forecasts.items():
             tally = self._tallies.setdefault(name, _Tally())
             tally.add_volume(forecast, self._truth.volume_l(pending.valid_at))
-            now = self._truth.points(forecast.publish_stamp)
-            tally.add_points(forecast, before, now, self._truth.points(pending.valid_at))
+            now = self._truth.points(forecast.publish_stamp, forecast.stamp)
+            tally.add_points(forecast, before, now, self._truth.points(pending.valid_at, forecast.stamp))
             for view in state.frames.views:
                 pixels = self._truth.pixels(view)
                 if pixels is not None and abs(view.stamp - pending.valid_at) <= NEAR_NS:
@@ -143,7 +144,8 @@ class _Tally:
     """Those of `moving` at times whose true volume is known."""
     true_volumes: list[float] = field(default_factory=list)
     overlaps: list[float] = field(default_factory=list)
-    errors: list[float] = field(default_factory=list)
+    errors_m: float = 0.0
+    errors_of: int = 0
 
     def add_volume(self, forecast: Occupancy, true_volume: float | None) -> None:
         layer = forecast.layers[-1]
@@ -165,7 +167,8 @@ class _Tally:
             blocked = np.concatenate([last.indices, forecast.static.indices])
             self.held += score_points(grid, blocked, later, before).found
             errors = nearest_error(grid, last, later)
-            self.errors.extend(errors.tolist())
+            errors = errors[np.isfinite(errors)]
+            self.errors_m, self.errors_of = self.errors_m + float(errors.sum()), self.errors_of + len(errors)
 
     def add_pixels(self, forecast: Occupancy, view: View, truth: Bool) -> None:
         layer = forecast.layers[-1]
@@ -184,7 +187,7 @@ class _Tally:
             moving_volume_l=_mean(self.moving),
             inflation=_share(sum(self.compared), sum(self.true_volumes)),
             iou=_mean(self.overlaps),
-            error_mm=_mean([1e3 * error for error in self.errors if np.isfinite(error)]),
+            error_mm=_share(1e3 * self.errors_m, self.errors_of),
         )
 
 

@@ -91,24 +91,18 @@ def iou(predicted: Bool, truth: Bool) -> float:
 def nearest_error(grid: Grid, layer: OccupancyLayer, points: Float64) -> Float64:
     """Distances [n] in metres from points [m, 3] to the nearest voxel centre of the layer; 0 inside it.
 
-    Points outside the grid are left out, and of more than `MOST_POINTS` an even sample is taken; infinite where the
-    layer is empty.
+    Points outside the grid are left out; infinite where the layer is empty.
     """
     from scipy.spatial import cKDTree  # loads slowly, and who only reads parameters never asks
 
     places = grid.indices(points)
     kept = np.flatnonzero(places >= 0)
-    kept = kept[:: -(-len(kept) // MOST_POINTS) or 1]
     held = contains(grid, layer.indices, places[kept])
     errors = np.zeros(len(kept))
     if not held.all():
         centers = grid.centers(layer.indices)
         errors[~held] = cKDTree(centers).query(points[kept[~held]])[0] if len(centers) else np.inf
     return errors
-
-
-MOST_POINTS = 500
-"""Points per forecast that distances are measured for."""
 
 
 def colour_mask(rgb: NDArray[np.uint8], hue: int, tolerance: int = 10, saturation: int = 130, value: int = 90) -> Bool:

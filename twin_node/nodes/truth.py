@@ -32,14 +32,14 @@ class VoxelTruth:
             self._volumes.append(len(self._points[-1]) * litres_per_voxel(occupancy.grid))
         self._stamps = np.array(stamps, dtype=np.int64)
 
-    def points(self, stamp: int) -> Float64 | None:
-        """[n, 3] centres of the moving voxels nearest in time, m."""
-        row = self._row(stamp)
-        return None if row is None else self._points[row]
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
+        """[n, 3] centres of the moving voxels nearest in time, m, whatever had been seen of them."""
+        return self.occupied(stamp)
 
     def occupied(self, stamp: int) -> Float64 | None:
         """The same: all that moves."""
-        return self.points(stamp)
+        row = self._row(stamp)
+        return None if row is None else self._points[row]
 
     def volume_l(self, stamp: int) -> float | None:
         """Litres of the moving voxels nearest in time."""
@@ -81,7 +81,7 @@ class LaterTruth:
         while len(self._masks) > 64:
             del self._masks[next(iter(self._masks))]
 
-    def points(self, stamp: int) -> Float64 | None:
+    def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] centres of the voxels seen to move nearest in time, m."""
         row = self._row(stamp)
         return None if row is None else self._points[row]
