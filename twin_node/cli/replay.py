@@ -104,7 +104,6 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _run(session: Any, parameters: Any, rate: float | None, output: Path | None, report: Path | None) -> None:
     """Replay a session with a progress bar, then write its report, and say where everything is."""
-    from twin_node.nodes.chain import make_model
     from twin_node.nodes.replay import replay
     from twin_node.nodes.report import STEPS, write_report
 
@@ -125,7 +124,7 @@ def _run(session: Any, parameters: Any, rate: float | None, output: Path | None,
                 print(f"topics: {output}")
             if report is not None:
                 with tqdm(total=STEPS, desc="report", unit="step", disable=None) as steps:
-                    write_report(run, session, lambda: make_model(parameters), report, steps.update)
+                    write_report(run, session, report, steps.update)
                 print(f"report: {report / 'report.html'}")
 
 

@@ -39,6 +39,8 @@ Progress = Callable[[float], None]
 class Run:
     """What a run leaves behind, beside its log."""
 
+    parameters: ChainParameters
+    """Of the chain."""
     sets: int
     """Sets that went through the chain."""
     followed: int
@@ -233,6 +235,7 @@ class _Engine:
         chain.stop()
         collector.end()
         return Run(
+            parameters=self._parameters,
             sets=chain.status.sets,
             followed=chain.followed,
             dropped=dropped,

@@ -13,6 +13,7 @@ from twin_node.bag import LogReader
 from twin_node.forecast import BaselineForecaster
 from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import contains, litres_per_voxel
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import OBSERVED_NS, LaterTruth, VoxelTruth
@@ -50,10 +51,11 @@ class Foresight:
         return {"horizon_s": HORIZONS_NS[-1] * 1e-9, **ours, "truth": self.truth, "baselines": baselines}
 
 
-def score_forecasts(ticks: Iterable[Tick], log: LogReader, examples: int) -> Foresight:
+def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameters, examples: int) -> Foresight:
     """Scores every forecast whose time came within the run; keeps `examples` of them, evenly spread, for pictures.
 
-    The truth is the log's exact occupancy where it has one, else what the twin saw to move when the time had come.
+    The truth is the log's exact occupancy where it has one, else what the twin saw to move when the time had come. The
+    baselines, and what the twin saw, rest on the parameters and the arm of the `chain` that made the forecasts.
     """
     has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in log.topics)
     truth = VoxelTruth(log) if has_exact else LaterTruth()
@@ -66,7 +68,8 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, examples: int) -> For
         if tick.state is None or tick.occupancy is None:
             continue
         ours = tick.occupancy
-        baselines = baselines or BaselineForecaster(ours.grid)
+        if baselines is None:
+            baselines = BaselineForecaster(ours.grid, chain.forecast.carving, chain.forecast.static, chain.arm.arm())
         others = baselines.update(tick.state, ours.publish_stamp)
         seen = others.persistence.layers[0].indices
         if isinstance(truth, LaterTruth):

@@ -7,6 +7,7 @@ import contextlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from jinja2 import Environment
 
 from twin_node.errors import TwinError
-from twin_node.model import WindowModel
+from twin_node.nodes.chain import make_model
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report import pictures
@@ -43,13 +44,10 @@ class Captioned:
     caption: str
 
 
-def write_report(
-    run: Run, session: LogSession, make_model: Callable[[], WindowModel], folder: Path, step: Callable[[], object]
-) -> None:
+def write_report(run: Run, session: LogSession, folder: Path, step: Callable[[], object]) -> None:
     """Score a run and write its report into `folder`: both files whole, or an error and neither.
 
-    `make_model()` gives a fresh model as the run's was; `step()` is called after each of the `STEPS`. Raises
-    `ReportError` where the folder cannot be written.
+    `step()` is called after each of the `STEPS`. Raises `ReportError` where the folder cannot be written.
     """
     spool = run.spool
     if spool is None:
@@ -59,9 +57,10 @@ def write_report(
     quality = score(strips.watch(shown))
     step()
     cameras = {view.camera.name: view.camera for tick in spool for view in tick.frames.views}
-    left_out = leave_one_out(lambda: (tick.frames for tick in spool), tuple(cameras.values()), make_model)
+    fresh = partial(make_model, run.parameters)
+    left_out = leave_one_out(lambda: (tick.frames for tick in spool), tuple(cameras.values()), fresh)
     step()
-    foresight = score_forecasts(spool, session.log, FORECAST_TIMES)
+    foresight = score_forecasts(spool, session.log, run.parameters, FORECAST_TIMES)
     step()
     figures = figures_of(run, quality, left_out, foresight)
     html = _page(session, run, figures, strips.taken, foresight)

@@ -1,0 +1,30 @@
+"""What the report holds a run's forecasts against."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from twin_node.forecast import ForecastParameters
+from twin_node.forecast.sights import CarvingParameters
+from twin_node.model import ModelParameters, SeedParameters
+from twin_node.nodes.chain_parameters import ChainParameters
+from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.replay import replay
+from twin_node.nodes.report.foresight import score_forecasts
+from twin_node.nodes.synchronizer import SynchronizerParameters
+
+
+def test_baselines_stand_on_the_evidence_of_the_run(cell_log: Callable[..., Path]) -> None:
+    """All forecasts of nothing that moves block the same unseen space, which a wide margin of depth makes large."""
+    chain = ChainParameters(
+        synchronizer=SynchronizerParameters(width=64, max_rate_hz=10),
+        model=ModelParameters(seed=SeedParameters(steps=2)),
+        forecast=ForecastParameters(carving=CarvingParameters(depth_margin=0.1)),
+    )
+    with LogSession(cell_log(0.5)) as session, replay(session, chain, None, None, True, lambda _: None) as run:
+        assert run.spool is not None
+        scores = score_forecasts(run.spool, session.log, run.parameters, 0).methods
+        others = score_forecasts(run.spool, session.log, ChainParameters(), 0).methods["persistence"]
+    assert scores["ours"].moving_volume_l == scores["persistence"].moving_volume_l == 0
+    assert scores["ours"].volume_l == scores["persistence"].volume_l != others.volume_l
