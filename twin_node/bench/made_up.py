@@ -38,6 +38,8 @@ class MadeUp:
     """1 sigma of the errors of the stamps after the event, s."""
     flight_s: float = END_S
     """The motion ends so long after the event, s."""
+    ends_as_begun: bool = True
+    """Whether it comes back to what it was before, so that its bound can be expected to."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,11 @@ class Aftermath:
     """The same of evidence less than 100 ms after it."""
     coverage_before: float
     """The same of evidence less than the horizon before it, which could not know."""
-    recovery_s: float
+    recovery_s: float | None
     """Longest time in a row, over the seeds, that the radius is more than 1.5 times the largest that is normal for the
-    motion: of the second before the event, and of the motion's last second. Disturbances that last, such as lost
-    samples, may surprise at any time after they begin."""
+    motion: of the second before the event, and, where the motion or its sampling does not come back to what it was, of
+    the last second. Disturbances that last, such as lost samples, may surprise at any time after they begin. None for
+    what does not come back and ends within a second: there is nothing to tell what is normal by."""
     radius_before_m: float
     radius_after_m: float
     """Medians of the bound over the second before the event, and over the motion's last."""
@@ -106,7 +109,7 @@ def _throw(direction: Float64, speed: float) -> MadeUp:
         path: Float64 = t * ahead + t**2 / 2 * GRAVITY
         return path
 
-    return MadeUp(motion, flight_s=1.0)
+    return MadeUp(motion, flight_s=1.0, ends_as_begun=False)
 
 
 def _start_from_rest(direction: Float64, speed: float) -> MadeUp:
@@ -117,7 +120,7 @@ def _start_from_rest(direction: Float64, speed: float) -> MadeUp:
         travelled = np.where(t < rise, 4.0 * t**2, speed * (t - rise / 2))
         return travelled[:, None] * direction
 
-    return MadeUp(motion)
+    return MadeUp(motion, ends_as_begun=False)
 
 
 def _teleport(direction: Float64, speed: float) -> MadeUp:
@@ -135,12 +138,12 @@ def _swing(direction: Float64, speed: float) -> Motion:
 
 def _dropped_samples(direction: Float64, speed: float) -> MadeUp:
     """To and fro, half of the samples lost from the event on."""
-    return MadeUp(_swing(direction, speed), dropped=0.5)
+    return MadeUp(_swing(direction, speed), dropped=0.5, ends_as_begun=False)
 
 
 def _stamp_jitter(direction: Float64, speed: float) -> MadeUp:
     """To and fro, stamps 10 ms off (1 sigma) from the event on."""
-    return MadeUp(_swing(direction, speed), jitter_s=0.01)
+    return MadeUp(_swing(direction, speed), jitter_s=0.01, ends_as_begun=False)
 
 
 KINDS: Mapping[str, Callable[[Float64, float], MadeUp]] = {
@@ -162,6 +165,7 @@ class _Observed:
     times: Float64
     """[T] s after the event."""
     foretold: Foretold
+    ends_as_begun: bool
 
 
 def _observed(
@@ -181,7 +185,7 @@ def _observed(
         place = made.motion(np.array([moment]))[0] if moment <= true[-1] else np.full(3, np.nan)
         return np.asarray(place + LIMB)
 
-    return _Observed(true, foretell(stamps, seen, truth, AHEAD_S))
+    return _Observed(true, foretell(stamps, seen, truth, AHEAD_S), made.ends_as_begun)
 
 
 def _aftermath(observed: list[_Observed]) -> Aftermath:
@@ -197,7 +201,7 @@ def _aftermath(observed: list[_Observed]) -> Aftermath:
         coverage=share(SETTLED_S, np.inf),
         coverage_early=share(0, SETTLED_S),
         coverage_before=share(-AHEAD_S, 0),
-        recovery_s=max(_recovery_s(one) for one in observed),
+        recovery_s=max((took for took in map(_recovery_s, observed) if took is not None), default=None),
         radius_before_m=float(np.median([_median_radius(one, -1, 0) for one in observed])),
         radius_after_m=float(np.median([_median_radius(one, one.times[-1] - 1, np.inf) for one in observed])),
     )
@@ -207,11 +211,14 @@ def _median_radius(one: _Observed, since: float, until: float) -> float:
     return float(np.median(one.foretold.radii[(one.times >= since) & (one.times < until)]))
 
 
-def _recovery_s(one: _Observed) -> float:
-    """Longest time after the event that the radius stays wider than normal."""
-    radii = one.foretold.radii.mean(axis=1)
-    normal = radii[((one.times >= -1) & (one.times < 0)) | (one.times >= one.times[-1] - 1)].max()
-    wide = np.concatenate([[False], (radii > 1.5 * normal) & (one.times >= 0), [False]])
+def _recovery_s(one: _Observed) -> float | None:
+    """Longest time after the event that the radius stays wider than normal; None where nothing tells what is."""
+    radii, last = one.foretold.radii.mean(axis=1), one.times[-1] - 1
+    if not one.ends_as_begun and last <= 0:
+        return None
+    calm = (one.times >= -1) & (one.times < 0)
+    normal = calm if one.ends_as_begun else calm | (one.times >= last)
+    wide = np.concatenate([[False], (radii > 1.5 * radii[normal].max()) & (one.times >= 0), [False]])
     begins, ends = (np.flatnonzero(change) for change in (~wide[:-1] & wide[1:], wide[:-1] & ~wide[1:]))
     times = np.append(one.times, one.times[-1])
     return float(np.max(times[ends] - times[begins], initial=0.0))
