@@ -103,6 +103,16 @@ def test_contacts_count_where_the_arm_moves(short: FilePath) -> None:
     assert moving.unwarned_contacts == 0
 
 
+def test_an_entry_that_nobody_answers_is_slower_than_any(short: FilePath) -> None:
+    """One that is answered at once in each of so many runs, and one of the last that never is."""
+    scenario = load_scenario(short)
+    case = CellCase(replace(scenario, people=()), 33.0, LoopParameters())
+    one = replace(score(case, case.run(PERFECT)), delays_s=(0.01,) * 18)
+    slow_downs = cell._slow_downs([one, replace(one, delays_s=(0.05,), unanswered=1)])
+    assert slow_downs == {"entries": 20, "p50": 10.0, "p95": 50.0, "max": None, "unanswered": 1}
+    assert cell._slow_downs([replace(one, delays_s=())])["p50"] is None
+
+
 def test_slow_downs_are_timed_from_the_entry(short: FilePath) -> None:
     scenario = load_scenario(short)
     reach = Path((0.7, 1.1), ((0.9, 0.4, 0.28), (0.5, 0.24, 0.2)))

@@ -177,20 +177,27 @@ def summary(results: Sequence[CaseResult]) -> dict[str, object]:
     """The stable names that `--json` prints."""
     names = list(dict.fromkeys(result.scenario for result in results))
     scenarios = {name: _figures([result for result in results if result.scenario == name]) for name in names}
-    delays = np.array([delay for result in results for delay in result.outcomes[OURS].delays_s])
     return {
         **_figures(results),
-        "slow_down_ms": {
-            "entries": len(delays),
-            "p50": _percentile_ms(delays, 50),
-            "p95": _percentile_ms(delays, 95),
-            "max": _percentile_ms(delays, 100),
-            "unanswered": sum(result.outcomes[OURS].unanswered for result in results),
-        },
+        "slow_down_ms": _slow_downs([result.outcomes[OURS] for result in results]),
         **_twin_figures(results),
         "runs": len(results),
         "scenarios": scenarios,
     }
+
+
+def _slow_downs(outcomes: Sequence[Outcome]) -> dict[str, object]:
+    """Within which times so many percent of all entries were answered, ms; None where not so many ever were."""
+    answered = np.array([delay for outcome in outcomes for delay in outcome.delays_s])
+    unanswered = sum(outcome.unanswered for outcome in outcomes)
+    delays = np.append(answered, np.full(unanswered, np.inf))
+
+    def within_ms(percent: float) -> float | None:
+        known = float(np.percentile(delays, percent, method="inverted_cdf")) if len(delays) else np.inf
+        return 1e3 * known if np.isfinite(known) else None
+
+    times = {name: within_ms(percent) for name, percent in (("p50", 50), ("p95", 95), ("max", 100))}
+    return {"entries": len(delays), **times, "unanswered": unanswered}
 
 
 def _twin_figures(results: Sequence[CaseResult]) -> dict[str, object]:

@@ -46,9 +46,9 @@ class Outcome:
     false_stops: int
     """Stops that unlimited foresight would not have made."""
     delays_s: tuple[float, ...]
-    """From each entry into the required separation to the slower command; negative where it came before."""
+    """From each entry into the required separation to the next slower command."""
     unanswered: int
-    """Entries that no slower command followed."""
+    """Entries that no slower command followed, one that came before them or none at all."""
 
 
 def score(case: CellCase, record: LoopRecord, first_seen_s: float = 0.0, with_delays: bool = False) -> Outcome:
