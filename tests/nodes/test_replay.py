@@ -124,6 +124,9 @@ def test_the_report_holds_every_figure_by_its_name(lockstep: Path) -> None:
     for name, value in forecast.items():
         if value is None:
             assert f"forecast.{name}" in figures["reasons"]
+    for name in ("published_psnr_moving_db", "moved_on_psnr_moving_db"):
+        assert quality[name] is None
+        assert "lockstep" in figures["reasons"][f"quality.{name}"]
 
 
 def test_the_page_stands_alone_and_shows_pictures(lockstep: Path) -> None:
@@ -143,7 +146,10 @@ def test_real_time_counts_what_it_drops(cell_log: Callable[..., Path], tmp_path:
     assert 30 <= figures["sets"] + figures["dropped"] <= 40
     assert figures["sets"] // 2 <= figures["followed"] <= figures["sets"]
     assert figures["rate_hz"] == pytest.approx(20 * figures["sets"] / SECONDS, rel=0.1)
-    assert "replayed in real time at 20 times the log's pace" in html.unescape((report / "report.html").read_text())
+    assert figures["quality"]["published_psnr_moving_db"] is not None
+    page = html.unescape((report / "report.html").read_text())
+    assert "replayed in real time at 20 times the log's pace" in page
+    assert "moving pixels, by the newest cloud that was out when the image was taken" in page
 
 
 def test_in_real_time_the_model_follows_in_a_process_of_its_own(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ REPEATS = 20
 
 @dataclass(frozen=True)
 class ForecastSpeed:
-    """Best times, ms."""
+    """The least of several times each, ms: what the work takes where nothing else wants the processor."""
 
     forecast_ms: float
     """From three RGB-D views and 10,000 Gaussians to the occupancy of 100 x 100 x 75 voxels in 5 layers."""

@@ -155,7 +155,8 @@ def _once(
 ) -> TrackBench:
     """One pass in lockstep or in real time; ticks are scored when it is over."""
     followed, looking_back = start(parameters.chain), LookingBack()
-    with Spool(session.span.start_ns, session.span.stop_ns, parameters.chain.synchronizer.max_rate_hz or 60.0) as spool:
+    expected_hz = session.expected_hz(parameters.chain.synchronizer.max_rate_hz)
+    with Spool(session.span.start_ns, session.span.stop_ns, expected_hz) as spool:
         if parameters.rate is None:
             for tick in follow(followed, source):
                 progress((tick.stamp - session.span.start_ns) * 1e-9)

@@ -58,6 +58,14 @@ class LogSession:
         """In another process: opened there."""
         return LogSession, self._opened
 
+    def expected_hz(self, most_hz: float | None) -> float:
+        """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
+        counts = {topic.name: topic.count for topic in self.log.topics}
+        cameras = {camera.image for camera in self.cameras}
+        images = max(counts.get(source, 0) for source, name in self.topics.items() if name in cameras)
+        rate = images / max((self.log.end_ns - self.log.start_ns) / 1e9, 1e-3)
+        return rate if most_hz is None else min(rate, most_hz)
+
     def __enter__(self) -> LogSession:
         return self
 

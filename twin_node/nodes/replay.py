@@ -86,7 +86,7 @@ def replay(
     only when the run has come to its end.
     """
     with contextlib.ExitStack() as stack:
-        expected_hz = _camera_rate(session, parameters)
+        expected_hz = session.expected_hz(parameters.synchronizer.max_rate_hz)
         spool = None
         if keep_ticks:
             spool = stack.enter_context(Spool(session.span.start_ns, session.span.stop_ns, expected_hz))
@@ -98,17 +98,6 @@ def replay(
             except EndedError as error:
                 raise GraphError(str(error)) from error
         yield run
-
-
-def _camera_rate(session: LogSession, parameters: ChainParameters) -> float:
-    """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
-    counts = {topic.name: topic.count for topic in session.log.topics}
-    cameras = {camera.image for camera in session.cameras}
-    images = max(counts.get(source, 0) for source, name in session.topics.items() if name in cameras)
-    whole = (session.log.end_ns - session.log.start_ns) / 1e9
-    rate = images / max(whole, 1e-3)
-    limit = parameters.synchronizer.max_rate_hz
-    return rate if limit is None else min(rate, limit)
 
 
 class _Engine:
