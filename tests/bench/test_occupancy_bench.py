@@ -10,7 +10,11 @@ import pytest
 from twin_node.bag import BagError
 from twin_node.bench.occupancy import OccupancyBenchParameters, score_states
 from twin_node.bench.truth import ColourOf, Markers, PixelTruth
+from twin_node.nodes.arm_parameters import ArmParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.truth import LaterTruth
+from twin_node.robot import ur_model
+from twin_node.robot.mjcf import write_mjcf
 from twin_node.scene import Camera, FrameSet, GaussianCloud, Grid, NodeStates, TwinState, View
 
 HEADER = (
@@ -129,3 +133,9 @@ def test_made_up_states_get_the_scores_they_earn() -> None:
 def test_too_short_a_run_has_no_scores() -> None:
     states = [crossing_box(tick) for tick in range(4)]
     assert score_states(states, GRID, LaterTruth(), OccupancyBenchParameters()).scores == {}
+
+
+def test_the_arm_may_be_one_from_a_file_as_that_of_the_chain(tmp_path: Path) -> None:
+    (tmp_path / "own.xml").write_text(write_mjcf(ur_model("ur5e")))
+    chain = ChainParameters(arm=ArmParameters(model=str(tmp_path / "own.xml")))
+    assert score_states([crossing_box(0)], GRID, LaterTruth(), OccupancyBenchParameters(chain=chain)).sets == 1

@@ -24,7 +24,6 @@ from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import LaterTruth, VoxelTruth
-from twin_node.robot import ur_model
 from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, Occupancy, TwinState
 
 OURS = "ours"
@@ -168,7 +167,7 @@ def score_states(
     `whole`: a second truth, that of whole things.
     """
     chosen = parameters.chain.forecast
-    arm = ur_model(parameters.chain.arm.model)
+    arm = parameters.chain.arm.arm()
     forecaster = Forecaster(grid, chosen, arm)
     baselines = BaselineForecaster(grid, chosen.carving, chosen.static, arm)
     tallies = [_Tally(grid, one) for one in (truth, whole) if one is not None]
