@@ -29,8 +29,9 @@ def decide(
 
     `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it. `reaction_s` is the measured time
     from now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. The pair
-    that falls most short at full speed is named; distances and closing speeds are from the arm's present pose to where
-    the obstacles will be. Raises `ArmError` or `RobotError` for a wrong path or time, and for the table of another arm.
+    that falls most short at full speed decides and is named: its distance and closing speed are from the arm's present
+    pose to where the obstacles will be. `distance` is the smallest of any pair along the path. Raises `ArmError` or
+    `RobotError` for a wrong path or time, and for the table of another arm.
     """
     law = parameters or SeparationParameters()
     _refuse_wrong(path, reaction_s)

@@ -160,17 +160,25 @@ class Separation:
     evidence_stamp: int
     """Stamp of the obstacles' evidence, ns; `NO_EVIDENCE` where there is none."""
     distance: float
-    """Smallest distance along the arm's next 200 ms, m; infinite without obstacles."""
+    """Smallest distance of any pair along the arm's next 200 ms, m; infinite without obstacles. Not always that of the
+    pair named below."""
     required: float
-    """Protective distance at full speed of the closest pair (sum of the terms), m."""
+    """Protective distance at full speed of the pair that decides, which falls most short of its own, m: the sum of the
+    terms; 0 where none is closing in."""
     term_human: float
+    """What the obstacle may cover until the arm stands still, m."""
     term_reaction: float
+    """What the arm covers until it reacts, m."""
     term_stopping: float
+    """What the arm covers while it stops, m."""
     term_intrusion: float
+    """How far a body may reach before it is seen, m."""
     term_uncertainty: float
+    """Position error of the obstacle and of the arm, m."""
     link: str
+    """Of the pair that decides; where none is closing in, of the closest one; empty without obstacles."""
     obstacle_id: int
-    """-1 without obstacles."""
+    """Of the same pair; -1 without obstacles."""
     speed_fraction: float
     """0 to 1."""
     reason: str
