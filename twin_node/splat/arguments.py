@@ -109,11 +109,6 @@ class Options:
         """Depth is divided by alpha."""
         return self.render_mode.endswith("ED")
 
-    @property
-    def limits(self) -> tuple[float, float, float, float]:
-        """Near and far plane, clipped radius and blur, in the order of `library.Request`."""
-        return self.near_plane, self.far_plane, self.radius_clip, self.eps2d
-
 
 @dataclass(frozen=True)
 class Scene:

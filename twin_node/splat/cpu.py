@@ -12,10 +12,8 @@ from torch.autograd.function import once_differentiable
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite, require_finite
+from twin_node.splat.request import fill, new_request
 from twin_node.splat.semantics import Semantics, installed_semantics
-
-DEPTH_MODES = {"RGB": 0, "D": 1, "RGB+D": 1, "ED": 2, "RGB+ED": 2}
-"""`splat::DepthMode` of each render mode."""
 
 
 @dataclass(frozen=True)
@@ -120,10 +118,16 @@ class _Call:
             backgrounds=None,
             pixel_mask=None,
         )
-        gradients = native.Gradients(
-            *(_pointer(t) for t in (pulls.renders, pulls.alphas, v.means, v.quats, v.scales, v.opacities, v.colors)),
-            _pointer(v.viewmats) if with_cameras else None,
-            0,
+        gradients = fill(
+            native.Gradients,
+            v_renders=pulls.renders,
+            v_alphas=pulls.alphas,
+            v_means=v.means,
+            v_quats=v.quats,
+            v_scales=v.scales,
+            v_opacities=v.opacities,
+            v_colors=v.colors,
+            v_viewmats=v.viewmats if with_cameras else None,
         )
         self.library.backward(self.workspace, self._request(inputs, images, None), gradients)
         return v
@@ -132,34 +136,32 @@ class _Call:
         """The pointers in it are valid for as long as inputs and outputs are held; only a forward pass needs `meta`."""
         scene, options, views = self.scene, self.scene.options, self.scene.views
         harmonics = options.with_color and options.sh_degree is not None
-        found = (None, None, None) if meta is None else (meta.radii, meta.means2d, meta.depths)
-        return native.Request(
-            scene.batches,
-            scene.cameras,
-            scene.count,
-            views.width,
-            views.height,
-            scene.channels - int(options.with_depth),
-            int(inputs.colors.shape[-2]) if harmonics else 0,
-            options.sh_degree or 0,
-            int(scene.colors_per_camera),
-            DEPTH_MODES[options.render_mode],
-            int(options.rasterize_mode == "antialiased"),
-            self.threads,
-            *options.limits,
-            self.semantics.max_alpha,
-            self.semantics.min_compensation,
-            *self._strides(inputs),
-            *(_pointer(t) for t in (inputs.means, inputs.quats, inputs.scales, inputs.opacities, inputs.colors)),
-            *(_pointer(t) for t in (inputs.viewmats, inputs.Ks, inputs.backgrounds, None, None, inputs.pixel_mask)),
-            *(_pointer(t) for t in (images.renders, images.alphas, *found)),
+        return new_request(
+            options,
+            self.semantics,
+            batches=scene.batches,
+            cameras=scene.cameras,
+            gaussians=scene.count,
+            width=views.width,
+            height=views.height,
+            color_channels=scene.channels - int(options.with_depth),
+            sh_bases=int(inputs.colors.shape[-2]) if harmonics else 0,
+            colors_per_camera=int(scene.colors_per_camera),
+            threads=self.threads,
+            **self._strides(inputs),
+            **vars(inputs),
+            renders=images.renders,
+            alphas=images.alphas,
+            **({} if meta is None else vars(meta)),
         )
 
-    def _strides(self, inputs: _Inputs) -> list[int]:
+    def _strides(self, inputs: _Inputs) -> dict[str, int]:
         """Floats from batch to batch; 0 for what all batches share."""
-        batches, color_rank = self.scene.batches, self.scene.color_rank
-        own = ((inputs.means, 2), (inputs.quats, 2), (inputs.scales, 2), (inputs.opacities, 1))
-        return [0 if t.dim() == rank else t.numel() // batches for t, rank in (*own, (inputs.colors, 1 + color_rank))]
+        ranks = {"means": 2, "quats": 2, "scales": 2, "opacities": 1, "colors": 1 + self.scene.color_rank}
+        return {f"{name}_stride": self._stride(vars(inputs)[name], rank) for name, rank in ranks.items()}
+
+    def _stride(self, tensor: Tensor, rank: int) -> int:
+        return 0 if tensor.dim() == rank else tensor.numel() // self.scene.batches
 
 
 class _Rasterize(torch.autograd.Function):
@@ -197,7 +199,3 @@ def _backgrounds_gradient(pixel_mask: Tensor | None, v_renders: Tensor, alphas: 
     if pixel_mask is not None:
         left = left * pixel_mask.unsqueeze(-1)
     return (v_renders * left).sum(dim=(-3, -2))
-
-
-def _pointer(tensor: Tensor | None) -> int | None:
-    return None if tensor is None else tensor.data_ptr()

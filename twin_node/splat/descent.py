@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 
 import torch
@@ -11,8 +10,9 @@ from torch import Tensor
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import Options, non_finite, require_layout
-from twin_node.splat.semantics import installed_semantics
+from twin_node.splat.request import fill, new_request
 
+_OPTIONS = Options(render_mode="RGB+D")
 WIDTH = 14
 """Columns of `Learners.values`: mean (3), quaternion (4), log scale (3), opacity logit, colour (3)."""
 
@@ -161,9 +161,9 @@ class _Call:
         count = self.standing + self.learned
         self.means, self.quats = torch.empty(times, count, 3), torch.empty(times, count, 4)
         self.scales, self.opacities, self.colors = torch.empty(count, 3), torch.empty(count), torch.empty(count, 3)
-        own = (self.means, self.quats, self.scales, self.opacities, self.colors)
-        for to, given, axis in zip(own, vars(bystanders).values(), (1, 1, 0, 0, 0), strict=True):
-            to.narrow(axis, 0, self.standing).copy_(given)
+        self.means[:, : self.standing], self.quats[:, : self.standing] = bystanders.means, bystanders.quats
+        self.scales[: self.standing], self.opacities[: self.standing] = bystanders.scales, bystanders.opacities
+        self.colors[: self.standing] = bystanders.colors
         self.v_means, self.v_quats = torch.empty_like(self.means), torch.empty_like(self.quats)
         self.v_scales, self.v_opacities = torch.empty_like(self.scales), torch.empty_like(self.opacities)
         self.v_colors = torch.empty_like(self.colors)
@@ -190,49 +190,99 @@ class _Call:
         """The pointers in it are valid for as long as this object and the learners live."""
         learners = self.learners
         self.losses = torch.zeros(course.steps, dtype=torch.float64)
-        drawn = (self.means, self.quats, self.scales, self.opacities, self.colors)
-        store = (learners.values, learners.moment1, learners.moment2, learners.steps, self.ceilings)
-        return native.DescentRequest(
-            self._scene(),
-            self._gradients(),
-            self._loss(),
-            self.standing,
-            self.learned,
-            course.steps,
-            course.smallest_log_scale,
-            *(_pointer(t) for t in (*drawn, self.rows, *store, self.rates)),
-            learners.turns.shape[1],
-            *(_pointer(t) for t in self.carriage),
-            *vars(course.decays).values(),
-            *(_pointer(t) for t in (self.refused, self.losses)),
+        turns, shifts, products, carriers = self.carriage
+        return fill(
+            native.DescentRequest,
+            scene=self._scene(),
+            gradients=self._gradients(),
+            loss=self._loss(),
+            standing=self.standing,
+            learned=self.learned,
+            steps=course.steps,
+            smallest_log_scale=course.smallest_log_scale,
+            means=self.means,
+            quats=self.quats,
+            scales=self.scales,
+            opacities=self.opacities,
+            colors=self.colors,
+            rows=self.rows,
+            values=learners.values,
+            moment1=learners.moment1,
+            moment2=learners.moment2,
+            steps_taken=learners.steps,
+            ceilings=self.ceilings,
+            rates=self.rates,
+            carriages=learners.turns.shape[1],
+            turns=turns,
+            shifts=shifts,
+            products=products,
+            carriers=carriers,
+            first_decay=course.decays.first,
+            second_decay=course.decays.second,
+            refused=self.refused,
+            losses=self.losses,
         )
 
     def _scene(self) -> native.Request:
         times, height, width = self.rgb.shape[:3]
-        count, semantics = self.standing + self.learned, installed_semantics()
-        return native.Request(
-            *(times, 1, count, width, height, 3),
-            *(0, 0, 0, 1, 0, thread_count()),
-            *Options().limits,
-            semantics.max_alpha,
-            semantics.min_compensation,
-            *(3 * count, 4 * count, 0, 0, 0),
-            *(_pointer(t) for t in (self.means, self.quats, self.scales, self.opacities, self.colors)),
-            *(_pointer(t) for t in (self.viewmats, self.Ks, None, self.backdrop, self.seen, self.mask)),
-            *(_pointer(t) for t in (self.renders, self.alphas, self.radii, self.means2d, self.depths)),
+        count = self.standing + self.learned
+        return new_request(
+            _OPTIONS,
+            batches=times,
+            cameras=1,
+            gaussians=count,
+            width=width,
+            height=height,
+            color_channels=3,
+            threads=thread_count(),
+            means_stride=3 * count,
+            quats_stride=4 * count,
+            means=self.means,
+            quats=self.quats,
+            scales=self.scales,
+            opacities=self.opacities,
+            colors=self.colors,
+            viewmats=self.viewmats,
+            Ks=self.Ks,
+            backdrop=self.backdrop,
+            seen=self.seen,
+            pixel_mask=self.mask,
+            renders=self.renders,
+            alphas=self.alphas,
+            radii=self.radii,
+            means2d=self.means2d,
+            depths=self.depths,
         )
 
     def _gradients(self) -> native.Gradients:
-        by = (self.v_means, self.v_quats, self.v_scales, self.v_opacities, self.v_colors)
-        return native.Gradients(_pointer(self.v_seen), None, *(_pointer(t) for t in by), None, self.standing)
+        return fill(
+            native.Gradients,
+            v_renders=self.v_seen,
+            v_means=self.v_means,
+            v_quats=self.v_quats,
+            v_scales=self.v_scales,
+            v_opacities=self.v_opacities,
+            v_colors=self.v_colors,
+            first_row=self.standing,
+        )
 
     def _loss(self) -> native.LossRequest:
         times, height, width = self.rgb.shape[:3]
-        tensors = (self.seen, self.rgb, self.weights, self.depth, self.v_seen, self.loss)
-        return native.LossRequest(
-            *(times, height, width, 4, thread_count()),
-            *(times * weight for weight in (1.0, 0.0, self.aims.depth_weight)),
-            *(_pointer(t) for t in tensors),
+        return fill(
+            native.LossRequest,
+            images=times,
+            height=height,
+            width=width,
+            channels=4,
+            threads=thread_count(),
+            l1=times,
+            depth_weight=times * self.aims.depth_weight,
+            render=self.seen,
+            target=self.rgb,
+            weights=self.weights,
+            target_depth=self.depth,
+            gradient=self.v_seen,
+            loss=self.loss,
         )
 
 
@@ -256,7 +306,3 @@ def _require_layouts(learners: Learners, bystanders: Bystanders, aims: Aims) -> 
 
 
 _KINDS = dict.fromkeys(("rows", "steps", "carriers"), torch.int64) | {"pixel_mask": torch.bool}
-
-
-def _pointer(tensor: Tensor | None) -> ctypes.c_void_p | int | None:
-    return None if tensor is None or tensor.numel() == 0 else tensor.data_ptr()

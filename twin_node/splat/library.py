@@ -1,4 +1,7 @@
-"""Loads the compiled CPU rasteriser and calls it; the structs mirror `native/interface.h` field by field."""
+"""Loads the compiled CPU rasteriser and calls it; the structs mirror `native/interface.h` field by field.
+
+Their empty `__slots__` refuse the name of a field that there is not, which ctypes would take for an attribute.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ STATUS_NON_FINITE = 100
 class Request(ctypes.Structure):
     """`splat::Request`."""
 
+    __slots__ = ()
     _fields_ = (
         *((name, c_int32) for name in ("batches", "cameras", "gaussians", "width", "height", "color_channels")),
         *((name, c_int32) for name in ("sh_bases", "sh_degree", "colors_per_camera", "depth_mode", "antialiased")),
@@ -37,6 +41,7 @@ class Request(ctypes.Structure):
 class Gradients(ctypes.Structure):
     """`splat::Gradients`."""
 
+    __slots__ = ()
     _fields_ = (
         *((name, c_void_p) for name in ("v_renders", "v_alphas", "v_means", "v_quats", "v_scales", "v_opacities")),
         *((name, c_void_p) for name in ("v_colors", "v_viewmats")),
@@ -48,6 +53,7 @@ class Gradients(ctypes.Structure):
 class MissRequest(ctypes.Structure):
     """`splat::MissRequest`."""
 
+    __slots__ = ()
     _fields_ = (
         ("scene", Request),
         ("gradients", Gradients),
@@ -60,6 +66,7 @@ class MissRequest(ctypes.Structure):
 class LossRequest(ctypes.Structure):
     """`splat::LossRequest`."""
 
+    __slots__ = ()
     _fields_ = (
         *((name, c_int32) for name in ("images", "height", "width", "channels", "threads")),
         *((name, c_float) for name in ("l1", "ssim", "depth_weight")),
@@ -70,6 +77,7 @@ class LossRequest(ctypes.Structure):
 class DescentRequest(ctypes.Structure):
     """`splat::DescentRequest`."""
 
+    __slots__ = ()
     _fields_ = (
         ("scene", Request),
         ("gradients", Gradients),
@@ -88,6 +96,7 @@ class DescentRequest(ctypes.Structure):
 class PlaceRequest(ctypes.Structure):
     """`splat::PlaceRequest`."""
 
+    __slots__ = ()
     _fields_ = (
         *((name, c_int64) for name in ("count", "times", "nodes")),
         ("threads", c_int32),
@@ -99,6 +108,7 @@ class PlaceRequest(ctypes.Structure):
 class LookRequest(ctypes.Structure):
     """`splat::LookRequest`."""
 
+    __slots__ = ()
     _fields_ = (
         ("count", c_int64),
         *((name, c_int32) for name in ("width", "height")),
@@ -110,6 +120,7 @@ class LookRequest(ctypes.Structure):
 class MotionRequest(ctypes.Structure):
     """`splat::MotionRequest`."""
 
+    __slots__ = ()
     _fields_ = (
         ("count", c_int64),
         *((name, c_int32) for name in ("width", "height")),

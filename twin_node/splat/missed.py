@@ -9,9 +9,9 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite, require_layout
+from twin_node.splat.arguments import Options, RenderMode, non_finite, require_layout
 from twin_node.splat.dispatch import rasterize
-from twin_node.splat.semantics import installed_semantics
+from twin_node.splat.request import fill, new_request
 
 
 @dataclass(frozen=True)
@@ -108,35 +108,63 @@ class Missed:
         view = sight.contiguous()
         count, (height, width), channels = len(self._given[0]), view.counted.shape, 4 if view.depth is None else 5
         renders, alphas = torch.empty(height, width, channels), torch.empty(height, width)
-        found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
+        radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
         pull, pull_alpha = torch.empty_like(renders), torch.empty_like(alphas)
-        semantics = installed_semantics()
-        scene = native.Request(
-            *(1, 1, count, width, height, 4),
-            *(0, 0, 0, channels - 4, 0, thread_count()),
-            *Options().limits,
-            semantics.max_alpha,
-            semantics.min_compensation,
-            *(0, 0, 0, 0, 0),
-            *(t.data_ptr() for t in (*self._given, view.viewmat, view.K)),
-            *(None, None, None),
-            *(t.data_ptr() for t in (view.counted, renders, alphas, *found)),
+        means, quats, scales, opacities, features = self._given
+        scene = new_request(
+            Options(render_mode=_mode(sight)),
+            batches=1,
+            cameras=1,
+            gaussians=count,
+            width=width,
+            height=height,
+            color_channels=4,
+            threads=thread_count(),
+            means=means,
+            quats=quats,
+            scales=scales,
+            opacities=opacities,
+            colors=features,
+            viewmats=view.viewmat,
+            Ks=view.K,
+            pixel_mask=view.counted,
+            renders=renders,
+            alphas=alphas,
+            radii=radii,
+            means2d=means2d,
+            depths=depths,
         )
-        written = (t.data_ptr() for t in (pull, pull_alpha, *self._pull))
-        gradients = native.Gradients(*written, None, 0, self._learns.data_ptr())
-        request = native.MissRequest(
-            scene,
-            gradients,
-            view.rgb.data_ptr(),
-            *(None if t is None else t.data_ptr() for t in (view.depth, view.surface)),
-            *(tolerance.outlier, tolerance.depth_gain, tolerance.nearest),
-            *(t.data_ptr() for t in (pull, pull_alpha)),
+        gradients = fill(
+            native.Gradients,
+            v_renders=pull,
+            v_alphas=pull_alpha,
+            v_means=self.means,
+            v_quats=self.quats,
+            v_scales=self.scales,
+            v_opacities=self.opacities,
+            v_colors=self.colours,
+            learns=self._learns,
+        )
+        request = fill(
+            native.MissRequest,
+            scene=scene,
+            gradients=gradients,
+            target=view.rgb,
+            depth=view.depth,
+            surface=view.surface,
+            **vars(tolerance),
+            pull=pull,
+            pull_alpha=pull_alpha,
         )
         try:
             library.add_missed(self._workspace, request)
         except native.NonFiniteError as error:
             name = ("means", "quats", "scales", "opacities", "rgb", "viewmat", "K")[error.index]
             raise non_finite(name, (*self._given, view.viewmat, view.K)[error.index]) from None
+
+
+def _mode(sight: Sight) -> RenderMode:
+    return "RGB" if sight.depth is None else "RGB+D"
 
 
 def can_miss(device: torch.device) -> bool:
@@ -213,7 +241,7 @@ class MissedPlainly:
             sight.K[None],
             width,
             height,
-            render_mode="RGB" if sight.depth is None else "RGB+D",
+            render_mode=_mode(sight),
             pixel_mask=sight.counted[None],
         )
         pull, pull_alpha = torch.zeros_like(seen), torch.zeros_like(alpha)

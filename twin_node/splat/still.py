@@ -10,11 +10,12 @@ from torch import Tensor
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import Options, non_finite, require_layout
-from twin_node.splat.cpu import DEPTH_MODES
 from twin_node.splat.dispatch import rasterize
-from twin_node.splat.semantics import installed_semantics
+from twin_node.splat.request import new_request
 
 _OPTIONS = Options(render_mode="RGB+ED")
+_FIELDS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
+"""What the library calls the tensors of a `Shot`."""
 
 
 @dataclass(frozen=True)
@@ -50,22 +51,27 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
         return draw_still_plainly(shot)
     tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}
     given = [of.detach().float().contiguous() for of in tensors.values()]
-    count, width, height, semantics = len(shot.means), shot.width, shot.height, installed_semantics()
+    count, width, height = len(shot.means), shot.width, shot.height
     shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (4, 4), (3, 3))
     for name, of, shape in zip(tensors, given, shapes, strict=True):
         require_layout(name, of, shape, torch.float32)
     rgbd, alpha = torch.empty(height, width, 4), torch.empty(height, width)
-    found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
-    request = native.Request(
-        *(1, 1, count, width, height, 3),
-        *(0, 0, 0, DEPTH_MODES[_OPTIONS.render_mode], 0, thread_count()),
-        *_OPTIONS.limits,
-        semantics.max_alpha,
-        semantics.min_compensation,
-        *(0, 0, 0, 0, 0),
-        *(t.data_ptr() for t in given),
-        *(None, None, None, None),
-        *(t.data_ptr() for t in (rgbd, alpha, *found)),
+    radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
+    request = new_request(
+        _OPTIONS,
+        batches=1,
+        cameras=1,
+        gaussians=count,
+        width=width,
+        height=height,
+        color_channels=3,
+        threads=thread_count(),
+        **dict(zip(_FIELDS, given, strict=True)),
+        renders=rgbd,
+        alphas=alpha,
+        radii=radii,
+        means2d=means2d,
+        depths=depths,
     )
     try:
         library.forward(native.Workspace(library), request)

@@ -9,7 +9,7 @@ from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import Options, non_finite, require_layout
 from twin_node.splat.dispatch import rasterize
-from twin_node.splat.semantics import installed_semantics
+from twin_node.splat.request import new_request
 
 
 def weigh(
@@ -31,34 +31,35 @@ def weigh(
     if library is None or means.device.type != "cpu":
         return weigh_plainly(means, quats, scales, opacities, viewmat, K, width, height)
     given = [t.detach().float().contiguous() for t in (means, quats, scales, opacities, viewmat, K)]
-    count, semantics = len(means), installed_semantics()
+    count = len(means)
     shapes = ((count, 3), (count, 4), (count, 3), (count,), (4, 4), (3, 3))
     for name, of, shape in zip(_NAMES, given, shapes, strict=True):
         require_layout(name, of, shape, torch.float32)
     weights = torch.empty(count)
-    found = (torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count))
-    drawn, camera = given[:4], given[4:]
-    request = native.Request(
-        *(1, 1, count, width, height, 0),
-        *(0, 0, 0, 0, 0, thread_count()),
-        *Options().limits,
-        semantics.max_alpha,
-        semantics.min_compensation,
-        *(0, 0, 0, 0, 0),
-        *(*(t.data_ptr() for t in drawn), None),
-        *(t.data_ptr() for t in camera),
-        *(None, None, None, None, None, None),
-        *(t.data_ptr() for t in found),
+    radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
+    request = new_request(
+        Options(),
+        batches=1,
+        cameras=1,
+        gaussians=count,
+        width=width,
+        height=height,
+        threads=thread_count(),
+        **dict(zip(_FIELDS, given, strict=True)),
+        radii=radii,
+        means2d=means2d,
+        depths=depths,
     )
     try:
         library.weigh(native.Workspace(library), request, weights.data_ptr())
     except native.NonFiniteError as error:
-        index = error.index if error.index < len(drawn) else error.index - 1  # there are no colours
+        index = error.index if error.index < 4 else error.index - 1  # there are no colours
         raise non_finite(_NAMES[index], given[index]) from None
     return weights
 
 
 _NAMES = ("means", "quats", "scales", "opacities", "viewmat", "K")
+_FIELDS = (*_NAMES[:4], "viewmats", "Ks")
 
 
 def weigh_plainly(

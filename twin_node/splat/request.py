@@ -1,0 +1,53 @@
+"""Structs of the compiled library, filled by the names of their fields; what is not named is 0."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, TypeVar
+
+from torch import Tensor
+
+from twin_node.splat import library as native
+from twin_node.splat.arguments import Options
+from twin_node.splat.semantics import Semantics, installed_semantics
+
+DEPTH_MODES = {"RGB": 0, "D": 1, "RGB+D": 1, "ED": 2, "RGB+ED": 2}
+"""`splat::DepthMode` of each render mode."""
+
+Struct = TypeVar("Struct", bound=ctypes.Structure)
+Field = int | float | Tensor | ctypes.Structure | None
+
+
+def fill(struct: type[Struct], /, **fields: Field) -> Struct:
+    """A struct of the library; a tensor stands for where it begins, an empty one for none.
+
+    The struct is good for as long as the tensors are held. Raises `AttributeError` for a name that is no field's.
+    """
+    return struct(**_addressed(fields))
+
+
+def new_request(options: Options, semantics: Semantics | None = None, /, **fields: Field) -> native.Request:
+    """What is drawn how, by `options` and `semantics` (default: those of the installed gsplat), and by other fields.
+
+    Good for as long as the tensors are held. Raises `AttributeError` for a name that is no field's.
+    """
+    semantics = semantics or installed_semantics()
+    return native.Request(
+        near_plane=options.near_plane,
+        far_plane=options.far_plane,
+        radius_clip=options.radius_clip,
+        eps2d=options.eps2d,
+        sh_degree=options.sh_degree or 0,
+        depth_mode=DEPTH_MODES[options.render_mode],
+        antialiased=int(options.rasterize_mode == "antialiased"),
+        max_alpha=semantics.max_alpha,
+        min_compensation=semantics.min_compensation,
+        **_addressed(fields),
+    )
+
+
+def _addressed(fields: dict[str, Field]) -> dict[str, Any]:
+    return {
+        name: (value.data_ptr() if value.numel() else None) if isinstance(value, Tensor) else value
+        for name, value in fields.items()
+    }
