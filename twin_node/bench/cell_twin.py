@@ -163,7 +163,13 @@ class TwinPerception:
         self._latency = Latency(round(case.timing.latency_ns), pace is None)
         workspace = np.array(scenario.workspace)
         self._chain = Chain(
-            self._working, self._clock, workspace, parameters, self._latency, lambda: self._dropped, False
+            self._working,
+            self._clock,
+            workspace,
+            parameters,
+            self._latency,
+            lambda: self._dropped,
+            with_arm=False,
         )
         self._chain.start()
         self._newest: FrameSet | None = None
@@ -232,7 +238,7 @@ class TwinPerception:
         self._clock.begin(now + self._decoding_ns + TRANSPORT_NS)
         self._working.publish(FRAMES, frames)
         known = self._clock.now()
-        self._chain.rest(self._has_time)
+        self._chain.model_node.rest(self._has_time)
         free = self._clock.end()
         if not self._is_built:
             self._is_built = True

@@ -61,7 +61,8 @@ class ArmNode(Node):
     ) -> None:
         """`make_cycle()`: what an arm of which nobody tells is taken to do.
 
-        `timers`: tell of forecasts that do not come; None in lockstep, where nothing is late.
+        `timers`: tell of forecasts that do not come; None in lockstep, where nothing is late, and where the arm of the
+        log, which heard nobody, moves at its full speed whatever is told.
         `is_servoed()`: whether a driver servoes the arm now; it may beside what the parameters say.
         """
         super().__init__("arm", bus, clock)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 from twin_node.forecast import Forecaster, default_grid
 from twin_node.model import WindowModel
-from twin_node.model.stages import Proceed, unhurried
 from twin_node.nodes.arm import make_arm_node
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.drift import DriftNode
@@ -51,61 +50,47 @@ class Chain:
         """
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
-        self.status = StatusNode(bus, clock, latency, lambda: self.parameters_count, dropped)
+        self.status = StatusNode(bus, clock, latency, lambda: self.model_node.parameters_count, dropped)
         trial = None
         if say is not None and parameters.size.name is SizeChoice.AUTO:
             arm, budget_ms = parameters.arm.arm(), parameters.size.budget_ms
             trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say)
         own_process = own_process and parameters.model.own_process
-        self._model_node = ModelNode(bus, clock, make_model(parameters), trial, latency.is_measured, own_process)
-        self.nodes: Sequence[Node] = (
+        self.model_node = ModelNode(bus, clock, make_model(parameters), trial, latency.is_measured, own_process)
+        self._nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),
-            self._model_node,
+            self.model_node,
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
             *([make_arm_node(bus, clock, workspace, parameters.arm)] if with_arm else []),
         )
 
-    @property
-    def model(self) -> WindowModel:
-        """What follows the images: another one once its size has been measured."""
-        return self._model_node.model
-
     def start(self) -> None:
-        """Configure and activate every node, the last of the chain first, so that no message is missed."""
-        for node in reversed(self.nodes):
-            node.configure()
-            node.activate()
-
-    @property
-    def followed(self) -> int:
-        """Sets that the model has followed, of those that were forecast."""
-        return self._model_node.followed
-
-    @property
-    def parameters_count(self) -> int:
-        """Numbers that describe the scene now, see `WindowModel.parameters_count`."""
-        return self._model_node.parameters_count
-
-    @property
-    def peak_rss_mb_elsewhere(self) -> float:
-        """Most memory that the model's process has held, MB; 0 without."""
-        return self._model_node.peak_rss_mb_elsewhere
-
-    def follow(self) -> None:
-        """Lets the model follow the newest set, see `ModelNode.follow`."""
-        self._model_node.follow()
-
-    def rest(self, proceed: Proceed = unhurried) -> None:
-        """Uses the time between two sets, see `ModelNode.rest`."""
-        self._model_node.rest(proceed)
-
-    def settle(self) -> None:
-        """Waits for what begins with the first set, see `ModelNode.settle`."""
-        self._model_node.settle()
+        """Configures and activates all."""
+        self.configure()
+        self.activate()
 
     def stop(self) -> None:
-        """Deactivate and clean up every node, the first of the chain first."""
-        for node in self.nodes:
+        """Deactivates and cleans up all."""
+        self.deactivate()
+        self.cleanup()
+
+    def configure(self) -> None:
+        """Configures every node, the last of the chain first, so that no message is missed."""
+        for node in reversed(self._nodes):
+            node.configure()
+
+    def activate(self) -> None:
+        """Activates every node, the last of the chain first."""
+        for node in reversed(self._nodes):
+            node.activate()
+
+    def deactivate(self) -> None:
+        """Deactivates every node, the first of the chain first."""
+        for node in self._nodes:
             node.deactivate()
+
+    def cleanup(self) -> None:
+        """Cleans up every node, the first of the chain first."""
+        for node in self._nodes:
             node.cleanup()

@@ -138,7 +138,7 @@ class _Engine:
         chain = self._chain(collector, synchronizer.cameras, latency, lambda: 0, own_process=False)
         begun = time.perf_counter()
         for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
-            chain.follow()
+            chain.model_node.follow()
             self._progress((stamp - self._session.span.start_ns) / 1e9)
         return self._finish(chain, collector, 0, time.perf_counter() - begun, None, None)
 
@@ -158,8 +158,8 @@ class _Engine:
             chain = self._chain(collector, cameras, latency, lambda: bridge.dropped, own_process=True)
             first = self._first_set(order, working)
             working.publish(FRAMES, first)
-            chain.follow()
-            chain.settle()
+            chain.model_node.follow()
+            chain.model_node.settle()
 
             def hand_over(frames: FrameSet) -> None:
                 self._progress((frames.stamp - self._session.span.start_ns) / 1e9)
@@ -174,7 +174,7 @@ class _Engine:
                     for topic, message in messages:
                         working.publish(topic, message)
                     working.publish(FRAMES, frames)
-                    chain.rest(lambda: not bridge.is_waiting)
+                    chain.model_node.rest(lambda: not bridge.is_waiting)
             finally:
                 bridge.close()
         seconds = self._session.span.seconds / rate
@@ -226,13 +226,15 @@ class _Engine:
         return Run(
             parameters=self._parameters,
             sets=chain.status.sets,
-            followed=chain.followed,
+            followed=chain.model_node.followed,
             dropped=dropped,
             seconds=seconds,
-            peak_rss_mb=peak_mb() + chain.peak_rss_mb_elsewhere + (0.0 if read is None else read.peak_rss_mb),
+            peak_rss_mb=peak_mb()
+            + chain.model_node.peak_rss_mb_elsewhere
+            + (0.0 if read is None else read.peak_rss_mb),
             bytes_per_frame=chain.status.bytes_per_frame,
-            model=chain.model,
-            parameters_count=chain.parameters_count,
+            model=chain.model_node.model,
+            parameters_count=chain.model_node.parameters_count,
             collector=collector,
             spool=self._spool,
             rate=rate,

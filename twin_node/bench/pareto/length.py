@@ -205,13 +205,13 @@ class _Followed:
         started = time.process_time()
         self._clock.advance_to(frames.stamp)
         self._bus.publish(FRAMES, frames)
-        self._chain.rest()
+        self._chain.model_node.rest()
         return 1e3 * (time.process_time() - started)
 
     def told(self, laps: Sequence[float], until_s: float) -> Span:
         """The span that has just ended."""
         gc.collect()
-        counts, forecasts = self._chain.model.tier_counts, self._forecasts
+        counts, forecasts = self._chain.model_node.model.tier_counts, self._forecasts
         self._forecasts = 0
         return Span(
             until_s,

@@ -123,7 +123,7 @@ class _Followed:
         self._state = self._forecast = None
         self._clock.advance_to(frames.stamp)
         self._bus.publish(FRAMES, frames)
-        self._chain.follow()
+        self._chain.model_node.follow()
         if self._drift is None:
             return
         shared = (*self._drift.warnings, *(self._state.warnings if self._state is not None else ()))
@@ -135,7 +135,7 @@ class _Followed:
         self.answers += 1
         self._score(shot, self._state, self._forecast.occupancy, bool(shared), bool(own))
         self._isometry.add(self._state.stamp, self._state.gaussians)
-        self._pictures.add(shot, self._state, self._chain.model.render_frozen)
+        self._pictures.add(shot, self._state, self._chain.model_node.model.render_frozen)
 
     def outcomes(self) -> dict[str, Outcome]:
         """What every method made of it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from twin_node.nodes.chain import Chain
@@ -25,36 +24,30 @@ class TwinNode(Node):
     def __init__(self, setup: Setup, source: RigSource, parameters: ChainParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
         self._latency = Latency(ASSUMED_LATENCY_NS, is_measured=True)
-        bus = setup.bus
+        self._bus = bus = setup.bus
         workspace = working_volume(source, parameters.synchronizer.width)
-        chain = Chain(
+        self._chain = Chain(
             *(bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES)),
             with_arm=False,
             say=setup.say,
             own_process=True,
         )
-        self._chain = chain
-        self._nodes: Sequence[Node] = chain.nodes
-        self._bus = bus
 
     def on_configure(self) -> None:
-        for node in reversed(self._nodes):
-            node.configure()
+        self._chain.configure()
         self.bus.subscribe(FORECAST, self._on_forecast)
 
     def on_activate(self) -> None:
-        for node in reversed(self._nodes):
-            node.activate()
+        self._chain.activate()
 
     def on_deactivate(self) -> None:
-        for node in self._nodes:
-            node.deactivate()
+        self._chain.deactivate()
 
     def on_cleanup(self) -> None:
-        for node in self._nodes:
-            node.cleanup()
+        self._chain.cleanup()
 
     def _on_forecast(self, _: Any) -> None:
         """All that comes of a set is out: what is left of its time is the model's."""
         self._latency.start()
-        self._chain.rest(lambda: not any(self._bus.is_waiting(topic) for topic in (FRAMES, TRUSTED_FRAMES, SEEN)))
+        waiting = (FRAMES, TRUSTED_FRAMES, SEEN)
+        self._chain.model_node.rest(lambda: not any(self._bus.is_waiting(topic) for topic in waiting))
