@@ -23,8 +23,9 @@ from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane, said
 from twin_node.bench.pareto.measure import Job, Point, begun_mb, measure
 from twin_node.bench.pareto.suite import Pareto, ParetoParameters, run
-from twin_node.bench.pareto.tables import markdown, text
+from twin_node.bench.pareto.tables import front_text, markdown, text
 from twin_node.model import ModelParameters, SeedParameters
+from twin_node.nodes.size_choice import Rated, read_front
 from twin_node.nodes.sizes import SIZES
 from twin_node.runtime.memory import peak_mb
 
@@ -146,6 +147,13 @@ def test_it_is_drawn_and_tabled(measured: Pareto, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchError, match="choose another folder"):
         draw(measured, tmp_path / "file")
+
+
+def test_sizes_are_written_as_a_replay_reads_them(tmp_path: Path) -> None:
+    points = [("ours_tiny", 10, 15.0), ("ours_tiny", 30, 17.0), ("ours_small", 20, None), ("frozen", 1, 12.0)]
+    path = tmp_path / "sizes.yaml"
+    path.write_text(front_text([Point(name, name, "scene", True, ms, psnr_left_out_db=db) for name, ms, db in points]))
+    assert read_front(path) == (Rated("tiny", 20.0, 16.0),)
 
 
 def test_a_method_that_is_none_is_named_before_anything_is_run() -> None:

@@ -33,9 +33,8 @@ def add_bench_pareto(benches: Any) -> None:
 
 def _bench_pareto(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto.chart import draw
-    from twin_node.bench.pareto.choosing import front_text
     from twin_node.bench.pareto.suite import QUICK, ParetoParameters, run
-    from twin_node.bench.pareto.tables import markdown, text
+    from twin_node.bench.pareto.tables import front_text, markdown, text
     from twin_node.bench.results_folder import prepared, save_figures, save_text
     from twin_node.nodes.chain_parameters import load_parameters
 

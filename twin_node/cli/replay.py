@@ -147,8 +147,8 @@ def _check_size(options: argparse.Namespace) -> None:
 
 def _sized(session: Any, parameters: Any, options: argparse.Namespace) -> Any:
     """The parameters at the size that is asked for, which is said."""
-    from twin_node.bench.pareto.choosing import by_budget, by_target
     from twin_node.nodes.chain_parameters import at_size
+    from twin_node.nodes.size_choice import by_budget, by_target
 
     choice = (
         by_target(options.target) if options.target is not None else by_budget(session, parameters, options.budget_ms)

@@ -1,4 +1,4 @@
-"""Picks the live model's size by need: the largest that keeps a budget on this machine."""
+"""Picks the live model's size by need: the largest that keeps a budget on the sets that come."""
 
 from __future__ import annotations
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import against_hexplane, said
-from twin_node.bench.pareto.measure import Point
+from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.bench.pareto.suite import Pareto
+from twin_node.nodes.sizes import SIZES
 
 COLUMNS: dict[str, Callable[[Point], float | int | None]] = {
     "ms/frame": lambda point: point.ms_per_frame,
@@ -58,6 +61,18 @@ def markdown(found: Pareto) -> str:
             lines.append(f"| {title} | " + " | ".join(_cell(value(point)) for value in COLUMNS.values()) + " |")
         lines.append("")
     return "\n".join([*lines, *(f"- {verdict}" for verdict in _verdicts(found))]) + "\n"
+
+
+def front_text(points: Sequence[Point]) -> str:
+    """What `nodes.size_choice.read_front` reads, of measured points."""
+    lines = ["# Sizes of the live model, as measured; made by `twin_node bench pareto`.", "sizes:"]
+    for name in SIZES:
+        own = [p for p in points if p.name == f"{OURS}_{name}" and p.psnr_left_out_db is not None]
+        if own:
+            ms = float(np.mean([p.ms_per_frame for p in own]))
+            db = float(np.mean([p.psnr_left_out_db or 0.0 for p in own]))
+            lines.append(f"  - {{name: {name}, ms_per_frame: {ms:.1f}, psnr_left_out_db: {db:.2f}}}")
+    return "\n".join(lines) + "\n"
 
 
 def _verdicts(found: Pareto) -> list[str]:

@@ -8,40 +8,28 @@ from pathlib import Path
 
 import pytest
 
-from twin_node.bench.errors import BenchError
-from twin_node.bench.pareto import choosing
-from twin_node.bench.pareto.choosing import by_budget, by_target, front_text, read_front, timed_ms
-from twin_node.bench.pareto.measure import Point
+from twin_node.nodes import size_choice
 from twin_node.nodes.chain_parameters import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.size_choice import by_budget, by_target, read_front, timed_ms
 from twin_node.nodes.sizes import SHIPPED, SIZES
-
-
-def point(name: str, ms: float, db: float | None) -> Point:
-    return Point(name, name, "scene", True, ms, psnr_left_out_db=db)
+from twin_node.nodes.topics import GraphError
 
 
 @pytest.fixture
 def front(tmp_path: Path) -> Path:
     """Three sizes, the middle one as good as the best."""
-    points = [point("ours_tiny", 10, 15.0), point("ours_small", 20, 18.0), point("ours_large", 50, 18.0)]
+    points = (("tiny", 10.0, 15.0), ("small", 20.0, 18.0), ("large", 50.0, 18.0))
+    rows = [f"  - {{name: {name}, ms_per_frame: {ms}, psnr_left_out_db: {db}}}" for name, ms, db in points]
     path = tmp_path / "sizes.yaml"
-    path.write_text(front_text([*points, point("frozen", 1, 12.0)]))
+    path.write_text("\n".join(["sizes:", *rows]))
     return path
-
-
-def test_what_is_written_is_read(front: Path) -> None:
-    assert [(rated.name, rated.ms_per_frame) for rated in read_front(front)] == [
-        ("tiny", 10.0),
-        ("small", 20.0),
-        ("large", 50.0),
-    ]
 
 
 def test_the_fastest_that_reaches_a_quality_is_taken(front: Path) -> None:
     assert by_target(14, front).size == "tiny"
     assert by_target(17.5, front).size == "small"
-    with pytest.raises(BenchError, match=r"--target 30: expected at most 18\.0 dB"):
+    with pytest.raises(GraphError, match=r"--target 30: expected at most 18\.0 dB"):
         by_target(30, front)
 
 
@@ -52,7 +40,7 @@ def test_the_fastest_that_reaches_a_quality_is_taken(front: Path) -> None:
 def test_a_file_that_is_none_is_named(content: str, tmp_path: Path) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text(content)
-    with pytest.raises(BenchError, match=r"wrong\.yaml: expected sizes"):
+    with pytest.raises(GraphError, match=r"wrong\.yaml: expected sizes"):
         read_front(path)
 
 
@@ -67,7 +55,7 @@ def test_the_best_that_keeps_the_budget_is_taken(
     """Sizes take as many milliseconds as a table says; a fifth of the budget is spare."""
     spent = dict(zip(("tiny", "small", "medium", "large", "full"), (10, 20, 30, 45, 90), strict=True))
     by_width = {SIZES[name].width: ms for name, ms in spent.items()}
-    monkeypatch.setattr(choosing, "timed_ms", lambda _, chain: by_width[chain.synchronizer.width])
+    monkeypatch.setattr(size_choice, "timed_ms", lambda _, chain: by_width[chain.synchronizer.width])
     with LogSession(cell_log(1.2)) as session:
         choice = by_budget(session, ChainParameters(), budget_ms)
     assert choice.size == chosen

@@ -1,4 +1,4 @@
-"""Picks a size by need: the largest that keeps a budget on this machine, or the smallest that reaches a quality."""
+"""Picks a replay's size by need: the largest that keeps a budget on its log, or the fastest that reached a quality."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-
 from twin_node import resources
-from twin_node.bench.errors import BenchError
-from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.forecast import Forecaster, default_grid
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.sizing import TRIED_SETS, Choice, best_within, median_ms
+from twin_node.nodes.topics import GraphError
 from twin_node.runtime.parameters import ParameterError, fill
 from twin_node.yaml_file import read_yaml
 
@@ -48,13 +45,13 @@ class _Front:
 def by_target(psnr_db: float, path: Path | None = None) -> Choice:
     """The fastest size whose moving pixels of left-out cameras reached `psnr_db` on the bench's data.
 
-    Raises `BenchError` where none did, naming the best.
+    Raises `GraphError` where none did, naming the best.
     """
     front = read_front(path)
     good = [rated for rated in front if rated.psnr_left_out_db >= psnr_db]
     if not good:
         best = max(rated.psnr_left_out_db for rated in front)
-        raise BenchError(f"--target {psnr_db:g}: expected at most {best:.1f} dB, the best of {path or FRONT_FILE}")
+        raise GraphError(f"--target {psnr_db:g}: expected at most {best:.1f} dB, the best of {path or FRONT_FILE}")
     chosen = min(good, key=lambda rated: rated.ms_per_frame)
     reached = f"{chosen.psnr_left_out_db:.1f} dB in {path or FRONT_FILE}"
     return Choice(chosen.name, f"size {chosen.name}: the fastest that reached {psnr_db:g} dB ({reached})")
@@ -77,31 +74,19 @@ def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], fl
     forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, arm)
     spent = median_ms(islice(source, TRIED_SETS), make_model(chain), forecaster, clock)
     if spent is None:
-        raise BenchError(f"{session.log.path}: expected two sets of images to measure on, found less")
+        raise GraphError(f"{session.log.path}: expected two sets of images to measure on, found less")
     return spent
 
 
 def read_front(path: Path | None) -> tuple[Rated, ...]:
-    """The sizes of a file that `bench pareto` wrote; None: as shipped. Raises `BenchError` for one that is none."""
+    """The sizes of a file that `bench pareto` wrote; None: as shipped. Raises `GraphError` for one that is none."""
     path = path or resources.find(Path(FRONT_FILE))
-    content = read_yaml(path, "sizes as `twin_node bench pareto` writes them", BenchError)
+    content = read_yaml(path, "sizes as `twin_node bench pareto` writes them", GraphError)
     try:
         sizes = fill(_Front, content, str(path)).sizes if isinstance(content, dict) else ()
     except ParameterError as error:
-        raise BenchError(f"{path}: expected sizes as `twin_node bench pareto` writes them: {error}") from error
+        raise GraphError(f"{path}: expected sizes as `twin_node bench pareto` writes them: {error}") from error
     unknown = [rated.name for rated in sizes if rated.name not in SIZES]
     if unknown or not sizes:
-        raise BenchError(f"{path}: expected sizes of {', '.join(SIZES)}, found {', '.join(unknown) or 'none'}")
+        raise GraphError(f"{path}: expected sizes of {', '.join(SIZES)}, found {', '.join(unknown) or 'none'}")
     return sizes
-
-
-def front_text(points: Sequence[Point]) -> str:
-    """What `read_front` reads, of measured points."""
-    lines = ["# Sizes of the live model, as measured; made by `twin_node bench pareto`.", "sizes:"]
-    for name in SIZES:
-        own = [p for p in points if p.name == f"{OURS}_{name}" and p.psnr_left_out_db is not None]
-        if own:
-            ms = float(np.mean([p.ms_per_frame for p in own]))
-            db = float(np.mean([p.psnr_left_out_db or 0.0 for p in own]))
-            lines.append(f"  - {{name: {name}, ms_per_frame: {ms:.1f}, psnr_left_out_db: {db:.2f}}}")
-    return "\n".join(lines) + "\n"
