@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from simulated_boards import a_lens, around, seen_corners, waved
 
 from twin_node.geometry import inverse_pose
-from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Chessboard, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
 from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
 from twin_node.rig.calibrate.course import Course, smooth_course, still_course
 from twin_node.rig.calibrate.normal_equations import NormalEquations
 from twin_node.rig.calibrate.rotations import moved
@@ -152,7 +152,7 @@ def test_clocks_are_told_by_the_motion() -> None:
     state = a_moving_state("plumb_bob")
     seen = sightings_of(state, np.random.default_rng(0), noise=0.05)
     start = replace(state, clocks=np.zeros((2, 2)))
-    result = adjust(start, seen, BundleOptions(lenses=False))
+    result = solve_bundle(start, seen, BundleOptions(lenses=False))
     sigma = float(np.sqrt(np.diag(result.covariance)[result.layout.clock(1)])[0])
     assert 1e-4 < sigma < 0.005
     assert abs(result.state.clocks[1, 0] - 0.02) < 4 * sigma
@@ -162,7 +162,7 @@ def test_how_sure_an_estimate_is_is_worked_out_once_and_when_asked_for(monkeypat
     asked, covariance = [], BundleProblem.covariance
     monkeypatch.setattr(BundleProblem, "covariance", lambda *args: asked.append(args) or covariance(*args))
     state = a_moving_state("plumb_bob")
-    result = adjust(state, sightings_of(state, np.random.default_rng(0), noise=0.05), BundleOptions(lenses=False))
+    result = solve_bundle(state, sightings_of(state, np.random.default_rng(0), noise=0.05), BundleOptions(lenses=False))
     assert not asked
     assert result.covariance is result.covariance
     assert len(asked) == 1
@@ -176,7 +176,7 @@ def test_a_bent_board_is_found_bent_and_a_flat_one_flat() -> None:
     bow[:, 2] = 0.006 * (1 - (x / x.max()) ** 2)
     for bend, expected in ((None, False), (bow, True)):
         seen = sightings_of(state, rng, bend=bend)
-        rigid, free = adjust(state, seen), adjust(state, seen, BundleOptions(board=True))
+        rigid, free = solve_bundle(state, seen), solve_bundle(state, seen, BundleOptions(board=True))
         assert board_pays(rigid, free) is expected
         if bend is not None:
             found = (free.state.points - BOARD.points)[:, 2]

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
+from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
 from twin_node.rig.calibrate.contradictions import check_fit
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.lenses import Lens, rays_of
@@ -118,9 +118,9 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
 def _solved(start: Start, options: RigOptions) -> BundleResult:
     """The bundle, over a bent board where that was asked for or pays."""
     free = BundleOptions(options.lenses, bool(options.board), options.clocks)
-    bundle = adjust(start.state, start.sightings, free)
+    bundle = solve_bundle(start.state, start.sightings, free)
     if options.board is None:
-        bent = adjust(bundle.state, start.sightings, replace(free, board=True))
+        bent = solve_bundle(bundle.state, start.sightings, replace(free, board=True))
         bundle = bent if board_pays(bundle, bent) else bundle
     return bundle
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import transform
-from twin_node.rig.calibrate.adjustment import adjust, board_pays
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
+from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
 from twin_node.rig.calibrate.course import still_course
 from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project
 from twin_node.rig.calibrate.objections import view_objection
@@ -162,8 +162,8 @@ def _refined(
     sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
     course = still_course(start.poses)
     state = BundleState(np.eye(4)[None], course, (start.lens,), board.points, np.zeros((1, 2)))
-    bundle = adjust(state, sightings, BundleOptions())
-    bent = adjust(bundle.state, sightings, BundleOptions(board=True))
+    bundle = solve_bundle(state, sightings, BundleOptions())
+    bent = solve_bundle(bundle.state, sightings, BundleOptions(board=True))
     bundle = bent if board_pays(bundle, bent) else bundle
     return LensCalibration(
         bundle.state.lenses[0],

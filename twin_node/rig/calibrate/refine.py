@@ -8,10 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from twin_node.rig.calibrate.adjust import Adjusted, AdjustParameters, adjust
 from twin_node.rig.calibrate.birds_eye import ground_of, lay_flat
 from twin_node.rig.calibrate.depth_alignment import SurfacePair, align, surface_of
 from twin_node.rig.calibrate.ground_matches import agreed_map, measured
+from twin_node.rig.calibrate.match_adjustment import Adjusted, AdjustParameters, adjust_matches
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
@@ -104,7 +104,7 @@ def refine_rig(
         seen = _on_plane(stills, now, rig.workspace, parameters, aligned=i > 0)
         matches = [*seen.matches, *(_gated(pair, now.cameras, gate) for pair in features)]
         _check_connected(rig.cameras, matches, parameters, seen.skipped)
-        now = adjust(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
+        now = adjust_matches(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
     figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
     _check_believable(now, figures, parameters, seen.pixel_m)
     return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, seen.skipped)

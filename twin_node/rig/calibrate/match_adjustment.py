@@ -52,7 +52,7 @@ class Adjusted:
     """Largest change of any number, in its own sigmas."""
 
 
-def adjust(
+def adjust_matches(
     cameras: Sequence[RigCamera], plane: Float64 | None, matches: Sequence[Matches], parameters: AdjustParameters
 ) -> Adjusted:
     """The cameras and plane nearest to those given, in units of `parameters`, that explain the matches."""

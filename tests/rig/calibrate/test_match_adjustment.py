@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.adjust import AdjustParameters, MatchProblem
 from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.match_adjustment import AdjustParameters, MatchProblem
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.scene import RigCamera
 

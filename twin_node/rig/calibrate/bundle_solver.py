@@ -43,7 +43,9 @@ MOST_DAMPING = 1e8
 """A step that is not downhill even with this damping has nowhere to go."""
 
 
-def adjust(start: BundleState, sightings: Sequence[Sighting], options: BundleOptions | None = None) -> BundleResult:
+def solve_bundle(
+    start: BundleState, sightings: Sequence[Sighting], options: BundleOptions | None = None
+) -> BundleResult:
     """The state that explains all sightings best, from a start within the basin of convergence.
 
     Each camera's noise is estimated from its own residuals; corners, and images, that do not fit are left out.
