@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import torch
 
-from twin_node.model import cells, drift, publishing
+from twin_node.model import cells, creep, publishing
 from twin_node.model.field import HexPlane
 from twin_node.model.gaussians import MEAN, QUAT, Gaussians
 from twin_node.model.motion import Motion
@@ -69,10 +69,10 @@ def test_compiled_cells_are_the_plain_ones() -> None:
     assert nobody.centres.shape == (0, 3)
 
 
-class PlainDrift(drift.Drift):
+class PlainCreep(creep.Creep):
     """Tells what creeps by the plain code."""
 
-    _crept = drift.Drift._crept_plainly
+    _crept = creep.Creep._crept_plainly
 
 
 def test_cells_are_known_by_their_keys() -> None:
@@ -87,7 +87,7 @@ def test_cells_are_known_by_their_keys() -> None:
 def test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one() -> None:
     gaussians, motion = store(3)
     rows = gaussians.moving_rows[gaussians.nodes[gaussians.moving_rows] >= 0]
-    compiled, plain = drift.Drift(CAPACITY), PlainDrift(CAPACITY)
+    compiled, plain = creep.Creep(CAPACITY), PlainCreep(CAPACITY)
     for step in range(3):
         own = cells.cells_of(gaussians, rows, gaussians.means[rows])
         found, expected = (one.of(gaussians, rows, own, motion.nodes) for one in (compiled, plain))

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from twin_node.model.cells import Cells
+from twin_node.model.creep import Creep
 from twin_node.model.decisions import Decision, LogEvidence
-from twin_node.model.drift import Drift
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import MergeSplit
 from twin_node.model.nodes import Nodes
@@ -32,7 +32,7 @@ class Bodies:
         self._gaussians = gaussians
         self._nodes = nodes
         self._merge_split = MergeSplit()
-        self._drift = Drift(gaussians.capacity)
+        self._creep = Creep(gaussians.capacity)
         self._undecided_s = 0.0
         self.decided_s = 0.0
         """Time that the last `regroup` has decided about, s; 0 where it has put decisions off."""
@@ -49,7 +49,7 @@ class Bodies:
         Called once per set, before its nodes are corrected.
         """
         moved = self._nodes.moved.numpy()[cells.nodes]
-        moved[:, :3] += self._drift.of(self._gaussians, rows, cells, self._nodes)
+        moved[:, :3] += self._creep.of(self._gaussians, rows, cells, self._nodes)
         return moved
 
     def accumulate(self, cells: Cells, moved: Float64, said: NormalEquations, dt_s: float) -> None:

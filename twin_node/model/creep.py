@@ -16,7 +16,7 @@ from twin_node.native_library import addresses_of
 from twin_node.scene import Float64
 
 
-class Drift:
+class Creep:
     """Remembers where Gaussians were in their nodes' frames when the flow was looked at last."""
 
     def __init__(self, capacity: int) -> None:
