@@ -15,13 +15,13 @@ from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
 from twin_node.cli.bench_graph import add_bench_graph
 from twin_node.cli.bench_masks import add_bench_masks
+from twin_node.cli.bench_methods import add_methods
 from twin_node.cli.bench_occupancy import add_bench_occupancy
 from twin_node.cli.bench_pareto import add_bench_ablations, add_bench_costs, add_bench_length, add_bench_pareto
 from twin_node.cli.bench_refined import add_bench_refined
 from twin_node.cli.bench_stability import add_bench_stability
 from twin_node.cli.bench_ur import add_bench_ur
 from twin_node.cli.bench_viewer import add_bench_viewer
-from twin_node.cli.methods import add_methods
 from twin_node.json_text import json_text
 
 
