@@ -18,7 +18,7 @@ from twin_node.native_library import NativeLibrary, address_of, addresses_of
 from twin_node.splat import library as splat
 
 ROOMS = {
-    native_build.SPLAT: splat.native_library,
+    native_build.SPLAT: splat.kernels,
     native_build.FORECAST: forecast.kernels,
     native_build.MODEL: model.kernels,
 }

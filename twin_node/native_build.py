@@ -110,7 +110,7 @@ SHARED = Path(__file__).resolve().parent / "native"
 """Headers that the kernels of several rooms include."""
 
 
-class Kernels(NamedTuple):
+class KernelSources(NamedTuple):
     """The C++ kernels of one room: sources stand in one folder, and `library.cpp` includes the others."""
 
     name: str
@@ -155,11 +155,11 @@ class Kernels(NamedTuple):
         _compile(self.folder / "library.cpp", variant, to, compiler or find_compiler())
 
 
-SPLAT = Kernels("splat", Path(__file__).resolve().parent / "splat" / "native")
+SPLAT = KernelSources("splat", Path(__file__).resolve().parent / "splat" / "native")
 """The CPU rasteriser."""
-FORECAST = Kernels("forecast", Path(__file__).resolve().parent / "forecast" / "native")
+FORECAST = KernelSources("forecast", Path(__file__).resolve().parent / "forecast" / "native")
 """Carving and growth of the forecast's grid."""
-MODEL = Kernels("model", Path(__file__).resolve().parent / "model" / "native")
+MODEL = KernelSources("model", Path(__file__).resolve().parent / "model" / "native")
 """What the model finds in images."""
 ROOMS = (SPLAT, FORECAST, MODEL)
 

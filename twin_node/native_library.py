@@ -29,7 +29,7 @@ class NativeLibrary:
     A room says what it is by its class attributes, and declares and calls its own functions of `_dll`.
     """
 
-    KERNELS: ClassVar[native_build.Kernels]
+    KERNELS: ClassVar[native_build.KernelSources]
     VERSION: ClassVar[int]
     """Interface version of the structs that the room declares."""
     ERROR: ClassVar[type[TwinError]]
@@ -111,7 +111,7 @@ def _openmp_threads() -> int:
 Loaded = TypeVar("Loaded", bound=NativeLibrary)
 
 
-def load(make: Callable[[Path], Loaded], kernels: native_build.Kernels, variant: str) -> Loaded:
+def load(make: Callable[[Path], Loaded], kernels: native_build.KernelSources, variant: str) -> Loaded:
     """The best library of some kernels, as `make` loads it; compiled here where that which was shipped or is in the
     cache cannot be loaded.
 

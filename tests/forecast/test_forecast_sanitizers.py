@@ -12,9 +12,9 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from twin_node import native_build
-found = native_build.Kernels.best_library
+found = native_build.KernelSources.best_library
 given = Path(sys.argv[1])
-native_build.Kernels.best_library = lambda self, variant: given if self.name == "forecast" else found(self, variant)
+native_build.KernelSources.best_library = lambda of, variant: given if of.name == "forecast" else found(of, variant)
 import numpy as np
 import test_agreement, test_ahead, test_bits, test_boxes, test_concealing, test_error_scale, test_growth, test_hiding
 import test_judgement, test_leading, test_nearest, test_outlook, test_own_space, test_parts, test_past_errors

@@ -23,7 +23,7 @@ from twin_node.forecast.growth import (
     spread_plainly,
 )
 from twin_node.forecast.kernels import kernels
-from twin_node.native_build import Kernels
+from twin_node.native_build import KernelSources
 from twin_node.scene import Grid
 
 compiled = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -132,7 +132,7 @@ def test_without_a_compiler_the_plain_version_takes_over_with_one_warning(
     expected = spread(*case)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
-    monkeypatch.setattr(Kernels, "shipped_library", lambda _, variant: tmp_path / variant)
+    monkeypatch.setattr(KernelSources, "shipped_library", lambda _, variant: tmp_path / variant)
     growth.kernels.cache_clear()
     try:
         with pytest.warns(UserWarning, match="plain NumPy.*no C\\+\\+ compiler found"):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from twin_node.model.adam import Adam
-from twin_node.splat.library import native_library
+from twin_node.splat.library import kernels
 
 
 def test_steps_are_those_of_torch() -> None:
@@ -29,7 +29,7 @@ def test_steps_are_those_of_torch() -> None:
     assert all(own.grad is None for own in ours)
 
 
-@pytest.mark.skipif(native_library() is None, reason="the plain rasteriser's checkpoints load it")
+@pytest.mark.skipif(kernels() is None, reason="the plain rasteriser's checkpoints load it")
 def test_the_live_model_loads_no_compiler() -> None:
     program = """
 import sys, numpy as np

@@ -11,7 +11,7 @@ from model_scenes import rig, sliding
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.kernels import kernels
-from twin_node.native_build import Kernels
+from twin_node.native_build import KernelSources
 from twin_node.scene import TwinState
 
 
@@ -27,7 +27,7 @@ def test_without_a_compiler_the_model_follows_all_the_same_with_one_warning(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     expected = followed()
-    monkeypatch.setattr(Kernels, "shipped_library", lambda self, variant: tmp_path / self.name / variant)
+    monkeypatch.setattr(KernelSources, "shipped_library", lambda self, variant: tmp_path / self.name / variant)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
     kernels.cache_clear()

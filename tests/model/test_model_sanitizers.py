@@ -12,9 +12,9 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from twin_node import native_build
-found = native_build.Kernels.best_library
+found = native_build.KernelSources.best_library
 given = Path(sys.argv[1])
-native_build.Kernels.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
+native_build.KernelSources.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
 import test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares, test_nodes, test_rendering
 import test_births, test_semi_global, test_steps, test_sweep, test_velocity_equations
 test_carried.test_the_compiled_cloud_is_the_plain_one()

@@ -15,16 +15,16 @@ from twin_node import native_build
 def no_library(self, variant):
     raise native_build.CompileError("no compiler in this test")
 
-native_build.Kernels.best_library = no_library
+native_build.KernelSources.best_library = no_library
 sys.path.insert(0, sys.argv[1])
 import numpy as np
 from model_scenes import rig, sliding
 from twin_node.forecast import Forecaster, cover
 from twin_node.model import BirthParameters, ModelParameters, SeedParameters, WindowModel
 from twin_node.scene import Grid, Tier
-from twin_node.splat.library import native_library
+from twin_node.splat.library import kernels
 
-assert native_library() is None
+assert kernels() is None
 model = WindowModel(ModelParameters(seed=SeedParameters(steps=1, levels=12), birth=BirthParameters(per_set=40)))
 forecaster, obstacles = Forecaster(Grid(np.array([-0.4, -0.4, 0.0]), 0.04, (20, 20, 8))), None
 for frames in sliding(14, rig(56, 42), depth=True):

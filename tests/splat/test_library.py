@@ -16,7 +16,7 @@ import torch
 from splat_scenes import assert_close, differentiate, make_case
 
 from twin_node import native_build
-from twin_node.native_build import Kernels
+from twin_node.native_build import KernelSources
 from twin_node.native_library import NativeLibrary, load
 from twin_node.splat import SplatError, image_loss, rasterize, rasterize_plain
 from twin_node.splat import library as native
@@ -26,7 +26,7 @@ TINY = 'extern "C" __attribute__((visibility("default"))) int splat_interface_ve
 
 
 @pytest.fixture
-def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kernels:
+def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> KernelSources:
     """Kernels that compile in no time, and a cache of their own."""
     native_build.find_compiler()
     folder = tmp_path / "native"
@@ -34,23 +34,23 @@ def tiny(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kernels:
     (folder / "library.cpp").write_text(TINY)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     native_build._own_folder.cache_clear()
-    return Kernels("tiny", folder)
+    return KernelSources("tiny", folder)
 
 
-def test_second_use_finds_the_first_ones_library(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_second_use_finds_the_first_ones_library(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     library = tiny.cached_library("baseline")
     assert library.parent.stat().st_mode & stat.S_IRWXO == 0
-    monkeypatch.setattr(Kernels, "compile", lambda *_: pytest.fail("compiled again"))
+    monkeypatch.setattr(KernelSources, "compile", lambda *_: pytest.fail("compiled again"))
     assert tiny.cached_library("baseline") == library
 
 
-def test_changed_sources_get_a_library_of_their_own(tiny: Kernels):
+def test_changed_sources_get_a_library_of_their_own(tiny: KernelSources):
     first = tiny.cached_library("baseline")
     (tiny.folder / "library.cpp").write_text(TINY.replace("7", "8"))
     assert tiny.cached_library("baseline") != first
 
 
-def test_other_flags_give_a_library_of_its_own(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_other_flags_give_a_library_of_its_own(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     """All that the compiler is told for a variant is in its hash, and only that of this variant."""
     commands: list[list[str]] = []
     run = native_build._run
@@ -67,7 +67,7 @@ def test_other_flags_give_a_library_of_its_own(tiny: Kernels, monkeypatch: pytes
     assert len({tiny.source_hash(variant) for variant in ("baseline", "x86-64-v3", "x86-64-v4")}) == 3
 
 
-def test_a_compiler_may_be_told_with_arguments(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_a_compiler_may_be_told_with_arguments(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     """As make and CMake take it; other arguments, another library."""
     compiler = native_build.find_compiler()
     wrapper = tiny.folder.parent / "my tools" / "ccache"
@@ -104,10 +104,10 @@ def test_a_compiler_that_is_asked_for_is_not_passed_over(monkeypatch: pytest.Mon
         native_build.find_compiler()
 
 
-def test_processes_that_compile_at_once_all_get_a_whole_library(tiny: Kernels):
+def test_processes_that_compile_at_once_all_get_a_whole_library(tiny: KernelSources):
     program = (
-        "from pathlib import Path; from twin_node.native_build import Kernels; "
-        f"print(Kernels('tiny', Path({str(tiny.folder)!r})).cached_library('baseline'))"
+        "from pathlib import Path; from twin_node.native_build import KernelSources; "
+        f"print(KernelSources('tiny', Path({str(tiny.folder)!r})).cached_library('baseline'))"
     )
     running = [subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) for _ in range(2)]
     paths = {process.communicate()[0].strip() for process in running}
@@ -116,14 +116,14 @@ def test_processes_that_compile_at_once_all_get_a_whole_library(tiny: Kernels):
     assert [path.suffix for path in folder.iterdir()] == [".so"]
 
 
-def test_compiler_errors_are_told_and_leave_nothing(tiny: Kernels):
+def test_compiler_errors_are_told_and_leave_nothing(tiny: KernelSources):
     (tiny.folder / "library.cpp").write_text("this is no C++\n")
     with pytest.raises(native_build.CompileError, match=r"ended with status 1: .*error"):
         tiny.cached_library("baseline")
     assert list((tiny.folder.parent / "cache" / "twin_node").iterdir()) == []
 
 
-def test_a_cache_that_cannot_be_written_is_replaced(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_a_cache_that_cannot_be_written_is_replaced(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     blocked = tiny.folder.parent / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
@@ -134,16 +134,16 @@ def test_a_cache_that_cannot_be_written_is_replaced(tiny: Kernels, monkeypatch: 
     assert tiny.cached_library("x86-64-v2").parent == library.parent, "one folder for all of a process"
 
 
-def test_a_cache_that_can_only_be_read_is_read(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_a_cache_that_can_only_be_read_is_read(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     """As where the kernels were compiled into a container's image that is then mounted read-only."""
     library = tiny.cached_library("baseline")
     access = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and access(path, mode))
-    monkeypatch.setattr(Kernels, "compile", lambda *_: pytest.fail("compiled again"))
+    monkeypatch.setattr(KernelSources, "compile", lambda *_: pytest.fail("compiled again"))
     assert tiny.cached_library("baseline") == library
 
 
-def test_a_user_without_a_home_gets_a_library(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_a_user_without_a_home_gets_a_library(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")
 
@@ -153,11 +153,11 @@ def test_a_user_without_a_home_gets_a_library(tiny: Kernels, monkeypatch: pytest
         assert tiny.cached_library("baseline").exists()
 
 
-def test_what_is_compiled_for_one_process_goes_with_it(tiny: Kernels):
+def test_what_is_compiled_for_one_process_goes_with_it(tiny: KernelSources):
     program = (
         "import warnings; warnings.simplefilter('ignore'); from pathlib import Path; "
-        "from twin_node.native_build import Kernels; "
-        f"library = Kernels('tiny', Path({str(tiny.folder)!r})).cached_library('baseline'); "
+        "from twin_node.native_build import KernelSources; "
+        f"library = KernelSources('tiny', Path({str(tiny.folder)!r})).cached_library('baseline'); "
         "assert library.exists(); print(library)"
     )
     env = {**os.environ, "XDG_CACHE_HOME": "/dev/null", "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -165,7 +165,7 @@ def test_what_is_compiled_for_one_process_goes_with_it(tiny: Kernels):
     assert not Path(run.stdout.strip()).parent.exists()
 
 
-def test_a_compiler_that_does_not_tell_its_version_compiles(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_a_compiler_that_does_not_tell_its_version_compiles(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     wrapper = tiny.folder.parent / "wrapper"
     wrapper.write_text(f'#!/bin/sh\n[ "$1" = --version ] || exec {shlex.join(native_build.find_compiler())} "$@"\n')
     wrapper.chmod(0o755)
@@ -174,7 +174,7 @@ def test_a_compiler_that_does_not_tell_its_version_compiles(tiny: Kernels, monke
 
 
 @pytest.mark.parametrize("damage", [b"", b"\x7fELF and no more"])
-def test_a_library_that_cannot_be_loaded_is_compiled_anew(tiny: Kernels, damage: bytes):
+def test_a_library_that_cannot_be_loaded_is_compiled_anew(tiny: KernelSources, damage: bytes):
     """A machine that is switched off while it writes leaves such a file."""
 
     class Tiny(NativeLibrary):
@@ -190,7 +190,7 @@ def test_a_library_that_cannot_be_loaded_is_compiled_anew(tiny: Kernels, damage:
     assert shipped.read_bytes() == damage, "it is the installation's"
 
 
-def test_a_library_of_another_interface_is_refused(tiny: Kernels, monkeypatch: pytest.MonkeyPatch):
+def test_a_library_of_another_interface_is_refused(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(native_build, "SPLAT", tiny)
     with pytest.raises(OSError, match=f"expected interface version {native.INTERFACE_VERSION}, found 70"):
         native.load_variant("baseline")
@@ -199,8 +199,8 @@ def test_a_library_of_another_interface_is_refused(tiny: Kernels, monkeypatch: p
 def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
-    monkeypatch.setattr(Kernels, "shipped_library", lambda _, variant: tmp_path / variant)
-    native.native_library.cache_clear()
+    monkeypatch.setattr(KernelSources, "shipped_library", lambda _, variant: tmp_path / variant)
+    native.kernels.cache_clear()
     try:
         case = make_case(count=40, width=16, height=12)
         with pytest.warns(UserWarning, match="no C\\+\\+ compiler found"):
@@ -210,7 +210,7 @@ def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch:
             image_loss(found.renders, torch.zeros_like(found.renders))
         assert_close(found, differentiate(rasterize_plain, case.to(torch.float64)))
     finally:
-        native.native_library.cache_clear()
+        native.kernels.cache_clear()
 
 
 def render_in_child(queue: multiprocessing.Queue[str]) -> None:

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from twin_node.splat import library as native
 library = native.SplatLibrary(Path(sys.argv[1]))
-native.native_library = lambda: library
+native.kernels = lambda: library
 import test_layouts, test_loss, test_missed, test_native, test_weighing
 from splat_scenes import differentiate
 from twin_node.splat import rasterize

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from twin_node.native_library import kernel_threads, thread_count
-from twin_node.splat.library import native_library
+from twin_node.splat.library import kernels
 
 Result = TypeVar("Result")
 
@@ -60,7 +60,7 @@ def _itself(result: Result) -> Result:
 
 
 def _keep_torch_alone() -> None:
-    library = native_library()
+    library = kernels()
     if library is not None:
         library.limit_openmp(1)
 

@@ -128,7 +128,7 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Cour
     """
     if course.steps < 1:
         raise ValueError(f"steps: expected 1 or more, found {course.steps}")
-    library = native.native_library()
+    library = native.kernels()
     if library is None:
         raise ValueError("descend: the compiled library is not at hand; see can_descend")
     call = _Call(learners, bystanders, aims)
@@ -146,7 +146,7 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Cour
 
 def can_descend(device: torch.device) -> bool:
     """Whether `descend` works for tensors on this device."""
-    return device.type == "cpu" and native.native_library() is not None
+    return device.type == "cpu" and native.kernels() is not None
 
 
 class _Call:

@@ -111,7 +111,7 @@ def _render(scene: Scene) -> Rendered:
     if scene.gaussians.means.is_cuda:
         check_finite(scene)
         return render_gsplat(scene)
-    library = native.native_library()
+    library = native.kernels()
     if library is None or scene.gaussians.means.device.type != "cpu":
         check_finite(scene)
         return render_plain(scene)

@@ -263,7 +263,7 @@ def load_variant(variant: str) -> SplatLibrary:
 
 
 @cache
-def native_library() -> SplatLibrary | None:
+def kernels() -> SplatLibrary | None:
     """The best library for this processor; None, with one warning, where there is none."""
     return best_or_none(load_variant, "the CPU rasteriser runs in plain torch, about 20 times slower")
 
@@ -275,7 +275,7 @@ def torch_alone() -> Iterator[None]:
     Over images of some ten thousand pixels a loop of torch's is done before the second thread has woken up, and then
     waits for it: a set took half as long again.
     """
-    library, threads = native_library(), thread_count()
+    library, threads = kernels(), thread_count()
     if library is None or is_told():
         yield
         return

@@ -101,7 +101,7 @@ class Missed:
 
         Raises `ValueError` naming what is not finite of the Gaussians, or of another shape or kind of the sight.
         """
-        library = native.native_library()
+        library = native.kernels()
         assert library is not None
         sight.check_layout()
         self._workspace = self._workspace or native.Workspace(library)
@@ -169,7 +169,7 @@ def _mode(sight: Sight) -> RenderMode:
 
 def can_miss(device: torch.device) -> bool:
     """Whether `Missed` works for tensors on this device."""
-    return device.type == "cpu" and native.native_library() is not None
+    return device.type == "cpu" and native.kernels() is not None
 
 
 class MissedPlainly:

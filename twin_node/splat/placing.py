@@ -30,7 +30,7 @@ class Placed:
 
 def can_place(device: torch.device) -> bool:
     """Whether `place` works for tensors on this device."""
-    return device.type == "cpu" and native.native_library() is not None
+    return device.type == "cpu" and native.kernels() is not None
 
 
 def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, rows: Tensor | None = None) -> Placed:
@@ -41,7 +41,7 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
     With `rows` [n] int64 both are a store of more, of which those are wanted. On the CPU; see `can_place`.
     Raises `ValueError` naming what is of another shape or kind.
     """
-    library = native.native_library()
+    library = native.kernels()
     assert library is not None
     count, (times, nodes) = len(values if rows is None else rows), (*positions.shape, 0, 0)[:2]
     require_layout("values", values, (len(values), 14), values.dtype)

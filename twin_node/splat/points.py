@@ -37,7 +37,7 @@ class Pixels:
 
 def has_points() -> bool:
     """Whether the compiled library is at hand, which the functions of this module need."""
-    return native.native_library() is not None
+    return native.kernels() is not None
 
 
 def find_pixels(
@@ -52,7 +52,7 @@ def find_pixels(
 
     `radii` [n] of spheres about them, in the units of the points: how far these reach into the image is found too.
     """
-    library = native.native_library()
+    library = native.kernels()
     assert library is not None
     count = len(points)
     pixels = Pixels(
@@ -135,7 +135,7 @@ class Equations:
 
 def gather_motion(carried: Carried, seen: Seen, weighing: Weighing, to: Equations) -> None:
     """Adds one view's observations to the normal equations of the nodes."""
-    library = native.native_library()
+    library = native.kernels()
     assert library is not None
     floats = [np.ascontiguousarray(a, dtype=np.float64) for a in (carried.means, carried.arms, carried.opacities)]
     carriers = np.ascontiguousarray(carried.carriers, dtype=np.int64)

@@ -46,7 +46,7 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     Colour is 0 to 1, on black; depth is that expected along the optical axis, m, 0 where nothing is.
     Raises `ValueError` naming what is of another shape or not finite.
     """
-    library = native.native_library()
+    library = native.kernels()
     if library is None or shot.means.device.type != "cpu":
         return draw_still_plainly(shot)
     tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}

@@ -27,7 +27,7 @@ def weigh(
     `means` [n, 3], `quats` [n, 4], `scales` [n, 3], `opacities` [n], `viewmat` [4, 4] and `K` [3, 3] as `rasterize`
     takes them; nothing is differentiated. Raises `ValueError` naming what is of another shape or not finite.
     """
-    library = native.native_library()
+    library = native.kernels()
     if library is None or means.device.type != "cpu":
         return weigh_plainly(means, quats, scales, opacities, viewmat, K, width, height)
     given = [t.detach().float().contiguous() for t in (means, quats, scales, opacities, viewmat, K)]
