@@ -100,14 +100,14 @@ def test_room_is_made_for_what_moves_beside_the_arm() -> None:
     model = WindowModel(ModelParameters(seed=SeedParameters(steps=2), gaussians_per_pixel=0.2), arm=ARM)
     model.update(with_arm(0, Q))
     model.update(with_arm(1, Q))
-    assert model._tracker is not None
+    assert model._begun is not None
     store, wanted = model._gaussians, 12
     for tier, count in ((Tier.TRANSIENT, 20), (Tier.STATIC, store.capacity)):  # there is no row left
         parts = (torch.rand(count, width) for width in (3, 4, 3))
         nobody = torch.full((count,), -1)
         store.spawn(Newborns(*parts, torch.rand(count), torch.rand(count, 3), tier, nobody), 0)
     assert store.count(Tier.ROBOT) > wanted
-    model._tracker._make_room(wanted)
+    model._begun.tracker._make_room(wanted)
     assert int((~store.alive).sum()) >= wanted
 
 

@@ -288,8 +288,8 @@ def test_of_two_sets_with_one_stamp_the_later_is_shown() -> None:
     again = frames(12, -0.15 + 10 * BLOCK_SPEED * 0.033, CAMERAS, depth=True)
     views = tuple(replace(view, stamp=one.stamp) for view in again.views)
     model.update(replace(one, views=views))
-    assert model._past is not None
-    kept, rows = model._past.at(one.stamp, model._nodes).population, torch.nonzero(model._gaussians.alive)[:, 0]
+    assert model._begun is not None
+    kept, rows = model._begun.past.at(one.stamp, model._nodes).population, torch.nonzero(model._gaussians.alive)[:, 0]
     assert torch.equal(kept.values, model._gaussians.values[rows])
 
 
@@ -330,6 +330,8 @@ def test_wrong_sets_are_refused_in_one_line() -> None:
     sets = sliding(2, CAMERAS)
     with pytest.raises(ModelError, match="no set has been seen"):
         model.render_frozen(CAMERAS[0])
+    with pytest.raises(ModelError, match="follow: no set has been seen"):
+        model.follow(WindowModel(QUICK).look(sets[0]))
     with pytest.raises(ModelError, match="at least one view"):
         model.update(replace(sets[0], views=()))
     model.update(sets[1])

@@ -26,7 +26,7 @@ from twin_node.model.past import Past
 from twin_node.model.publishing import cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
-from twin_node.model.seeding import seed
+from twin_node.model.seeding import Seeds, seed
 from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, unwatched
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
@@ -60,6 +60,17 @@ class _Shown:
     nodes: NodeStates
 
 
+@dataclass(frozen=True)
+class _Begun:
+    """What there is from the first set on."""
+
+    motion: Motion
+    tracker: Tracker
+    past: Past
+    frozen: Splats
+    """The first set's, as they were fitted to it."""
+
+
 class WindowModel:
     """Follows a scene set by set: `update` takes the newest images and returns the state they show.
 
@@ -81,10 +92,7 @@ class WindowModel:
         self._mask = MovingMask()
         self._nodes = Nodes(self.parameters.nodes, self.parameters.window)
         self._gaussians = Gaussians(0, self._device)
-        self._frozen: Splats | None = None
-        self._motion: Motion | None = None
-        self._past: Past | None = None
-        self._tracker: Tracker | None = None
+        self._begun: _Begun | None = None
         self._exposures = Exposures()
         self._haste = Haste({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
         self._newest: _Shown | None = None
@@ -101,9 +109,9 @@ class WindowModel:
     def __getstate__(self) -> dict[str, Any]:
         """What a copy in another process goes on with, as this one would: slices of work that have begun come to their
         end first."""
-        if self._tracker is not None:
+        if self._begun is not None:
             with torch_alone():
-                self._tracker.end()
+                self._begun.tracker.end()
         return vars(self)
 
     @property
@@ -131,8 +139,8 @@ class WindowModel:
     def parameters_count(self) -> int:
         """Numbers that describe the scene now: 14 per Gaussian, 6 per node and set of the window, the field if used."""
         poses = int((self._nodes.history_stamps > NEVER).sum()) * len(self._nodes.rows)
-        bending = self._motion is not None and self._motion.bends
-        field = self._motion.field.parameters_count if self._motion is not None and bending else 0
+        motion = None if self._begun is None else self._begun.motion
+        field = motion.field.parameters_count if motion is not None and motion.bends else 0
         return 14 * len(self._gaussians) + 6 * poses + field
 
     @property
@@ -156,15 +164,18 @@ class WindowModel:
         """
         self._check(frames)
         robots = robot_masks(self._arm, frames)
-        is_first = self._tracker is None
-        levelled = self._begin(frames, robots) if is_first else self._exposures.level(frames, robots)
+        begun, is_first = self._begun, self._begun is None
+        if begun is None:
+            begun, levelled = self._begin(frames, robots)
+        else:
+            levelled = self._exposures.level(frames, robots)
         frames = levelled.frames
         self.on_stage("level")
         moving = self._mask.update(frames, robots)
         self._exposures.heed(frames, moving)
         self.on_stage("mask")
         self._looked_at = frames.stamp
-        model = self._newest or self._shown()
+        model = self._newest or self._shown(begun)
         return TwinState(
             frames.stamp,
             frames,
@@ -181,16 +192,17 @@ class WindowModel:
         """Brings the model up to date with what `look` saw, and returns that with the model of now.
 
         Sets that were looked at and not followed are left out, as if they had been dropped. A set takes fewer steps
-        where else its state would not be out in `left_s()`.
+        where else its state would not be out in `left_s()`. Raises `ModelError` before the first set has been looked
+        at.
         """
+        begun = self._required("follow")
         self._haste.begin(left_s)
         warnings: tuple[str, ...] = ()
         with torch_alone():
             if seen.followed is not None:
-                warnings = self._track(seen)
-                assert self._past is not None
-                self._past.remember(self._gaussians, self._nodes)
-            model = self._newest = self._shown()
+                warnings = self._track(begun, seen)
+                begun.past.remember(self._gaussians, self._nodes)
+            model = self._newest = self._shown(begun)
             state = replace(
                 seen, gaussians=model.gaussians, nodes=model.nodes, warnings=warnings + seen.warnings, followed=None
             )
@@ -205,9 +217,8 @@ class WindowModel:
         """
         self._newest = _Shown(state.stamp, state.gaussians, state.nodes)
 
-    def _shown(self) -> _Shown:
-        assert self._motion is not None
-        cloud, nodes = cloud_of(self._gaussians, self._motion), node_states_of(self._gaussians, self._nodes)
+    def _shown(self, begun: _Begun) -> _Shown:
+        cloud, nodes = cloud_of(self._gaussians, begun.motion), node_states_of(self._gaussians, self._nodes)
         return _Shown(self._nodes.stamp, cloud, nodes)
 
     def refine(self, proceed: Proceed = unhurried, least: int = 0) -> bool:
@@ -218,10 +229,10 @@ class WindowModel:
         one or two of them `proceed()` says whether there is time for more, else it goes on after the next set where it
         was; for `least` such slices there always is. Returns whether nothing was left.
         """
-        if self._tracker is None:
+        if self._begun is None:
             return True
         with torch_alone():
-            whole = self._tracker.refine(proceed, least, self.on_stage)
+            whole = self._begun.tracker.refine(proceed, least, self.on_stage)
         self.on_stage("refine")
         return whole
 
@@ -230,11 +241,10 @@ class WindowModel:
 
         Raises `ModelError` before the first set has been looked at.
         """
-        if self._motion is None or self._past is None:
-            raise ModelError("render: no set has been seen yet; call update first")
-        moment = self._past.at(self._nodes.stamp if stamp is None else stamp, self._nodes)
+        begun = self._required("render")
+        moment = begun.past.at(self._nodes.stamp if stamp is None else stamp, self._nodes)
         with torch.no_grad():
-            splats = self._motion.place_population(moment.population, moment.poses, [moment.stamp])
+            splats = begun.motion.place_population(moment.population, moment.poses, [moment.stamp])
         return self._shoot(splats, camera)
 
     def render_frozen(self, camera: Camera) -> ModelImage:
@@ -242,9 +252,12 @@ class WindowModel:
 
         Raises `ModelError` before that has been looked at.
         """
-        if self._frozen is None:
-            raise ModelError("render_frozen: no set has been seen yet; call update first")
-        return self._shoot(self._frozen, camera)
+        return self._shoot(self._required("render_frozen").frozen, camera)
+
+    def _required(self, by: str) -> _Begun:
+        if self._begun is None:
+            raise ModelError(f"{by}: no set has been seen yet; call update first")
+        return self._begun
 
     def _check(self, frames: FrameSet) -> None:
         if not frames.views:
@@ -252,38 +265,48 @@ class WindowModel:
         for view in frames.views:
             if misfit := view.misfit():
                 raise ModelError(f"set {frames.sequence}: {misfit}")
-        if self._tracker is not None and frames.stamp < self._looked_at:
+        if self._begun is not None and frames.stamp < self._looked_at:
             raise ModelError(
                 f"set {frames.sequence}: expected a stamp of {self._looked_at} ns or later, found {frames.stamp} ns; "
                 "sort the source or start a new model"
             )
 
-    def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> Levelled:
-        """The model of the first set; returns it in the light that the model has."""
+    def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> tuple[_Begun, Levelled]:
+        """The model of the first set, and the set in the light that the model has."""
         torch.manual_seed(self._seed)
+        seeds = self._seeded(frames, robots)
+        levelled = self._exposures.begin(frames, seeds.exposures)
+        fit_all(self._gaussians, levelled.frames.views, self.parameters.seed.steps)
+        begun = self._begun = self._started(frames, robots, seeds)
+        self._bytes_per_frame = 4 * self.parameters_count
+        return begun, levelled
+
+    def _seeded(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> Seeds:
+        """Makes the store, and spawns in it what the first set is seeded with."""
         pixels = sum(view.camera.width * view.camera.height for view in frames.views)
         capacity = min(int(pixels * self.parameters.gaussians_per_pixel), self.parameters.most_gaussians)
         self._gaussians = Gaussians(capacity, self._device)
         arms = self._arm_depths(frames, robots)
         seeds = seed(frames.views, arms, self.parameters.seed, int(SEED_SHARE * self._gaussians.capacity), self._device)
         self._gaussians.spawn(seeds.born, frames.stamp)
-        levelled = self._exposures.begin(frames, seeds.exposures)
-        fit_all(self._gaussians, levelled.frames.views, self.parameters.seed.steps)
+        return seeds
+
+    def _started(self, frames: FrameSet, robots: tuple[Bool | None, ...], seeds: Seeds) -> _Begun:
+        """What goes on from the Gaussians that have been fitted to the first set."""
         shell = shell_around([view.camera for view in frames.views], self.parameters.seed.shell_factor)
         backgrounds = Backgrounds(seeds.plane, shell)
         self._nodes.stamp = frames.stamp
-        motion = self._motion = Motion(self._nodes, self._make_field(shell))
+        motion = Motion(self._nodes, self._make_field(shell))
         motion.slide(frames.stamp)
-        self._tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, self._haste)
-        self._bind_arm(self._tracker, frames, robots)
+        tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, self._haste)
+        self._bind_arm(tracker, frames, robots)
         self._nodes.remember()
-        self._past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)
-        self._past.remember(self._gaussians, self._nodes)
+        past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)
+        past.remember(self._gaussians, self._nodes)
         rows = torch.nonzero(self._gaussians.alive)[:, 0]
         with torch.no_grad():
-            self._frozen = motion.place(self._gaussians, rows, motion.poses([0.0]), [frames.stamp])
-        self._bytes_per_frame = 4 * self.parameters_count
-        return levelled
+            frozen = motion.place(self._gaussians, rows, motion.poses([0.0]), [frames.stamp])
+        return _Begun(motion, tracker, past, frozen)
 
     def _make_field(self, shell: Shell) -> HexPlane:
         """The field spans what the cameras stand around; beyond, it is clamped."""
@@ -309,14 +332,13 @@ class WindowModel:
         links.bind(self._gaussians, frames.joints, masks, [view.camera for view in frames.views])
         tracker.follow_arm(links)
 
-    def _track(self, seen: TwinState) -> tuple[str, ...]:
+    def _track(self, begun: _Begun, seen: TwinState) -> tuple[str, ...]:
         """Follows what was seen; what went wrong with it."""
-        assert self._tracker is not None
         frames, robots = seen.frames, seen.robot_masks
-        self._bind_arm(self._tracker, frames, robots)
+        self._bind_arm(begun.tracker, frames, robots)
         refused_before = self._gaussians.refused
         dt_s = (frames.stamp - self._nodes.stamp) * 1e-9
-        tracked = self._tracker.track(frames, seen.moving_masks, robots, dt_s, self.on_stage)
+        tracked = begun.tracker.track(frames, seen.moving_masks, robots, dt_s, self.on_stage)
         self.decisions = tracked.decisions
         moved = len(self._gaussians.moving_rows)
         self._bytes_per_frame = 4 * (14 * (tracked.born + moved) + 7 * len(self._nodes.rows))
