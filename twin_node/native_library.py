@@ -44,6 +44,12 @@ class NativeLibrary:
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
+    def _declare(self, returns: Any, **requests: type[ctypes.Structure]) -> None:
+        """Functions of the room by name, each of which takes a pointer to its request."""
+        for name, request in requests.items():
+            function = getattr(self._dll, f"{self.KERNELS.name}_{name}")
+            function.argtypes, function.restype = [ctypes.POINTER(request)], returns
+
     def _mark_forked(self) -> None:
         self._forked = True
 

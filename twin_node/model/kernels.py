@@ -62,49 +62,40 @@ class Kernels(NativeLibrary):
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
         super().__init__(path)
-        self._dll.model_mask.argtypes = [ctypes.POINTER(MaskRequests)]
-        self._dll.model_births.argtypes = [ctypes.POINTER(BirthRequest)]
-        self._dll.model_flow.argtypes = [ctypes.POINTER(FlowRequest)]
-        self._dll.model_refute.argtypes = [ctypes.POINTER(RefutedRequest)]
-        self._dll.model_judge.argtypes = [ctypes.POINTER(StaticRequest)]
-        self._dll.model_advance.argtypes = [ctypes.POINTER(AdvanceRequest)]
-        self._dll.model_advance.restype = None
-        self._dll.model_moved.argtypes = [ctypes.POINTER(MovedRequest)]
-        self._dll.model_moved.restype = None
-        self._dll.model_carry.argtypes = [ctypes.POINTER(CarryRequest)]
-        self._dll.model_carry.restype = None
-        self._dll.model_store_newborns.argtypes = [ctypes.POINTER(NewbornRequest)]
-        self._dll.model_store_newborns.restype = None
-        self._dll.model_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
-        self._dll.model_nearest.restype = None
-        self._dll.model_publish.argtypes = [ctypes.POINTER(PublishRequest)]
-        self._dll.model_publish.restype = None
-        self._dll.model_extents.argtypes = [ctypes.POINTER(ExtentRequest)]
-        self._dll.model_extents.restype = None
-        self._dll.model_judge_velocities.argtypes = [ctypes.POINTER(JudgeRequest)]
-        self._dll.model_judge_velocities.restype = None
-        self._dll.model_solve_velocities.argtypes = [ctypes.POINTER(VelocityRequest)]
-        self._dll.model_solve_velocities.restype = None
-        self._dll.model_move_velocities.argtypes = [ctypes.POINTER(MoveRequest)]
-        self._dll.model_move_velocities.restype = None
-        self._dll.model_take_damped.argtypes = [ctypes.POINTER(DampedRequest)]
-        self._dll.model_take_damped.restype = None
-        self._dll.model_group.argtypes = [ctypes.POINTER(GroupRequest)]
-        self._dll.model_group.restype = None
-        self._dll.model_add_up.argtypes = [ctypes.POINTER(SumRequest)]
-        self._dll.model_add_up.restype = None
-        self._dll.model_observe.argtypes = [ctypes.POINTER(ObserveRequest)]
-        self._dll.model_ratios.argtypes = [ctypes.POINTER(RatioRequest)]
-        self._dll.model_put_before.argtypes = [ctypes.POINTER(BackdropRequest)]
-        self._dll.model_put_before.restype = None
-        self._dll.model_remember.argtypes = [ctypes.POINTER(RestRequest)]
-        self._dll.model_remember.restype = None
-        self._dll.model_occluders.argtypes = [ctypes.POINTER(OccluderRequest)]
-        self._dll.model_held.argtypes = [ctypes.POINTER(HeldRequest)]
-        self._dll.model_cells.argtypes = [ctypes.POINTER(CellRequest)]
-        self._dll.model_compare.argtypes = [ctypes.POINTER(CompareRequest)]
-        self._dll.model_smooth.argtypes = [ctypes.POINTER(SmoothRequest)]
-        self._dll.model_creep.argtypes = [ctypes.POINTER(CreepRequest)]
+        self._declare(
+            ctypes.c_int32,  # not 0: there was no memory
+            mask=MaskRequests,
+            births=BirthRequest,
+            flow=FlowRequest,
+            refute=RefutedRequest,
+            judge=StaticRequest,
+            observe=ObserveRequest,
+            ratios=RatioRequest,
+            occluders=OccluderRequest,
+            held=HeldRequest,
+            cells=CellRequest,
+            compare=CompareRequest,
+            smooth=SmoothRequest,
+            creep=CreepRequest,
+        )
+        self._declare(
+            None,
+            advance=AdvanceRequest,
+            moved=MovedRequest,
+            carry=CarryRequest,
+            store_newborns=NewbornRequest,
+            nearest=NearestRequest,
+            publish=PublishRequest,
+            extents=ExtentRequest,
+            judge_velocities=JudgeRequest,
+            solve_velocities=VelocityRequest,
+            move_velocities=MoveRequest,
+            take_damped=DampedRequest,
+            group=GroupRequest,
+            add_up=SumRequest,
+            put_before=BackdropRequest,
+            remember=RestRequest,
+        )
 
     def mask(self, requests: Sequence[MaskRequest]) -> None:
         """Brings the moving masks of some cameras up to date. Raises `MemoryError`."""

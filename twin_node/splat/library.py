@@ -164,18 +164,13 @@ class SplatLibrary(NativeLibrary):
         self._dll.splat_release.restype = None
         self._dll.splat_forward.argtypes = [c_void_p, ctypes.POINTER(Request)]
         self._dll.splat_backward.argtypes = [c_void_p, ctypes.POINTER(Request), ctypes.POINTER(Gradients)]
-        self._dll.splat_image_loss.argtypes = [ctypes.POINTER(LossRequest)]
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
         self._dll.splat_add_missed.argtypes = [c_void_p, ctypes.POINTER(MissRequest)]
         self._dll.splat_weigh.argtypes = [c_void_p, ctypes.POINTER(Request), c_void_p]
-        self._dll.splat_place.argtypes = [ctypes.POINTER(PlaceRequest)]
-        self._dll.splat_place.restype = None
-        self._dll.splat_look.argtypes = [ctypes.POINTER(LookRequest)]
-        self._dll.splat_look.restype = None
         self._dll.splat_limit_openmp.argtypes = [c_int32]
         self._dll.splat_limit_openmp.restype = None
-        self._dll.splat_gather_motion.argtypes = [ctypes.POINTER(MotionRequest)]
-        self._dll.splat_gather_motion.restype = None
+        self._declare(c_int32, image_loss=LossRequest)
+        self._declare(None, place=PlaceRequest, look=LookRequest, gather_motion=MotionRequest)
 
     def acquire(self) -> int:
         """A workspace's handle. Raises `MemoryError`."""
