@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from twin_node.arm.narrow import axis_distances, box_distances, point_in_box, sp
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.scene import CollisionScene
 from twin_node.arm.self_collision import SelfClearance, SelfCollision
-from twin_node.robot import ArmModel, Capsules, PlacedCapsules, arm_model, forward_kinematics, place_capsules
+from twin_node.robot import ArmModel, PlacedCapsules, arm_model, forward_kinematics, place_capsules
 from twin_node.scene import Bool, Float64, Obstacles
 
 _PAIRS_AT_ONCE = 100_000
@@ -305,13 +305,12 @@ class ArmCollisionChecker:
         return out
 
     def _rebuild(self) -> None:
-        carried = Capsules(np.empty(0, np.int64), np.empty((0, 2, 3)), np.empty(0))
+        model = self.bare_model
         names = [self.bare_model.link_names[link] for link in self.bare_model.capsules.links]
         for part in self._attachments.values():
-            links = np.full(len(part.radii), self.bare_model.joints)
-            carried = carried.joined(Capsules(links, part.ends, part.radii))
+            model = model.carrying(part.ends, part.radii)
             names += [part.name] * len(part.radii)
-        self._model = replace(self.bare_model, capsules=self.bare_model.capsules.joined(carried))
+        self._model = model
         self._names = tuple(names)
         self._self_collision = SelfCollision(self._model, self._names)
         self._scene = CollisionScene(self._model, self._max_obstacles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from twin_node.arm import (
     stopping_table,
 )
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
-from twin_node.robot import ArmModel, Capsules, arm_model
+from twin_node.robot import ArmModel, arm_model
 
 FARTHEST_TOOL_M = 2.0
 """No part of a tool is farther from `tool0`, m: who gives more means millimetres."""
@@ -127,12 +127,8 @@ class ArmParameters:
         bare = arm_model(self.model, self.kinematics, self.joints or None)
         if not self.tool:
             return bare
-        carried = Capsules(
-            links=np.full(len(self.tool), bare.joints),
-            ends=np.array([[capsule.start, capsule.end] for capsule in self.tool]),
-            radii=np.array([capsule.radius for capsule in self.tool]),
-        )
-        return replace(bare, capsules=bare.capsules.joined(carried))
+        ends = np.array([[capsule.start, capsule.end] for capsule in self.tool])
+        return bare.carrying(ends, np.array([capsule.radius for capsule in self.tool]))
 
     def table(self, arm: ArmModel) -> StoppingTable:
         """How it stops by itself. Raises `ArmError` for rows that make no table, or one of other joints."""

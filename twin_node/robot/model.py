@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,11 @@ class ArmModel:
     def joints(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+    def carrying(self, ends: Float64, radii: Float64) -> ArmModel:
+        """The same with capsules on its last link: `ends` [n, 2, 3] m in its frame, `radii` [n] m."""
+        carried = Capsules(np.full(len(radii), self.joints), ends, radii)
+        return replace(self, capsules=self.capsules.joined(carried))
 
     def order(self, names: Sequence[str], values: NDArray[np.floating]) -> Float64:
         """Values [..., n] given under `names` as [..., J] in the model's own order: drivers publish joints in any.
