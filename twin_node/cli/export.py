@@ -8,10 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from twin_node.cli.arguments import not_negative, rate, refuse_given
 from twin_node.cli.playback import open_playback
+from twin_node.cli.progress import counted
 
 
 def add_export(commands: Any) -> None:
@@ -42,12 +41,7 @@ def _export(options: argparse.Namespace) -> None:
     else:
         span = ExportSpan(options.start or 0.0, options.stop, options.rate or 30.0)
     arm = arm_model(options.arm)
-    with _open(options.log) as source, tqdm(unit="moment", desc="export", disable=None) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with _open(options.log) as source, counted("export", "moment") as show:
         count = export(source, options.to, span, arm, options.output, show)
     print(f"{options.output}: {count} moments")
 

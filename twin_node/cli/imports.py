@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
+from twin_node.cli.progress import counted
 
 
 def add_import(commands: Any) -> None:
@@ -34,12 +34,7 @@ def _import_video(options: argparse.Namespace) -> None:
         VideoCamera(camera, source.video, None if source.stamps is None else read_stamps(source.stamps), source.fps)
         for camera, source in zip(rig_file.rig.cameras, rig_file.videos(), strict=True)
     ]
-    with tqdm(unit="frame", desc="import", disable=None) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with counted("import", "frame") as show:
         imported = import_video(cameras, options.output, show, workspace=rig_file.rig.workspace)
     for warning in imported.warnings:
         print(f"twin_node: warning: {warning}", file=sys.stderr)

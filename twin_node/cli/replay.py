@@ -12,6 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, port, positive, refuse_given, speed, with_source_options
+from twin_node.cli.progress import counted
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
 from twin_node.unfinished import refuse_taken
@@ -84,12 +85,7 @@ def _demo(options: argparse.Namespace) -> None:
     except OSError as error:
         raise TwinError(f"--out {options.out}: cannot be made ({error.strerror}); choose another folder") from None
     log = options.out / "demo.mcap"
-    with tqdm(unit="image", desc="simulate", disable=None) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with counted("simulate", "image") as show:
         write_log(load_scenario("demo"), log, show)
     parameters = load_parameters(Path("launch/demo.yaml"))
     twin = options.out / "twin.mcap"

@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from twin_node.cli.arguments import positive, seed, width
+from twin_node.cli.progress import counted
 from twin_node.errors import TwinError
 
 
@@ -65,12 +64,7 @@ def _write(options: argparse.Namespace) -> None:
         sensing = scenario.sensing
         height = max(round(sensing.height * options.width / sensing.width), 1)
         scenario = replace(scenario, sensing=replace(sensing, width=options.width, height=height))
-    with tqdm(unit="message", desc="simulate", disable=None) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with counted("simulate", "message") as show:
         write_log(scenario, options.output, show)
     print(f"{options.output}: {scenario.name}, seed {scenario.seed}, {scenario.duration_s:g} s")
 

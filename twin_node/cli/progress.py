@@ -1,0 +1,20 @@
+"""Progress of what counts how far it is."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+from tqdm import tqdm
+
+
+@contextlib.contextmanager
+def counted(description: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar that is told how many of how many are done; none where nobody looks."""
+    with tqdm(desc=description, unit=unit, disable=None) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show
