@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.bag import BagError
-from twin_node.bag.trajectories import read_trajectories
+from twin_node.bag.trajectory_files import read_trajectories
 
 BVH = """HIERARCHY
 ROOT Hips

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin_node.bag.trajectories import read_trajectories
+from twin_node.bag.trajectory_files import read_trajectories
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, most_astray, start_radii
 from twin_node.scene import Bool, Float64

@@ -1,8 +1,7 @@
-"""Recorded 3D trajectories of named points, read from motion capture files and tables."""
+"""Recorded 3D trajectories of named points, and what their files have in common."""
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,25 +30,6 @@ class Trajectories:
     def rate_hz(self) -> float:
         """Samples per second, from the median step."""
         return float(1 / np.median(np.diff(self.times)))
-
-
-def read_trajectories(path: Path, height_m: float = 1.75) -> Trajectories:
-    """Reads a `.bvh`, `.trc` or `.csv` file.
-
-    BVH knows no unit: its person is scaled to be `height_m` tall. CSV: a header `time,NAME_x,NAME_y,NAME_z,...`, then
-    seconds and metres; empty cells are points not seen. Raises `BagError` naming the file and the line.
-    """
-    from twin_node.bag.bvh import read_bvh  # the formats' readers need this file's record
-    from twin_node.bag.trc import read_trc
-
-    kind = path.suffix.lower()
-    if kind == ".bvh":
-        return read_bvh(path, height_m)
-    if kind == ".trc":
-        return read_trc(path)
-    if kind == ".csv":
-        return _read_csv(path)
-    raise BagError(f"{path}: expected a .bvh, .trc or .csv file of trajectories, found '{path.suffix or path.name}'")
 
 
 def read_lines(path: Path) -> list[str]:
@@ -98,26 +78,3 @@ def number(path: Path, line: int, text: str) -> float:
         return float(text) if text.strip() else float("nan")
     except ValueError:
         raise BagError(f"{path}: line {line}: expected a number, found '{text.strip()[:30]}'") from None
-
-
-def _read_csv(path: Path) -> Trajectories:
-    try:
-        rows = list(csv.reader(read_lines(path)))
-    except csv.Error as error:
-        raise BagError(f"{path}: expected a table of cells with commas between them, found {error}") from None
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    names = tuple(cell[:-2] for cell in header[1::3])
-    wanted = ["time"] + [f"{name}_{axis}" for name in names for axis in "xyz"]
-    if not names or header != wanted:
-        raise BagError(
-            f"{path}: line 1: expected the header time,NAME_x,NAME_y,NAME_z,..., found {','.join(header)[:60]}"
-        )
-    values = []
-    for line, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        if len(row) != len(header):
-            raise BagError(f"{path}: line {line}: expected {len(header)} cells, found {len(row)}")
-        values.append([number(path, line, cell) for cell in row])
-    table = np.array(values).reshape(-1, len(header))
-    return checked(path, names, table[:, 0], table[:, 1:].reshape(len(table), len(names), 3))

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twin_node.bag.trajectories import Trajectories, read_trajectories
+from twin_node.bag.trajectories import Trajectories
+from twin_node.bag.trajectory_files import read_trajectories
 from twin_node.bench.errors import BenchError
 from twin_node.forecast.baselines import AHEAD_S
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters
