@@ -12,7 +12,8 @@ import pytest
 
 from twin_node.nodes.launch import child as child_module
 from twin_node.nodes.launch.child import Child
-from twin_node.nodes.launch.host import REFUSED, Order
+from twin_node.nodes.launch.host import REFUSED
+from twin_node.nodes.launch.order import Order
 
 WAIT_S = 60.0
 

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 from twin_node.nodes.launch import launcher as launcher_module
-from twin_node.nodes.launch.host import Order
 from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.nodes.launch.launcher import FIRST_STATUS, RESTARTS_ALLOWED, Launcher
+from twin_node.nodes.launch.order import Order
 
 ENOUGH = 20
 """Spares that no launcher is to begin."""

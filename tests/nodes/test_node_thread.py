@@ -15,8 +15,8 @@ import pytest
 from twin_node.errors import TwinError
 from twin_node.messages import convert, message_type
 from twin_node.nodes.launch import node_thread
-from twin_node.nodes.launch.host import Order
 from twin_node.nodes.launch.node_thread import Graph, NodeFailedError, NodeThread
+from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, kind_of
 from twin_node.runtime.clock import SystemClock

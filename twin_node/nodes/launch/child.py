@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from twin_node.nodes.launch.host import Order
+from twin_node.nodes.launch.order import Order
 
 GRACE_S = 5.0
 """How long a process may take to deactivate and clean up its nodes before it is killed."""

@@ -8,41 +8,20 @@ has to say goes to the file descriptor that it was given, one line of JSON each.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import os
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
+from twin_node.nodes.launch.order import Order
 
 FAILED, REFUSED = 1, 2
 """Exit statuses: a node failed; what it was given is wrong, before it had been active."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """What a process is to do."""
-
-    nodes: tuple[str, ...]
-    sections: Mapping[str, Mapping[str, Any]]
-    follows_clock: bool
-    is_lockstep: bool
-    zenoh: Mapping[str, Any]
-    remaps: Mapping[str, str]
-    """The nodes' own names of topics -> those on the wire."""
-    where: str
-    """What errors about parameters name."""
-
-    def to_json(self) -> str:
-        """One line."""
-        return json.dumps(dataclasses.asdict(self))
 
 
 def main() -> int:

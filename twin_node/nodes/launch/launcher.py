@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twin_node.nodes.launch.child import Child
-from twin_node.nodes.launch.host import REFUSED, Order
+from twin_node.nodes.launch.host import REFUSED
 from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
+from twin_node.nodes.launch.order import Order
 from twin_node.nodes.topics import GraphError
 from twin_node.runtime.neighbours import node_names
 from twin_node.runtime.zenoh_session import open_router

@@ -7,11 +7,12 @@ import gc
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from twin_node.errors import TwinError
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.launch.kinds import SOURCES, find_factory
+from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, DIAGNOSTICS, kind_of
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
@@ -22,9 +23,6 @@ from twin_node.runtime.parameters import fill
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import Traffic, WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters
-
-if TYPE_CHECKING:
-    from twin_node.nodes.launch.host import Order
 
 DIAGNOSTICS_PERIOD_S = 1.0
 """Diagnostics go out at 1 Hz, as is customary."""

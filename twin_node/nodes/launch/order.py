@@ -1,0 +1,28 @@
+"""What the launcher tells a process of a launch to do."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a process is to do."""
+
+    nodes: tuple[str, ...]
+    sections: Mapping[str, Mapping[str, Any]]
+    follows_clock: bool
+    is_lockstep: bool
+    zenoh: Mapping[str, Any]
+    remaps: Mapping[str, str]
+    """The nodes' own names of topics -> those on the wire."""
+    where: str
+    """What errors about parameters name."""
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(dataclasses.asdict(self))
