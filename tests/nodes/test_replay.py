@@ -177,7 +177,7 @@ def test_in_real_time_the_first_decision_is_made_for_the_arm_that_the_log_tells_
     with LogSession(with_gripper(cell_log(0.3), tmp_path / "gripper.mcap"), duration_s=0.2) as session:
         first = []
         for rate in (None, 1.0):
-            with replay(session, parameters, rate, None, False, lambda _: None) as run:
+            with replay(session, parameters, rate=rate) as run:
                 first.append(run.collector.separations[0])
     lockstep, real_time = first
     assert real_time.evidence_stamp == lockstep.evidence_stamp

@@ -8,11 +8,14 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from twin_node.errors import TwinError
 from twin_node.ranges import WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
+
+if TYPE_CHECKING:
+    from twin_node.nodes.chain_parameters import ChainParameters
 
 RATES = Range(0.001, 1000)
 """Of films and exports, Hz: the fastest of what they show, the arm's joints, come at 500 Hz."""
@@ -32,7 +35,7 @@ def add_source_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
 
 
-def with_source_options(parameters: Any, options: argparse.Namespace) -> Any:
+def with_source_options(parameters: ChainParameters, options: argparse.Namespace) -> ChainParameters:
     """Chain parameters with the command line's width and rate in place of the file's."""
     given = {"width": options.width, "max_rate_hz": options.max_rate}
     changed = {name: value for name, value in given.items() if value is not None}

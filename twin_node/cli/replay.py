@@ -7,7 +7,7 @@ import os
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
@@ -16,6 +16,10 @@ from twin_node.cli.progress import counted
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
 from twin_node.unfinished import refuse_taken
+
+if TYPE_CHECKING:
+    from twin_node.nodes.chain_parameters import ChainParameters
+    from twin_node.nodes.log_source import LogSession
 
 PORT = 8080
 
@@ -98,7 +102,9 @@ def _demo(options: argparse.Namespace) -> None:
         print(f"viewer: twin_node view {twin} {log} --arm {parameters.arm.model}")
 
 
-def _run(session: Any, parameters: Any, rate: float | None, output: Path | None, report: Path | None) -> None:
+def _run(
+    session: LogSession, parameters: ChainParameters, rate: float | None, output: Path | None, report: Path | None
+) -> None:
     """Replay a session with a progress bar, then write its report, and say where everything is."""
     from twin_node.nodes.replay import replay
     from twin_node.nodes.report import STEPS, write_report
@@ -108,7 +114,7 @@ def _run(session: Any, parameters: Any, rate: float | None, output: Path | None,
         def show(seconds: float) -> None:
             bar.update(min(seconds, session.span.seconds) - bar.n)
 
-        with replay(session, parameters, rate, output, report is not None, show) as run:
+        with replay(session, parameters, rate=rate, output=output, keep_ticks=report is not None, progress=show) as run:
             bar.close()
             if run.damage:
                 print(f"twin_node: warning: {run.damage}", file=sys.stderr)
@@ -124,7 +130,7 @@ def _run(session: Any, parameters: Any, rate: float | None, output: Path | None,
                 print(f"report: {report / 'report.html'}")
 
 
-def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> Any:
+def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> LogSession:
     from twin_node.nodes.calibration import load_base_rig
     from twin_node.nodes.log_source import LogSession
 
@@ -141,7 +147,7 @@ def _check_size(options: argparse.Namespace) -> None:
         raise TwinError("--width with --budget-ms or --target: a size has a width of its own; leave one of them out")
 
 
-def _sized(session: Any, parameters: Any, options: argparse.Namespace) -> Any:
+def _sized(session: LogSession, parameters: ChainParameters, options: argparse.Namespace) -> ChainParameters:
     """The parameters at the size that is asked for, which is said."""
     from twin_node.nodes.chain_parameters import at_size
     from twin_node.nodes.size_choice import by_budget, by_target

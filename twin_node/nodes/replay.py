@@ -74,10 +74,11 @@ class Run:
 def replay(
     session: LogSession,
     parameters: ChainParameters,
+    *,
     rate: float | None,
-    output: Path | None,
-    keep_ticks: bool,
-    progress: Progress,
+    output: Path | None = None,
+    keep_ticks: bool = False,
+    progress: Progress = lambda _: None,
     recorded: Collection[str] = RECORDED,
 ) -> Iterator[Run]:
     """Run the chain on a session's span; `rate` None is lockstep. The topics `recorded` go to `output`.

@@ -50,7 +50,8 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
     with session:
         _check_recorded(recorder.topics, {*RECORDED, *session.topics.values()}, where)
         parameters = sized(fill(ChainParameters, chain, where), where)
-        with replay(session, parameters, None, Path(output) if output else None, False, check, recorder.topics) as run:
+        to, topics = Path(output) if output else None, recorder.topics
+        with replay(session, parameters, rate=None, output=to, progress=check, recorded=topics) as run:
             print(f"{player.log}: {run.sets} sets in lockstep, in {run.seconds:.1f} s", flush=True)
 
 
