@@ -48,7 +48,6 @@ class NodeMotion:
         self._predictor = Predictor()
         self._tracks = Tracks()
         self._ids = np.zeros(0, np.int64)
-        self._middles = np.zeros((0, 3))
 
     def advance(self, stamp: int, nodes: NodeStates, horizon_s: float) -> None:
         """Takes in the nodes at `stamp` (ns) and forecasts them for `horizon_s` from then."""
@@ -61,7 +60,7 @@ class NodeMotion:
         corners = (nodes.positions[:, None] + turned).reshape(-1, 3)
         succession = self._tracks.extend(stamp * 1e-9, corners, rows)
         self._predictor.advance(self._tracks.history, succession, horizon_s)
-        self._ids, self._middles = ids, nodes.positions
+        self._ids = ids
 
     def ahead(self, horizon_s: float) -> Moves:
         """What the mixture of experts expects of the nodes of the last `advance` after `horizon_s`."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 import torch.nn.functional as F
@@ -34,26 +32,6 @@ class Deformation:
     """[T, N, 3] m, added to the means."""
     rotations: Tensor
     """[T, N, 3] rotation vectors, rad, applied before the node's rotation."""
-
-
-class DeformationField(Protocol):
-    """A learned residual over a sliding window of time columns."""
-
-    @property
-    def parameters_count(self) -> int:
-        """Learned numbers."""
-
-    def parameters(self) -> Iterator[nn.Parameter]:
-        """What an optimiser may change."""
-
-    def slide(self, stamp: int) -> None:
-        """Add a column for a newer stamp (ns), equal to the newest; the oldest column makes room."""
-
-    def residual(self, points: Tensor, stamps: list[int]) -> Deformation:
-        """Deformation of canonical points [N, 3] at stamps (ns), clamped to the window."""
-
-    def regularity(self) -> Tensor:
-        """Plane regulariser: total variation in space, second differences in time, pull of the time planes to 1."""
 
 
 class HexPlane(nn.Module):

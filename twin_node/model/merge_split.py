@@ -157,7 +157,7 @@ class MergeSplit:
                 taken |= {one.kept, one.ended}
                 decided.append(one)
         self._agreed = agreed
-        self._search(ids, middles)
+        self._search(ids)
         self._before = self._said
         return decided
 
@@ -252,7 +252,7 @@ class MergeSplit:
         leaving[own] = part
         return leaving
 
-    def _search(self, ids: NDArray[np.int64], middles: Float64) -> None:
+    def _search(self, ids: NDArray[np.int64]) -> None:
         """Looks for ways to see nodes in turn as two bodies, and for better ones than those that are suspected."""
         self._turn += 1
         for row in np.roll(np.unique(self._cells.nodes), -SEARCHES * self._turn)[:SEARCHES]:

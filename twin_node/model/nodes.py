@@ -11,7 +11,7 @@ from torch import Tensor
 from twin_node.model.chosen import rows_where
 from twin_node.model.kernels import kernels
 from twin_node.model.node_requests import AdvanceRequest, MovedRequest
-from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, rotate, vector_from_quat
+from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
 from twin_node.model.writes import Writes
 from twin_node.native_library import address_of
 from twin_node.scene import Float64, Tier
@@ -237,11 +237,6 @@ def advanced_plainly(
     """The same in torch: the reference of the compiled kernel."""
     dt = torch.tensor(seconds, dtype=torch.float64)[:, None, None]
     return Poses(positions + velocities * dt, quat_product(quat_from_vector(turns * dt), quats.expand(len(dt), -1, -1)))
-
-
-def to_node(means: Tensor, position: Tensor, quat: Tensor) -> Tensor:
-    """Base-frame points [n, 3] in the frame of a node at `position` [3] or [n, 3] and `quat` [4] or [n, 4]."""
-    return rotate(conjugate(quat), means - position)
 
 
 def _limited(vectors: Float64, longest: float) -> Float64:

@@ -61,7 +61,7 @@ class ModelNode(Node):
         self._followed: TwinState | None = None
         """What another process has followed, until it is published: that can wait for the arm."""
         self._let_be = 0
-        """Sets in a row that it has not."""
+        """Sets in a row that were looked at and not followed."""
         self._next_whole = 0
         self._is_first = True
 

@@ -46,7 +46,6 @@ class HashGrid(nn.Module):
     ) -> None:
         """`resolutions`: cells along each axis, per level; `entries` per level, a power of two."""
         super().__init__()
-        self.resolutions = resolutions
         self.width = features * len(resolutions)
         """Features that a point has."""
         table = torch.empty(len(resolutions), entries, features).uniform_(-1e-4, 1e-4, generator=generator)

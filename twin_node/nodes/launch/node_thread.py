@@ -49,7 +49,6 @@ class NodeThread:
         self.error: BaseException | None = None
         self.has_begun = False
         """Whether the node has been active: what fails then was not refused."""
-        self.is_finished = False
         self._order = order
         self._wire = wire
         self._clock = clock
@@ -135,7 +134,6 @@ class NodeThread:
         self._bus.close()
 
     def _finish(self) -> None:
-        self.is_finished = True
         self._executor.stop()
 
     def _run(self) -> None:
