@@ -37,7 +37,7 @@ def test_agrees_with_the_plain_one(with_depth: bool, library: SplatLibrary) -> N
     case = make_case(channels=3)
     fast, plain = (missed_of(kind, case, with_depth) for kind in (Missed, MissedPlainly))
     for name in ("means", "quats", "scales", "opacities", "rgb", "weights"):
-        ours, theirs = getattr(fast, name), getattr(plain, name)
+        ours, theirs = getattr(fast.pull, name), getattr(plain.pull, name)
         assert theirs.abs().max() > 0
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
 
@@ -47,7 +47,7 @@ def test_no_gaussians_miss_nothing(kind: type[Missed | MissedPlainly], library: 
     case = make_case(channels=3)
     none = replace(case, **{name: getattr(case, name)[:0] for name in INPUTS if name != "viewmats"})
     missed = missed_of(kind, none, with_depth=True)
-    assert missed.means.shape == (0, 3) and missed.weights.shape == (0,)
+    assert missed.pull.means.shape == (0, 3) and missed.pull.weights.shape == (0,)
 
 
 def test_gaussians_that_are_not_finite_are_named(library: SplatLibrary) -> None:

@@ -101,8 +101,7 @@ class Step:
             return
         refused = torch.zeros(1, dtype=torch.int64)
         drawn = (self._rows, self._learners, self._ids, splats.scales, splats.opacities)
-        pull = (missed.means, missed.quats, missed.scales, missed.opacities, missed.colours)
-        held = [of.contiguous() for of in (*drawn, *pull)]
+        held = [of.contiguous() for of in (*drawn, *vars(missed.pull).values())]
         pointers = (of.data_ptr() for of in (*held, g.alive, g.tiers, g.ids, g.largest, g.values, refused))
         shares = (SHAPE_SHARE, COLOUR_SHARE, FEWEST_PIXELS, LONGEST, SMALLEST)
         library.take_damped(DampedRequest(len(self._rows), int(Tier.STATIC), *shares, *pointers))
@@ -110,20 +109,20 @@ class Step:
 
     def take_plainly(self) -> None:
         """The same in torch, on any device: the reference of the compiled kernel."""
-        gaussians, missed = self._gaussians, self._missed
+        gaussians, pull = self._gaussians, self._missed.pull
         alive, tiers, ids = (s.index_select(0, self._rows) for s in (gaussians.alive, gaussians.tiers, gaussians.ids))
         stands = alive & (tiers == int(Tier.STATIC)) & (ids == self._ids)
-        taken = rows_where(stands & self._learners & (missed.weights > FEWEST_PIXELS))
-        rows, seen = self._rows[taken], missed.weights[taken, None]
+        taken = rows_where(stands & self._learners & (pull.weights > FEWEST_PIXELS))
+        rows, seen = self._rows[taken], pull.weights[taken, None]
         scales, opacities, share = self._splats.scales[taken], self._splats.opacities[taken], SHAPE_SHARE / seen
         size = scales.mean(-1, keepdim=True)
         new = gaussians.values[rows]
-        new[:, MEAN] += size * (share * missed.means[taken] * size).clamp(-LONGEST, LONGEST)
-        new[:, QUAT] += (share * missed.quats[taken]).clamp(-LONGEST, LONGEST)
-        new[:, LOG_SCALE] += (share * missed.scales[taken] * scales).clamp(-LONGEST, LONGEST)
+        new[:, MEAN] += size * (share * pull.means[taken] * size).clamp(-LONGEST, LONGEST)
+        new[:, QUAT] += (share * pull.quats[taken]).clamp(-LONGEST, LONGEST)
+        new[:, LOG_SCALE] += (share * pull.scales[taken] * scales).clamp(-LONGEST, LONGEST)
         new[:, LOG_SCALE] = torch.minimum(new[:, LOG_SCALE], gaussians.largest[rows, None]).clamp_min(SMALLEST)
-        new[:, LOGIT.start] += (share[:, 0] * missed.opacities[taken] * opacities).clamp(-2 * LONGEST, 2 * LONGEST)
-        new[:, RGB] = (new[:, RGB] + COLOUR_SHARE * missed.rgb[taken] / seen).clamp(0, 1)
+        new[:, LOGIT.start] += (share[:, 0] * pull.opacities[taken] * opacities).clamp(-2 * LONGEST, 2 * LONGEST)
+        new[:, RGB] = (new[:, RGB] + COLOUR_SHARE * pull.rgb[taken] / seen).clamp(0, 1)
         finite = torch.isfinite(new).all(1)
         gaussians.refused += int((~finite).sum())
         gaussians.values[rows[finite]] = new[finite]

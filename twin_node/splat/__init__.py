@@ -6,7 +6,7 @@ from twin_node.splat.dispatch import rasterize, rasterize_plain
 from twin_node.splat.errors import SplatError
 from twin_node.splat.first_calls import settle
 from twin_node.splat.loss import image_loss, image_loss_plain
-from twin_node.splat.missed import Missed, MissedPlainly, Sight, Tolerance, can_miss
+from twin_node.splat.missed import Missed, MissedPlainly, Pull, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
 from twin_node.splat.still import Shot, draw_still, draw_still_plainly
 from twin_node.splat.weighing import weigh, weigh_plainly
@@ -21,6 +21,7 @@ __all__ = [
     "Missed",
     "MissedPlainly",
     "Placed",
+    "Pull",
     "RasterMeta",
     "Shot",
     "Sight",

@@ -62,6 +62,32 @@ class Tolerance:
     """Smallest depth that is divided by, m."""
 
 
+@dataclass(frozen=True)
+class Pull:
+    """Which way each of n Gaussians should go."""
+
+    means: Tensor
+    """[n, 3]."""
+    quats: Tensor
+    """[n, 4]."""
+    scales: Tensor
+    """[n, 3]."""
+    opacities: Tensor
+    """[n]."""
+    colours: Tensor
+    """[n, 4] `rgb` and `weights`."""
+
+    @property
+    def rgb(self) -> Tensor:
+        """[n, 3]."""
+        return self.colours[:, :3]
+
+    @property
+    def weights(self) -> Tensor:
+        """[n] blend weights summed over the counted pixels."""
+        return self.colours[:, 3]
+
+
 class Missed:
     """Half the squared error's steepest descent of n Gaussians over the views that have been added."""
 
@@ -81,20 +107,9 @@ class Missed:
         self._learns = learners.contiguous()
         features = torch.cat([rgb, rgb.new_zeros(len(rgb), 1)], 1)
         self._given = tuple(t.detach().contiguous() for t in (means, quats, scales, opacities, features))
-        self._pull = tuple(torch.zeros_like(t) for t in self._given)
-        self.means, self.quats, self.scales, self.opacities, self.colours = self._pull
-        """[n, ...] which way each should go; behind each colour [n, 4] its Gaussian's weight."""
+        self.pull = Pull(*(torch.zeros_like(t) for t in self._given))
+        """Of what has been added."""
         self._workspace: native.Workspace | None = None
-
-    @property
-    def rgb(self) -> Tensor:
-        """[n, 3]."""
-        return self.colours[:, :3]
-
-    @property
-    def weights(self) -> Tensor:
-        """[n] blend weights summed over the counted pixels."""
-        return self.colours[:, 3]
 
     def add(self, sight: Sight, tolerance: Tolerance) -> None:
         """Takes in what one camera should see.
@@ -106,49 +121,16 @@ class Missed:
         sight.check_layout()
         self._workspace = self._workspace or native.Workspace(library)
         view = sight.contiguous()
-        count, (height, width), channels = len(self._given[0]), view.counted.shape, 4 if view.depth is None else 5
+        (height, width), channels = view.counted.shape, 4 if view.depth is None else 5
         renders, alphas = torch.empty(height, width, channels), torch.empty(height, width)
+        count = len(self.pull.means)
         radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
+        found = {"renders": renders, "alphas": alphas, "radii": radii, "means2d": means2d, "depths": depths}
         pull, pull_alpha = torch.empty_like(renders), torch.empty_like(alphas)
-        means, quats, scales, opacities, features = self._given
-        scene = new_request(
-            Options(render_mode=_mode(sight)),
-            batches=1,
-            cameras=1,
-            gaussians=count,
-            width=width,
-            height=height,
-            color_channels=4,
-            threads=thread_count(),
-            means=means,
-            quats=quats,
-            scales=scales,
-            opacities=opacities,
-            colors=features,
-            viewmats=view.viewmat,
-            Ks=view.K,
-            pixel_mask=view.counted,
-            renders=renders,
-            alphas=alphas,
-            radii=radii,
-            means2d=means2d,
-            depths=depths,
-        )
-        gradients = fill(
-            native.Gradients,
-            v_renders=pull,
-            v_alphas=pull_alpha,
-            v_means=self.means,
-            v_quats=self.quats,
-            v_scales=self.scales,
-            v_opacities=self.opacities,
-            v_colors=self.colours,
-            learns=self._learns,
-        )
         request = fill(
             native.MissRequest,
-            scene=scene,
-            gradients=gradients,
+            scene=self._scene(view, found),
+            gradients=self._gradients(pull, pull_alpha),
             target=view.rgb,
             depth=view.depth,
             surface=view.surface,
@@ -161,6 +143,42 @@ class Missed:
         except native.NonFiniteError as error:
             name = ("means", "quats", "scales", "opacities", "rgb", "viewmat", "K")[error.index]
             raise non_finite(name, (*self._given, view.viewmat, view.K)[error.index]) from None
+
+    def _scene(self, view: Sight, found: dict[str, Tensor]) -> native.Request:
+        height, width = view.counted.shape
+        means, quats, scales, opacities, features = self._given
+        return new_request(
+            Options(render_mode=_mode(view)),
+            batches=1,
+            cameras=1,
+            gaussians=len(means),
+            width=width,
+            height=height,
+            color_channels=4,
+            threads=thread_count(),
+            means=means,
+            quats=quats,
+            scales=scales,
+            opacities=opacities,
+            colors=features,
+            viewmats=view.viewmat,
+            Ks=view.K,
+            pixel_mask=view.counted,
+            **found,
+        )
+
+    def _gradients(self, pull: Tensor, pull_alpha: Tensor) -> native.Gradients:
+        return fill(
+            native.Gradients,
+            v_renders=pull,
+            v_alphas=pull_alpha,
+            v_means=self.pull.means,
+            v_quats=self.pull.quats,
+            v_scales=self.pull.scales,
+            v_opacities=self.pull.opacities,
+            v_colors=self.pull.colours,
+            learns=self._learns,
+        )
 
 
 def _mode(sight: Sight) -> RenderMode:
@@ -185,45 +203,14 @@ class MissedPlainly:
             leaf.grad = torch.zeros_like(leaf)
 
     @property
-    def means(self) -> Tensor:
-        """[n, 3] which way each should go."""
-        return self._gradient(0)
+    def pull(self) -> Pull:
+        """Of what has been added."""
+        return Pull(*(self._gradient(leaf) for leaf in self._leaves))
 
-    @property
-    def quats(self) -> Tensor:
-        """[n, 4]."""
-        return self._gradient(1)
-
-    @property
-    def scales(self) -> Tensor:
-        """[n, 3]."""
-        return self._gradient(2)
-
-    @property
-    def opacities(self) -> Tensor:
-        """[n]."""
-        return self._gradient(3)
-
-    @property
-    def colours(self) -> Tensor:
-        """[n, 4] `rgb` and `weights`."""
-        return self._gradient(4)
-
-    @property
-    def rgb(self) -> Tensor:
-        """[n, 3]."""
-        return self.colours[:, :3]
-
-    @property
-    def weights(self) -> Tensor:
-        """[n] blend weights summed over the counted pixels."""
-        return self.colours[:, 3]
-
-    def _gradient(self, index: int) -> Tensor:
-        gradient = self._leaves[index].grad
-        assert gradient is not None
-        gradient[~self._learners] = 0
-        return gradient
+    def _gradient(self, leaf: Tensor) -> Tensor:
+        assert leaf.grad is not None
+        leaf.grad[~self._learners] = 0
+        return leaf.grad
 
     def add(self, sight: Sight, tolerance: Tolerance) -> None:
         """Takes in what one camera should see."""
