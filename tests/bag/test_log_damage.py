@@ -79,21 +79,25 @@ def test_a_damaged_chunk_ends_reading_there(tmp_path: Path, whole: Path) -> None
     assert "crc" in damage
 
 
+def write_with_zeros(path: Path, whole: Path, content: bytes, kept: int) -> int:
+    """Writes `content`, of the log `whole`, with zeros after `kept` bytes of its sixth chunk; where that begins."""
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)[5]
+    start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+    path.write_bytes(content[: start + kept] + bytes(end - start - kept) + content[end:])
+    return start
+
+
 @pytest.mark.parametrize("kept", [0, 9, 25, 37])
 def test_a_chunk_of_zeros_is_damage(tmp_path: Path, whole: Path, kept: int) -> None:
     """As disks leave blocks that never reached them: without size, checksum and messages it looks like an empty one.
 
     `kept`: bytes at its beginning; the record's head is 9 long, with the times 25, with the checksum 37.
     """
-    content = bytearray(whole.read_bytes())
-    with whole.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    chunk = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)[5]
-    start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
-    content[start + kept : end] = bytes(end - start - kept)
     path = tmp_path / "zeros.mcap"
-    path.write_bytes(content)
+    start = write_with_zeros(path, whole, whole.read_bytes(), kept)
     stamps, damage = read(path)
     assert stamps == list(range(100))
     assert damage is not None and f"zeros.mcap: damaged at byte {start}" in damage
@@ -103,15 +107,8 @@ def test_a_chunk_of_zeros_is_damage(tmp_path: Path, whole: Path, kept: int) -> N
 def test_a_chunk_of_zeros_in_a_log_without_its_end_is_damage_and_the_rest_is_there(
     tmp_path: Path, whole: Path, kept: int
 ) -> None:
-    content = bytearray(whole.read_bytes()[:-20])
-    with whole.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    chunk = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)[5]
-    start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
-    content[start + kept : end] = bytes(end - start - kept)
     path = tmp_path / "zeros.mcap"
-    path.write_bytes(content)
+    start = write_with_zeros(path, whole, whole.read_bytes()[:-20], kept)
     stamps, damage = read(path)
     assert stamps == list(range(100))
     assert damage is not None and f"zeros.mcap: damaged at byte {start}" in damage

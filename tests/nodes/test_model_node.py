@@ -6,7 +6,7 @@ import copy
 import gc
 import math
 import weakref
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -225,43 +225,69 @@ def told_of(bus: LocalBus) -> list[tuple[str, int, int]]:
     return told
 
 
-def test_another_process_follows_sets_as_soon_as_it_has_loaded(apart: InTurn) -> None:
+@dataclass
+class Beside:
+    """A live node with a process of its own, and what goes out of it."""
+
+    bus: LocalBus
+    model: Watched
+    node: ModelNode
+    told: list[tuple[str, int, int]]
+
+    def take(self, *indices: int) -> None:
+        """Sends sets, and rests after each."""
+        for index in indices:
+            self.bus.publish(TRUSTED_FRAMES, frames(index))
+            self.node.rest()
+
+
+@pytest.fixture
+def beside(apart: InTurn) -> Beside:
+    """The process has not loaded yet."""
     bus, model = LocalBus(), Watched()
     node = ModelNode(bus, SteppedClock(), model, is_live=True, own_process=True)
     node.configure()
     node.activate()
-    told = told_of(bus)
-    for index in range(3):
-        bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest()
-        assert not apart.has_model
+    return Beside(bus, model, node, told_of(bus))
+
+
+def test_another_process_is_given_the_model_once_it_has_loaded(apart: InTurn, beside: Beside) -> None:
+    beside.take(0, 1, 2)
+    assert not apart.has_model
     apart.loaded = True
-    bus.publish(TRUSTED_FRAMES, frames(3))
-    node.rest()
+    beside.take(3)
     assert apart.has_model
-    assert model.done == ["refine"] * 4
-    followed = [(topic, index, max(index - (topic == SEEN), 0)) for index in range(4) for topic in (SEEN, STATE)]
-    assert told == followed
-    told.clear()
-    bus.publish(TRUSTED_FRAMES, frames(4))
-    node.rest()
-    for index in (5, 6):  # the process is not done with 4
-        bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest()
+    assert beside.model.done == ["refine"] * 4
+    assert beside.told == [
+        (topic, index, max(index - (topic == SEEN), 0)) for index in range(4) for topic in (SEEN, STATE)
+    ]
+
+
+def test_what_another_process_has_followed_goes_out_when_the_arm_has_been_told(apart: InTurn, beside: Beside) -> None:
+    apart.loaded = True
+    beside.take(0)
+    beside.told.clear()
+    beside.take(1, 2, 3)  # the process is not done with 1
     apart.work()
-    bus.publish(TRUSTED_FRAMES, frames(7))
-    assert told == [(SEEN, 4, 3), (SEEN, 5, 3), (SEEN, 6, 3), (SEEN, 7, 4)]
-    told.clear()
-    node.rest()
-    assert told == [(STATE, 4, 4)]
-    assert node.parameters_count == apart.parameters_count
-    node.deactivate()
-    assert told == [(STATE, 4, 4), (STATE, 7, 7)], "what is followed still goes out"
-    assert model.done == ["refine"] * 4, "the process does"
-    assert node.followed == 6
-    assert node.peak_rss_mb_elsewhere == 400.0
+    beside.bus.publish(TRUSTED_FRAMES, frames(4))
+    assert beside.told == [(SEEN, 1, 0), (SEEN, 2, 0), (SEEN, 3, 0), (SEEN, 4, 1)]
+    beside.told.clear()
+    beside.node.rest()
+    assert beside.told == [(STATE, 1, 1)]
+    assert beside.node.parameters_count == apart.parameters_count
+    assert beside.model.done == ["refine"], "the process does"
+
+
+def test_what_another_process_follows_at_the_end_still_goes_out(apart: InTurn, beside: Beside) -> None:
+    apart.loaded = True
+    beside.take(0, 1)
+    beside.told.clear()
+    beside.node.deactivate()
+    assert beside.told == [(STATE, 1, 1)]
+    assert beside.node.followed == 2
+    assert beside.node.peak_rss_mb_elsewhere == 400.0
     assert not apart.is_closed
-    node.cleanup()
+    beside.node.cleanup()
     assert apart.is_closed
 
 
