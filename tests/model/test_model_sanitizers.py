@@ -16,7 +16,7 @@ found = native_build.KernelSources.best_library
 given = Path(sys.argv[1])
 native_build.KernelSources.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
 import test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares, test_nodes, test_rendering
-import test_births, test_semi_global, test_steps, test_sweep, test_velocity_equations
+import test_births, test_normal_equations, test_semi_global, test_steps, test_sweep, test_velocity_equations
 test_carried.test_the_compiled_cloud_is_the_plain_one()
 test_carried.test_compiled_cells_are_the_plain_ones()
 test_carried.test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one()
@@ -43,6 +43,8 @@ for depth, side in ((False, 2), (True, 2), (False, 6)):
     test_births.test_compiled_births_are_those_found_in_numpy(depth, None, 0.05, side)
 for depth in (False, True):
     test_steps.test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth)
+    test_normal_equations.test_equations_are_those_of_numpy(depth)
+test_normal_equations.test_spheres_reach_into_the_image_as_far_as_numpy_says.hypothesis.inner_test(0, 1.0)
 test_steps.test_the_compiled_kernel_stores_newborns_as_torch_does(40, 4)
 from twin_node.model.kernels import kernels
 assert kernels() is not None

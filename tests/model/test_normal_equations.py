@@ -14,9 +14,9 @@ from test_steps import observe
 from twin_node.geometry import project
 from twin_node.model.backgrounds import look_at_spheres, pixels_reached
 from twin_node.model.normal_equations import NormalEquations, linearise
+from twin_node.model.points import Carried, find_pixels, has_points
 from twin_node.model.rays import look
 from twin_node.model.rendering import render
-from twin_node.splat.points import Carried, find_pixels, has_points
 
 pytestmark = pytest.mark.skipif(not has_points(), reason="the compiled library is not at hand")
 CAMERAS = rig(120, 90)

@@ -17,9 +17,9 @@ from twin_node.model.cells import Cells
 from twin_node.model.evidence import Fits
 from twin_node.model.normal_equations import SHARED_BY, NormalEquations
 from twin_node.model.observation import Observed
+from twin_node.model.points import Carried
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.scene import Float32
-from twin_node.splat.points import Carried
 
 ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
 """m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""

@@ -17,10 +17,10 @@ from twin_node.geometry import project
 from twin_node.model.aside import Aside, Begun
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
+from twin_node.model.points import find_pixels, has_points
 from twin_node.model.rays import Seen, look, pixel_rays
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
-from twin_node.splat.points import find_pixels, has_points
 
 OCCLUSION = 0.03
 """Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 20
+INTERFACE_VERSION = 21
 
 
 class MaskRules(ctypes.Structure):

@@ -42,10 +42,12 @@ from twin_node.model.node_requests import (
     ExtentRequest,
     GroupRequest,
     JudgeRequest,
+    MotionRequest,
     MovedRequest,
     MoveRequest,
     NearestRequest,
     NewbornRequest,
+    PixelsRequest,
     PublishRequest,
     SumRequest,
     VelocityRequest,
@@ -84,6 +86,8 @@ class Kernels(NativeLibrary):
             moved=MovedRequest,
             carry=CarryRequest,
             store_newborns=NewbornRequest,
+            find_pixels=PixelsRequest,
+            gather_motion=MotionRequest,
             nearest=NearestRequest,
             publish=PublishRequest,
             extents=ExtentRequest,
@@ -175,6 +179,14 @@ class Kernels(NativeLibrary):
     def store_newborns(self, request: NewbornRequest) -> None:
         """Stores what is born; takes one thread."""
         self._dll.model_store_newborns(request)
+
+    def find_pixels(self, request: PixelsRequest) -> None:
+        """Finds the pixels of points; takes one thread."""
+        self._dll.model_find_pixels(request)
+
+    def gather_motion(self, request: MotionRequest) -> None:
+        """Adds to the normal equations of nodes; takes one thread."""
+        self._dll.model_gather_motion(request)
 
     def nearest(self, request: NearestRequest) -> None:
         """Finds what is nearest; takes one thread."""

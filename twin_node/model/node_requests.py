@@ -1,4 +1,4 @@
-"""What is asked of the kernels about nodes, what they carry and births: the structs mirror `native/node_requests.h`."""
+"""What is asked of the kernels about points, nodes, what they carry and births; mirrors `native/node_requests.h`."""
 
 from __future__ import annotations
 
@@ -134,3 +134,27 @@ class GroupRequest(ctypes.Structure):
     """`model::GroupRequest`."""
 
     _fields_ = (("places", c_int64), ("width", c_int64), ("at", c_void_p), ("groups", c_void_p))
+
+
+class PixelsRequest(ctypes.Structure):
+    """`model::PixelsRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("points", "viewmat", "K", "columns", "rows", "depths", "inside")),
+        *((name, c_void_p) for name in ("radii", "reached")),
+    )
+
+
+class MotionRequest(ctypes.Structure):
+    """`model::MotionRequest`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_double) for name in ("scale", "shown_share", "depth_share", "huber_px", "colour_sigma")),
+        *((name, c_void_p) for name in ("means", "arms", "opacities", "carriers", "viewmat", "K")),
+        *((name, c_void_p) for name in ("counted", "shown", "image", "flow", "depth")),
+        *((name, c_void_p) for name in ("H", "g", "squares", "weights")),
+    )

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.model.observation import Observed
+from twin_node.model.points import MOTIONS, Carried, Equations, Seen, Weighing, gather_motion, has_points
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
 from twin_node.model.velocity_equations import add_up
 from twin_node.scene import Camera, Float32, Float64
-from twin_node.splat.points import MOTIONS, Carried, Equations, Seen, Weighing, gather_motion, has_points
 
 COLOUR_SIGMA = 0.1
 """Difference of colour (0 to 1) between both ends of a flow vector at which it loses most of its say."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import project
+from twin_node.model.points import find_pixels, has_points
 from twin_node.scene import Bool, Camera, Float64
-from twin_node.splat.points import find_pixels, has_points
 
 
 def pixel_rays(camera: Camera) -> Float64:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
-from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
+from ctypes import c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from twin_node import native_build
 from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, load, thread_count
 from twin_node.splat.errors import SplatError
 
-INTERFACE_VERSION = 12
+INTERFACE_VERSION = 13
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
 STATUS_NON_FINITE = 100
 
@@ -105,32 +105,6 @@ class PlaceRequest(ctypes.Structure):
     )
 
 
-class LookRequest(ctypes.Structure):
-    """`splat::LookRequest`."""
-
-    __slots__ = ()
-    _fields_ = (
-        ("count", c_int64),
-        *((name, c_int32) for name in ("width", "height")),
-        *((name, c_void_p) for name in ("points", "viewmat", "K", "columns", "rows", "depths", "inside")),
-        *((name, c_void_p) for name in ("radii", "reached")),
-    )
-
-
-class MotionRequest(ctypes.Structure):
-    """`splat::MotionRequest`."""
-
-    __slots__ = ()
-    _fields_ = (
-        ("count", c_int64),
-        *((name, c_int32) for name in ("width", "height")),
-        *((name, c_double) for name in ("scale", "shown_share", "depth_share", "huber_px", "colour_sigma")),
-        *((name, c_void_p) for name in ("means", "arms", "opacities", "carriers", "viewmat", "K")),
-        *((name, c_void_p) for name in ("counted", "shown", "image", "flow", "depth")),
-        *((name, c_void_p) for name in ("H", "g", "squares", "weights")),
-    )
-
-
 class NonFiniteError(Exception):
     """An argument holds a NaN or an infinity; `index` counts the arguments as the library does."""
 
@@ -170,7 +144,7 @@ class SplatLibrary(NativeLibrary):
         self._dll.splat_limit_openmp.argtypes = [c_int32]
         self._dll.splat_limit_openmp.restype = None
         self._declare(c_int32, image_loss=LossRequest)
-        self._declare(None, place=PlaceRequest, look=LookRequest, gather_motion=MotionRequest)
+        self._declare(None, place=PlaceRequest)
 
     def acquire(self) -> int:
         """A workspace's handle. Raises `MemoryError`."""
@@ -223,14 +197,6 @@ class SplatLibrary(NativeLibrary):
     def limit_openmp(self, threads: int) -> None:
         """How many threads the loops of torch take that the calling thread begins."""
         self._dll.splat_limit_openmp(threads)
-
-    def look(self, request: LookRequest) -> None:
-        """Finds the pixels of points; takes one thread."""
-        self._dll.splat_look(request)
-
-    def gather_motion(self, request: MotionRequest) -> None:
-        """Adds to the normal equations of nodes; takes one thread."""
-        self._dll.splat_gather_motion(request)
 
 
 def _check(status: int) -> None:

@@ -96,7 +96,7 @@ class BirthDepths {
     const Found found = cameras_[other].find(point);
     const double most_px = rules_.huge * kHalf * block.side;
     const bool huge = found.depth > -radius &&
-                      radius * cameras_[other].focal() > most_px * std::max(found.depth, kNearestSeen);
+                      radius * cameras_[other].fx > most_px * std::max(found.depth, kNearestSeen);
     if (huge) return -rules_.refuted;
     if (!found.inside || occluded(view, found, rules_.occlusion) || !view.usable[found.at]) return 0;
     if (!view.near_moving[found.at]) return -rules_.refuted;

@@ -7,7 +7,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 20;
+constexpr int32_t kInterfaceVersion = 21;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 

@@ -11,8 +11,10 @@
 #include "exposing.h"
 #include "flow.h"
 #include "held.h"
+#include "look.h"
 #include "mask.h"
 #include "matching.h"
+#include "motion.h"
 #include "nearest.h"
 #include "newborns.h"
 #include "observing.h"
@@ -56,6 +58,10 @@ void model_moved(const model::MovedRequest *request) { model::find_moved(*reques
 void model_carry(const model::CarryRequest *request) { model::carry(*request); }
 
 void model_store_newborns(const model::NewbornRequest *request) { model::store_newborns(*request); }
+
+void model_find_pixels(const model::PixelsRequest *request) { model::find_pixels(*request); }
+
+void model_gather_motion(const model::MotionRequest *request) { model::gather_motion(*request); }
 
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
 

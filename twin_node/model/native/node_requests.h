@@ -1,4 +1,4 @@
-// What crosses the plain C boundary about nodes, what they carry, and what is born; see `interface.h`.
+// What crosses the plain C boundary about points, nodes, what they carry, and what is born; see `interface.h`.
 #pragma once
 
 #include <cstdint>
@@ -141,6 +141,39 @@ struct GroupRequest {
   int64_t places, width;
   const double *at;    // [places, width] in units of the distance that is too far
   int64_t *groups;     // [places] written: numbers of the groups, in order
+};
+
+// Points [count, 3] seen by one camera.
+struct PixelsRequest {
+  int64_t count;
+  int32_t width, height;
+  const double *points;
+  const double *viewmat, *K;  // [4, 4], [3, 3]
+  int64_t *columns, *rows;    // [count]
+  double *depths;             // [count]
+  uint8_t *inside;            // [count]
+  const float *radii;         // [count] of spheres about the points, or null
+  float *reached;             // [count] pixels that these reach into the image from the pixel, or negative; with `radii`
+};
+
+// One view's part of the normal equations of moving nodes.
+struct MotionRequest {
+  int64_t count;
+  int32_t width, height;
+  double scale;         // weight of an observation
+  double shown_share;   // of its depth that a Gaussian may differ by from what is shown where it shows
+  double depth_share;   // of the depth that counts as much as a pixel
+  double huber_px, colour_sigma;
+  const double *means, *arms, *opacities;  // [count, 3] m, [count, 3] m from their nodes, [count]
+  const int64_t *carriers;                 // [count] nodes
+  const double *viewmat, *K;
+  const uint8_t *counted;  // [H, W]
+  const float *shown;      // [H, W, 4] rendered colour and depth
+  const float *image;      // [H, W, 3]
+  const float *flow;       // [H, W, 2] pixels
+  const float *depth;      // [H, W] m or null
+  double *H, *g;           // [nodes, 12, 12], [nodes, 12], added to
+  double *squares, *weights;  // [nodes] weighted squared errors, and weights without opacities; added to
 };
 
 }  // namespace model

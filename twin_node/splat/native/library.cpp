@@ -3,7 +3,6 @@
 
 #include "descent.h"
 #include "miss.h"
-#include "motion.h"
 #include "place.h"
 #include "weigh.h"
 
@@ -64,11 +63,7 @@ int32_t splat_backward(void *workspace, const splat::Request *request, const spl
 // Threads of the loops that this thread begins by itself in the OpenMP runtime, which is torch's too.
 void splat_limit_openmp(int32_t threads) { omp_set_num_threads(threads); }
 
-void splat_look(const splat::LookRequest *request) { splat::look(*request); }
-
 void splat_place(const splat::PlaceRequest *request) { splat::place(*request); }
-
-void splat_gather_motion(const splat::MotionRequest *request) { splat::gather_motion(*request); }
 
 int32_t splat_descend(void *workspace, const splat::DescentRequest *request) {
   splat::LossRequest given = request->loss;

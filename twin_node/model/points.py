@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import MotionRequest, PixelsRequest
 from twin_node.native_library import addresses_of
-from twin_node.splat import library as native
 
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -37,7 +38,7 @@ class Pixels:
 
 def has_points() -> bool:
     """Whether the compiled library is at hand, which the functions of this module need."""
-    return native.kernels() is not None
+    return kernels() is not None
 
 
 def find_pixels(
@@ -52,7 +53,7 @@ def find_pixels(
 
     `radii` [n] of spheres about them, in the units of the points: how far these reach into the image is found too.
     """
-    library = native.kernels()
+    library = kernels()
     assert library is not None
     count = len(points)
     pixels = Pixels(
@@ -65,7 +66,7 @@ def find_pixels(
     given = [np.ascontiguousarray(a, dtype=np.float64) for a in (points, viewmat, K)]
     spheres = None if radii is None else np.ascontiguousarray(radii, dtype=np.float32)
     found = (pixels.columns, pixels.rows, pixels.depths, pixels.inside)
-    library.look(native.LookRequest(count, width, height, *addresses_of(*given, *found, spheres, pixels.reached)))
+    library.find_pixels(PixelsRequest(count, width, height, *addresses_of(*given, *found, spheres, pixels.reached)))
     return pixels
 
 
@@ -135,7 +136,7 @@ class Equations:
 
 def gather_motion(carried: Carried, seen: Seen, weighing: Weighing, to: Equations) -> None:
     """Adds one view's observations to the normal equations of the nodes."""
-    library = native.kernels()
+    library = kernels()
     assert library is not None
     floats = [np.ascontiguousarray(a, dtype=np.float64) for a in (carried.means, carried.arms, carried.opacities)]
     carriers = np.ascontiguousarray(carried.carriers, dtype=np.int64)
@@ -145,7 +146,7 @@ def gather_motion(carried: Carried, seen: Seen, weighing: Weighing, to: Equation
     depth = None if seen.depth is None else np.ascontiguousarray(seen.depth, dtype=np.float32)
     height, width = seen.counted.shape
     library.gather_motion(
-        native.MotionRequest(
+        MotionRequest(
             len(carriers),
             width,
             height,

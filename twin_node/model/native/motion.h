@@ -4,9 +4,13 @@
 // flow under a Gaussian and, where depth is measured, the depth at the flow's end.
 #pragma once
 
-#include "look.h"
+#include <algorithm>
+#include <cmath>
 
-namespace splat {
+#include "camera.h"
+#include "interface.h"
+
+namespace model {
 
 constexpr int kMotions = 12, kObserved = 3;
 
@@ -30,12 +34,12 @@ inline double depth_at(const MotionRequest &r, double x, double y) {
   return r.depth[row * r.width + column];
 }
 
-struct Observation {
+struct FlowObservation {
   double error[kObserved], weight, depth_scale;
 };
 
 // What is observed at a pixel that shows a Gaussian.
-inline Observation observe(const MotionRequest &r, int64_t column, int64_t row) {
+inline FlowObservation observe_flow(const MotionRequest &r, int64_t column, int64_t row) {
   const int64_t pixel = row * r.width + column;
   const float *flow = r.flow + 2 * pixel, *shown = r.shown + 4 * pixel;
   const double x = column + flow[0], y = row + flow[1], measured = depth_at(r, x, y);
@@ -44,7 +48,7 @@ inline Observation observe(const MotionRequest &r, int64_t column, int64_t row) 
   double square = 0;
   for (int k = 0; k < 3; k++) square += (arrived[k] - shown[k]) * (arrived[k] - shown[k]) / 3;
   const bool known = measured > 0 && shown[3] > 0;
-  Observation out{{flow[0], flow[1], 0}, 0, known ? 1 / (r.depth_share * std::max<double>(shown[3], 0.05)) : 0};
+  FlowObservation out{{flow[0], flow[1], 0}, 0, known ? 1 / (r.depth_share * std::max<double>(shown[3], 0.05)) : 0};
   out.error[2] = known ? (measured - shown[3]) * out.depth_scale : 0;
   const double *e = out.error, length = std::sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
   out.weight = std::exp(-square / (r.colour_sigma * r.colour_sigma)) * r.huber_px / std::max(length, r.huber_px);
@@ -75,14 +79,13 @@ inline void jacobian(const Pinhole &c, const double *point, const double *arm, d
 
 // Adds one view's observations to the equations of the nodes.
 inline void gather_motion(const MotionRequest &r) {
-  const Pinhole camera(r.viewmat, r.K);
+  const Pinhole camera(r.viewmat, r.K, r.width, r.height);
   for (int64_t i = 0; i < r.count; i++) {
     const double *mean = r.means + 3 * i;
-    const Found at = find_pixel(camera, r.width, r.height, mean);
-    const int64_t pixel = at.row * r.width + at.column;
-    if (!at.inside || !r.counted[pixel]) continue;
-    if (!(std::fabs(at.depth - r.shown[4 * pixel + 3]) < r.shown_share * at.depth)) continue;
-    const Observation seen = observe(r, at.column, at.row);
+    const Found found = camera.find(mean);
+    if (!found.inside || !r.counted[found.at]) continue;
+    if (!(std::fabs(found.depth - r.shown[4 * found.at + 3]) < r.shown_share * found.depth)) continue;
+    const FlowObservation seen = observe_flow(r, found.column, found.row);
     double J[kObserved][kMotions];
     jacobian(camera, mean, r.arms + 3 * i, seen.depth_scale, J);
     const double weight = seen.weight * r.opacities[i] * r.scale;
@@ -101,4 +104,4 @@ inline void gather_motion(const MotionRequest &r) {
   }
 }
 
-}  // namespace splat
+}  // namespace model
