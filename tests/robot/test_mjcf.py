@@ -72,9 +72,13 @@ FOREIGN = """
 """
 
 
-def test_a_foreign_arm_moves_as_its_file_says(tmp_path: Path) -> None:
+@pytest.mark.parametrize("refs", [(0, 0), (40, 0), (40, -70)])
+def test_a_foreign_arm_moves_as_its_file_says(tmp_path: Path, refs: tuple[int, int]) -> None:
     path = tmp_path / "foreign.xml"
-    path.write_text(FOREIGN)
+    text = FOREIGN
+    for joint, ref in zip(("swing", "turn"), refs, strict=True):
+        text = text.replace(f'name="{joint}"', f'name="{joint}" ref="{ref}"')
+    path.write_text(text)
     model = load_arm(path, joint_names=("swing", "turn"))
     assert model.link_names == ("stand", "first", "second")
     engine = mujoco.MjModel.from_xml_path(str(path))
@@ -86,6 +90,7 @@ def test_a_foreign_arm_moves_as_its_file_says(tmp_path: Path) -> None:
         mujoco.mj_kinematics(engine, data)
         placed = place_capsules(model, forward_kinematics(model, q))
         np.testing.assert_allclose(placed.ends[capsule].mean(0), data.geom_xpos[tube], atol=1e-9)
+        np.testing.assert_allclose(forward_kinematics(model, q)[1:, :3, 3], data.xanchor[:2], atol=1e-9)
     assert model.upper[0] == pytest.approx(np.pi / 2)
     assert len(model.capsules) == 4  # the visual box is left out, the finger belongs to the second link
     assert (model.capsules.links == [0, 1, 2, 2]).all()

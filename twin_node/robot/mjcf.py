@@ -77,9 +77,10 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     except (ValueError, FileNotFoundError) as error:
         reason = " ".join(str(error).split())
         raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error
-    data = mujoco.MjData(engine)
-    mujoco.mj_kinematics(engine, data)
     joints = _arm_joints(engine, path, joint_names)
+    data = mujoco.MjData(engine)
+    data.qpos[engine.jnt_qposadr[joints]] = 0.0  # the file draws a joint with a `ref` at that angle
+    mujoco.mj_kinematics(engine, data)
     frames = np.stack([np.eye(4), *(_joint_frame(engine, data, joint) for joint in joints)])
     limited = engine.jnt_limited[joints].astype(bool)
     lower = np.where(limited, engine.jnt_range[joints, 0], -np.inf)
@@ -152,15 +153,14 @@ def _ancestors(engine: Any, body: int) -> list[int]:
 
 
 def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
-    """Pose [4, 4] of a joint at its zero: the body's axes, turned the short way until z lies along the hinge."""
+    """Pose [4, 4] of a joint: the axes of its body, turned the short way until z lies along the hinge."""
     from scipy.spatial.transform import Rotation  # loads slowly, and most processes that have an arm never ask
 
     body = int(engine.jnt_bodyid[joint])
     frame = np.eye(4)
     axis = engine.jnt_axis[joint]
     turn, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
-    back = Rotation.from_rotvec(np.asarray(axis) * -engine.qpos0[engine.jnt_qposadr[joint]])
-    frame[:3, :3] = data.xmat[body].reshape(3, 3) @ (back * turn).as_matrix()
+    frame[:3, :3] = data.xmat[body].reshape(3, 3) @ turn.as_matrix()
     frame[:3, 3] = data.xanchor[joint]
     return frame
 
