@@ -233,7 +233,8 @@ def _refine_lines(result: RefineResult, names: Sequence[str]) -> list[str]:
         for pair in result.pairs
     ]
     surfaces = [
-        f"{names[pair.a]} and {names[pair.b]}: surfaces {1e3 * pair.before_m:.1f} to {1e3 * pair.after_m:.1f} mm apart"
+        f"{names[pair.a]} and {names[pair.b]}: surfaces {1e3 * pair.before_m:.1f} to {1e3 * pair.after_m:.1f} mm "
+        f"apart, told to {1e3 * pair.open_m:.1f} mm"
         for pair in result.surfaces
     ]
     return pairs + surfaces

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations, permutations
 
 import cv2
 import numpy as np
@@ -41,6 +41,9 @@ SAMPLES = 4000
 """Points of each camera that are laid onto the surfaces of every other."""
 STEP = 0.03
 """Change of depth to the next pixel, as a share of it, beyond which there is an edge and no surface."""
+NORMAL_SHARE = 1 / 60
+"""How far about a pixel a plane is fitted for its normal, as a share of the image's width: between neighbours noise of
+the depth is a slope, and slopes seem to tell of motions along a surface."""
 SLANT = 0.2
 """Cosine between a surface's normal and the ray that sees it below which its depth is not to be had."""
 ALIKE = 0.85
@@ -51,12 +54,11 @@ ROBUST_SIGMAS = 2.0
 """Distances beyond so many sigma count linearly: people, and what stands before what."""
 TOGETHER = 50.0
 """Neighbouring samples of a surface err together: so many count as one."""
-LEAST_GAIN = 4.0
-"""How much more than the rig given the surfaces must tell of every relative motion of the cameras (ratio of
-informations): below it the rig given would decide."""
+MOST_OPEN_M = 0.01
+"""1 sigma of how two cameras place what they share against each other, beyond which the rig given would decide."""
 AROUND_PX = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
 """[5, 2] where a pattern is read about a pixel: there, and to both sides for its slopes."""
-LEAST_SHARED = 200
+LEAST_SHARED = 100
 """Samples that two cameras must share to be held against each other."""
 
 
@@ -82,8 +84,11 @@ class SurfacePair:
     b: int
     samples: int
     before_m: float
-    """Median distance from surface to surface before the alignment, of the samples that are shared after it."""
+    """Median distance from surface to surface before the alignment, of what lay within the widest gate."""
     after_m: float
+    open_m: float
+    """1 sigma of how one places what they share against the other, along what surfaces tell least, m. Gaps do not show
+    it: a surface that slides along itself leaves none."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +98,6 @@ class DepthAlignment:
     T_base_cam: Float64
     """[C, 4, 4]."""
     pairs: tuple[SurfacePair, ...]
-    sigmas_m: Float64
-    """[C] 1 sigma of each camera's position, m."""
 
 
 def surface_of(camera: RigCamera, rgb: UInt8, depth: Float32, still: Bool) -> Surface:
@@ -102,15 +105,14 @@ def surface_of(camera: RigCamera, rgb: UInt8, depth: Float32, still: Bool) -> Su
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
     rays = pixel_rays(camera, np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*depth.shape, 2)
     points = np.concatenate([rays * depth[..., None], depth[..., None].astype(np.float64)], axis=-1)
-    across, down = np.zeros_like(points), np.zeros_like(points)
-    across[:, 1:-1], down[1:-1] = points[:, 2:] - points[:, :-2], points[2:] - points[:-2]
-    normals = np.cross(down, across)
+    across, down = np.zeros_like(depth), np.zeros_like(depth)
+    across[:, 1:-1], down[1:-1] = depth[:, 2:] - depth[:, :-2], depth[2:] - depth[:-2]
+    known = still & (depth > 0) & (np.maximum(np.abs(across), np.abs(down)) < 2 * STEP * depth)
+    reach = max(round(NORMAL_SHARE * camera.width), 1)
+    known = cv2.erode(known.astype(np.uint8), np.ones((2 * reach + 1,) * 2), borderValue=0) > 0
+    ramp, level = np.arange(-reach, reach + 1.0), np.ones(2 * reach + 1)
+    normals = np.cross(cv2.sepFilter2D(points, -1, level, ramp), cv2.sepFilter2D(points, -1, ramp, level))
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-    smooth = np.maximum(np.abs(across[..., 2]), np.abs(down[..., 2])) < 2 * STEP * depth
-    known = still & (depth > 0) & smooth
-    known[[0, -1]], known[:, [0, -1]] = False, False
-    for shifted in (known[2:, 1:-1], known[:-2, 1:-1], known[1:-1, 2:], known[1:-1, :-2]):
-        known[1:-1, 1:-1] &= shifted | ~known[1:-1, 1:-1]
     facing = -(normals * points).sum(-1) > SLANT * np.linalg.norm(points, axis=-1)
     light = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + 8)
     patterns = tuple(
@@ -125,9 +127,8 @@ def surface_of(camera: RigCamera, rgb: UInt8, depth: Float32, still: Bool) -> Su
 def align(cameras: Sequence[RigCamera], surfaces: Sequence[Surface], turn: float, move_m: float) -> DepthAlignment:
     """Poses nearest to those given (1 sigma: `turn` rad, `move_m`) whose surfaces agree.
 
-    Raises `RigError` naming the cameras where surfaces leave a motion open, or a camera shares none.
+    Raises `RigError` naming the cameras where surfaces leave a motion open (`MOST_OPEN_M`), or a camera shares none.
     """
-    given = np.stack([camera.T_base_cam for camera in cameras])
     samples = [_Samples.of(surface) for surface in surfaces]
     weights = np.tile([turn**-2] * 3 + [move_m**-2] * 3, len(cameras))
     rng = np.random.default_rng(0)
@@ -135,16 +136,16 @@ def align(cameras: Sequence[RigCamera], surfaces: Sequence[Surface], turn: float
     starts[0] = 0
     found = [_descended(cameras, surfaces, samples, weights, start) for start in starts]
     best = min(found, key=lambda result: result.misfit)
-    pairs = _pairs(cameras, surfaces, samples, given, best.poses)
-    _check_told(cameras, pairs, best.information, weights)
+    covariance = np.asarray(np.linalg.inv(best.information + np.diag(weights)), np.float64)
+    pairs = _pairs(cameras, surfaces, samples, best.poses, covariance)
+    _check_told(cameras, pairs)
     strain = float(np.abs(best.changes * np.sqrt(weights)).max())
     if strain > MOST_STRAIN:
         raise RigError(
             f"refine: expected a rig near the one given, at most {MOST_STRAIN:g} sigma away, found one at "
             f"{strain:.1f}: are the poses given right to a degree or two? Else use a board"
         )
-    variances = np.diag(np.linalg.inv(best.information + np.diag(weights))).reshape(-1, 6)
-    return DepthAlignment(best.poses, pairs, np.sqrt(variances[:, 3:].max(axis=1)))
+    return DepthAlignment(best.poses, pairs)
 
 
 @dataclass(frozen=True)
@@ -294,20 +295,30 @@ def _pairs(
     cameras: Sequence[RigCamera],
     surfaces: Sequence[Surface],
     samples: Sequence[_Samples],
-    given: Float64,
     poses: Float64,
+    covariance: Float64,
 ) -> tuple[SurfacePair, ...]:
+    given = np.stack([camera.T_base_cam for camera in cameras])
     out = []
-    for a, b in permutations(range(len(cameras)), 2):
+    for a, b in combinations(range(len(cameras)), 2):
         before = _match(cameras, surfaces, samples, given, 0, (a, b))
         after = _match(cameras, surfaces, samples, poses, len(GATES_M) - 1, (a, b))
-        if a < b and min(len(before.gaps), len(after.gaps)) >= LEAST_SHARED:
-            medians = [float(np.median(np.abs(match.gaps))) for match in (before, after)]
-            out.append(SurfacePair(a, b, len(after.gaps), *medians))
+        if min(len(before.gaps), len(after.gaps)) >= LEAST_SHARED:
+            before_m, after_m = (float(np.median(np.abs(match.gaps))) for match in (before, after))
+            out.append(SurfacePair(a, b, len(after.gaps), before_m, after_m, _open_m(after, poses, covariance)))
     return tuple(out)
 
 
-def _check_told(cameras: Sequence[RigCamera], pairs: Sequence[SurfacePair], H: Float64, weights: Float64) -> None:
+def _open_m(match: _Match, poses: Float64, covariance: Float64) -> float:
+    """1 sigma, m, that a covariance [6 C, 6 C] of the changes of poses leaves between two cameras where they match."""
+    own = np.r_[6 * match.a : 6 * match.a + 6, 6 * match.b : 6 * match.b + 6]
+    by_poses = _apart(poses[match.a], poses[match.b])
+    motion = by_poses @ covariance[np.ix_(own, own)] @ by_poses.T
+    by_motion = np.concatenate([-cross_matrix(match.places), np.broadcast_to(np.eye(3), (len(match.places), 3, 3))], 2)
+    return float(np.sqrt(np.linalg.eigvalsh((by_motion @ motion @ by_motion.transpose(0, 2, 1)).mean(0))[-1]))
+
+
+def _check_told(cameras: Sequence[RigCamera], pairs: Sequence[SurfacePair]) -> None:
     """Every relative motion must be told by surfaces, not by the rig given."""
     reached, grown = {0}, True
     while grown:
@@ -320,12 +331,10 @@ def _check_told(cameras: Sequence[RigCamera], pairs: Sequence[SurfacePair], H: F
             f"refine: camera {lost[0]}: expected surfaces that another camera sees too, found none within "
             f"{100 * GATES_M[0]:.0f} cm; are the poses given right to a degree or two? Else use a board"
         )
-    scale = 1 / np.sqrt(weights)
-    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
-    # The six lowest are those of the rig as a whole, which surfaces cannot tell.
-    if values[6] < LEAST_GAIN:
-        mover = cameras[int(np.linalg.norm(vectors[:, 6].reshape(-1, 6), axis=1).argmax())]
+    worst = max(pairs, key=lambda pair: pair.open_m)
+    if worst.open_m > MOST_OPEN_M:
         raise RigError(
-            f"refine: camera {mover.name}: expected surfaces that tell all its motions, found one that they leave "
-            "open: put something with three different faces where it and another camera see it, or use a board"
+            f"refine: cameras {cameras[worst.a].name} and {cameras[worst.b].name}: expected surfaces that tell all "
+            f"their motions to {1000 * MOST_OPEN_M:.0f} mm, found one that they leave open by "
+            f"{1000 * worst.open_m:.0f} mm: put something with three different faces where both see it, or use a board"
         )

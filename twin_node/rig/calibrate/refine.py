@@ -124,8 +124,8 @@ def _by_depth(rig: Rig, stills: Sequence[Still], parameters: RefineParameters) -
     found = align(rig.cameras, surfaces, np.radians(parameters.turn_deg), parameters.move_m)
     cameras = []
     for i, camera in enumerate(rig.cameras):
-        gaps = [pair.after_m for pair in found.pairs if i in (pair.a, pair.b)]
-        cameras.append(replace(camera, T_base_cam=found.T_base_cam[i], sigma_m=max(LEAST_SIGMA_M, *gaps)))
+        off = [max(pair.after_m, pair.open_m) for pair in found.pairs if i in (pair.a, pair.b)]
+        cameras.append(replace(camera, T_base_cam=found.T_base_cam[i], sigma_m=max(LEAST_SIGMA_M, *off)))
     return RefineResult(replace(rig, cameras=tuple(cameras)), None, (), (), found.pairs)
 
 
