@@ -68,7 +68,7 @@ class Lens:
         fx, fy, cx, cy = self.parameters[:4]
         off_centre = (np.array([cx, cy]) - self._middle) / (CENTRE_SIGMA * self.width)
         oblong = np.log(max(fy / fx, LEAST_ASPECT)) / ASPECT_SIGMA
-        return np.concatenate([[oblong], off_centre, self.D / DISTORTION_SIGMAS[self.model]])
+        return np.concatenate([[oblong], off_centre, self.D / self._distortion_sigmas])
 
     def priors_jacobian(self) -> Float64:
         """[3 + D, 4 + D] of `priors` by `parameters`."""
@@ -76,8 +76,13 @@ class Lens:
         J = np.zeros((3 + len(self.D), 4 + len(self.D)))
         J[0, :2] = np.array([-1 / fx, 1 / fy]) / ASPECT_SIGMA
         J[[1, 2], [2, 3]] = 1 / (CENTRE_SIGMA * self.width)
-        J[3:, 4:] = np.diag(1 / np.array(DISTORTION_SIGMAS[self.model]))
+        J[3:, 4:] = np.diag(1 / self._distortion_sigmas)
         return J
+
+    @property
+    def _distortion_sigmas(self) -> Float64:
+        """[D] those of `DISTORTION_SIGMAS`: a rig file may leave out the last coefficients."""
+        return np.array(DISTORTION_SIGMAS[self.model][: len(self.D)])
 
     @property
     def _middle(self) -> Float64:
