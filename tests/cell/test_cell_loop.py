@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from twin_node.cell.oracle import Foresight, Oracle, PerfectPerception, Timing
 from twin_node.cell.program import RunningProgram, longest_stop_ns
 from twin_node.cell.shadow import Shadow, covering_spheres
 from twin_node.cell.shapes import Form, Placed, Shape, cubes_meet
-from twin_node.cell.ur_arm import ArmInCell
+from twin_node.cell.ur_arm import ArmInCell, DrivenArm
 from twin_node.cell.world import World
 from twin_node.scene import Float64, ObstacleKind, Obstacles
 
@@ -137,6 +138,50 @@ def test_a_stop_takes_the_time_of_the_table(arm: ArmInCell) -> None:
     taken_s = (program.now - begun) * 1e-9 - 0.024
     assert taken_s == pytest.approx(expected_s, abs=0.25 * expected_s + STEP_NS * 1e-9)
     assert program.phase_ns - phase == pytest.approx((0.024 + taken_s / 2) * 1e9, rel=0.25)
+
+
+class SteadyStop:
+    """Every stop takes 0.2 s."""
+
+    def stop(self, speeds: Float64) -> SimpleNamespace:
+        return SimpleNamespace(duration_s=0.2)
+
+
+def test_a_steady_stop_takes_half_the_way_of_its_time(arm: ArmInCell) -> None:
+    program = RunningProgram(arm.cycle, SteadyStop(), 0, command_latency_ns=0)
+    program.tell(1.0)
+    program.step(STEP_NS)
+    assert program.phase_ns == STEP_NS
+    program.tell(0.0)
+    while program.share > 0:
+        program.step(STEP_NS)
+    assert program.now == STEP_NS + 200 * MS
+    assert program.phase_ns - STEP_NS == pytest.approx(100 * MS)
+
+
+@pytest.mark.parametrize("latency_ms", [0, 8, 17, 20, 25])
+def test_no_command_is_obeyed_for_longer_than_the_reaction(arm: ArmInCell, latency_ms: int) -> None:
+    parameters = LoopParameters(command_latency_ms=latency_ms)
+    program = RunningProgram(arm.cycle, SteadyStop(), 0, command_latency_ns=latency_ms * MS)
+    program.tell(1.0)
+    for _ in range(parameters.decision_steps):
+        program.step(STEP_NS)
+    program.tell(0.0)
+    while not 0 < program.share < 1:
+        program.step(STEP_NS)
+    assert program.now - STEP_NS == round(parameters.reaction_s * 1e9)
+
+
+def test_a_driven_arm_tells_the_speed_at_which_it_is_driven(scenario: Scenario, arm: ArmInCell) -> None:
+    assert scenario.arm is not None
+    driven = DrivenArm(scenario.arm, scenario)
+    half_ns, start, fastest = 8 * MS, scenario.start_ns, 0.0
+    for step in range(1, 150):
+        driven.drive(start + 2 * half_ns * step, half_ns * step)
+        now, there = driven.sample(start + 2 * half_ns * step), arm.sample(start + half_ns * step - MS)
+        np.testing.assert_allclose(now.velocities, there.velocities / 2, atol=0.02)
+        fastest = max(fastest, float(np.abs(now.velocities).max()))
+    assert fastest > 0.3
 
 
 def test_the_arm_waits_for_its_first_obstacles_and_keeps_clear(

@@ -82,6 +82,11 @@ class DrivenArm(ArmInCell):
             self._stamps.append(stamp)
             self._phases.append(phase_ns)
 
+    def sample(self, stamp: int) -> JointSample:
+        """The joints at a stamp; their speeds come of what was before it, since nothing is known of what comes."""
+        before, now = self.positions(stamp + DIFFERENCE_NS * np.arange(-1, 1))
+        return JointSample(stamp, self.model.joint_names, now, (now - before) / (1e-9 * DIFFERENCE_NS))
+
     def positions(self, stamps: NDArray[np.int64]) -> Float64:
         """Joint angles [T, J] at stamps [T], rad; after the newest stamp it stays."""
         since = (np.asarray(stamps) - self._stamps[0]).astype(np.float64)
