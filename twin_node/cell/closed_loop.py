@@ -36,8 +36,9 @@ class LoopParameters:
 
     @property
     def reaction_s(self) -> float:
-        """T_r of the law: a command holds until the next decision's has arrived."""
-        return self.decision_steps * STEP_NS * 1e-9 + self.command_latency_ms * 1e-3
+        """T_r of the law: a command holds until the first step by which the next decision's has arrived."""
+        latency_steps = -(-round(self.command_latency_ms * 1e6) // STEP_NS)
+        return (self.decision_steps + latency_steps) * STEP_NS * 1e-9
 
 
 class Perception(Protocol):

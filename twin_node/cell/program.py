@@ -63,12 +63,12 @@ class RunningProgram:
         while self._told and self._told[0][0] <= self.now:
             self._target = self._told.popleft()[1]
         if self._target >= self.share:
-            self.share = self._target
+            before = self.share = self._target
         else:
             stop_s = self._table.stop(self.speeds()).duration_s
             fall = step_ns * 1e-9 / stop_s if stop_s > 0 else 1.0
-            self.share = max(self._target, self.share - fall)
-        self.phase_ns += self.share * step_ns
+            before, self.share = self.share, max(self._target, self.share - fall)
+        self.phase_ns += (before + self.share) / 2 * step_ns
         self.now += step_ns
 
 
