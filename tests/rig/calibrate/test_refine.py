@@ -19,7 +19,7 @@ from twin_node.rig import RigError, Undistorter, load_rig
 from twin_node.rig.calibrate.birds_eye import Sheet, plane_hits
 from twin_node.rig.calibrate.ground_matches import DISTINCT_PX, agreed_map, measured
 from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.matches import epipolar_px
+from twin_node.rig.calibrate.matches import epipolar_px, feature_matches
 from twin_node.rig.calibrate.refine import RefineParameters, RefineResult, refine_rig
 from twin_node.rig.calibrate.stills import Still, stills_of
 from twin_node.scene import Float64, FrameSet, Rig, RigCamera, View
@@ -188,6 +188,18 @@ def test_cameras_that_see_nothing_alike_are_refused(cell: tuple[Rig, tuple[Still
     blank = replace(stills[1], rgb=np.full_like(stills[1].rgb, 127))
     with pytest.raises(RigError, match=rf"camera {truth.cameras[1].name}: expected at least 24 points"):
         refine_rig(truth, (stills[0], blank, stills[2]), TABLE)
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 240), (1200, 900)])
+def test_a_camera_upside_down_finds_its_features_in_the_same_places(width: int, height: int) -> None:
+    grey = cv2.resize(blotches(np.random.default_rng(2))[:900], (width, height), interpolation=cv2.INTER_AREA)
+    rgb = np.repeat(grey[..., None], 3, axis=2)
+    camera = RigCamera("one", width, height, np.diag([300.0, 300, 1]), np.eye(4))
+    stills = [Still(camera, image, np.ones((height, width), bool)) for image in (rgb, rgb[::-1, ::-1].copy())]
+    (found,) = feature_matches(stills)
+    off = found.pixels_a + found.pixels_b - [width - 1, height - 1]
+    assert len(off) > 100
+    assert np.abs(np.median(off, axis=0)).max() < 0.05
 
 
 def holes(odd: bool, size: int = 300, pitch: int = 11) -> np.ndarray:

@@ -120,9 +120,8 @@ def _described(still: Still) -> _Features:
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     resized = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=method)
     mask = cv2.resize(still.still.astype(np.uint8) * 255, resized.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    points, descriptors = cv2.SIFT.create(nfeatures=MOST_FEATURES, contrastThreshold=0.01).detectAndCompute(
-        resized, mask
-    )
+    sift = cv2.SIFT.create(nfeatures=MOST_FEATURES, contrastThreshold=0.01, enable_precise_upscale=True)
+    points, descriptors = sift.detectAndCompute(resized, mask)
     if descriptors is None:
         return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     pixels = (np.array([point.pt for point in points], dtype=np.float64) + 0.5) / scale - 0.5
