@@ -13,6 +13,7 @@ from twin_node.cell.ur_sim.control_script import Command, ControlScript
 from twin_node.cell.ur_sim.controller import PERIOD_S
 from twin_node.cell.ur_sim.dashboard import answer
 from twin_node.cell.ur_sim.faults import Faults, switch
+from twin_node.cell.ur_sim.motions import Target
 from twin_node.cell.ur_sim.own_program import OwnProgram
 from twin_node.cell.ur_sim.states import RuntimeState, SafetyMode
 from twin_node.cell.ur_sim.status import from_line, status_of, to_line
@@ -218,6 +219,68 @@ def test_commands_outside_the_stand_in_end_the_program_instead_of_pretending() -
     command(machine, 46)
     assert machine.program is None
     assert status_of(machine).event("program stopped: ur_rtde command 46 is not part of the stand-in") is not None
+
+
+@pytest.mark.parametrize(
+    ("number", "first", "said"),
+    [
+        (Command.SET_WATCHDOG, 1000.0, "watchdog: expected 0 to 500 Hz, found 1000"),
+        (Command.SET_WATCHDOG, np.nan, "input_double_register_0: expected a finite number, found nan"),
+        (Command.SPEEDJ, np.inf, "input_double_register_0: expected a finite number, found inf"),
+    ],
+)
+def test_what_no_controller_can_do_ends_the_program_alone(number: Command, first: float, said: str) -> None:
+    machine = controller()
+    machine.replace(ControlScript())
+    machine.tick()
+    command(machine, number, [first])
+    run(machine, 0.1)
+    assert machine.runtime_state is RuntimeState.STOPPED
+    assert np.isfinite(machine.arm.q).all()
+    assert any(event.text.startswith(f"program stopped: {said}") for event in machine.events)
+
+
+def test_a_speed_slider_that_is_no_number_ends_the_program_alone() -> None:
+    machine = controller()
+    machine.play(OwnProgram())
+    run(machine, 0.6)
+    slide(machine, np.nan)
+    run(machine, 0.5)
+    assert machine.runtime_state is RuntimeState.STOPPED
+    assert fastest(machine) < 0.01
+    assert (machine.slider, np.isfinite(machine.scale)) == (1.0, True)
+
+
+class Dwell:
+    """Rests for 20 ms of its own time, then turns all joints at 0.5 rad/s."""
+
+    is_done = False
+    can_be_slowed = True
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def advance(self, target: Target, dt: float, scale: float) -> Target:
+        self.time += dt * scale
+        speed = 0.5 * scale if self.time > 0.02 else 0.0
+        return Target(target.q + speed * dt, np.full(6, speed))
+
+
+def test_a_program_that_is_paused_where_its_path_rests_stands_when_it_says_so() -> None:
+    machine = controller()
+    machine.play(OwnProgram())
+    run(machine, 1.0)
+    machine.motion = Dwell()
+    run(machine, PERIOD_S)
+    machine.pause("test")
+    for _ in range(200):
+        run(machine, PERIOD_S)
+        if machine.runtime_state is RuntimeState.PAUSED:
+            break
+    place = machine.target.q
+    assert machine.runtime_state is RuntimeState.PAUSED
+    run(machine, 0.3)
+    np.testing.assert_array_equal(machine.target.q, place)
 
 
 def test_a_status_is_the_same_after_its_way_over_the_wire() -> None:

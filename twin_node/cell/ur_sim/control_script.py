@@ -7,6 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.controller import PERIOD_S, Controller
 from twin_node.cell.ur_sim.motions import Hold, Motion, MoveJ, ServoJ, SpeedJ
 from twin_node.cell.ur_sim.simulated_arm import pose_in_base
@@ -115,7 +116,11 @@ class ControlScript:
         if handler is None:
             controller.stop(f"ur_rtde command {command} is not part of the stand-in")
             return None
-        return handler(controller)
+        try:
+            return handler(controller)
+        except CellError as error:  # what a client asked for is the end of its program, and not of the controller
+            controller.stop(str(error))
+            return None
 
     def _watch_asynchronous(self, controller: Controller) -> None:
         motion = self._asynchronous

@@ -24,7 +24,8 @@ _SLOWING_PER_S = 5.0
 """How fast the speed follows slider and pause: to rest in 0.2 s, which on the default cycle (1.05 rad/s) takes the
 5 rad/s^2 that UR's MoveIt configuration plans with. UR publishes no figure."""
 _SAFETY_SLOWING_PER_S = 20.0
-"""The same under a protective or emergency stop: 50 ms, about the UR3's published stopping time at this speed."""
+"""The same under a protective stop: 50 ms, about the UR3's published stopping time at this speed. An emergency stop
+ends the program, and the arm brakes as at any other end."""
 _EVENTS_KEPT = 1000
 
 
@@ -74,7 +75,7 @@ class Controller:
         self.slider = 1.0
         self.scale = 0.0
         """Share of the programmed speed at which motions advance: it follows the slider within 0.2 s."""
-        self._stopped_at = 0.0
+        self._stopped_at = -np.inf
         self._tell()
 
     @property
@@ -90,7 +91,7 @@ class Controller:
         """One period: inputs, watchdogs, program, motion, arm, outputs."""
         self._periods += 1
         if self.inputs.number("speed_slider_mask") != 0:
-            self._slide(float(np.clip(self.inputs.number("speed_slider_fraction"), 0.0, 1.0)))
+            self._slide(self.inputs.number("speed_slider_fraction"))
         if self.runtime_state is RuntimeState.PLAYING:
             self._obey(self.watchdogs.expired(self.inputs, self.clock))
         if self.runtime_state is RuntimeState.PLAYING and self.program is not None:
@@ -187,6 +188,10 @@ class Controller:
         return self.safety_mode is SafetyMode.NORMAL and self.robot_mode is RobotMode.RUNNING
 
     def _slide(self, fraction: float) -> None:
+        if not np.isfinite(fraction):
+            self.stop(f"speed slider: expected a share from 0 to 1, found {fraction:g}")
+            return
+        fraction = float(np.clip(fraction, 0.0, 1.0))
         if (fraction == 0) != (self.slider == 0):
             self.note("speed slider at zero" if fraction == 0 else "speed slider above zero")
         self.slider = fraction
@@ -217,8 +222,9 @@ class Controller:
         self.outputs.target_qdd = acceleration
 
     def _settle(self) -> None:
-        """Programs that were told to stop or pause have done so when the arm stands."""
-        if not self.target.is_standing:
+        """Programs that were told to stop or pause have done so when the arm stands, and not where its path pauses."""
+        goes_on = self.program is not None and self.motion.can_be_slowed and self.scale > 0
+        if goes_on or not self.target.is_standing:
             return
         if self.runtime_state is RuntimeState.STOPPING:
             self.runtime_state = RuntimeState.STOPPED
@@ -240,7 +246,8 @@ class Controller:
         outputs.safety_status_bits = self.safety_mode.status_bits
         outputs.runtime_state = self.runtime_state
         is_playing = self.runtime_state is RuntimeState.PLAYING
-        outputs.robot_status_bits = int(self.robot_mode is RobotMode.RUNNING) | int(is_playing) << 1
+        is_powered = self.robot_mode in (RobotMode.IDLE, RobotMode.RUNNING)
+        outputs.robot_status_bits = int(is_powered) | int(is_playing) << 1
 
 
 _BEFORE = {

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.rtde_types import DOUBLE_REGISTERS, INPUTS, INT_REGISTERS, OUTPUTS
 from twin_node.scene import Float64
 
@@ -28,7 +29,8 @@ def _vector() -> Float64:
 class Outputs:
     """Output variables that the stand-in computes; attributes are named as RTDE names them, in RTDE's units.
 
-    What it does not compute (currents, voltages, forces, inputs and outputs) is sent as zero.
+    What it does not compute (currents, voltages, forces, speeds of the TCP, the elbow, measured accelerations, inputs
+    and outputs) is sent as zero.
     """
 
     tool_pose: Callable[[Float64], Float64]
@@ -126,9 +128,13 @@ class Inputs:
         return int(self.number(f"input_int_register_{register}"))
 
     def double(self, register: int) -> float:
-        """A double register's value."""
-        return self.number(f"input_double_register_{register}")
+        """A double register's value; raises `CellError` where that is no finite number."""
+        name = f"input_double_register_{register}"
+        value = self.number(name)
+        if not np.isfinite(value):
+            raise CellError(f"{name}: expected a finite number, found {value:g}; correct the command")
+        return value
 
     def doubles(self, first: int, count: int) -> Float64:
-        """Values of consecutive double registers."""
+        """Values of consecutive double registers; raises as `double` does."""
         return np.array([self.double(first + offset) for offset in range(count)])
