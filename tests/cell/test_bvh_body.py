@@ -77,6 +77,18 @@ def test_seeds_vary_the_pace() -> None:
     assert max(apart) > 0.005
 
 
+@pytest.mark.parametrize("from_s", [0.15, 0.33, 0.6])
+def test_a_motion_begins_and_ends_where_it_is_asked_to(from_s: float) -> None:
+    file = str(resources.find("sim/walk.bvh"))
+    whole = RecordedBody(Person(), BvhMotion(file))
+    body = RecordedBody(Person(), BvhMotion(file, from_s=from_s, to_s=from_s + 1.01))
+    shift = body.ends(0.0)[0, 0] - whole.ends(from_s)[0, 0]
+    for t in (-1.0, 0.0, 0.4, 1.01, 3.0):
+        there = whole.ends(from_s + np.clip(t, 0.0, 1.01)) + shift
+        np.testing.assert_allclose(body.ends(t), there, atol=1e-9)
+    np.testing.assert_allclose(body.ends(0.0)[0, 0, :2], BvhMotion(file).position[:2], atol=1e-9)
+
+
 @pytest.mark.parametrize("change", [{"file": ""}, {"pace": 0.0}, {"from_s": 2.0, "to_s": 1.0}])
 def test_motions_that_make_no_sense_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(CellError, match="motion"):

@@ -53,13 +53,16 @@ class RecordedBody:
                 f"{motion.file}: from_s must lie within the recording, found {motion.from_s:g}; the recording lasts "
                 f"{lasts_s:g} s"
             )
-        first = min(int(motion.from_s / clip.frame_s), len(clip.positions) - 1)
-        last = max(min(int(np.ceil(motion.to_s / clip.frame_s)), len(clip.positions) - 1), first)
-        points = _in_base(clip, person.height_m, motion)[first : last + 1]
+        newest = len(clip.positions) - 1
+        begin, end = (min(t / clip.frame_s, newest) for t in (motion.from_s, motion.to_s))
+        first = int(begin)
+        points = _in_base(clip, person.height_m, motion)[first : int(np.ceil(end)) + 1]
         bones = _bones(clip, points[0])
         if not len(bones):
             raise CellError(f"{motion.file}: expected a body's skeleton, found no bone of {_SHORTEST_BONE_M} m")
-        points[..., :2] += np.array(motion.position[:2]) - points[0, 0, :2]
+        self._begin, self._end = begin - first, end - first
+        """The part that is taken, between the frames that hold it."""
+        points[..., :2] += np.array(motion.position[:2]) - _between(points, self._begin)[0, :2]
         self._ends = points[:, bones]
         self._left, self._right = (points[:, row] for row in _hips(clip))
         self._frame_s = clip.frame_s
@@ -81,12 +84,17 @@ class RecordedBody:
         ]
 
     def _at(self, t: float, values: Float64) -> Float64:
-        """Values [T, ...] given per frame, between the two frames next to a time."""
-        frame = (t - self._motion.start_s) * self._motion.pace / self._frame_s
-        before = int(np.clip(frame, 0, len(values) - 1))
-        share = float(np.clip(frame - before, 0.0, 1.0))
-        between: Float64 = (1 - share) * values[before] + share * values[min(before + 1, len(values) - 1)]
-        return between
+        """Values [T, ...] given per frame, at a time."""
+        frame = self._begin + (t - self._motion.start_s) * self._motion.pace / self._frame_s
+        return _between(values, float(np.clip(frame, self._begin, self._end)))
+
+
+def _between(values: Float64, frame: float) -> Float64:
+    """Values [T, ...] given per frame, between the two frames next to one."""
+    before = int(frame)
+    share = frame - before
+    between: Float64 = (1 - share) * values[before] + share * values[min(before + 1, len(values) - 1)]
+    return between
 
 
 @lru_cache(maxsize=16)

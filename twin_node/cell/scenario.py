@@ -77,7 +77,7 @@ class BvhMotion:
     file: str = ""
     """Beside the scenario, or a path."""
     position: Triple = (1.3, 0.0, -0.81)
-    """Where the hips are in the first frame taken (x, y), and the height of the ground (z), m."""
+    """Where the hips are at `from_s` (x, y), and the height of the ground (z), m."""
     yaw_deg: float = 0.0
     """Turn about z; at 0 the file's z axis, to which most recordings face, is x."""
     start_s: float = 0.0
