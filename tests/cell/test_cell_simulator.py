@@ -178,6 +178,13 @@ def test_images_arrive_after_their_latency_in_their_order(small: Scenario) -> No
     assert all(exposure.arrival == exposure.stamp for exposure in SimulatedRig(small).exposures())
 
 
+def test_no_image_arrives_before_its_shutter_has_closed(small: Scenario) -> None:
+    sensing = replace(small.sensing, exposure_ms=20.0, latency_ms=5.0)
+    rig = SimulatedRig(replace(small, sensing=sensing))
+    assert {exposure.arrival - exposure.stamp for exposure in rig.exposures()} == {15_000_000}
+    assert [exposure.arrival for exposure in rig.arrivals()] == sorted(e.arrival for e in rig.exposures())
+
+
 def test_an_open_shutter_blurs_what_moves_and_nothing_else(small: Scenario) -> None:
     quiet = replace(small.sensing, rgb_sigma=0.0)
     sharp, open_long = (

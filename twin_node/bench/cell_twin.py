@@ -151,7 +151,7 @@ class TwinPerception:
         self._rig = SimulatedRig(scenario)
         self._arm = DrivenArm(scenario.arm, scenario)
         self._rig.world.arm = self._arm
-        self._due: deque[Exposure] = deque(self._rig.exposures())
+        self._due: deque[Exposure] = deque(self._rig.arrivals())
         self._pace = pace
         self._reading, self._working = LocalBus(), LocalBus()
         self._reading_clock, self._clock = SteppedClock(scenario.start_ns), _WorkClock(scenario.start_ns)
@@ -192,7 +192,7 @@ class TwinPerception:
         self._arm.drive(now, program.phase_ns)
         self._reading_clock.advance_to(now)
         self._reading.publish(JOINT_STATES, convert.joint_sample_to_message(self._arm.sample(now)))
-        while self._due and self._due[0].stamp <= now:
+        while self._due and self._due[0].arrival <= now:
             self._take(self._due.popleft())
         known = None
         while self._found and self._found[0][0] <= now:
@@ -255,7 +255,7 @@ class TwinPerception:
 
     def _has_time(self) -> bool:
         """Whether no other image has come meanwhile, or the pace says when the next one is taken."""
-        return self._pace is not None or not self._due or self._due[0].stamp > self._clock.now()
+        return self._pace is not None or not self._due or self._due[0].arrival > self._clock.now()
 
 
 class BySight:

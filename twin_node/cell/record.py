@@ -72,7 +72,7 @@ class Recording:
         self._scenario = scenario
         self._simulated = SimulatedRig(scenario)
         self._truth = CellTruth(self._simulated)
-        self._exposures = sorted(self._simulated.exposures(), key=lambda e: (e.arrival, e.camera))
+        self._exposures = self._simulated.arrivals()
 
     @property
     def rig(self) -> Rig:

@@ -194,7 +194,8 @@ class Sensing:
     jitter_ms: float = 1.0
     """1 sigma of an exposure's time about its tick (cut at 3 sigma); the stamp tells the true time."""
     latency_ms: float = 0.0
-    """From an exposure until its image arrives: readout, encoding, transport."""
+    """From the end of an exposure until its image arrives, in logs and in the closed loop: readout, encoding and
+    transport. Live images come when they are made."""
     latency_jitter_ms: float = 0.0
     """1 sigma of what arrives later still (half a normal distribution, cut at 3 sigma)."""
     exposure_ms: float = 0.0

@@ -67,6 +67,10 @@ class SimulatedRig:
         seen = [e for e in taken if self._fault(e, "missing") is None]
         return sorted(seen, key=lambda e: (e.stamp, e.camera))
 
+    def arrivals(self) -> list[Exposure]:
+        """The same in the order in which their images arrive."""
+        return sorted(self.exposures(), key=lambda e: (e.arrival, e.camera))
+
     def tick_stamps(self) -> list[int]:
         """Per set, the true time of its last exposure, ns, whether or not the cameras are faulty."""
         return [int(stamp) for stamp in self._stamps.max(axis=1)]
@@ -157,7 +161,8 @@ class SimulatedRig:
         sensing = self.scenario.sensing
         rng = np.random.default_rng([self.scenario.seed, _ARRIVALS])
         late = np.clip(np.abs(rng.normal(size=self._stamps.shape)), 0, 3) * sensing.latency_jitter_ms
-        arrivals = self._stamps + np.rint((sensing.latency_ms + late) * 1e6).astype(np.int64)
+        closing_ms = sensing.exposure_ms / 2
+        arrivals = self._stamps + np.rint((closing_ms + sensing.latency_ms + late) * 1e6).astype(np.int64)
         return np.asarray(np.maximum.accumulate(arrivals, axis=0))
 
 
