@@ -116,6 +116,17 @@ def test_triangulated_features_lie_on_the_table() -> None:
     assert np.median(np.abs(points[:, 2])) < 0.05
 
 
+def test_a_camera_upside_down_finds_the_table_at_the_same_height() -> None:
+    near = [camera("a", (0.9, -0.1, 0.9), width=240, height=180), camera("b", (0.9, 0.1, 0.9), width=240, height=180)]
+    upright, turned = frames(0, None, near).views, frames(0, None, near).views[1]
+    one, K = turned.camera, turned.camera.K.copy()
+    K[:2, 2] = [one.width, one.height] - K[:2, 2]
+    T = one.T_base_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    turned = replace(turned, camera=replace(one, K=K, T_base_cam=T), rgb=turned.rgb[::-1, ::-1].copy())
+    heights = [np.median(triangulate(views)[:, 2]) for views in (upright, (upright[0], turned))]
+    assert heights[0] == pytest.approx(heights[1], abs=1e-3)
+
+
 @given(st.integers(0, 79), st.integers(0, 59), st.floats(0.2, 5))
 def test_a_pixel_s_ray_falls_back_into_the_pixel(column: int, row: int, depth: float) -> None:
     one = rig()[0]

@@ -24,7 +24,7 @@ REPROJECTION_PX = 2.0
 
 def triangulate(views: Sequence[View]) -> Float64:
     """Base-frame points [n, 3] m that pairs of views show alike; n may be 0 where the baselines are too wide."""
-    sift = cv2.SIFT.create(contrastThreshold=0.01)
+    sift = cv2.SIFT.create(contrastThreshold=0.01, enable_precise_upscale=True)
     found = [_describe(sift, view) for view in views]
     clouds = [np.zeros((0, 3))]
     for a, b in combinations(range(len(views)), 2):
