@@ -65,7 +65,7 @@ def test_refine_times_the_clocks_too(
 ) -> None:
     """One file with places and clocks; where the arm hardly moves, the places alone, and a warning."""
     little = ("--arm", "ur5e", "--duration", "1")
-    out, log, narrow = tmp_path / "refined.yaml", str(cell_log(2.0, width=160, height=120)), ("--max-offset", "0.05")
+    out, log, narrow = tmp_path / "refined.yaml", str(cell_log(2.0, width=240, height=180)), ("--max-offset", "0.05")
     assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow]) == 0
     clocks = json.loads(capsys.readouterr().out)["clocks"]
     file = load_rig(out)
