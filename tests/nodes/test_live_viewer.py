@@ -22,6 +22,7 @@ from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OB
 from twin_node.nodes.viewer import CellPage, ViewerError, ViewerNode
 from twin_node.robot import ur_model
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.parameters import ParameterError
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import Encoded, LocalWire
@@ -228,5 +229,5 @@ def test_a_port_in_use_is_an_error(graph: Graph) -> None:
 @pytest.mark.parametrize(("name", "value"), [("width", 0), ("width", -160), ("width", 10**6), ("port", -1)])
 def test_numbers_that_no_page_has_are_an_error_at_the_start(name: str, value: int) -> None:
     """A width of 0 was found out when the first camera came, in a timer: the node ended, and was started again."""
-    with pytest.raises(ViewerError, match=f"viewer: {name}: expected .*, found {value}"):
+    with pytest.raises(ParameterError, match=f"viewer: {name}: expected .*, found {value}"):
         Graph({"viewer": {"port": free_port(), name: value}})

@@ -14,7 +14,6 @@ from twin_node.bag.rig import write_rig
 from twin_node.messages import convert
 from twin_node.nodes.log_check import LogCheck, check_log
 from twin_node.nodes.log_source import LogSession
-from twin_node.nodes.replay import ChainParameters, _camera_rate
 from twin_node.scene import JointSample, Rig, RigCamera
 
 MS = 1_000_000
@@ -116,7 +115,7 @@ def test_a_report_expects_sets_at_the_cameras_rate(tmp_path: Path) -> None:
     """An arm tells its joints at up to 500 Hz: taken for sets, they left a report a second of the whole log."""
     write_log(tmp_path / "log.mcap", Rig((LEFT,)), sets=60, joints_per_set=16)
     with LogSession(tmp_path / "log.mcap") as session:
-        assert _camera_rate(session, ChainParameters()) == pytest.approx(1e9 / PERIOD, rel=0.05)
+        assert session.expected_hz(None) == pytest.approx(1e9 / PERIOD, rel=0.05)
 
 
 def test_an_arm_and_its_gripper_on_one_topic_are_judged_each_by_itself(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ def test_baselines_stand_on_the_evidence_of_the_run(cell_log: Callable[..., Path
         model=ModelParameters(seed=SeedParameters(steps=2)),
         forecast=ForecastParameters(carving=CarvingParameters(depth_margin=0.1)),
     )
-    with LogSession(cell_log(0.5)) as session, replay(session, chain, None, None, True, lambda _: None) as run:
+    with LogSession(cell_log(0.5)) as session, replay(session, chain, rate=None, keep_ticks=True) as run:
         assert run.spool is not None
         scores = score_forecasts(run.spool, session.log, run.parameters, 0).methods
         others = score_forecasts(run.spool, session.log, ChainParameters(), 0).methods["persistence"]
