@@ -212,6 +212,13 @@ def test_one_depth_image_that_is_too_deep_leaves_nothing_moving(scene: Scene, er
     assert not any(mask.any() for mask in found)
 
 
+def test_ground_that_was_hidden_from_the_start_is_known_after_two_images(scene: Scene) -> None:
+    far = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    found = seen_by_depth(scene, [before(far, box(40), 1.5)] * 5 + [far] * 3 + [before(far, box(40), 1.7)])
+    assert not found[7].any()
+    assert share(found[8], box(40)) > 0.9
+
+
 def test_depth_that_begins_after_the_first_set_tells_as_well(scene: Scene) -> None:
     far = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     found = seen_by_depth(scene, [None, None, far, far, before(far, box(40), 1.5)])

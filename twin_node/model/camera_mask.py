@@ -12,6 +12,9 @@ from scipy.ndimage import uniform_filter
 
 from twin_node.scene import Bool, Float32, UInt8, View
 
+NEAR_M = 0.01
+"""Smallest change of depth that counts beside `depth_levels`, m."""
+
 
 @dataclass(frozen=True)
 class MovingMaskParameters:
@@ -61,6 +64,7 @@ class CameraMask:
         self.trusted = np.ones(self.shape, np.bool_)  # False where the background may show the moving thing itself
         self.confirmed = np.zeros(self.shape, np.bool_)  # was covered once, and is known to be ground since
         self.mask = np.zeros(self.shape, np.bool_)
+        self.measured = np.zeros(self.shape, np.float32)  # by the newest image with depth
         self.still_ns = np.zeros(self.shape, np.float32)
         self.sigma = parameters.change_levels / parameters.change_sigmas
         self.past: deque[tuple[int, Float32]] = deque([(view.stamp, self.background.copy())])
@@ -83,7 +87,7 @@ class CameraMask:
         like_ground = difference < 0.5 * threshold
         mask = moving | (self.mask & ~_eroded(self.trusted & like_ground))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
-        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground)
+        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground & ~(in_front & self._has_come(view)))
         object_ = self.confirmed & self.trusted & (difference > threshold)
         settled &= mask & ~in_front
         among_ground = settled & ~self.trusted & like_ground & self._surrounded(seen & self.trusted & like_ground)
@@ -171,8 +175,19 @@ class CameraMask:
         if view.depth is None:
             return np.zeros(self.shape, np.bool_)
         known = seen & (view.depth > 0) & (self.depth > 0)
-        near = known & (view.depth < self.depth * (1 - self.parameters.depth_levels) - 0.01)
+        near = known & self._is_before(view.depth, self.depth)
         return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
+
+    def _has_come(self, view: View) -> Bool:
+        """Where what is measured was not there in the image before: what only comes nearer may be the background."""
+        if view.depth is None:
+            return np.zeros(self.shape, np.bool_)
+        both = (self.measured > 0) & (view.depth > 0)
+        return ~both | self._is_before(view.depth, self.measured)
+
+    def _is_before(self, depth: Float32, other: Float32) -> Bool:
+        """Where one depth is clearly less than another, both known."""
+        return np.asarray(depth < other * (1 - self.parameters.depth_levels) - NEAR_M)
 
     def _surrounded(self, ground: Bool) -> Bool:
         """Pixels with enough ground among the 5 x 5 around them, or among as many of these as the image has."""
@@ -212,7 +227,8 @@ class CameraMask:
         """Draws the background towards the image where it is free, and takes what was uncovered at once.
 
         Depth likewise: taken whole, it would go along with whatever comes at the camera, and keep every outlier. Where
-        none is known the first to be measured is taken; what lies deeper is learnt behind what moves, too.
+        none is known the first to be measured is taken, and at once what two images in a row find behind it: ground
+        that was hidden. What lies deeper is learnt behind what moves, too.
         """
         learning_rate = np.float32(self.parameters.learning_rate)
         rate = np.where(free, np.where(uncovered, np.float32(1), learning_rate), np.float32(0))
@@ -220,7 +236,11 @@ class CameraMask:
         if view.depth is not None:
             deeper = np.where(view.depth > self.depth, np.maximum(rate, learning_rate), rate)
             share = np.where(self.depth == 0, free.astype(np.float32), deeper)
-            self.depth += np.where(view.depth > 0, share * (view.depth - self.depth), np.float32(0))
+            behind = np.minimum(view.depth, self.measured)
+            bared = (self.depth > 0) & (behind > self.depth * (1 + self.parameters.depth_levels) + NEAR_M)
+            drawn = self.depth + np.where(view.depth > 0, share * (view.depth - self.depth), np.float32(0))
+            self.depth = np.where(bared, behind, drawn)
+            self.measured = view.depth.astype(np.float32)
 
 
 class Colours:

@@ -51,7 +51,7 @@ class _Call:
             last,
             None if view.depth is None else np.ascontiguousarray(view.depth, dtype=np.float32),
             self._image,
-            *(camera.background, camera.depth, camera.still_ns),
+            *(camera.background, camera.depth, camera.measured, camera.still_ns),
             *(camera.known, camera.trusted, camera.confirmed, camera.mask),
             *(camera.colours.ground, camera.colours.moving, self._sigma),
         ]

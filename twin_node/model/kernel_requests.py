@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
-INTERFACE_VERSION = 21
+INTERFACE_VERSION = 22
 
 
 class MaskRules(ctypes.Structure):
@@ -29,7 +29,8 @@ class MaskRequest(ctypes.Structure):
         ("elapsed_ns", c_float),
         ("rules", ctypes.POINTER(MaskRules)),
         *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
-        *((name, c_void_p) for name in ("background", "depth", "still_ns", "known", "trusted", "confirmed", "mask")),
+        *((name, c_void_p) for name in ("background", "depth", "measured_last", "still_ns")),
+        *((name, c_void_p) for name in ("known", "trusted", "confirmed", "mask")),
         *((name, c_void_p) for name in ("ground", "moving", "sigma")),
     )
 

@@ -7,7 +7,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 21;
+constexpr int32_t kInterfaceVersion = 22;
 
 enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
 
@@ -30,7 +30,9 @@ struct MaskRequest {
   const float *reference, *last;  // [3, H, W] the image of one baseline ago, and the one before
   const float *measured;        // [H, W] m, 0 where unknown, or null
   float *image;                 // [3, H, W] written: `smooth` as planes
-  float *background, *depth, *still_ns;  // [3, H, W], [H, W] m and 0 where unknown, [H, W]
+  float *background, *depth;    // [3, H, W], [H, W] m and 0 where unknown
+  float *measured_last;         // [H, W] m, 0 where unknown: by the newest image with depth
+  float *still_ns;              // [H, W]
   uint8_t *known, *trusted, *confirmed, *mask;  // [H, W]
   double *ground, *moving;      // [4096] how often each colour was free ground, and a moving thing
   double *sigma;                // [1] noise of the images, levels

@@ -177,6 +177,17 @@ class MaskUpdate {
     }
   }
 
+  // Whether one depth is clearly less than another, both known.
+  bool is_before(float depth, float other) const {
+    return depth < other * static_cast<float>(1 - p_.depth_levels) - static_cast<float>(kNearM);
+  }
+
+  // Whether what is measured was not there in the image before: what only comes nearer may be the background itself.
+  bool has_come(int64_t at) const {
+    const float last = r_.measured_last[at];
+    return !(last > 0 && r_.measured[at] > 0) || is_before(r_.measured[at], last);
+  }
+
   // Where a measured surface stands in front of the background's.
   void find_in_front() {
     in_front_.assign(pixels_, 0);
@@ -185,8 +196,7 @@ class MaskUpdate {
     Mask near(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
       const float measured = r_.measured[at], depth = r_.depth[at];
-      near[at] = r_.seen[at] && measured > 0 && depth > 0 &&
-                 measured < depth * static_cast<float>(1 - p_.depth_levels) - static_cast<float>(kNearM);
+      near[at] = r_.seen[at] && measured > 0 && depth > 0 && is_before(measured, depth);
     }
     in_front_ = dilated(eroded(near, r_.width, r_.height, cross).data(), r_.width, r_.height, cross);
   }
@@ -233,7 +243,7 @@ class MaskUpdate {
   void doubt(const Mask &mask) const {
     for (int64_t at = 0; at < pixels_; at++) {
       const bool begins = mask[at] && !r_.mask[at] && !r_.confirmed[at];
-      if (begins && like_ground(at)) r_.trusted[at] = 0;
+      if (begins && like_ground(at) && !(in_front_[at] && has_come(at))) r_.trusted[at] = 0;
     }
   }
 
@@ -373,8 +383,13 @@ class MaskUpdate {
       for (int64_t at = 0; at < pixels_; at++) background[at] += rates[at] * (plain(k, at) - background[at]);
     }
     for (int64_t at = 0; at < pixels_ && r_.measured != nullptr; at++) {
-      const float measured = r_.measured[at], depth = r_.depth[at];
+      const float measured = r_.measured[at], depth = r_.depth[at], behind = std::min(measured, r_.measured_last[at]);
+      r_.measured_last[at] = measured > 0 ? measured : 0.f;
       if (!(measured > 0)) continue;
+      if (depth > 0 && behind > depth * static_cast<float>(1 + p_.depth_levels) + static_cast<float>(kNearM)) {
+        r_.depth[at] = behind;
+        continue;
+      }
       const float known = measured > depth ? std::max(rates[at], learning_rate) : rates[at];
       const float share = depth == 0.f ? (rates[at] > 0 ? 1.f : 0.f) : known;
       r_.depth[at] += share * (measured - depth);
