@@ -87,7 +87,7 @@ class CameraMask:
         like_ground = difference < 0.5 * threshold
         mask = moving | (self.mask & ~_eroded(self.trusted & like_ground))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
-        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground & ~(in_front & self._has_come(view)))
+        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground & ~self._come(view, in_front))
         object_ = self.confirmed & self.trusted & (difference > threshold)
         settled &= mask & ~in_front
         among_ground = settled & ~self.trusted & like_ground & self._surrounded(seen & self.trusted & like_ground)
@@ -178,12 +178,13 @@ class CameraMask:
         near = known & self._is_before(view.depth, self.depth)
         return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
 
-    def _has_come(self, view: View) -> Bool:
-        """Where what is measured was not there in the image before: what only comes nearer may be the background."""
+    def _come(self, view: View, in_front: Bool) -> Bool:
+        """Where what is `in_front` was not there in the image before: what only comes nearer may be the background."""
         if view.depth is None:
-            return np.zeros(self.shape, np.bool_)
+            return in_front
         both = (self.measured > 0) & (view.depth > 0)
-        return ~both | self._is_before(view.depth, self.measured)
+        come = in_front & (~both | self._is_before(view.depth, self.measured))
+        return in_front & (cv2.dilate(come.astype(np.uint8), _disk(1)) > 0)
 
     def _is_before(self, depth: Float32, other: Float32) -> Bool:
         """Where one depth is clearly less than another, both known."""

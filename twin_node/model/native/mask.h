@@ -19,6 +19,7 @@ constexpr int kBins = 4096;
 constexpr double kFading = 0.98, kLeastMoving = 200;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
 constexpr double kNearM = 0.01;
+static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
 
 using Gains = std::array<float, 3>;
 
@@ -192,13 +193,12 @@ class MaskUpdate {
   void find_in_front() {
     in_front_.assign(pixels_, 0);
     if (r_.measured == nullptr) return;
-    static const Kernel cross = {{-1, 0}, {0, 1}, {1, 0}};
     Mask near(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
       const float measured = r_.measured[at], depth = r_.depth[at];
       near[at] = r_.seen[at] && measured > 0 && depth > 0 && is_before(measured, depth);
     }
-    in_front_ = dilated(eroded(near, r_.width, r_.height, cross).data(), r_.width, r_.height, cross);
+    in_front_ = dilated(eroded(near, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
   }
 
   Mask moving() const {
@@ -239,11 +239,14 @@ class MaskUpdate {
   }
 
   // The background may show the very thing where one begins to be seen that looks like it, unless it is known to be
-  // ground since another one left it.
+  // ground since another one left it, or what is seen there has just come.
   void doubt(const Mask &mask) const {
+    Mask come(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) come[at] = in_front_[at] && has_come(at);
+    come = dilated(come.data(), r_.width, r_.height, kCross);
     for (int64_t at = 0; at < pixels_; at++) {
       const bool begins = mask[at] && !r_.mask[at] && !r_.confirmed[at];
-      if (begins && like_ground(at) && !(in_front_[at] && has_come(at))) r_.trusted[at] = 0;
+      if (begins && like_ground(at) && !(in_front_[at] && come[at])) r_.trusted[at] = 0;
     }
   }
 
