@@ -34,7 +34,7 @@ def camera(sigma_m: float = 0.01) -> RigCamera:
 
 
 def write_example(path: Path, **options: str) -> None:
-    with LogWriter(path, **options) as log:  # type: ignore[arg-type]
+    with LogWriter(path, **options) as log:
         write_rig(log, Rig((camera(),), np.array([[-1.0, -1.5, 0.0], [1.0, 1.25, 2.0]])), START)
         for i in range(300):
             log.write("/chatter", text(f"{i} " + "x" * 10_000), START + 10 * i)
@@ -138,12 +138,12 @@ def test_rosbags_reads_our_logs(tmp_path: Path, name: str) -> None:
         latched = {
             connection.topic
             for connection in reader.connections
-            if any(q.durability is QosDurability.TRANSIENT_LOCAL for q in connection.ext.offered_qos_profiles)  # type: ignore[union-attr]
+            if any(q.durability is QosDurability.TRANSIENT_LOCAL for q in connection.ext.offered_qos_profiles)
         }
         assert latched == {"/tf_static", "/front/camera_info"}
         [info] = [c for c in reader.connections if c.topic == "/front/camera_info"]
         _, _, raw = next(reader.messages([info]))
-        np.testing.assert_array_equal(reader.deserialize(raw, info.msgtype).k.reshape(3, 3), camera().K)  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(reader.deserialize(raw, info.msgtype).k.reshape(3, 3), camera().K)
 
 
 @given(

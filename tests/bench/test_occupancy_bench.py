@@ -127,7 +127,7 @@ def test_made_up_states_get_the_scores_they_earn() -> None:
     assert (ours.iou or 0) > (worst.iou or 1)
     printed = bench.as_json()
     assert {"ours", "persistence", "constant_velocity", "worst_case", "truth"} <= set(printed)
-    assert {"recall", "recall_now", "recall_new", "volume_l", "inflation", "iou"} <= set(printed["ours"])  # type: ignore[call-overload]
+    assert {"recall", "recall_now", "recall_new", "volume_l", "inflation", "iou"} <= set(printed["ours"])
 
 
 def test_too_short_a_run_has_no_scores() -> None:

@@ -147,14 +147,14 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
     assert len(followed.updates_ms) == followed.sets == len(followed.tiers)
     assert json.loads(json.dumps(live))["mode"] == "real time"
     psnr_db = live["psnr_db"]
-    assert psnr_db["published"]["all"] is not None and psnr_db["moved_on"]["all"] is not None  # type: ignore[index]
+    assert psnr_db["published"]["all"] is not None and psnr_db["moved_on"]["all"] is not None
     latency = live["latency_ms"]
-    assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"]  # type: ignore[index]
+    assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"]
     camera = run(log, TrackBenchParameters(duration_s=0.1, chain=SMALL)).followed.model
     assert camera.capacity > 0
     bounced = run(log, TrackBenchParameters(bounce=4, duration_s=0.3, leave_out="all", chain=SMALL)).as_json()
-    assert set(bounced["last_less_second_db"]) == set(names)  # type: ignore[call-overload]
-    assert len(bounced["left_out"]) == 3  # type: ignore[arg-type]
+    assert set(bounced["last_less_second_db"]) == set(names)
+    assert len(bounced["left_out"]) == 3
     assert bounced["growth_mb"] is not None
 
 
@@ -162,7 +162,7 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
 def test_a_short_run_does_not_say_that_memory_does_not_grow(
     cell_log: Callable[..., Path], asked: dict[str, float]
 ) -> None:
-    assert run(cell_log(0.5), TrackBenchParameters(chain=SMALL, **asked)).as_json()["growth_mb"] is None  # type: ignore[arg-type]
+    assert run(cell_log(0.5), TrackBenchParameters(chain=SMALL, **asked)).as_json()["growth_mb"] is None
 
 
 def test_wrong_requests_are_named(cell_log: Callable[..., Path]) -> None:

@@ -62,7 +62,7 @@ def test_turns_add_up_beyond_a_full_circle() -> None:
 )
 def test_wrong_paths_are_refused(arguments: tuple[object, ...], words: str) -> None:
     with pytest.raises(CellError, match=words):
-        Path(*arguments)  # type: ignore[arg-type]
+        Path(*arguments)
 
 
 @pytest.mark.parametrize("hand", [(0.4, 0.1, -0.2), (0.3, -0.4, 0.1), (2.0, 0.0, 0.0), (0.05, 0.0, 0.0)])

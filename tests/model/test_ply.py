@@ -150,7 +150,7 @@ def _vertices_again(path: Path) -> None:
 )
 def test_wrong_files_are_named(tmp_path: Path, spoil: object, says: str) -> None:
     path = tmp_path / "wrong.ply"
-    spoil(path)  # type: ignore[operator]
+    spoil(path)
     with pytest.raises(ModelError, match=says) as caught:
         read_ply(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)

@@ -31,7 +31,7 @@ def made(arm: dict[str, str], driver: dict[str, str]) -> ArmNode:
     """The arm's node of a launch file with these sections."""
     sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": arm, "ur_driver": driver}
     bus, clock = LocalBus(), SteppedClock(START)
-    setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)  # type: ignore[arg-type]
+    setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)
     return make_arm(setup)
 
 
@@ -55,7 +55,7 @@ def beside_somebody(driver: dict[str, str], *endpoints: Endpoint, **arm: object)
     told = {"model": "ur5e", "limiter": {"rise_per_s": 1000.0}, **arm}
     sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": told, "ur_driver": driver}
     cell = Cell()
-    setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))  # type: ignore[arg-type]
+    setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))
     make_arm(setup).configure()
     shares = [0.0]
     for endpoint in (None, None, *endpoints):

@@ -52,7 +52,7 @@ class Cell:
         decision = Separation(stamp, stamp, 1.0, *[0.1] * 6, "", -1, 1.0, "")
         for topic, message in (
             *((FRAMES, frames), (TRUSTED_FRAMES, frames), (SEEN, state)),
-            (FORECAST, Forecast(None, None, QUALITY)),  # type: ignore[arg-type]
+            (FORECAST, Forecast(None, None, QUALITY)),
             (SEPARATION, convert.separation_to_message(decision)),
         ):
             self.bus.publish(topic, message)

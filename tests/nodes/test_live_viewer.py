@@ -63,7 +63,7 @@ class Graph:
         self.snapshots: list[Snapshot] = []
         self._drawn = threading.Event()
         self._show = self.page.show
-        self.page.show = self._watch  # type: ignore[method-assign]
+        self.page.show = self._watch
         self.node.configure()
         self.node.activate()
 

@@ -76,7 +76,7 @@ def test_a_grippers_joints_do_not_hide_the_arms(gripper_log: Path) -> None:
 
 def test_images_come_from_the_log_that_has_them(twin_log: Path, cell_log: object) -> None:
     """The twin's log says when to look, the cell's what was seen."""
-    seen = cell_log(0.5)  # type: ignore[operator]
+    seen = cell_log(0.5)
     with Playback([twin_log, seen], width=80) as playback:
         assert [camera.width for camera in playback.cameras] == [80, 80, 80]
         frames = playback.at(START + 400_000_000).frames

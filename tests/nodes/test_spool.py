@@ -61,7 +61,7 @@ def test_the_first_set_of_every_block_but_the_first_tells_of_the_gap_before_it()
 def test_what_cannot_be_written_is_told_to_who_reads_and_to_who_adds() -> None:
     with Spool(0, SECOND, 30) as spool:
         unwritable = threading.Lock()
-        spool.add(Tick(FrameSet(stamp=1, views=(unwritable,), sequence=1)))  # type: ignore[arg-type]
+        spool.add(Tick(FrameSet(stamp=1, views=(unwritable,), sequence=1)))
         with pytest.raises(TypeError, match="lock"):
             list(spool)
         with pytest.raises(TypeError, match="lock"):

@@ -139,8 +139,8 @@ def test_playing_runs_to_the_end_and_seeking_shows_that_time(twin_log: Path, pag
         draw = page.show
 
         def watch(snapshot: object) -> None:
-            draw(snapshot)  # type: ignore[arg-type]
-            shown.append(snapshot.stamp - START)  # type: ignore[attr-defined]
+            draw(snapshot)
+            shown.append(snapshot.stamp - START)
             if len(shown) == 1:
                 viewer.seek(0.7)
             elif len(shown) == 2:
@@ -148,7 +148,7 @@ def test_playing_runs_to_the_end_and_seeking_shows_that_time(twin_log: Path, pag
             elif shown[-1] == 14 * PERIOD:
                 viewer.stop()
 
-        page.show = watch  # type: ignore[method-assign]
+        page.show = watch
         viewer.run()
     assert shown[0] == 0 and shown[1] == 7 * PERIOD
     assert shown[1:] == sorted(shown[1:]) and shown[-1] == 14 * PERIOD

@@ -84,7 +84,7 @@ def visit(*logs: Path) -> Iterator[Visit]:
             draw(snapshot)
             stamps.put(snapshot.stamp - playback.start_ns)
 
-        page.show = show  # type: ignore[method-assign]
+        page.show = show
         page.server.on_client_connect(visitors.put)
         try:
             with open_tab(page.url) as tab:

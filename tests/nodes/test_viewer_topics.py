@@ -39,7 +39,7 @@ def test_a_grippers_joints_are_nothing_to_complain_of(tmp_path: Path) -> None:
             pass
     assert [(traffic.unreadable, traffic.last_error) for traffic in bus.traffic] == [(0, None)] * len(bus.traffic)
     (message,) = frames
-    last = message.transforms[-1]  # type: ignore[attr-defined]
+    last = message.transforms[-1]
     place = last.transform.translation
     assert last.header.frame_id == "base_link" and last.child_frame_id == arm.link_names[-1]
     assert np.allclose([place.x, place.y, place.z], forward_kinematics(arm, q)[-1, :3, 3])

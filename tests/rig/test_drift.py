@@ -40,7 +40,7 @@ WRONG = [
 def test_numbers_that_mean_nothing_are_refused_by_name(name: str, values: tuple[float, ...]) -> None:
     for value in values:
         with pytest.raises(RigError, match=f"drift: {name}: expected .*, found"):
-            DriftParameters(**{name: value})  # type: ignore[arg-type]
+            DriftParameters(**{name: value})
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,7 @@ def test_servo_commands_to_a_script_that_has_stopped_are_not_believed() -> None:
 def test_an_arm_that_does_not_follow_is_halted() -> None:
     bench = servo_bench()
     bench.run(400)
-    bench.link.servo = lambda q: True  # type: ignore[method-assign]  # taken, and nothing happens
+    bench.link.servo = lambda q: True  # taken, and nothing happens
     bench.run(1000)
     assert bench.report.state is DriverState.HALTED
     assert "from where it was sent" in bench.report.reason

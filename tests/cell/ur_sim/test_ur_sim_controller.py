@@ -324,7 +324,7 @@ class Recorder:
 def test_switches_set_what_they_say() -> None:
     target = Recorder()
     for line in ("freeze", "slow 10", "nan", "restart 2.5", "claim speed_slider_mask", "e-stop"):
-        switch(target, line)  # type: ignore[arg-type]
+        switch(target, line)
     assert target.faults == Faults(is_frozen=True, slowness=10.0, sends_nan=True)
     assert [item for item in target.done if not item.startswith(("note", "refresh"))] == [
         "restart 2.5",
@@ -336,7 +336,7 @@ def test_switches_set_what_they_say() -> None:
 @pytest.mark.parametrize("line", ["", "frieze", "slow", "slow fast", "slow 0", "slow nan", "freeze 3", "restart -1"])
 def test_lines_that_are_no_switches_are_refused(line: str) -> None:
     with pytest.raises(CellError, match="fault"):
-        switch(Recorder(), line)  # type: ignore[arg-type]
+        switch(Recorder(), line)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.4", "example.org", ""])

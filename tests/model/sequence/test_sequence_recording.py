@@ -77,7 +77,7 @@ def test_frames_are_counted_in_sets() -> None:
 )
 def test_what_cannot_be_learnt_from_is_named(make: object, says: str) -> None:
     with pytest.raises(ModelError, match=says):
-        make()  # type: ignore[operator]
+        make()
 
 
 def test_many_cameras_are_not_all_listed() -> None:

@@ -168,7 +168,7 @@ def test_invalid_pixels_are_not_learnt() -> None:
 )
 def test_impossible_parameters_are_named(changes: dict[str, object], says: str) -> None:
     with pytest.raises(ModelError, match=says):
-        TrainParameters(**changes)  # type: ignore[arg-type]
+        TrainParameters(**changes)
 
 
 def test_position_gradients_are_those_of_the_image() -> None:

@@ -68,7 +68,7 @@ def sightings_of(
     for camera, lens in enumerate(state.lenses):
         for board, time in places:
             at = float(state.rig_times(np.array([camera]), np.array([time]))[0])
-            seen = seen_corners(bent, lens, state.T_cam_rig[camera] @ pose_at(state.course, board, at))  # type: ignore[arg-type]
+            seen = seen_corners(bent, lens, state.T_cam_rig[camera] @ pose_at(state.course, board, at))
             if seen is not None and len(seen) > 6:
                 pixels = seen.pixels + rng.normal(0, noise, seen.pixels.shape)
                 out.append(Sighting(camera, board, Corners(seen.ids, pixels), time))

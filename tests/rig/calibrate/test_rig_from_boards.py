@@ -106,7 +106,7 @@ def test_the_rig_file_keeps_what_was_found(solution: RigSolution, tmp_path: Path
         assert evidence is not None and evidence.pose_covariance is not None
         assert 0 < evidence.median_px < 1
         assert 0 < camera.sigma_m < 0.005
-    np.testing.assert_allclose(again.evidence[1].pose_covariance, pose_covariances(solution, np.eye(4))[1])  # type: ignore[union-attr]
+    np.testing.assert_allclose(again.evidence[1].pose_covariance, pose_covariances(solution, np.eye(4))[1])
 
 
 def test_the_board_can_be_the_base_where_it_lies_still() -> None:

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "colours.h"
 #include "interface.h"
 #include "regions.h"
 
@@ -15,8 +16,7 @@ constexpr int kSampled = 4, kLeastSample = 50;  // every how many pixels medians
 constexpr float kDark = 4.f;                    // levels added to both sides of a ratio: black tells nothing
 constexpr double kNoiseShare = 0.05, kLeastNoise = 0.5, kSigmaOfMedian = 1.48;
 constexpr double kQuiet = 0.7, kAlike = 0.6;
-constexpr int kBins = 4096;
-constexpr double kFading = 0.98, kLeastMoving = 200;
+constexpr double kFading = 0.98;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
 constexpr double kNearM = 0.01;
 static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
@@ -189,6 +189,14 @@ class MaskUpdate {
     return !(last > 0 && r_.measured[at] > 0) || is_before(r_.measured[at], last);
   }
 
+  // Where what stands in front of the background's surface has come, and the rim of that, whose pixels hardly change.
+  Mask come_in_front() const {
+    Mask come(pixels_, 0);
+    if (r_.measured == nullptr) return come;
+    for (int64_t at = 0; at < pixels_; at++) come[at] = in_front_[at] && has_come(at);
+    return dilated(come.data(), r_.width, r_.height, kCross);
+  }
+
   // Where a measured surface stands in front of the background's.
   void find_in_front() {
     in_front_.assign(pixels_, 0);
@@ -241,29 +249,11 @@ class MaskUpdate {
   // The background may show the very thing where one begins to be seen that looks like it, unless it is known to be
   // ground since another one left it, or what is seen there has just come.
   void doubt(const Mask &mask) const {
-    Mask come(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) come[at] = in_front_[at] && has_come(at);
-    come = dilated(come.data(), r_.width, r_.height, kCross);
+    const Mask come = come_in_front();
     for (int64_t at = 0; at < pixels_; at++) {
       const bool begins = mask[at] && !r_.mask[at] && !r_.confirmed[at];
       if (begins && like_ground(at) && !(in_front_[at] && come[at])) r_.trusted[at] = 0;
     }
-  }
-
-  // How often each colour is what counts, spread over the bins around it.
-  static std::vector<double> density(const double *counts) {
-    double sum = 0;
-    for (int i = 0; i < kBins; i++) sum += counts[i];
-    std::vector<double> from(kBins), to(kBins);
-    for (int i = 0; i < kBins; i++) from[i] = counts[i] / std::max(sum, 1.);
-    for (const int step : {256, 16, 1}) {
-      for (int i = 0; i < kBins; i++) {
-        const int place = i / step % 16;
-        to[i] = (from[place > 0 ? i - step : i] + from[i] + from[place < 15 ? i + step : i]) / 3;
-      }
-      std::swap(from, to);
-    }
-    return from;
   }
 
   // Counts the colours of free ground and of moving things.
@@ -276,17 +266,6 @@ class MaskUpdate {
       if (r_.seen[at] && !mask[at]) r_.ground[bin_[at]] += 1;
       if (r_.confirmed[at] && r_.trusted[at] && difference_[at] > threshold_) r_.moving[bin_[at]] += 1;
     }
-  }
-
-  // How likely each colour is ground; 0 until moving things have been seen.
-  std::vector<float> ground_shares() const {
-    std::vector<float> share(kBins, 0.f);
-    double sum = 0;
-    for (int i = 0; i < kBins; i++) sum += r_.moving[i];
-    if (sum < kLeastMoving) return share;
-    const std::vector<double> ground = density(r_.ground), moving = density(r_.moving);
-    for (int i = 0; i < kBins; i++) share[i] = static_cast<float>(ground[i] / std::max(ground[i] + moving[i], 1e-9));
-    return share;
   }
 
   // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
@@ -353,7 +332,7 @@ class MaskUpdate {
       }
     }
     if (open.empty()) return;
-    const std::vector<float> share = ground_shares();
+    const std::vector<float> share = ground_shares(r_.ground, r_.moving);
     for (int ring = 0; ring < p_.rings; ring++) {
       found.clear();
       std::vector<int64_t> left;
