@@ -18,7 +18,7 @@ from twin_node.rig.calibrate.rotations import moved
 def test_three_rigs_meet_the_targets(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """From recordings of less than half the benchmark's length, which tell enough."""
     monkeypatch.setattr("twin_node.bench.calibration.RigSpread", partial(RigSpread, seconds=25.0))
-    assert main(["bench", "calibration", "--rigs", "3", "--seed", "4", "--workers", "1", "--json"]) == 0
+    assert main(["bench", "calibration", "--rigs", "3", "--first-seed", "4", "--processes", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["worst"]["position_mm"] <= 2
     assert figures["worst"]["turn_deg"] <= 0.1

@@ -38,7 +38,6 @@ def main(arguments: list[str] | None = None) -> int:
     141 where who reads what it prints has gone (`twin_node info LOG | head -1`), as if SIGPIPE had ended it.
     """
     collect_rarely()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: our products are too small to share
     try:
         options = _parser().parse_args(arguments)
         status = options.run(options)

@@ -32,7 +32,9 @@ def add_source_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=width, metavar="PX", help="working width of the images")
     parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
-    parser.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
+    parser.add_argument(
+        "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
+    )
 
 
 def with_source_options(parameters: ChainParameters, options: argparse.Namespace) -> ChainParameters:

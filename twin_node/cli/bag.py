@@ -20,11 +20,15 @@ def add_record(commands: Any) -> None:
         help="record topics of a live graph",
         description="Record until Ctrl-C. What was written can be read however the recorder's process ends.",
     )
-    record.add_argument("topics", nargs="*", metavar="TOPIC", help="default: what a twin publishes")
+    record.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record (default: what a twin publishes)")
     record.add_argument("-a", "--all", action="store_true", help="all topics, also those that come later")
     record.add_argument("-o", "--output", type=Path, metavar="OUT", help="new .mcap file or folder")
-    record.add_argument("-b", "--max-bag-size", type=not_negative, default=0.0, metavar="BYTES", help="split at a size")
-    record.add_argument("-d", "--max-bag-duration", type=not_negative, default=0.0, metavar="S", help="split at a time")
+    record.add_argument(
+        "-b", "--max-bag-size", type=not_negative, default=0.0, metavar="BYTES", help="begin a new file at this size"
+    )
+    record.add_argument(
+        "-d", "--max-bag-duration", type=not_negative, default=0.0, metavar="S", help="begin a new file after this time"
+    )
     record.set_defaults(run=_record)
 
 
@@ -36,24 +40,36 @@ def add_play(commands: Any) -> None:
         description="Play a log under the flags of `ros2 bag play`. Enter pauses and goes on.",
     )
     play.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
-    play.add_argument("-r", "--rate", type=speed, default=1.0, metavar="R", help="speed (default 1)")
+    play.add_argument("-r", "--rate", type=speed, default=1.0, metavar="R", help="speed of the clock (default 1)")
     play.add_argument("-l", "--loop", action="store_true", help="again and again; time jumps back each time")
     play.add_argument(
         "--start-offset",
         type=not_negative,
         default=0.0,
         metavar="S",
-        help="begin so much later, with what latched topics had said by then",
+        help="skip the first S seconds; what latched topics had said by then is sent first",
     )
-    play.add_argument("--playback-duration", type=not_negative, default=0.0, metavar="S", help="end so much after")
-    play.add_argument("--delay", type=not_negative, default=0.5, metavar="S", help="wait before the first message")
     play.add_argument(
-        "--clock", type=positive, nargs="?", const=40.0, default=0.0, metavar="HZ", help="publish /clock (default 40)"
+        "--playback-duration", type=not_negative, default=0.0, metavar="S", help="stop after S seconds of the log"
     )
-    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these")
-    play.add_argument("-m", "--remap", nargs="+", default=[], metavar="A:=B", help="publish topic A as B")
-    play.add_argument("-p", "--start-paused", action="store_true")
-    play.add_argument("--read-ahead-queue-size", type=whole, default=1000, metavar="N", help="messages (default 1000)")
+    play.add_argument(
+        "--delay", type=not_negative, default=0.5, metavar="S", help="wait before the first message (default 0.5)"
+    )
+    play.add_argument(
+        "--clock",
+        type=positive,
+        nargs="?",
+        const=40.0,
+        default=0.0,
+        metavar="HZ",
+        help="publish /clock, at HZ (40 if none is given)",
+    )
+    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="play only these")
+    play.add_argument("-m", "--remap", nargs="+", default=[], metavar="FROM:=TO", help="publish topic FROM as TO")
+    play.add_argument("-p", "--start-paused", action="store_true", help="wait for Enter before the first message")
+    play.add_argument(
+        "--read-ahead-queue-size", type=whole, default=1000, metavar="N", help="messages read ahead (default 1000)"
+    )
     play.set_defaults(run=_play)
 
 

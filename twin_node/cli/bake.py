@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 def add_bake(commands: Any) -> None:
     """Adds `bake` to the subcommands."""
     bake = commands.add_parser("bake", help="evaluate a trained or live model into buffers for fast playback")
-    bake.add_argument("source", type=Path, metavar="CHECKPOINT|LOG", help="of twin_node train, or a log to follow")
-    bake.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors")
-    bake.add_argument("--steps", type=whole, metavar="N", help="N times evenly over a checkpoint's span")
+    bake.add_argument(
+        "source", type=Path, metavar="CHECKPOINT|LOG", help="checkpoint of twin_node train, or a log to follow"
+    )
+    bake.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors", help="buffers to write")
+    bake.add_argument("--steps", type=whole, metavar="N", help="bake N times, evenly over a checkpoint's span")
     bake.add_argument("--measure", action="store_true", help="compare speed and images with live evaluation")
     bake.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(bake)

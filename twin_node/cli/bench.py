@@ -32,7 +32,7 @@ def add_bench(commands: Any) -> None:
     )
     add_bench_occupancy(benches)
     track = benches.add_parser("track", help="how well and how fast the model follows a log")
-    track.add_argument("log", type=Path, metavar="LOG")
+    track.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
     track.add_argument("--rate", type=speed, metavar="R", help="follow in real time at R times the log's pace")
     track.add_argument(
         "--leave-out", metavar="CAMERA", help="score a model that never sees this camera, or all in turn"

@@ -14,9 +14,9 @@ from twin_node.json_text import json_text
 def add_bench_calibration(benches: Any) -> None:
     """Adds `bench calibration`."""
     parser = benches.add_parser("calibration", help="errors of made-up rigs calibrated from a board, against the truth")
-    parser.add_argument("--rigs", type=whole, default=50, metavar="N", help="how many (default 50)")
-    parser.add_argument("--seed", type=seed, default=0, metavar="S", help="number of the first (default 0)")
-    parser.add_argument("--workers", type=whole, default=2, metavar="N", help="worked on at once (default 2)")
+    parser.add_argument("--rigs", type=whole, default=50, metavar="N", help="number of made-up rigs (default 50)")
+    parser.add_argument("--first-seed", type=seed, default=0, metavar="K", help="seed of the first rig (default 0)")
+    parser.add_argument("--processes", type=whole, default=2, metavar="N", help="rigs at once (default 2)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_bench_calibration)
 
@@ -26,8 +26,8 @@ def _bench_calibration(options: argparse.Namespace) -> None:
 
     bench = calibration.run(
         options.rigs,
-        options.seed,
-        options.workers,
+        options.first_seed,
+        options.processes,
         lambda rigs: tqdm(rigs, total=options.rigs, unit="rig", desc="calibrate", disable=None),
     )
     print(json_text(bench.as_json()) if options.json else bench.table())

@@ -38,7 +38,9 @@ def add_bench_cell(benches: Any) -> None:
     )
     cell.add_argument("--seeds", type=whole, default=20, metavar="N", help="seeds per scenario (default 20)")
     cell.add_argument("--first-seed", type=whole, default=1, metavar="K", help="the first of them (default 1)")
-    cell.add_argument("--twin", action="store_true", help="the real chain as 'ours', as slow as it is here (slow!)")
+    cell.add_argument(
+        "--twin", action="store_true", help="the real chain as 'ours', as late as it is on this machine (slow!)"
+    )
     cell.add_argument(
         "--same-eyes", action="store_true", help="with --twin: also the worst case with its perception (twice as slow)"
     )
@@ -60,8 +62,10 @@ def add_bench_cell(benches: Any) -> None:
         default="law",
         help="what may come out of space that no camera sees (default law: anything, at 1.6 m/s)",
     )
-    cell.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
-    cell.add_argument("--rig", action="store_true", help="measure how fast the one scenario's cameras are rendered")
+    cell.add_argument("--processes", type=whole, default=2, metavar="N", help="runs at once (default 2)")
+    cell.add_argument(
+        "--rig", action="store_true", help="only measure how fast the cameras of one scenario are rendered"
+    )
     cell.add_argument("--out", type=Path, metavar="DIR", help="draw cell.png: work, and the first run's distances")
     cell.add_argument("--json", action="store_true", help="print one JSON object")
     cell.set_defaults(run=_bench_cell)

@@ -28,10 +28,17 @@ def add_bench_graph(benches: Any) -> None:
         description="Start the simulated cell's graph on loopback and measure it, in about 15 minutes. Other load on "
         "the machine counts. `network` needs root, or `unshare --map-root-user`. Exit status: 1 where a part failed.",
     )
-    graph.add_argument("--only", choices=PARTS, nargs="+", default=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    graph.add_argument("--seconds", type=positive, default=20.0, metavar="S", help="per run (default 20)")
     graph.add_argument(
-        "--record-seconds", type=positive, default=300.0, metavar="S", help="that a recorder runs (default 300)"
+        "--only",
+        choices=PARTS,
+        nargs="+",
+        default=list(PARTS),
+        metavar="PART",
+        help=f"only these of {', '.join(PARTS)}",
+    )
+    graph.add_argument("--seconds", type=positive, default=20.0, metavar="S", help="length of a run (default 20)")
+    graph.add_argument(
+        "--record-seconds", type=positive, default=300.0, metavar="S", help="how long a recorder runs (default 300)"
     )
     graph.add_argument("--rounds", type=whole, default=2, metavar="N", help="runs of each kind (default 2)")
     graph.add_argument("--kills", type=whole, default=5, metavar="N", help="kills of each process (default 5)")

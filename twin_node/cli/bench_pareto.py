@@ -16,13 +16,15 @@ from twin_node.json_text import json_text
 def add_bench_pareto(benches: Any) -> None:
     """Adds `bench pareto`."""
     pareto = benches.add_parser("pareto", help="speed against accuracy: all methods, ours at five sizes")
-    pareto.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="recordings beside the made-up scene")
+    pareto.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG", help="recordings to measure beside the made-up scene"
+    )
     pareto.add_argument("--quick", action="store_true", help="small and short: shows that all run")
-    pareto.add_argument("--start-offset", type=not_negative, metavar="S", help="skip so much of each log")
+    pareto.add_argument("--start-offset", type=not_negative, metavar="S", help="skip the first S seconds of each log")
     pareto.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
-    pareto.add_argument("--frames", type=whole, metavar="N", help="sets of images taken of each log")
-    pareto.add_argument("--methods", metavar="A,B", help="only these beside ours; a wrong name lists them")
-    pareto.add_argument("--processes", type=whole, metavar="N", help="measured at once (default 1; with --quick 2)")
+    pareto.add_argument("--frames", type=whole, metavar="N", help="take at most N sets of each log")
+    pareto.add_argument("--methods", metavar="A,B", help="only these beside ours; a wrong name lists them all")
+    pareto.add_argument("--processes", type=whole, metavar="N", help="methods at once (default 1; with --quick 2)")
     pareto.add_argument(
         "--out", type=Path, metavar="DIR", help="write pareto.json, .md, .png, .svg and sizes.yaml here"
     )
@@ -74,13 +76,17 @@ def _names(text: str) -> tuple[str, ...]:
 def add_bench_ablations(benches: Any) -> None:
     """Adds `bench ablations`."""
     ablations = benches.add_parser("ablations", help="what each part of the twin is worth, on logs")
-    ablations.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    ablations.add_argument("--frames", type=whole, default=150, metavar="N", help="sets taken of each (default 150)")
-    ablations.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="skip so much of each")
+    ablations.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="recordings to measure on")
+    ablations.add_argument(
+        "--frames", type=whole, default=150, metavar="N", help="take at most N sets of each log (default 150)"
+    )
+    ablations.add_argument(
+        "--start-offset", type=not_negative, default=0.0, metavar="S", help="skip the first S seconds of each log"
+    )
     ablations.add_argument("--only", metavar="A,B", help="only these; a wrong name lists them all")
     ablations.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     ablations.add_argument("--width", type=width, default=160, metavar="PX", help="working width (default 160)")
-    ablations.add_argument("--processes", type=whole, default=1, metavar="N", help="run at once (default 1)")
+    ablations.add_argument("--processes", type=whole, default=1, metavar="N", help="runs at once (default 1)")
     ablations.add_argument("--out", type=Path, metavar="DIR", help="write ablations.json and .md here")
     ablations.add_argument("--json", action="store_true", help="print one JSON object")
     ablations.set_defaults(run=_bench_ablations)
@@ -89,7 +95,7 @@ def add_bench_ablations(benches: Any) -> None:
 def add_bench_costs(benches: Any) -> None:
     """Adds `bench costs`."""
     costs = benches.add_parser("costs", help="what a set costs by what moves and by the scene's size")
-    costs.add_argument("--processes", type=whole, default=1, metavar="N", help="run at once (default 1)")
+    costs.add_argument("--processes", type=whole, default=1, metavar="N", help="runs at once (default 1)")
     costs.add_argument("--json", action="store_true", help="print one JSON object")
     costs.set_defaults(run=_bench_costs)
 
@@ -97,9 +103,11 @@ def add_bench_costs(benches: Any) -> None:
 def add_bench_length(benches: Any) -> None:
     """Adds `bench length`."""
     length = benches.add_parser("length", help="what a set costs, and what memory holds, while a run lasts an hour")
-    length.add_argument("--seconds", type=positive, default=3600.0, metavar="S", help="of stamps (default 3600)")
+    length.add_argument(
+        "--seconds", type=positive, default=3600.0, metavar="S", help="length of the run by its stamps (default 3600)"
+    )
     length.add_argument("--rate", type=positive, default=10.0, metavar="HZ", help="sets per second (default 10)")
-    length.add_argument("--size", default="tiny", metavar="SIZE", help="of the model (default tiny)")
+    length.add_argument("--size", default="tiny", metavar="SIZE", help="size of the model (default tiny)")
     length.add_argument("--out", type=Path, metavar="DIR", help="write length.json, .md, .png and .svg here")
     length.add_argument("--json", action="store_true", help="print one JSON object")
     length.set_defaults(run=_bench_length)

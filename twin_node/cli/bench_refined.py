@@ -18,7 +18,7 @@ def add_bench_refined(benches: Any) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="a recording of the rig")
     parser.add_argument("before", type=Path, metavar="BEFORE.yaml", help="rig file to begin with")
     parser.add_argument("after", type=Path, metavar="AFTER.yaml", help="rig file of calibrate refine")
-    parser.add_argument("--width", type=width, default=240, metavar="PX", help="of the images (default 240)")
+    parser.add_argument("--width", type=width, default=240, metavar="PX", help="width of the images (default 240)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_bench_refined)
 

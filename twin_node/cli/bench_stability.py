@@ -19,7 +19,7 @@ def add_bench_stability(benches: Any) -> None:
     stability.add_argument("--quick", action="store_true", help="two levels of each, shorter runs: shows that all run")
     stability.add_argument("--only", nargs="+", metavar="NAME", help="only these failures; a wrong name lists them all")
     stability.add_argument("--seeds", type=whole, default=1, metavar="N", help="runs per level (default 1)")
-    stability.add_argument("--processes", type=whole, default=2, metavar="N", help="processes (default 2)")
+    stability.add_argument("--processes", type=whole, default=2, metavar="N", help="runs at once (default 2)")
     stability.add_argument("--out", type=Path, metavar="DIR", help="write stability.json, .md, .png and .svg here")
     stability.add_argument("--check", action="store_true", help="end with status 2 where ours fails without a warning")
     stability.add_argument("--json", action="store_true", help="print one JSON object")

@@ -19,7 +19,7 @@ def add_bench_ur(benches: Any) -> None:
         description="Drive a controller stand-in by a simulated twin, inject faults, and measure from the injection "
         "until the arm was told to stop, paused by its own watchdog, or the command was refused.",
     )
-    parser.add_argument("--repeats", type=whole, default=20, metavar="N", help="of each fault (default 20)")
+    parser.add_argument("--repeats", type=whole, default=20, metavar="N", help="runs of each fault (default 20)")
     parser.add_argument(
         "--fault", action="append", metavar="NAME", help="only this fault; repeatable; a wrong name lists them all"
     )

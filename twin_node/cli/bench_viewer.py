@@ -24,7 +24,9 @@ def add_bench_viewer(benches: Any) -> None:
         "--latency", type=Path, metavar="RECORDING", help="instead: replay it in real time with and without visitors"
     )
     viewer.add_argument("--rounds", type=whole, metavar="N", help=f"replays of each kind (default {ROUNDS})")
-    viewer.add_argument("-p", "--param", action="append", metavar="NODE.KEY:=VALUE", help="of the replays; repeatable")
+    viewer.add_argument(
+        "-p", "--param", action="append", metavar="NODE.KEY:=VALUE", help="set a parameter of the replays; repeatable"
+    )
     viewer.add_argument("--json", action="store_true", help="print one JSON object")
     viewer.set_defaults(run=_bench_viewer)
 

@@ -54,11 +54,13 @@ def add_calibrate(commands: Any) -> None:
 def add_intrinsics(kinds: Any) -> None:
     """Adds `calibrate intrinsics`."""
     parser = kinds.add_parser("intrinsics", help="one camera's lens, from pictures of a board")
-    parser.add_argument("pictures", type=Path, nargs="+", metavar="IMAGE|VIDEO|DIR")
+    parser.add_argument("pictures", type=Path, nargs="+", metavar="IMAGE|VIDEO|DIR", help="pictures of the board")
     parser.add_argument("--board", required=True, metavar="BOARD", help=BOARD_HELP)
     parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
     parser.add_argument("--every", type=_every, default=1, metavar="N", help="take every Nth frame of a video")
-    parser.add_argument("-o", "--output", type=file_to_write, metavar="CAMERA.yaml", help="as a ROS camera_info file")
+    parser.add_argument(
+        "-o", "--output", type=file_to_write, metavar="CAMERA.yaml", help="ROS camera_info file to write"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_intrinsics)
 
@@ -67,7 +69,9 @@ def add_rig(kinds: Any) -> None:
     """Adds `calibrate rig`."""
     parser = kinds.add_parser("rig", help="several cameras together, from a board that they see at once")
     parser.add_argument("folder", type=Path, metavar="DIR", help="videos or images with stamps, and a board file")
-    parser.add_argument("-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml")
+    parser.add_argument(
+        "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
+    )
     parser.add_argument("--board", metavar="BOARD", help=f"where DIR holds none: {BOARD_HELP}")
     parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
     parser.add_argument("--lenses", type=Path, metavar="RIG.yaml", help="start from the lenses of this rig file")

@@ -41,7 +41,9 @@ def add_check(kinds: Any) -> None:
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--arm", metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF")
     parser.add_argument("--duration", type=positive, default=20.0, metavar="S", help="of the log to read (default 20)")
-    parser.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
+    parser.add_argument(
+        "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_check)
 
@@ -50,7 +52,7 @@ def add_board(kinds: Any) -> None:
     """Adds `calibrate board`."""
     parser = kinds.add_parser("board", help="a board to print at true scale")
     parser.add_argument("board", metavar="BOARD", help="file, or text as charuco:6x5:0.04:0.03:DICT_4X4_50")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.pdf|.svg|.png")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.pdf|.svg|.png", help="page to write")
     parser.set_defaults(run=_board_print)
 
 
@@ -66,7 +68,7 @@ def add_import_calibration(kinds: Any) -> None:
     parser = kinds.add_parser("import", help="the calibration of another tool as a rig file")
     parser.add_argument("format", choices=FORMATS)
     parser.add_argument("source", type=Path, metavar="PATH", help="its file or folder")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml", help="rig file to write")
     parser.add_argument(
         "--unit-m", type=positive, metavar="M", help="length of its unit in metres (1; of qualisys 0.001)"
     )
@@ -81,7 +83,7 @@ def add_report(kinds: Any) -> None:
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--before", type=Path, metavar="OLD.yaml", help="an earlier rig of the same cameras, beside it")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write its pictures as PNG files here, too")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.html")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.html", help="page to write")
     parser.set_defaults(run=_report)
 
 

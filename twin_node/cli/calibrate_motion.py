@@ -46,7 +46,7 @@ def add_hand_eye(kinds: Any) -> None:
     parser.add_argument("--arm", metavar="ARM", help="turns joints into flange poses: ur5e, or a URDF or MJCF file")
     parser.add_argument("--fixed-intrinsics", action="store_true", help="take the intrinsics as they are")
     parser.add_argument("--fixed-scale", action="store_true", help="take the board's size as it is")
-    parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml")
+    parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig file to write")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_hand_eye)
 
@@ -54,10 +54,12 @@ def add_hand_eye(kinds: Any) -> None:
 def add_refine(kinds: Any) -> None:
     """Adds `calibrate refine`."""
     parser = kinds.add_parser("refine", help="better extrinsics from an ordinary recording, without a board")
-    parser.add_argument("log", type=Path, metavar="LOG")
-    parser.add_argument("-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml")
+    parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    parser.add_argument(
+        "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
+    )
     parser.add_argument("--plane", choices=("auto", "none"), default="auto", help="use the plane that most views show")
-    parser.add_argument("--time", action="store_true", help="then also the clocks, as 'calibrate time' does")
+    parser.add_argument("--time", action="store_true", help="afterwards also the clocks, as 'calibrate time' does")
     _add_clock_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(parser)
@@ -67,8 +69,10 @@ def add_refine(kinds: Any) -> None:
 def add_time(kinds: Any) -> None:
     """Adds `calibrate time`."""
     parser = kinds.add_parser("time", help="clock offset and rate of every camera, from what moves")
-    parser.add_argument("log", type=Path, metavar="LOG")
-    parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig with the offsets")
+    parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    parser.add_argument(
+        "-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig file to write, with the offsets"
+    )
     _add_clock_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_source_options(parser)

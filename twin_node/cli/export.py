@@ -21,7 +21,12 @@ def add_export(commands: Any) -> None:
     )
     export.add_argument("--to", required=True, metavar="FORMAT", help="ply, spz, npz, mjcf, usd or csv")
     export.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FILE", help="csv, and ranges of ply: a folder"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="file to write; a folder for csv, and for ranges of ply and spz",
     )
     export.add_argument("--at", type=not_negative, metavar="S", help="one time, seconds after the log's start")
     export.add_argument("--start", type=not_negative, metavar="S", help="range: from here (default 0)")

@@ -16,11 +16,11 @@ def add_import(commands: Any) -> None:
     kinds = importers.add_subparsers(required=True, metavar="KIND")
     video = kinds.add_parser("video", help="calibrated videos, as a rig file names them")
     video.add_argument("rig", type=Path, metavar="RIG.yaml", help="rig file: calibration/README.md documents it")
-    video.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap")
+    video.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap", help="log to write")
     video.set_defaults(run=_import_video)
     ply = kinds.add_parser("ply", help="a scene of Gaussians in the 3DGS layout, edited elsewhere")
-    ply.add_argument("scene", type=Path, metavar="SCENE.ply")
-    ply.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap")
+    ply.add_argument("scene", type=Path, metavar="SCENE.ply", help="Gaussians in the 3DGS layout")
+    ply.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap", help="log to write")
     ply.set_defaults(run=_import_ply)
 
 

@@ -22,9 +22,13 @@ def add_launch(commands: Any) -> None:
         description="Start the nodes of a launch file, each process by itself; Ctrl-C deactivates and cleans up. "
         "Exit status: 0 done or interrupted, 2 wrong input, 10 + N: process N of the file (from 0) was given up.",
     )
-    parser.add_argument("file", type=Path, metavar="FILE.yaml", help="for example launch/replay.yaml")
-    parser.add_argument("arguments", nargs="*", metavar="NAME:=VALUE", help="what the file lets you set")
-    parser.add_argument("-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="repeatable")
+    parser.add_argument("file", type=Path, metavar="FILE.yaml", help="launch file, for example launch/replay.yaml")
+    parser.add_argument(
+        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the file; --show-args lists them"
+    )
+    parser.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="set a parameter; repeatable"
+    )
     parser.add_argument(
         "--params-file",
         type=Path,
@@ -34,11 +38,13 @@ def add_launch(commands: Any) -> None:
         help="ROS parameter file that wins over the launch file's values; repeatable",
     )
     parser.add_argument(
-        "-r", "--remap", action="append", default=[], metavar="FROM:=TO", help="topic of all nodes; repeatable"
+        "-r", "--remap", action="append", default=[], metavar="FROM:=TO", help="rename a topic of all nodes; repeatable"
     )
     parser.add_argument("-s", "--show-args", action="store_true", help="list the file's arguments and end")
     parser.add_argument("--one-process", action="store_true", help="all nodes in one process, a thread each")
-    parser.add_argument("--log-dir", type=Path, metavar="DIR", help="default: out/log/TIME-NAME")
+    parser.add_argument(
+        "--log-dir", type=Path, metavar="DIR", help="folder for the logs of the processes (default out/log/TIME-NAME)"
+    )
     parser.set_defaults(run=_launch)
 
 

@@ -25,7 +25,7 @@ def add_render(commands: Any) -> None:
         "log", type=Path, nargs="+", metavar="LOG", help="the twin's log; also the one it was made from"
     )
     render.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="a film .mp4, or a picture .png or .jpg"
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="film (.mp4) or picture (.png, .jpg) to write"
     )
     render.add_argument(
         "--view",
@@ -37,7 +37,9 @@ def add_render(commands: Any) -> None:
     render.add_argument("--start", type=not_negative, metavar="S", help="film: from here (default 0)")
     render.add_argument("--stop", type=not_negative, metavar="S", help="film: up to here (default the log's end)")
     render.add_argument("--rate", type=rate, metavar="HZ", help="film: pictures per second (default 30)")
-    render.add_argument("--width", type=width, default=480, metavar="PX", help="of one camera's picture (default 480)")
+    render.add_argument(
+        "--width", type=width, default=480, metavar="PX", help="width of one camera's picture (default 480)"
+    )
     render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     render.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
     render.set_defaults(run=_render)

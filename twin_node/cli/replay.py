@@ -32,10 +32,12 @@ def add_replay(commands: Any) -> None:
     replay.add_argument("--report", type=Path, metavar="DIR", help="write report.json and report.html here")
     pace = replay.add_mutually_exclusive_group()
     pace.add_argument("--rate", type=speed, default=1.0, metavar="R", help="speed of the clock (default 1)")
-    pace.add_argument("--lockstep", action="store_true", help="every set in turn, repeatable to the byte")
+    pace.add_argument("--lockstep", action="store_true", help="take every image set in turn; repeatable to the byte")
     size = replay.add_mutually_exclusive_group()
-    size.add_argument("--budget-ms", type=positive, metavar="MS", help="the best size whose sets take so long here")
-    size.add_argument("--target", type=positive, metavar="DB", help="the fastest size as good as this on moving pixels")
+    size.add_argument(
+        "--budget-ms", type=positive, metavar="MS", help="the largest size whose sets take at most MS here"
+    )
+    size.add_argument("--target", type=positive, metavar="DB", help="the fastest size that reaches DB on moving pixels")
     add_source_options(replay)
     replay.set_defaults(run=_replay)
 
@@ -50,7 +52,7 @@ def add_demo(commands: Any) -> None:
         metavar="DIR",
         help="folder for log and report (default %(default)s)",
     )
-    demo.add_argument("--viewer", action="store_true", help="then show the run in the browser, until Ctrl-C")
+    demo.add_argument("--viewer", action="store_true", help="afterwards show the run in the browser, until Ctrl-C")
     demo.add_argument("--port", type=port, metavar="PORT", help=f"with --viewer: its port (default {PORT})")
     demo.set_defaults(run=_demo)
 

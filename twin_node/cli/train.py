@@ -34,8 +34,12 @@ def add_train(commands: Any) -> None:
         metavar="DATA",
         help="log, or folder in the layout of Neural 3D Video, D-NeRF or COLMAP with images per time",
     )
-    train.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors")
-    train.add_argument("--method", choices=("hexplane", "hash", "static"), help="field (default hexplane)")
+    train.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT.safetensors", help="checkpoint to write"
+    )
+    train.add_argument(
+        "--method", choices=("hexplane", "hash", "static"), help="field of deformation (default hexplane)"
+    )
     train.add_argument("--steps", type=whole, metavar="N", help="steps with the field (default 3000)")
     train.add_argument(
         "--width",
@@ -50,10 +54,12 @@ def add_train(commands: Any) -> None:
     )
     train.add_argument("--gaussians", type=whole, metavar="N", help="at most N Gaussians (default 20000)")
     train.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
-    train.add_argument("--remap", action="append", default=[], metavar="A:=B", help="read topic A as B; repeatable")
+    train.add_argument(
+        "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
+    )
     train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint, exactly")
-    train.add_argument("--device", metavar="NAME", help="torch device, cuda for one (default cpu)")
-    train.add_argument("--seed", type=seed, metavar="N", help="seed of all that is drawn (default 0)")
+    train.add_argument("--device", metavar="NAME", help="torch device, such as cuda (default cpu)")
+    train.add_argument("--seed", type=seed, metavar="N", help="seed of all random numbers (default 0)")
     train.set_defaults(run=_train)
 
 

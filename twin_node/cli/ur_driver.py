@@ -41,10 +41,17 @@ def add_ur_driver(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--robot", required=True, metavar="HOST", help="address of the controller")
-    parser.add_argument("--mode", choices=["slider", "servo", "read-only"], default="slider")
+    parser.add_argument(
+        "--mode",
+        choices=["slider", "servo", "read-only"],
+        default="slider",
+        help="how the arm is driven (default slider)",
+    )
     parser.add_argument("--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e or ur16e")
     parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
-    parser.add_argument("--register", type=whole, default=20, metavar="N", help="heartbeat: 18 to 22 (default 20)")
+    parser.add_argument(
+        "--register", type=whole, default=20, metavar="N", help="input register of the heartbeat, 18 to 22 (default 20)"
+    )
     parser.add_argument("--no-reconnect", action="store_true", help="end when the connection is lost")
     parser.add_argument("--resume", action="store_true", help="go on by itself when the cause of a halt is over")
     parser.add_argument("--play", action="store_true", help="press play when a halt has left the program paused")

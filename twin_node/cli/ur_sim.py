@@ -41,13 +41,39 @@ def add_ur_sim(commands: Any) -> None:
     parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="loopback address (default 127.0.0.1)")
     parser.add_argument("--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e or ur16e")
     parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
-    parser.add_argument("--polyscope", default="5.12.0", type=_version, metavar="X.Y.Z", help="default 5.12.0")
-    parser.add_argument("--play", action="store_true", help="start its own program at once")
-    parser.add_argument("--watchdog-variable", default="input_int_register_20", metavar="NAME")
-    parser.add_argument("--watchdog-hz", type=not_negative, default=10.0, metavar="HZ", help="0: none (default 10)")
-    parser.add_argument("--watchdog-action", choices=["pause", "stop", "ignore"], default="pause")
     parser.add_argument(
-        "--unlock-delay", type=not_negative, default=5.0, metavar="S", help="of a protective stop (default 5)"
+        "--polyscope",
+        default="5.12.0",
+        type=_version,
+        metavar="X.Y.Z",
+        help="version that it says it has (default 5.12.0)",
+    )
+    parser.add_argument("--play", action="store_true", help="start its own program at once")
+    parser.add_argument(
+        "--watchdog-variable",
+        default="input_int_register_20",
+        metavar="NAME",
+        help="input that its own program watches (default %(default)s)",
+    )
+    parser.add_argument(
+        "--watchdog-hz",
+        type=not_negative,
+        default=10.0,
+        metavar="HZ",
+        help="least rate of its beats; 0: no watchdog (default 10)",
+    )
+    parser.add_argument(
+        "--watchdog-action",
+        choices=["pause", "stop", "ignore"],
+        default="pause",
+        help="what a missed beat does (default pause)",
+    )
+    parser.add_argument(
+        "--unlock-delay",
+        type=not_negative,
+        default=5.0,
+        metavar="S",
+        help="how long a protective stop stays locked (default 5)",
     )
     parser.add_argument(
         "--fault", action="append", default=[], metavar="LINE[@S]", help="switch a fault after S seconds; repeatable"
@@ -57,7 +83,7 @@ def add_ur_sim(commands: Any) -> None:
         type=_port,
         default=29800,
         metavar="PORT",
-        help="takes faults line by line (default 29800); 0: none",
+        help="port that takes faults line by line; 0: none (default 29800)",
     )
     parser.add_argument("--list-faults", action="store_true", help="say what faults there are, and end")
     parser.set_defaults(run=_run)

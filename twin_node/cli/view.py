@@ -25,13 +25,17 @@ def add_view(commands: Any) -> None:
     )
     view.add_argument("log", type=Path, nargs="*", metavar="LOG", help="the twin's log; also the one it was made from")
     view.add_argument("--live", action="store_true", help="the running graph instead of a log")
-    view.add_argument("--endpoint", metavar="ADDRESS", help="live: the graph's router (default tcp/127.0.0.1:7447)")
+    view.add_argument(
+        "--endpoint", metavar="ADDRESS", help="with --live: the graph's router (default tcp/127.0.0.1:7447)"
+    )
     view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
-    view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints (default ur10e)")
-    view.add_argument("--width", type=width, metavar="PX", help="of the images (default 320 of logs, 160 live)")
-    view.add_argument("--at", type=not_negative, metavar="S", help="begin so many seconds into the log (default 0)")
-    view.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
-    view.add_argument("--port", type=port, default=8080, help="port to listen on (default 8080)")
+    view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
+    view.add_argument("--width", type=width, metavar="PX", help="width of the images (default 320 of logs, 160 live)")
+    view.add_argument("--at", type=not_negative, metavar="S", help="begin S seconds into the log (default 0)")
+    view.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen on (default: this machine only)"
+    )
+    view.add_argument("--port", type=port, default=8080, metavar="PORT", help="port to listen on (default 8080)")
     view.set_defaults(run=_view)
 
 
