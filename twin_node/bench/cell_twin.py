@@ -160,7 +160,7 @@ class TwinPerception:
         )
         synchronizer.configure()
         synchronizer.activate()
-        self._latency = Latency(round(case.timing.latency_ns), pace is None)
+        self._latency = Latency(round(case.timing.latency_ns), is_measured=pace is None)
         workspace = np.array(scenario.workspace)
         self._chain = Chain(
             self._working,

@@ -79,7 +79,7 @@ def fit_moving(
     """
     rows = gaussians.moving_rows
     if not len(rows) or not steps:
-        return Fitted([], False)
+        return Fitted([], diverged=False)
     stamps = motion.stamps([one.offset_s for one in observed])
     views = [one.view for one in observed]
     backdrops = [one.background.backdrop for one in observed]
@@ -94,13 +94,13 @@ def fit_moving(
     last = descend(gaussians, path, affordable if bend is None else max(affordable - 1, 1))
     if diverged(last.losses):
         undo(gaussians, rows, values)
-        return Fitted([], True)
+        return Fitted([], diverged=True)
     if bend is not None:
         values = gaussians.values[rows]
         last = descend(gaussians, path, 1)
         of_means = path.carriage.means_gradient(last.of_means)
         _learn_field(motion, bend, values, of_means, rigid.quats_gradient(last.of_quats))
-    return Fitted(last.seen, False)
+    return Fitted(last.seen, diverged=False)
 
 
 @dataclass(frozen=True)

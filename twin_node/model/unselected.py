@@ -30,7 +30,7 @@ def fit_unselected(
     """
     rows = torch.cat([gaussians.static_rows, gaussians.moving_rows])
     if not len(rows) or not steps:
-        return Fitted([], False)
+        return Fitted([], diverged=False)
     stamps, device = motion.stamps([one.offset_s for one in observed]), gaussians.values.device
     views, masks = [one.view for one in observed], [one.usable for one in observed]
     backdrops = []
@@ -50,5 +50,5 @@ def fit_unselected(
     done = descend(gaussians, Path(rows, carriage, rates_of(values, learning_rate), arm, goal), steps)
     if diverged(done.losses):
         undo(gaussians, rows, values)
-        return Fitted([], True)
-    return Fitted(done.seen, False)
+        return Fitted([], diverged=True)
+    return Fitted(done.seen, diverged=False)

@@ -135,7 +135,7 @@ class _Engine:
         synchronizer.configure()
         synchronizer.activate()
         collector = CollectorNode(bus, clock, self._spool)
-        latency = Latency(ASSUMED_LATENCY_NS, False)
+        latency = Latency(ASSUMED_LATENCY_NS, is_measured=False)
         chain = self._chain(collector, synchronizer.cameras, latency, lambda: 0, own_process=False)
         begun = time.perf_counter()
         for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
@@ -152,7 +152,7 @@ class _Engine:
         reading = Reading(order)
         with contextlib.closing(reading):
             clock, working = PacedClock(self._session.span.start_ns, rate), LocalBus(is_latched)
-            latency = Latency(ASSUMED_LATENCY_NS, True)
+            latency = Latency(ASSUMED_LATENCY_NS, is_measured=True)
             collector = CollectorNode(working, clock, self._spool, rate)
             bridge = Bridge(collector.keep_dropped, PATIENCE)
             cameras = LogSource(self._session, self._parameters.synchronizer).cameras

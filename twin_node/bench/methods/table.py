@@ -23,15 +23,15 @@ from twin_node.nodes.report.quality import unit
 from twin_node.scene import Float32, View
 
 METHODS: Mapping[str, Method] = {
-    "frozen": Method("frozen first frame", fit_frozen, True),
-    "previous": Method("the camera's previous image", fit_previous, True),
-    "per_frame_3dgs": Method("3DGS per frame", fit_per_frame, True),
-    "dynamic_nerf": Method("dynamic NeRF on planes", fit_nerf, False),
-    "streaming": Method("3DGStream-style", fit_streaming, True),
-    "4dgs_hexplane": Method("4DGS, HexPlane", fit_hexplane, False, True),
-    "4dgs_hash": Method("4DGS, hash grid", fit_hash, False, True),
-    "static_3dgs": Method("3DGS of all frames, no field", fit_plain, False, True),
-    "ours": Method("ours, online", fit_online, True),
+    "frozen": Method("frozen first frame", fit_frozen, online=True),
+    "previous": Method("the camera's previous image", fit_previous, online=True),
+    "per_frame_3dgs": Method("3DGS per frame", fit_per_frame, online=True),
+    "dynamic_nerf": Method("dynamic NeRF on planes", fit_nerf, online=False),
+    "streaming": Method("3DGStream-style", fit_streaming, online=True),
+    "4dgs_hexplane": Method("4DGS, HexPlane", fit_hexplane, online=False, takes_steps=True),
+    "4dgs_hash": Method("4DGS, hash grid", fit_hash, online=False, takes_steps=True),
+    "static_3dgs": Method("3DGS of all frames, no field", fit_plain, online=False, takes_steps=True),
+    "ours": Method("ours, online", fit_online, online=True),
 }
 """By the names that `--json` prints."""
 

@@ -193,7 +193,7 @@ class _Followed:
         model = SIZES[parameters.size].model(chain.model)
         chain = replace(chain, model=replace(model, seed=replace(model.seed, steps=seed_steps)))
         self._bus, self._clock = LocalBus(is_latched), SteppedClock(scenario.start_ns)
-        latency = Latency(ASSUMED_LATENCY_NS, False)
+        latency = Latency(ASSUMED_LATENCY_NS, is_measured=False)
         workspace = np.array(scenario.workspace)
         self._chain = Chain(self._bus, self._clock, workspace, chain, latency, lambda: 0, with_arm=False)
         self._forecasts = 0

@@ -99,7 +99,7 @@ class _Followed:
             self._clock,
             np.array(scenario.workspace),
             parameters,
-            Latency(ASSUMED_LATENCY_NS, False),
+            Latency(ASSUMED_LATENCY_NS, is_measured=False),
             lambda: 0,
             with_arm=False,
         )

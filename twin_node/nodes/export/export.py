@@ -59,11 +59,11 @@ class Format:
     """What its name may end in; none: a folder."""
     topic: str
     """What it is made of, and cannot do without."""
+    write: Write
     with_clouds: bool
     """Whether Gaussians go into it."""
     with_arm: bool
     """Whether the arm goes into it: whose joints the log has is asked only then."""
-    write: Write
     is_split: bool = False
     """Whether each moment is a file of its own: more than one are a folder."""
 
@@ -141,10 +141,14 @@ def _refused(output: Path, error: OSError) -> ExportError:
 
 
 FORMATS: Mapping[str, Format] = {
-    "ply": Format((".ply",), GAUSSIANS, True, False, partial(write_clouds, write=write_ply), is_split=True),
-    "spz": Format((".spz",), GAUSSIANS, True, False, partial(write_clouds, write=write_spz), is_split=True),
-    "npz": Format((".npz",), GAUSSIANS, True, False, write_arrays),
-    "mjcf": Format((".xml",), OBSTACLES, False, True, write_collision_scene),
-    "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, True, True, write_stage),
-    "csv": Format((), OBSTACLES, False, True, write_tables),
+    "ply": Format(
+        (".ply",), GAUSSIANS, partial(write_clouds, write=write_ply), with_clouds=True, with_arm=False, is_split=True
+    ),
+    "spz": Format(
+        (".spz",), GAUSSIANS, partial(write_clouds, write=write_spz), with_clouds=True, with_arm=False, is_split=True
+    ),
+    "npz": Format((".npz",), GAUSSIANS, write_arrays, with_clouds=True, with_arm=False),
+    "mjcf": Format((".xml",), OBSTACLES, write_collision_scene, with_clouds=False, with_arm=True),
+    "usd": Format((".usd", ".usda", ".usdc"), OBSTACLES, write_stage, with_clouds=True, with_arm=True),
+    "csv": Format((), OBSTACLES, write_tables, with_clouds=False, with_arm=True),
 }

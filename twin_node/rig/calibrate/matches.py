@@ -62,7 +62,7 @@ def _matched(features: Sequence[_Features], a: int, b: int) -> Matches:
     at_b, des_b = features[b].pixels, features[b].descriptors
     empty = np.zeros((0, 2))
     if min(len(at_a), len(at_b)) < 2:
-        return Matches(a, b, empty, empty, False)
+        return Matches(a, b, empty, empty, on_plane=False)
     matcher = cv2.BFMatcher(cv2.NORM_L2)
     back = {match.queryIdx: match.trainIdx for match in matcher.match(des_b, des_a)}
     pairs = [
@@ -71,7 +71,7 @@ def _matched(features: Sequence[_Features], a: int, b: int) -> Matches:
         if best.distance < RATIO * second.distance and back.get(best.trainIdx) == best.queryIdx
     ]
     rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return Matches(a, b, at_a[rows[:, 0]], at_b[rows[:, 1]], False)
+    return Matches(a, b, at_a[rows[:, 0]], at_b[rows[:, 1]], on_plane=False)
 
 
 def epipolar_px(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Float64) -> Float64:

@@ -173,7 +173,7 @@ def _on_plane(
         if len(points.a) < parameters.least_matches:
             skipped.append(f"{now.cameras[a].name} and {now.cameras[b].name} share too little of the plane")
             continue
-        found.append(Matches(a, b, pixels_a, pixels_b, True))
+        found.append(Matches(a, b, pixels_a, pixels_b, on_plane=True))
     return _Seen(tuple(found), tuple(skipped), ground.pixel_m)
 
 

@@ -134,11 +134,15 @@ class OakSource(ThreadedSource[OakCamera]):
                 streams, message = None, " ".join(str(error).split())
             if streams is not None:
                 connections += 1
-                self._health[camera.name] = CameraHealth(camera.name, True, "connected", connections - 1)
+                self._health[camera.name] = CameraHealth(
+                    camera.name, is_connected=True, message="connected", reconnections=connections - 1
+                )
                 if streams.calibration is not None:
                     self.calibrations[camera.name] = streams.calibration
                 message = self._read(camera, streams, stamps)
-            self._health[camera.name] = CameraHealth(camera.name, False, message, max(connections - 1, 0))
+            self._health[camera.name] = CameraHealth(
+                camera.name, is_connected=False, message=message, reconnections=max(connections - 1, 0)
+            )
             self._queue.closed.wait(RETRY_S)
 
     def _read(self, camera: OakCamera, streams: OakStreams, stamps: CaptureStamps) -> str:

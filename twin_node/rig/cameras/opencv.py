@@ -58,11 +58,15 @@ class OpenCvSource(ThreadedSource[OpenCvCamera]):
             capture = self._open(camera)
             if capture.isOpened():
                 connections += 1
-                self._health[camera.name] = CameraHealth(camera.name, True, "connected", connections - 1)
+                self._health[camera.name] = CameraHealth(
+                    camera.name, is_connected=True, message="connected", reconnections=connections - 1
+                )
                 self._read(camera, capture, stamps)
             capture.release()
             message = f"no image from {camera.address}; trying again every {RETRY_S:g} s"
-            self._health[camera.name] = CameraHealth(camera.name, False, message, max(connections - 1, 0))
+            self._health[camera.name] = CameraHealth(
+                camera.name, is_connected=False, message=message, reconnections=max(connections - 1, 0)
+            )
             self._queue.closed.wait(RETRY_S)
 
     def _open(self, camera: OpenCvCamera) -> Any:

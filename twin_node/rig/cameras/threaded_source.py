@@ -35,7 +35,7 @@ class ThreadedSource(ABC, Generic[C]):
             raise RigError(f"cameras: expected one or more with distinct names, found {', '.join(names) or 'none'}")
         self._cameras = tuple(cameras)
         self._queue = ImageQueue(QUEUED_PER_CAMERA * len(cameras))
-        self._health = {name: CameraHealth(name, False, "not looked for yet") for name in names}
+        self._health = {name: CameraHealth(name, is_connected=False, message="not looked for yet") for name in names}
         self._threads: list[threading.Thread] = []
 
     @property
@@ -66,7 +66,9 @@ class ThreadedSource(ABC, Generic[C]):
         try:
             self._run(camera)
         except BaseException as error:  # the trace goes to the log; health must not go on saying that all is well
-            self._health[camera.name] = CameraHealth(camera.name, False, f"its thread failed: {error!r}")
+            self._health[camera.name] = CameraHealth(
+                camera.name, is_connected=False, message=f"its thread failed: {error!r}"
+            )
             raise
 
     @abstractmethod
