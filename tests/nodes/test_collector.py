@@ -49,7 +49,7 @@ class Cell:
         """A set goes through the chain while the newest cloud follows another; a cloud has as many as its stamp."""
         frames = FrameSet(stamp, (), sequence=stamp)
         state = TwinState(stamp, frames, cloud(followed), nodes(), (), (), followed=followed)
-        decision = Separation(stamp, stamp, 1.0, *[0.1] * 6, "", -1, 1.0, "")
+        decision = Separation.without_pair(stamp, stamp, 1.0, "clear")
         for topic, message in (
             *((FRAMES, frames), (TRUSTED_FRAMES, frames), (SEEN, state)),
             (FORECAST, Forecast(None, None, QUALITY)),

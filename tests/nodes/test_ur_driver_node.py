@@ -59,7 +59,7 @@ class Graph:
         while not holds():
             assert time.monotonic() < last, self.node.report
             now = self.clock.now()
-            told = Separation(now, now - 30_000_000, 1.0, 0, 0, 0, 0, 0, 0, "", -1, fraction, "clear")
+            told = Separation.without_pair(now, now - 30_000_000, fraction, "clear")
             self.bus.publish(SEPARATION, convert.separation_to_message(told))
             self.node.tick()
             pause.wait(0.02)

@@ -64,23 +64,11 @@ def _refuse_wrong(path: JointPath, reaction_s: float) -> None:
 def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches, encounter: Encounter) -> Separation:
     """Applies the law to the pairs and names the one that decides; where none is closing in, the closest one."""
     shortfall, terms = encounter.shortfall(1.0), encounter.terms(1.0)
-    idle = Separation(
-        stamp=encounter.motion.stamp,
-        evidence_stamp=checker.obstacles.source.stamp,
-        distance=closest.distance,
-        required=0.0,
-        term_human=0.0,
-        term_reaction=0.0,
-        term_stopping=0.0,
-        term_intrusion=0.0,
-        term_uncertainty=0.0,
-        link=closest.link,
-        obstacle_id=closest.obstacle_id,
-        speed_fraction=1.0,
-        reason="clear" if len(shortfall) == 0 else "not closing in",
-    )
+    reason = "clear" if len(shortfall) == 0 else "not closing in"
+    free = Separation.without_pair(encounter.motion.stamp, checker.obstacles.source.stamp, 1.0, reason)
+    free = replace(free, distance=closest.distance, link=closest.link, obstacle_id=closest.obstacle_id)
     if (shortfall == -np.inf).all():
-        return idle
+        return free
     worst = int(shortfall.argmax())  # one that is not a number comes before all others
     row = int(pairs.obstacles[worst])
     if not np.isfinite(shortfall[worst]):
@@ -92,7 +80,7 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches,
     kind = ObstacleKind(int(checker.obstacles.kinds[row])).name
     state = "clear of" if share >= 1 else "slow for" if share > 0 else "stopped for"
     return replace(
-        idle,
+        free,
         required=float(terms.required[worst]),
         term_human=float(terms.human[worst]),
         term_reaction=float(terms.reaction[worst]),

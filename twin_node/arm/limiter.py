@@ -95,18 +95,4 @@ class SpeedLimiter:
 
 def standing(stamp: int, evidence_stamp: int, reason: str) -> Separation:
     """A decision that the arm stands, where no distance can be told; stamps are ns."""
-    return Separation(
-        stamp=stamp,
-        evidence_stamp=evidence_stamp,
-        distance=float("inf"),
-        required=0.0,
-        term_human=0.0,
-        term_reaction=0.0,
-        term_stopping=0.0,
-        term_intrusion=0.0,
-        term_uncertainty=0.0,
-        link="",
-        obstacle_id=-1,
-        speed_fraction=0.0,
-        reason=reason,
-    )
+    return Separation.without_pair(stamp, evidence_stamp, 0.0, reason)

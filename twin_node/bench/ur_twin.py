@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -19,7 +20,7 @@ _EVIDENCE_AGE_NS = 33_000_000
 """Age of a decision's evidence, ns: one image."""
 _PRIORITY = 5
 """What is measured is the driver, not how a busy computer delays decisions; below driver and stand-in."""
-_GO = Separation(0, 0, float("inf"), 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
+_GO = Separation.without_pair(0, 0, 1.0, "clear")
 
 
 class TwinOrder(Enum):
@@ -56,8 +57,8 @@ def run_twin(parameters: UrParameters, pipe: Connection) -> None:
 
     driver = SupervisedDriver(parameters, tell)
     ask_for_realtime(_PRIORITY)
-    due, is_fed = time.monotonic(), True
-    try:
+    due, decides = time.monotonic(), True
+    with contextlib.suppress(EOFError, OSError):  # the bench has gone
         while True:
             while pipe.poll(max(due - time.monotonic(), 0.0)):
                 order: TwinOrder = pipe.recv()
@@ -66,12 +67,11 @@ def run_twin(parameters: UrParameters, pipe: Connection) -> None:
                 elif order is TwinOrder.FOLLOW_FIVE:
                     driver.follow(_five_joints(parameters, driver.latest))
                 else:
-                    is_fed = order is TwinOrder.DECIDE
+                    decides = order is TwinOrder.DECIDE
             due = max(due + 1 / _RATE_HZ, time.monotonic())
-            if is_fed:
+            if decides:
                 driver.decide(replace(_GO, evidence_stamp=time.monotonic_ns() - _EVIDENCE_AGE_NS))
-    except (EOFError, OSError):
-        driver.close()
+    driver.close()
 
 
 def _five_joints(parameters: UrParameters, report: DriverReport) -> JointPath:

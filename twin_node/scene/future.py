@@ -182,3 +182,22 @@ class Separation:
     speed_fraction: float
     """0 to 1."""
     reason: str
+
+    @classmethod
+    def without_pair(cls, stamp: int, evidence_stamp: int, speed_fraction: float, reason: str) -> Separation:
+        """A speed that no pair of arm and obstacle decides: nothing near, no distance required. Stamps in ns."""
+        return cls(
+            stamp=stamp,
+            evidence_stamp=evidence_stamp,
+            distance=float("inf"),
+            required=0.0,
+            term_human=0.0,
+            term_reaction=0.0,
+            term_stopping=0.0,
+            term_intrusion=0.0,
+            term_uncertainty=0.0,
+            link="",
+            obstacle_id=-1,
+            speed_fraction=speed_fraction,
+            reason=reason,
+        )

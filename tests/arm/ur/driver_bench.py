@@ -23,7 +23,7 @@ from twin_node.scene import Separation
 
 MS = 1_000_000
 STEP_MS = 4
-CLEAR = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
+CLEAR = Separation.without_pair(0, 0, 1.0, "clear")
 
 
 class Bench:

@@ -22,7 +22,7 @@ from twin_node.scene import Separation
 dashboard_client = pytest.importorskip("dashboard_client", reason="ur_rtde is not installed (extra 'ur')")
 
 PATIENCE_S = 60.0
-CLEAR = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
+CLEAR = Separation.without_pair(0, 0, 1.0, "clear")
 
 
 def parameters(host: str, **changes: object) -> UrParameters:

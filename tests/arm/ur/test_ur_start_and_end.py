@@ -89,7 +89,7 @@ from dataclasses import replace
 from twin_node.arm.ur import SupervisedDriver, UrParameters
 from twin_node.scene import Separation
 if __name__ == "__main__":
-    clear = Separation(0, 0, 1.0, 0, 0, 0, 0, 0, 0, "", -1, 1.0, "clear")
+    clear = Separation.without_pair(0, 0, 1.0, "clear")
     driver = SupervisedDriver(UrParameters(robot=sys.argv[1], stale_s=0.3))
     while True:
         driver.decide(replace(clear, evidence_stamp=time.monotonic_ns()))

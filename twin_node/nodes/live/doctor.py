@@ -62,7 +62,7 @@ def examine(wire: Wire, seconds: float) -> Findings:
     _spin(executor, wire, DISCOVERY_S)
     endpoints = [endpoint for endpoint in wire.endpoints() if endpoint.node.name != "doctor"]
     published = {e.topic: e for e in endpoints if e.kind is EntityKind.PUBLISHER}
-    nodes = {topic: " and ".join(_publishers(topic, endpoints)) for topic in published}
+    nodes = {topic: " and ".join(_publishers([e for e in endpoints if e.topic == topic])) for topic in published}
     for topic, endpoint in published.items():
         if endpoint.msgtype in builtin_types():
             bus.declare(topic, TopicKind(endpoint.msgtype, endpoint.qos))
@@ -97,36 +97,50 @@ def _spin(executor: Executor, wire: Wire, seconds: float) -> None:
 
 def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
     """Topics whose ends cannot hear each other, that somebody waits for in vain, or that two say who must agree."""
-    faults = []
+    faults: list[str | None] = []
     for topic in sorted({endpoint.topic for endpoint in endpoints}):
         ends = [endpoint for endpoint in endpoints if endpoint.topic == topic]
-        kinds = {(end.msgtype, end.type_hash) for end in ends}
-        if len(kinds) > 1:
-            names = "; ".join(sorted(f"{e.node.name}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
-            is_humble = any(e.type_hash == HUMBLE_HASH for e in ends)
-            why = "ros_distro differs" if is_humble else "their types differ"
-            advice = "set launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
-            faults.append(f"{topic}: {why}, so they do not hear each other ({names}); {advice}")
-        elif not any(end.kind is EntityKind.PUBLISHER for end in ends):
-            if _is_needed(ends[0].msgtype):
-                faults.append(_waited_for(ends, endpoints))
-            elif any(end.node.name == CLOCK_FOLLOWER for end in ends):
-                faults.append(
-                    f"{topic}: nodes take their time from it (use_sim_time), nobody publishes it, so time stands; play "
-                    "a log with --clock, or launch without use_sim_time"
-                )
-        said_by = _publishers(topic, endpoints)
-        if len(said_by) > 1 and (topic in OF_ONE or ends[0].msgtype in (COMPRESSED, RAW)):
-            faults.append(f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one")
-    return faults
+        faults += [_type_fault(topic, ends) or _silence_fault(topic, ends, endpoints), _rivalry_fault(topic, ends)]
+    return [fault for fault in faults if fault is not None]
 
 
-def _publishers(topic: str, endpoints: Sequence[Endpoint]) -> list[str]:
-    """Names of a topic's publishers; two nodes of one name stand there twice."""
-    ends = {
-        (e.node.session, e.node.number): e for e in endpoints if e.topic == topic and e.kind is EntityKind.PUBLISHER
-    }
-    return sorted(end.node.name for end in ends.values())
+def _type_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
+    """What keeps the ends of a topic from hearing each other; None: nothing does."""
+    if len({(end.msgtype, end.type_hash) for end in ends}) == 1:
+        return None
+    names = "; ".join(sorted(f"{e.node.name}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
+    is_humble = any(e.type_hash == HUMBLE_HASH for e in ends)
+    why = "ros_distro differs" if is_humble else "their types differ"
+    advice = "set launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
+    return f"{topic}: {why}, so they do not hear each other ({names}); {advice}"
+
+
+def _silence_fault(topic: str, ends: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> str | None:
+    """Who waits in vain for a topic that nobody publishes; None: nobody does."""
+    if any(end.kind is EntityKind.PUBLISHER for end in ends):
+        return None
+    if _is_needed(ends[0].msgtype):
+        return _waited_for(ends, endpoints)
+    if any(end.node.name == CLOCK_FOLLOWER for end in ends):
+        return (
+            f"{topic}: nodes take their time from it (use_sim_time), nobody publishes it, so time stands; play a log "
+            "with --clock, or launch without use_sim_time"
+        )
+    return None
+
+
+def _rivalry_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
+    """Who publish a topic that only one may; None: one, or it may be several."""
+    said_by = _publishers(ends)
+    if len(said_by) < 2 or not (topic in OF_ONE or ends[0].msgtype in (COMPRESSED, RAW)):
+        return None
+    return f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one"
+
+
+def _publishers(ends: Sequence[Endpoint]) -> list[str]:
+    """Names of the publishers among a topic's ends; two nodes of one name stand there twice."""
+    by_node = {(e.node.session, e.node.number): e for e in ends if e.kind is EntityKind.PUBLISHER}
+    return sorted(end.node.name for end in by_node.values())
 
 
 def _is_needed(msgtype: str) -> bool:
