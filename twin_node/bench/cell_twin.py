@@ -19,7 +19,7 @@ from twin_node.cell.program import RunningProgram
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure, SimulatedRig
 from twin_node.cell.ur_arm import DrivenArm
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.latency import Latency
@@ -227,7 +227,7 @@ class TwinPerception:
         self._dropped += self._newest is not None
         self._newest = frames
 
-    def _on_obstacles(self, message: Any) -> None:
+    def _on_obstacles(self, message: Message) -> None:
         self._made = message
 
     def _work(self, now: int) -> None:

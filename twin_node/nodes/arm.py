@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from twin_node.arm import (
     ArmCollisionChecker,
@@ -20,7 +19,7 @@ from twin_node.arm import (
 )
 from twin_node.arm.ur import servo_stopping
 from twin_node.errors import TwinError
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.runtime.bus import Bus
@@ -123,7 +122,7 @@ class ArmNode(Node):
         self._share = separation.speed_fraction
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
-    def _on_trajectory(self, message: Any) -> None:
+    def _on_trajectory(self, message: Message) -> None:
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are
             self._arm.leave_path()
             return
@@ -133,11 +132,11 @@ class ArmNode(Node):
             self._arm.leave_path()  # whatever this one says, the arm goes along it and not along the one before
             raise
 
-    def _on_joints(self, message: Any) -> None:
+    def _on_joints(self, message: Message) -> None:
         sample = convert.joint_sample_from_message(message)
         self._arm.take_joints(sample, len(message.velocity) > 0, self._share if self._is_live else 1.0)
 
-    def _on_obstacles(self, message: Any) -> None:
+    def _on_obstacles(self, message: Message) -> None:
         now = self.clock.now()
         try:
             _check_frame(message.header.frame_id)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from twin_node.forecast import ForecastQuality
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEEN, SEPARATION, STATE, TRUSTED_FRAMES
@@ -127,7 +126,7 @@ class CollectorNode(Node):
         for warning in warnings:
             self.warnings[warning] = self.warnings.get(warning, 0) + 1
 
-    def _on_separation(self, message: Any) -> None:
+    def _on_separation(self, message: Message) -> None:
         frames, seen, forecast = self._frames, self._seen, self._forecast
         if frames is None or seen is None or forecast is None:
             return

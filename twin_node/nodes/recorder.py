@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
-from typing import Any
 
 from twin_node.bag import LogWriter
-from twin_node.messages import header_stamp
+from twin_node.messages import Message, header_stamp
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
@@ -25,5 +24,5 @@ class RecorderNode(Node):
         for topic in self._topics:
             self.bus.subscribe(topic, partial(self._on_message, topic))
 
-    def _on_message(self, topic: str, message: Any) -> None:
+    def _on_message(self, topic: str, message: Message) -> None:
         self._log.write(topic, message, max(self.clock.now(), header_stamp(message)))

@@ -6,10 +6,9 @@ import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 from twin_node.errors import TwinError
-from twin_node.messages import convert, from_time
+from twin_node.messages import Message, convert, from_time
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.depth_pairs import DepthPairs, EncodedView
 from twin_node.nodes.early import EarlyViews
@@ -122,12 +121,12 @@ class SynchronizerNode(Node):
         now = self.clock.now()
         self._take(self._synchronizer.poll(now), now)
 
-    def _on_joints(self, message: Any) -> None:
+    def _on_joints(self, message: Message) -> None:
         sample = convert.joint_sample_from_message(message)
         if self._joint_names.issubset(sample.names):
             self._assembler.add_joints(sample)
 
-    def _on_colour(self, name: str, message: Any) -> None:
+    def _on_colour(self, name: str, message: Message) -> None:
         if not self._is_live:
             self._check_order(name, from_time(message.header.stamp))
         if self._topics[name].depth is None:
@@ -136,7 +135,7 @@ class SynchronizerNode(Node):
         for view in self._pairs[name].add_colour(message):
             self._add(name, view)
 
-    def _on_depth(self, name: str, message: Any) -> None:
+    def _on_depth(self, name: str, message: Message) -> None:
         for view in self._pairs[name].add_depth(message):
             self._add(name, view)
 

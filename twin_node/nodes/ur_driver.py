@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
@@ -97,7 +97,7 @@ class UrDriverNode(Node):
             "ur_driver: arm", _LEVELS[report.state], report.reason, tuple(readings), self._parameters.robot
         )
 
-    def _on_separation(self, message: Any) -> None:
+    def _on_separation(self, message: Message) -> None:
         if self._driver is None or self.state is not LifecycleState.ACTIVE:
             return
         separation = convert.separation_from_message(message)
@@ -106,7 +106,7 @@ class UrDriverNode(Node):
         moved = NO_EVIDENCE if evidence == NO_EVIDENCE else evidence + offset
         self._driver.decide(replace(separation, stamp=separation.stamp + offset, evidence_stamp=moved))
 
-    def _on_follow(self, message: Any) -> None:
+    def _on_follow(self, message: Message) -> None:
         if self._driver is None:
             return
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are

@@ -7,10 +7,9 @@ import gc
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 from twin_node.errors import TwinError
-from twin_node.messages import builtin_types, convert
+from twin_node.messages import Message, builtin_types, convert
 from twin_node.nodes.launch.kinds import SOURCES, find_factory
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
@@ -236,5 +235,5 @@ class Graph:
                 thread.begin_anew()
 
 
-def _set_clock(clock: FollowedClock, message: Any) -> None:
+def _set_clock(clock: FollowedClock, message: Message) -> None:
     clock.set(convert.clock_from_message(message.decode() if isinstance(message, Encoded) else message))

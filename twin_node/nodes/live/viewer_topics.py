@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from twin_node.messages import convert
+from twin_node.messages import Message, convert
 from twin_node.nodes.live.rig_source import RigSource, read_rig
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLE_MARKERS, OBSTACLES, SEPARATION, SEPARATION_MARKER, TF
@@ -46,15 +44,15 @@ class ViewerTopicsNode(Node):
     def _publish_frusta(self) -> None:
         self.bus.publish(FRUSTA, convert.frusta_to_markers(self._source.rig, self.clock.now()))
 
-    def _on_obstacles(self, message: Any) -> None:
+    def _on_obstacles(self, message: Message) -> None:
         if self._bus.is_heard(OBSTACLE_MARKERS):
             self.bus.publish(OBSTACLE_MARKERS, convert.obstacles_to_markers(convert.obstacles_from_message(message)))
 
-    def _on_separation(self, message: Any) -> None:
+    def _on_separation(self, message: Message) -> None:
         separation = convert.separation_from_message(message)
         self.bus.publish(SEPARATION_MARKER, convert.separation_to_marker(separation))
 
-    def _on_joints(self, message: Any) -> None:
+    def _on_joints(self, message: Message) -> None:
         if not self._bus.is_heard(TF):
             return
         sample = convert.joint_sample_from_message(message)
