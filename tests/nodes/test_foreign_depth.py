@@ -47,6 +47,13 @@ def test_colour_images_that_are_taken_for_depth_can_be_renamed() -> None:
         find_cameras({"/depth_rig/left/camera_info": CAMERA_INFO}, "log")
 
 
+def test_a_colour_image_is_not_taken_from_a_transport_that_can_encode_none() -> None:
+    """On a graph image_transport offers it beside every image, and nobody knows yet what will come."""
+    offered = {f"{COLOUR}/image_raw": RAW, f"{COLOUR}/image_raw/compressedDepth": COMPRESSED}
+    [camera] = find_cameras(offered, "the graph")
+    assert (camera.image, camera.depth) == (f"{COLOUR}/image_raw", None)
+
+
 def foreign_log(path: Path, depth_fx: float) -> Path:
     """One set of a camera whose colour has an fx of 64 pixels of 64; its depth comes with a calibration too."""
     with LogWriter(path) as log:

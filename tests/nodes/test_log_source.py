@@ -9,10 +9,12 @@ import pytest
 from twin_logs import with_gripper
 
 from twin_node.bag import LogWriter, open_log
+from twin_node.messages import convert, header_stamp
+from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.topics import COMPRESSED, GraphError
 from twin_node.robot import ur_model
 
 
@@ -28,6 +30,33 @@ def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callabl
         frames = next(iter(LogSource(session, SynchronizerParameters(width=80))))
     assert [view.camera.name for view in frames.views] == ["cam_back", "cam_front", "cam_left"]
     assert frames.joints is not None
+
+
+def test_topics_that_nobody_has_spoken_on_are_no_cameras(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    """`ros2 bag record -a` names what image_transport offers beside raw images, though nothing comes on it."""
+    bag = tmp_path / "all.mcap"
+    with open_log(cell_log(0.3)) as log, LogWriter(bag) as written:
+        for camera in ("cam_back", "cam_front", "cam_left"):
+            for transport in ("compressed", "compressedDepth"):
+                written.add_topic(f"/{camera}/image_raw/{transport}", COMPRESSED)
+        written.add_topic("/cam_left/depth/image_rect/compressed", COMPRESSED)
+        for message in log.messages():
+            if message.msgtype == COMPRESSED and "depth" not in message.topic:
+                image = convert.rgb_from_message(message.message)
+                raw = convert.raw_image("camera", header_stamp(message.message), image)
+                written.write(message.topic.removesuffix("/compressed"), raw, message.stamp)
+            else:
+                written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+    with LogSession(bag) as session:
+        frames = next(iter(LogSource(session, SynchronizerParameters(width=80))))
+    assert [view.camera.name for view in frames.views] == ["cam_back", "cam_front", "cam_left"]
+    assert all(view.depth is not None for view in frames.views)
+    with Playback([bag]) as playback:
+        shown = playback.at(playback.end_ns).frames
+    assert shown is not None
+    assert len(shown.views) == 3
+    with open_log(bag) as log:
+        assert check_log(log).faults == ()
 
 
 def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -55,6 +55,11 @@ class LogReader:
         return self._topics
 
     @property
+    def spoken(self) -> Mapping[str, str]:
+        """Topics that have messages -> their types: recorders name those, too, that nobody has said anything on."""
+        return {topic.name: topic.msgtype for topic in self._topics if topic.count}
+
+    @property
     def left_out(self) -> tuple[str, ...]:
         """What the log holds that is not read, a line each.
 

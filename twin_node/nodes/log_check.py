@@ -175,9 +175,8 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
 
 
 def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
-    types = {topic.name: topic.msgtype for topic in log.topics}
     try:
-        cameras = find_cameras(types, str(log.path))
+        cameras = find_cameras(log.spoken, str(log.path))
     except GraphError as error:
         return [str(error)]
     stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}

@@ -36,9 +36,9 @@ class LogSession:
         remaps = remaps or {}
         self.log: LogReader = open_log(path)
         try:
-            types = {topic.name: topic.msgtype for topic in self.log.topics}
-            original = _named(types, remaps, path)
-            renamed = {name: types[source] for name, source in original.items()}
+            original = _named([topic.name for topic in self.log.topics], remaps, path)
+            spoken = self.log.spoken
+            renamed = {name: spoken[source] for name, source in original.items() if source in spoken}
             with damage_first(self.log):
                 self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
                 in_log = tuple(_originals(camera, original) for camera in self.cameras)

@@ -296,10 +296,9 @@ class Playback:
         self, width: int | None, rig_file: Path | None
     ) -> tuple[Mapping[str, CameraTopics], FrameAssembler | None]:
         for log in self._logs:
-            types = {topic.name: topic.msgtype for topic in log.topics}
-            if any(kind in IMAGE_TYPES for kind in types.values()):
+            if any(kind in IMAGE_TYPES for kind in log.spoken.values()):
                 with damage_first(log):
-                    cameras = find_cameras(types, str(log.path))
+                    cameras = find_cameras(log.spoken, str(log.path))
                     rig = rig_for(log, cameras, rig_file)
                 calibrated = {camera.name for camera in rig.cameras}
                 known = {camera.name: camera for camera in cameras if camera.name in calibrated}

@@ -156,12 +156,13 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
     A topic of an image type is a depth image when its path says `depth`, else a colour image; the camera is the path
     before `image...`, `color...` or `rgb...`. Of several depth topics that is taken which drivers have aligned with the
     colour image, by its name. A camera with both a raw and a compressed colour topic is read from the compressed one.
+    What image_transport would send of a colour image as `compressedDepth` is neither: it can encode none.
     Raises `GraphError` naming `source` when there is no colour image at all.
     """
     colour: dict[str, str] = {}
     depth: dict[str, str] = {}
     for topic in sorted(types, key=lambda t: (not _is_aligned_depth(t), types[t] != COMPRESSED, t)):
-        if types[topic] in (COMPRESSED, RAW):
+        if types[topic] in (COMPRESSED, RAW) and ("depth" in topic or not topic.endswith("/compressedDepth")):
             (depth if "depth" in topic else colour).setdefault(camera_of(topic), topic)
     if not colour:
         held = ", ".join(sorted(types)) or "none"
