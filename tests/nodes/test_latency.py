@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from twin_node.nodes.latency import SAMPLES, Latency
+from twin_node.nodes.latency import LONGEST_BRIDGED_NS, SAMPLES, Latency
 
 ASSUMED_NS = 33_000_000
 
@@ -56,3 +56,10 @@ def test_a_camera_clock_that_is_ahead_makes_no_forecast_of_the_past() -> None:
     latency = measured(*[-40.0] * 60)
     assert latency.expected_ns == 0
     assert latency.percentile_ms(50) == -40.0
+
+
+def test_one_set_that_was_held_up_moves_nothing_minutes_away() -> None:
+    """Among the first ones the p99 is nearly that of the latest."""
+    latency = measured(*[40.0] * 29, 3_600_000.0)
+    assert latency.expected_ns == LONGEST_BRIDGED_NS
+    assert latency.percentile_ms(100) == 3_600_000.0

@@ -10,6 +10,9 @@ ASSUMED_LATENCY_NS = 33_000_000
 """From evidence to publication in lockstep, and before it was measured: one frame at 30 Hz."""
 SAMPLES = 300
 """Latencies that the percentiles are taken over: 10 s at 30 Hz."""
+LONGEST_BRIDGED_NS = 400_000_000
+"""No forecast begins later after its evidence: by then an arm stands (`arm.LimiterParameters`). One set that was held
+up, or a clock that was set while it was under way, would have all that moves forecast to be minutes away."""
 
 
 class Latency:
@@ -33,10 +36,13 @@ class Latency:
 
     @property
     def expected_ns(self) -> int:
-        """What a forecast must bridge to be valid when it is read: the p99, ns; 0 where cameras' clocks are ahead."""
+        """What a forecast must bridge to be valid when it is read: the p99, ns; 0 where cameras' clocks are ahead.
+
+        At most `LONGEST_BRIDGED_NS`.
+        """
         if len(self._samples_ns) < 30:
             return self._assumed_ns
-        return max(int(np.percentile(self._samples_ns, 99)), 0)
+        return min(max(int(np.percentile(self._samples_ns, 99)), 0), LONGEST_BRIDGED_NS)
 
     def percentile_ms(self, percent: float) -> float:
         """A percentile of the measured latencies, ms; NaN without samples."""
