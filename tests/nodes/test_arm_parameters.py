@@ -27,9 +27,9 @@ from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity, Qos
 from twin_node.scene import ObstacleKind
 
 
-def made(arm: dict[str, str], driver: dict[str, str]) -> ArmNode:
-    """The arm's node of a launch file with these sections."""
-    sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": arm, "ur_driver": driver}
+def made(arm: dict[str, str], driver: dict[str, str], **shared: str) -> ArmNode:
+    """The arm's node of a launch file with these sections, and parameters that all its nodes share."""
+    sections = {"/**": {"rig": {"scenario": "demo"}, **shared}, "arm": arm, "ur_driver": driver}
     bus, clock = LocalBus(), SteppedClock(START)
     setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)
     return make_arm(setup)
@@ -44,6 +44,31 @@ def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
     assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
     assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
     assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
+
+
+def test_the_arm_that_is_driven_is_found_in_the_section_of_all_nodes_too() -> None:
+    """The driver took its model from there, and the arm that was judged was held against the driver's default."""
+    with pytest.raises(TwinError, match="expected the arm that is driven, ur10e, found ur5e"):
+        made({"model": "ur5e"}, {}, robot="192.168.1.10", model="ur10e")
+    assert made({"model": "ur10e"}, {}, robot="192.168.1.10", model="ur10e") is not None
+
+
+def test_an_arm_that_is_driven_is_never_judged_as_a_made_up_one() -> None:
+    """Its joints may be published under another name: it was let go at full speed for what no arm does."""
+    here: list[Endpoint] = []
+    sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": {"model": "ur5e"}}
+    cell = Cell()
+    setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))
+    make_arm(setup).configure()
+    far = np.full(3, 5.0)
+    assert cell.somebody(at=far).reason == "clear"
+    here[:] = [endpoint("ur_driver", SEPARATION)]
+    cell.wait(32)
+    told = cell.somebody(at=far)
+    assert told.speed_fraction == 0
+    assert told.reason == "stopped: an arm is driven, and nobody publishes its /joint_states or /arm/trajectory"
+    cell.joints()
+    assert cell.somebody(at=far).reason == "clear"
 
 
 def beside_somebody(driver: dict[str, str], *endpoints: Endpoint, **arm: object) -> list[float]:

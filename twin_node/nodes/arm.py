@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from enum import Enum
 
 from twin_node.arm import (
     ArmCollisionChecker,
@@ -39,13 +40,23 @@ ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 
 
+class Driving(Enum):
+    """Who obeys the decisions, as far as is known."""
+
+    NOBODY = "nobody"
+    BY_SLIDER = "by slider"
+    """A driver holds the arm's own program back, or reads only."""
+    SERVOED = "servoed"
+    """A driver leads the arm along trajectories, and brakes for it."""
+
+
 class ArmNode(Node):
     """Looks along the arm's next 200 ms at every new set of obstacles, and publishes `/twin/separation`.
 
     The arm's future comes from `/arm/trajectory` while it lasts and the joints are on it, else from `/joint_states`
     extrapolated, which must be as fresh as forecasts. In a live graph they are those of an arm that obeys: the share
     that it was told is taken out. Where neither has ever come it is that of a made-up cycle: a log without an arm is
-    judged as if one worked in it.
+    judged as if one worked in it. Not so where a driver obeys: its arm stands until somebody tells where it is.
     """
 
     def __init__(
@@ -56,13 +67,13 @@ class ArmNode(Node):
         make_cycle: Callable[[], CyclicPath],
         parameters: ArmParameters,
         timers: Timers | None = None,
-        is_servoed: Callable[[], bool] | None = None,
+        driving: Callable[[], Driving] | None = None,
     ) -> None:
         """`make_cycle()`: what an arm of which nobody tells is taken to do.
 
         `timers`: tell of forecasts that do not come; None in lockstep, where nothing is late, and where the arm of the
         log, which heard nobody, moves at its full speed whatever is told.
-        `is_servoed()`: whether a driver servoes the arm now; it may beside what the parameters say.
+        `driving()`: who drives the arm now; it may be servoed beside what the parameters say. None: nobody.
         """
         super().__init__("arm", bus, clock)
         self._silence = (timers or NoTimers()).alarm(self._on_silence)
@@ -72,7 +83,7 @@ class ArmNode(Node):
         self._parameters = parameters
         self._own_stop = parameters.table(checker.bare_model)
         self._servo_stop = servo_stopping(checker.bare_model, self._own_stop)
-        self._is_servoed = is_servoed or (lambda: False)
+        self._driving = driving or (lambda: Driving.NOBODY)
         self._limiter = SpeedLimiter(parameters.limiter)
         limits = parameters.limiter
         self._arm = Whereabouts(checker.model, make_cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
@@ -152,12 +163,15 @@ class ArmNode(Node):
 
     def _decided(self, obstacles: Obstacles, stamp: int, now: int) -> Separation:
         """What the law says at a time (ns) that the obstacles are valid from; an arm of which nobody knows stands."""
-        reaction_s = self._reaction_s(now)
+        reaction_s, driving = self._reaction_s(now), self._driving()
+        if driving is not Driving.NOBODY and self._arm.is_made_up:
+            why = f"an arm is driven, and nobody publishes its {JOINT_STATES} or {TRAJECTORY}"
+            return standing(stamp, obstacles.stamp, f"stopped: {why}")
         try:
             path = self._arm.ahead(stamp, max(now, obstacles.stamp))  # a log may be recorded before its stamps
         except ArmError as error:
             return standing(stamp, obstacles.stamp, f"stopped: {error}")
-        is_servoed = self._parameters.servoed or self._is_servoed()
+        is_servoed = self._parameters.servoed or driving is Driving.SERVOED
         table = self._servo_stop if is_servoed else self._own_stop
         return decide(self._checker, path, stamp, reaction_s, self._parameters.separation, table)
 
@@ -183,9 +197,9 @@ def make_arm_node(
     workspace: Float64,
     parameters: ArmParameters,
     timers: Timers | None = None,
-    is_servoed: Callable[[], bool] | None = None,
+    driving: Callable[[], Driving] | None = None,
 ) -> ArmNode:
-    """The arm's node of a chain; `workspace` [2, 3] m. `timers` and `is_servoed`: see `ArmNode`."""
+    """The arm's node of a chain; `workspace` [2, 3] m. `timers` and `driving`: see `ArmNode`."""
     arm = parameters.arm()
     checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles, allowed=parameters.regions(arm))
-    return ArmNode(bus, clock, checker, lambda: default_path(arm, workspace), parameters, timers, is_servoed)
+    return ArmNode(bus, clock, checker, lambda: default_path(arm, workspace), parameters, timers, driving)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from twin_node.arm.ur import DriverMode, UrParameters
-from twin_node.nodes.arm import make_arm_node
+from twin_node.nodes.arm import Driving, make_arm_node
 from twin_node.nodes.live.rig_source import read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FOLLOW, GraphError, kind_of
+from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of
 from twin_node.robot import UR_NAMES
 from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import EVERY_NODE
@@ -35,40 +35,40 @@ def make_arm(setup: Setup) -> Node:
     Raises `GraphError` where the driver of the same launch drives another arm.
     """
     source, parameters = read_rig(setup.rig()), setup.chain_parameters()
-    _check_driven(setup, parameters.arm.model)
+    driver = _launched_driver(setup)
+    if driver is not None:
+        _check_driven(setup.where, driver.model, parameters.arm.model)
     workspace = working_volume(source, parameters.synchronizer.width)
-    is_told = _is_launched_servoing(setup)
+    is_told = driver is not None and driver.mode is DriverMode.SERVO
     return make_arm_node(
         setup.bus,
         setup.clock,
         workspace,
         parameters.arm,
         setup.timers,
-        lambda: is_told or _is_servoing(setup.endpoints()),
+        lambda: Driving.SERVOED if is_told else _driving(setup.endpoints()),
     )
 
 
-def _is_launched_servoing(setup: Setup) -> bool:
-    """Whether the driver of the same launch servoes its arm."""
-    given = {**setup.sections.get(EVERY_NODE, {}), **setup.sections.get(DRIVER, {})}
-    return given.get("mode") == DriverMode.SERVO.value
+def _launched_driver(setup: Setup) -> UrParameters | None:
+    """What the launch says of its driver; None where it says nothing, or that no arm is driven (an empty `robot`)."""
+    section = setup.sections.get(DRIVER, {})
+    robot = {**setup.sections.get(EVERY_NODE, {}), **section}.get("robot", UrParameters.robot if section else "")
+    return setup.parameters(UrParameters, DRIVER) if robot else None
 
 
-def _is_servoing(endpoints: Iterable[Endpoint]) -> bool:
-    """Whether a driver of another launch does: only then it waits for trajectories, on whatever topic."""
-    path = kind_of(FOLLOW).msgtype
-    return any(
-        endpoint.kind is EntityKind.SUBSCRIBER and endpoint.node.name == DRIVER and endpoint.msgtype == path
-        for endpoint in endpoints
-    )
+def _driving(endpoints: Iterable[Endpoint]) -> Driving:
+    """Who drives the arm, by what a driver listens to, on whatever topic: trajectories only where it servoes."""
+    heard = {e.msgtype for e in endpoints if e.kind is EntityKind.SUBSCRIBER and e.node.name == DRIVER}
+    if kind_of(FOLLOW).msgtype in heard:
+        return Driving.SERVOED
+    return Driving.BY_SLIDER if kind_of(SEPARATION).msgtype in heard else Driving.NOBODY
 
 
-def _check_driven(setup: Setup, model: str) -> None:
+def _check_driven(where: str, driven: str, model: str) -> None:
     """All UR arms name their joints alike: nothing that comes tells that another one is judged than the one driven."""
-    driver = setup.sections.get(DRIVER, {})
-    driven = str(driver.get("model", UrParameters.model))
-    if driver.get("robot") and driven != model and {driven, model} <= set(UR_NAMES):
+    if driven != model and {driven, model} <= set(UR_NAMES):
         raise GraphError(
-            f"{setup.where}: arm.model: expected the arm that is driven, {driven}, found {model}; give 'arm' and "
+            f"{where}: arm.model: expected the arm that is driven, {driven}, found {model}; give 'arm' and "
             "'ur_driver' the same 'model'"
         )
