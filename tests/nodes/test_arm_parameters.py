@@ -105,6 +105,17 @@ def test_a_servoed_arm_is_left_room_for_the_brake_on_its_path() -> None:
     assert beside_somebody({"mode": "servo"}, servoed=False) == [beside]
 
 
+def test_the_law_counts_on_the_look_ahead_of_the_driver_that_servoes() -> None:
+    driver = {"mode": "servo"}
+    shares = [beside_somebody({**driver, "lookahead_s": seconds}) for seconds in (0.2, 0.1, 0.03)]
+    assert shares[0][0] < shares[1][0] - 0.02 < shares[2][0] - 0.04
+    assert shares[1] == beside_somebody(driver) == beside_somebody({}, servoed=True)
+    assert beside_somebody({}, servoed=True, lookahead_s=0.03) == shares[2]
+    assert beside_somebody({**driver, "lookahead_s": 0.03}, lookahead_s=0.2) == shares[0]
+    with pytest.raises(TwinError, match=r"lookahead_s: expected 0.03 to 0.2, found 0.5"):
+        beside_somebody({}, lookahead_s=0.5)
+
+
 def test_measured_stops_are_parameters() -> None:
     row = {"speed": 3.2, "times": [1.5] * 6, "angles": [2.5] * 6}
     assert beside_somebody({}, stopping=[row]) < beside_somebody({})

@@ -82,7 +82,7 @@ class ArmNode(Node):
         self._checker = checker
         self._parameters = parameters
         self._own_stop = parameters.table(checker.bare_model)
-        self._servo_stop = servo_stopping(checker.bare_model, self._own_stop)
+        self._servo_stop = servo_stopping(checker.bare_model, self._own_stop, parameters.servo_lookahead_s)
         self._driving = driving or (lambda: Driving.NOBODY)
         self._limiter = SpeedLimiter(parameters.limiter)
         limits = parameters.limiter

@@ -14,6 +14,7 @@ from twin_node.arm import (
     StoppingTable,
     stopping_table,
 )
+from twin_node.arm.ur import LOOKAHEAD_S, LOOKAHEADS_S
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.robot import ArmModel, arm_model
 
@@ -111,6 +112,9 @@ class ArmParameters:
     servoed: bool = False
     """Whether a driver servoes it along trajectories (`ur_driver` with `mode: servo`), and so brakes for it, later and
     farther than it stops by itself. Live, the node also knows by the launch file and the graph."""
+    lookahead_s: float | None = None
+    """servoJ's of the driver that servoes it; None: that of the same launch's driver, 0.1 of another's. The longer one
+    counts."""
     command_latency_ms: float = 20.0
     """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
     max_obstacles: int = 1024
@@ -121,6 +125,13 @@ class ArmParameters:
     def __post_init__(self) -> None:
         """Raises `ArmError` for a latency that no command has, and for room for nothing."""
         check_ranges(self, ArmError, "arm: ", command_latency_ms=NOT_NEGATIVE, max_obstacles=Range(1))
+        if self.lookahead_s is not None:
+            check_ranges(self, ArmError, "arm: ", lookahead_s=LOOKAHEADS_S)
+
+    @property
+    def servo_lookahead_s(self) -> float:
+        """servoJ's look-ahead that the law counts on where the arm is servoed, s."""
+        return LOOKAHEAD_S if self.lookahead_s is None else self.lookahead_s
 
     def arm(self) -> ArmModel:
         """The arm's model with its tool. Raises `RobotError` or `ResourceError` for a wrong name or file."""

@@ -44,7 +44,7 @@ def sample(clock_s: float = 1.0, **changes: object) -> UrSample:
 
 @dataclass
 class FakeLink:
-    """Its slider obeys at once, its arm follows servoJ exactly."""
+    """Its slider obeys at once, its arm follows servoJ exactly or, sent a goal every 4 ms, behind a look-ahead."""
 
     state: UrSample = field(default_factory=sample)
     speeds: list[float] = field(default_factory=list)
@@ -56,6 +56,7 @@ class FakeLink:
     is_obedient: bool = True
     runs_script: bool = True
     is_remote: bool = True
+    lookahead_s: float = 0.004
 
     def tell(self, **changes: object) -> None:
         """Change what it tells."""
@@ -77,7 +78,8 @@ class FakeLink:
     def servo(self, q: NDArray[np.floating]) -> bool:
         if self.runs_script:
             self.servoed.append(q)
-            self.tell(q=q, target_q=q)
+            come = self.state.target_q + (q - self.state.target_q) * 0.004 / self.lookahead_s
+            self.tell(q=come, target_q=come)
         return self.runs_script
 
     def prepare_servo(self) -> None:

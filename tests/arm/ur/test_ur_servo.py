@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,11 @@ from twin_node.arm.ur import (
     DriverState,
     Follow,
     LeavePath,
+    UrParameters,
 )
+from twin_node.arm.ur.link import RtdeLink
+from twin_node.robot import ur_model
+from twin_node.scene import JointPath
 
 
 def test_servo_follows_a_trajectory_to_its_end_and_holds_it() -> None:
@@ -71,6 +76,35 @@ def test_an_arm_that_does_not_follow_is_halted() -> None:
     bench.run(1000)
     assert bench.report.state is DriverState.HALTED
     assert "from where it was sent" in bench.report.reason
+
+
+@pytest.mark.parametrize(("model", "lookahead_s"), [("ur3e", 0.1), ("ur5e", 0.2)])
+def test_an_arm_that_is_as_far_behind_as_its_look_ahead_has_it_is_not_halted(model: str, lookahead_s: float) -> None:
+    """A UR3e's wrists turn at 6.28 rad/s and lag by 0.6 rad, more than any arm was let be behind."""
+    bench = Bench(mode=DriverMode.SERVO, model=model, lookahead_s=lookahead_s)
+    bench.link.lookahead_s = lookahead_s
+    bench.run(200)
+    way, rating = 3.0, ur_model(model).max_velocity[5]
+    s = np.linspace(0, 1, 201)[:, None]
+    turning = START + s**3 * (10 - 15 * s + 6 * s**2) * np.array([0, 0, 0, 0, 0, way])
+    seconds = 1.875 * way / rating
+    stamps = (s[:, 0] * seconds * 1e9).astype(np.int64)
+    bench.driver.order(Follow(JointPath(MODEL.joint_names, stamps, turning)), bench.now)
+    behind = []
+    for _ in range(0, round(1000 * seconds) + 500, STEP_MS):
+        assert bench.run(STEP_MS).state is DriverState.READY
+        behind.append(bench.link.servoed[-1][5] - bench.link.state.q[5])
+    assert max(behind) > 0.5
+    np.testing.assert_allclose(bench.link.state.q, turning[-1], atol=0.05)
+
+
+def test_the_look_ahead_goes_to_the_controller() -> None:
+    sent: list[tuple[float, ...]] = []
+    link = RtdeLink.__new__(RtdeLink)  # a connection needs a controller
+    link._parameters = UrParameters(mode=DriverMode.SERVO, lookahead_s=0.05)
+    link._control = SimpleNamespace(servoJ=lambda q, *rest: bool(sent.append(rest)) or True)
+    assert link.servo(START)
+    assert sent == [(0.0, 0.0, 0.004, 0.05, 300.0)]
 
 
 def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:

@@ -27,8 +27,8 @@ _HELD_S = 1.0
 """A slider that is lower than it was set to for so long is held there: it was set ten times meanwhile."""
 _STEP = 0.005
 """Smallest change of the speed that is worth a package."""
-_FOLLOW_RAD = 0.5
-"""How far the arm may be behind servoJ's target: its look-ahead of 0.1 s at 3.14 rad/s lags by 0.3 rad."""
+_FOLLOW_RAD = 0.2
+"""How far the arm may be behind servoJ's target beside what it lags by the look-ahead at its fastest joint's speed."""
 _SETTLE_S = 0.5
 """How long all must be well before a driver that may resume by itself does."""
 _LONGEST_LOOK = 3
@@ -48,6 +48,7 @@ class UrDriver:
         self._parameters = parameters
         self._mode = parameters.mode
         self._model = parameters.arm()
+        self._longest_lag_rad = parameters.lookahead_s * float(self._model.max_velocity.max()) + _FOLLOW_RAD
         self._link = link
         self._freshness = Freshness(now, _LONGEST_LOOK * round(parameters.period_s * 1e9))
         self._foresight = Foresight(self._model)
@@ -127,7 +128,7 @@ class UrDriver:
         """Whether the arm does what it is told, in words where not."""
         if self._follower is not None and self._halt is None:
             behind = float(np.abs(sample.q - self._follower.q).max())
-            if behind > _FOLLOW_RAD:
+            if behind > self._longest_lag_rad:
                 return f"the arm is {behind:.2f} rad from where it was sent"
             if not sample.is_playing:
                 return "the control script has stopped"
@@ -241,7 +242,8 @@ class UrDriver:
             if self._follower.is_left:
                 raise ArmError("trajectory: refused while another is being left; send it once the arm stands")
             raise ArmError("trajectory: refused while another is followed; wait for its end or send one without points")
-        self._follower = PathFollower(self._model, path, self._sample.target_q)
+        lookahead_s = self._parameters.lookahead_s
+        self._follower = PathFollower(self._model, path, self._sample.target_q, lookahead_s)
 
     def _leave_path(self) -> None:
         self._check_servo()

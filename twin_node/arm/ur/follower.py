@@ -20,19 +20,24 @@ _LEAST_RATE_CHANGE_PER_S = 1.0
 _MOST_RATE_CHANGE_PER_S = 50.0
 """Where the path stands still, any rate is as good: 20 ms from rest to full keep the rate smooth."""
 _STANDS_RAD = 0.01
-"""The arm stands where so little of what it was sent is left: behind the look-ahead that is 0.1 rad/s."""
+"""The arm stands where so little of what it was sent is left: behind a look-ahead of 0.1 s that is 0.1 rad/s."""
 
 
 class PathFollower:
     """Where the arm should be along a path, whose time runs at a rate between 0 and 1 that changes only gently."""
 
-    def __init__(self, model: ArmModel, path: JointPath, q: NDArray[np.floating]) -> None:
+    def __init__(
+        self, model: ArmModel, path: JointPath, q: NDArray[np.floating], lookahead_s: float = LOOKAHEAD_S
+    ) -> None:
         """`path` from its first stamp on, whatever that stamp is; `q` [J] rad is where the arm stands.
+
+        `lookahead_s` is servoJ's, behind which the arm comes where it is sent.
 
         Raises `ArmError` or `RobotError` for a path that the arm cannot follow from there.
         """
         positions = _checked(model, path, q)
         self._model = model
+        self._lookahead_s = lookahead_s
         self._path = JointPath(model.joint_names, path.stamps - path.stamps[0], positions)
         self._time_ns = 0.0
         self._arm_ns = 0.0
@@ -77,7 +82,7 @@ class PathFollower:
         allowed = 0.0 if self._is_left else fraction
         self._rate += float(np.clip(allowed - self._rate, -step, step))
         self._time_ns = min(self._time_ns + self._rate * dt * 1e9, float(self._path.stamps[-1]))
-        self._arm_ns += (self._time_ns - self._arm_ns) * min(dt / LOOKAHEAD_S, 1.0)
+        self._arm_ns += (self._time_ns - self._arm_ns) * min(dt / self._lookahead_s, 1.0)
         return self.q
 
     def ahead(self, stamp: int) -> JointPath:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
-from twin_node.arm.ur.braking import LOOKAHEAD_S
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.sample import UrSample
 from twin_node.robot import UR_NAMES
@@ -126,8 +125,8 @@ class RtdeLink:
         """Send the next joint angles [6], rad; `ur_rtde` itself would send five. False where they were refused."""
         if q.shape != (6,) or not np.isfinite(q).all():
             raise ArmError(f"servo command: expected six finite angles, found {q.tolist()}")
-        period_s = self._parameters.period_s
-        return bool(self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, LOOKAHEAD_S, _GAIN))
+        period_s, lookahead_s = self._parameters.period_s, self._parameters.lookahead_s
+        return bool(self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, lookahead_s, _GAIN))
 
     def prepare_servo(self) -> None:
         """Have the control script running with its watchdog set; raises `ArmError` where it does not start."""

@@ -8,6 +8,8 @@ from enum import Enum
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import LimiterParameters
+from twin_node.arm.ur.braking import LOOKAHEAD_S, LOOKAHEADS_S
+from twin_node.ranges import Range, check_ranges
 from twin_node.robot import ArmModel, arm_model
 
 
@@ -52,6 +54,9 @@ class UrParameters:
     """Input integer register (18 to 22, `ur_rtde`'s) that the robot's program watches."""
     watchdog_hz: float = 10.0
     """Servo mode: the control script stops by itself when no command came for one period of this."""
+    lookahead_s: float = LOOKAHEAD_S
+    """Servo mode: servoJ's, 0.03 to 0.2. The arm brakes as much sooner as it is shorter, and the law counts on that;
+    too short a one makes an arm vibrate."""
     realtime_priority: int = 20
     """Of the driver's process (SCHED_FIFO, 1 to 99), where the system grants it; 0: ordinary."""
     reconnects: bool = True
@@ -70,17 +75,22 @@ class UrParameters:
             raise ArmError(
                 f"heartbeat_register: expected 18 to 22, which ur_rtde can write, found {self.heartbeat_register}"
             )
-        if not 1 <= self.receive_hz <= 500:
-            raise ArmError(f"receive_hz: expected 1 to 500 Hz, found {self.receive_hz:g}")
-        if not self.watchdog_hz > 0:
-            raise ArmError(f"watchdog_hz: expected more than 0, found {self.watchdog_hz:g}")
-        if not 0 < self.period_s <= 0.5 / self.watchdog_hz:
+        check_ranges(  # of longer times nothing would be noticed in time: who gives them means milliseconds
+            self,
+            ArmError,
+            "",
+            receive_hz=Range(1, 500),
+            watchdog_hz=Range(1, 500),
+            stale_s=Range(0, 1, above=True),
+            lost_s=Range(0, 10, above=True),
+            lookahead_s=LOOKAHEADS_S,
+            realtime_priority=Range(0, 99),
+        )
+        if not 0 < self.period_s <= min(0.5 / self.watchdog_hz, self.stale_s / 2):
             raise ArmError(
-                f"period_s: expected at most half the watchdog's period, {0.5 / self.watchdog_hz:g} s, "
-                f"found {self.period_s:g}"
+                f"period_s: expected at most half the watchdog's period, {0.5 / self.watchdog_hz:g} s, and half of "
+                f"stale_s, {self.stale_s / 2:g} s, found {self.period_s:g}"
             )
-        if not 0 <= self.realtime_priority <= 99:
-            raise ArmError(f"realtime_priority: expected 0 to 99, found {self.realtime_priority}")
         if not 2 / self.receive_hz < self.stale_s < self.lost_s:
             raise ArmError(
                 f"stale_s: expected more than two packages ({2 / self.receive_hz:g} s) and less than lost_s "

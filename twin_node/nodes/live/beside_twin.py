@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from twin_node.arm.ur import DriverMode, UrParameters
 from twin_node.nodes.arm import Driving, make_arm_node
@@ -38,16 +39,11 @@ def make_arm(setup: Setup) -> Node:
     driver = _launched_driver(setup)
     if driver is not None:
         _check_driven(setup.where, driver.model, parameters.arm.model)
-    workspace = working_volume(source, parameters.synchronizer.width)
-    is_told = driver is not None and driver.mode is DriverMode.SERVO
-    return make_arm_node(
-        setup.bus,
-        setup.clock,
-        workspace,
-        parameters.arm,
-        setup.timers,
-        lambda: Driving.SERVOED if is_told else _driving(setup.endpoints()),
-    )
+    workspace, arm = working_volume(source, parameters.synchronizer.width), parameters.arm
+    if driver is None or driver.mode is not DriverMode.SERVO:
+        return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, lambda: _driving(setup.endpoints()))
+    arm = replace(arm, lookahead_s=max(driver.lookahead_s, arm.lookahead_s or 0.0))
+    return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, lambda: Driving.SERVOED)
 
 
 def _launched_driver(setup: Setup) -> UrParameters | None:
