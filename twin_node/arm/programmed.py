@@ -52,6 +52,10 @@ class ProgrammedVelocity:
             self._learn(velocities / share, share, stamp)
         elif stamp - self._fell > _STOPPED_NS and np.abs(velocities).max() > _STANDS:
             self._known, self._learnt = velocities, stamp
+        return self.recalled(velocities)
+
+    def recalled(self, velocities: Float64) -> Float64:
+        """The program's velocities [J] (rad/s) as they were seen last; those of the arm where nothing is known."""
         return velocities if self._known is None else self._known
 
     def _learn(self, found: Float64, share: float, stamp: int) -> None:

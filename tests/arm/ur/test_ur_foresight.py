@@ -7,6 +7,7 @@ import pytest
 from fake_link import MODEL, sample
 
 from twin_node.arm.ur import Foresight
+from twin_node.arm.ur.sample import RuntimeState
 from twin_node.scene import Float64
 
 PACKAGE_NS = 8_000_000
@@ -63,6 +64,28 @@ def test_braking_is_not_taken_for_a_faster_program() -> None:
     now = program.now + PACKAGE_NS
     still_fast = program.foresight.ahead(sample(speed_slider=0.2, target_qd=FIRST), now, now)
     np.testing.assert_allclose((still_fast.positions[-1] - still_fast.positions[0]) / 0.2, FIRST, atol=1e-9)
+
+
+@pytest.mark.parametrize("state", [RuntimeState.PAUSING, RuntimeState.PAUSED, RuntimeState.RESUMING])
+def test_a_program_that_is_paused_still_means_to_go_on(state: RuntimeState) -> None:
+    """It seemed to close in on nobody: beside whoever pressed play the slider was at full speed."""
+    program = Program()
+    program.run([1.0] * 50, FIRST)
+    for share in (1.0, 0.0, 1.0):
+        now = program.now = program.now + 500_000_000
+        paused = sample(runtime_state=state, speed_slider=share, target_qd=np.zeros(6))
+        ahead = program.foresight.ahead(paused, now, now)
+        np.testing.assert_allclose((ahead.positions[-1] - ahead.positions[0]) / 0.2, FIRST, atol=1e-9)
+    np.testing.assert_allclose(program.run([1.0] * 30, SECOND), SECOND, atol=1e-9)
+
+
+@pytest.mark.parametrize("state", [RuntimeState.STOPPING, RuntimeState.STOPPED])
+def test_a_program_that_has_ended_means_nothing_any_more(state: RuntimeState) -> None:
+    program = Program()
+    program.run([1.0] * 50, FIRST)
+    now = program.now + PACKAGE_NS
+    ahead = program.foresight.ahead(sample(runtime_state=state, target_qd=np.zeros(6)), now, now)
+    np.testing.assert_allclose(ahead.positions[-1], ahead.positions[0])
 
 
 def test_a_scaling_beyond_one_makes_no_program_slower_than_it_is() -> None:

@@ -22,13 +22,16 @@ class Foresight:
     def ahead(self, sample: UrSample, received: int, stamp: int) -> JointPath:
         """The next 200 ms from a time on (ns) of an arm that was in the state of a checked sample when that came (ns).
 
-        Until now it has gone on as it was told, from now on it goes as its program means to.
+        Until now it has gone on as it was told, from now on it goes as its program means to: one that is paused, or
+        stopped by the safety system, means to go on when somebody lets it.
         """
         velocities = sample.target_qd
         if sample.is_playing and sample.may_move:
             velocities = self._programmed.seen(velocities, sample.speed_share, received)
-        else:
+        elif sample.has_ended:
             self._programmed.forget()
+        else:
+            velocities = self._programmed.recalled(velocities)
         told = JointSample(received, self._model.joint_names, sample.target_q, sample.target_qd)
         here = path_from_sample(self._model, told, stamp).positions[0]
         return extrapolate(self._model, here, velocities, stamp)

@@ -106,6 +106,11 @@ class UrSample:
         return self.runtime_state in (RuntimeState.PAUSED, RuntimeState.PAUSING)
 
     @property
+    def has_ended(self) -> bool:
+        """Whether no program is there that would go on."""
+        return self.runtime_state in (RuntimeState.STOPPED, RuntimeState.STOPPING)
+
+    @property
     def may_move(self) -> bool:
         """Whether power, brakes and safety system let the arm move."""
         return self.robot_mode == RobotMode.RUNNING and self.safety_mode in (SafetyMode.NORMAL, SafetyMode.REDUCED)
