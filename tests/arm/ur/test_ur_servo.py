@@ -252,6 +252,31 @@ def test_an_arm_that_still_brakes_is_not_stopped_dead_by_an_acknowledgement() ->
     assert hardest_braking(bench) < 4 * MODEL.max_acceleration[0]
 
 
+def test_a_driver_that_ends_brakes_its_arm_on_the_path_first() -> None:
+    """It left the arm to servoJ's last angles, and that stopped it at five times its acceleration."""
+    bench = Bench(mode=DriverMode.SERVO)
+    bench.run(200)
+    bench.driver.order(Follow(quintic(way=5.5, seconds=3.5)), bench.now)
+    bench.run(1900)
+    assert bench.driver.stop("the driver ends")
+    passed = 0
+    while bench.driver.is_braking and passed < 2000:
+        bench.run(STEP_MS)
+        passed += STEP_MS
+    assert 500 < passed < 1500
+    assert hardest_braking(bench) < 4 * MODEL.max_acceleration[0]
+    assert bench.report.reason == "the driver ends"
+
+
+def test_a_driver_whose_arm_stands_ends_at_once() -> None:
+    bench = servo_bench()
+    bench.run(2600)
+    bench.driver.stop("the driver ends")
+    bench.run(24)
+    assert not bench.driver.is_braking
+    assert not Bench().driver.stop("the driver ends")
+
+
 def test_a_driver_that_resumes_waits_for_the_arm_to_stand() -> None:
     bench = halted_at_speed(resumes=True)
     assert bench.ms_until(DriverState.READY) > 600  # it settles in 500, and brakes from 2.9 rad/s in 580

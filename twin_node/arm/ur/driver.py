@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -98,13 +99,17 @@ class UrDriver:
             return self._report(now, is_over=True)
         return self._report(now, is_over=self._freshness.age_s > self._parameters.lost_s)
 
-    def stop(self) -> None:
-        """Tell the arm to stand, as the last thing; what cannot be told any more, its watchdog does."""
+    def stop(self, reason: str) -> bool:
+        """Tell the arm to stand, as the last thing; what cannot be told any more, its watchdog does.
+
+        True where a servoed arm has to be braked along its path: `step` until it `is_braking` no longer.
+        """
+        if self._halt is None:
+            self._stop_for(reason)
         if self._mode is DriverMode.SLIDER:
-            try:
+            with contextlib.suppress(ArmError):  # the link is gone, the heartbeat too: the robot's program pauses
                 self._link.set_speed(0.0)
-            except ArmError:
-                return  # the link is gone, the heartbeat with it: the robot's program pauses by itself
+        return self.is_braking
 
     def _look(self, now: int) -> str | None:
         """Take the controller's state; gives back what is wrong with it, in words. Raises `ArmError`: it is gone."""
@@ -164,7 +169,7 @@ class UrDriver:
                 self._stop_for(problem)
         elif self._halt is not None and self._parameters.resumes and not self._halt.is_safety:
             self._well_since = self._well_since or now
-            if (now - self._well_since) * 1e-9 > _SETTLE_S and not self._is_braking:
+            if (now - self._well_since) * 1e-9 > _SETTLE_S and not self.is_braking:
                 self._resume(now)
 
     def _resume(self, now: int) -> None:
@@ -183,7 +188,7 @@ class UrDriver:
         return self._sample is None or self._sample.may_move
 
     @property
-    def _is_braking(self) -> bool:
+    def is_braking(self) -> bool:
         """Whether a servoed arm is still led along its path: another command would stop it dead."""
         return self._follower is not None and self._follower.is_braking
 
@@ -219,7 +224,7 @@ class UrDriver:
         problem = self._look(now)
         if problem is not None:
             raise ArmError(f"acknowledge: expected an arm that is well, found: {problem}")
-        if self._is_braking:
+        if self.is_braking:
             raise ArmError(
                 "acknowledge: expected an arm that stands, found one that still brakes; acknowledge once it does"
             )

@@ -11,10 +11,10 @@ from multiprocessing.connection import wait
 from twin_node.arm.ur.parameters import UrParameters
 from twin_node.arm.ur.priority import ask_for_realtime
 from twin_node.arm.ur.records import Begin, DriverReport, Halt, Order
-from twin_node.arm.ur.worker import work
+from twin_node.arm.ur.worker import BRAKING_S, work
 
 _ENDING_S = 0.5
-"""How long a process may take to end in order."""
+"""How long a process may take to end in order, beside what its arm brakes."""
 
 
 class DriverProcess:
@@ -68,10 +68,13 @@ class DriverProcess:
         with contextlib.suppress(OSError), socket.socket(fileno=os.dup(self._pipe.fileno())) as line:
             line.shutdown(socket.SHUT_RDWR)  # to close the pipe would wake nobody
 
-    def end(self) -> str:
-        """End it, in order if it can: it stops the arm before it goes. Gives back how it ended."""
+    def end(self, hangs: bool = False) -> str:
+        """End it, in order if it can: it stops the arm before it goes. Gives back how it ended.
+
+        One that `hangs` is not waited for while it might brake.
+        """
         self._pipe.close()
-        self._process.join(_ENDING_S)
+        self._process.join(_ENDING_S if hangs else BRAKING_S + _ENDING_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()

@@ -133,7 +133,7 @@ class SupervisedDriver:
         process.hang_up()  # first: an order that a hanging process does not take is handed over under the lock
         with self._lock:
             self._process = None
-        how = process.end()
+        how = process.end(hangs=not self._closing.is_set())
         was_connected = self._latest.state in _CONNECTED
         if self._latest.state is DriverState.READY:
             self._halt = Halt(reason or how)

@@ -24,6 +24,9 @@ _REPORT_NS = 20_000_000
 _RETRY_S = 0.5
 """Between two attempts to connect."""
 
+BRAKING_S = 2.0
+"""Longest that a driver that ends brakes its arm, s: from 6.3 rad/s at 5 rad/s^2, behind the longest look-ahead."""
+
 
 class _Told(Exception):
     """Somebody wants the process to end."""
@@ -47,7 +50,7 @@ def work(parameters: UrParameters, pipe: Connection) -> None:
         is_lost = _loop(parameters, driver, pipe)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         if not is_lost:
-            driver.stop()
+            _stop(parameters, driver)
             link.close()
     os._exit(0)  # threads of ur_rtde that still wait for a silent controller must not keep the process
 
@@ -92,6 +95,16 @@ def _loop(parameters: UrParameters, driver: UrDriver, pipe: Connection) -> bool:
                 said, refusal = report, None
     except (EOFError, OSError, _Told):
         return False  # the supervisor has gone, or says so: the caller stops the arm
+
+
+def _stop(parameters: UrParameters, driver: UrDriver) -> None:
+    """Let the arm stand; a servoed one is braked along its path first, for as long as whoever waits for it allows."""
+    until = time.monotonic() + BRAKING_S
+    is_braking = driver.stop("the driver ends")
+    while is_braking and time.monotonic() < until:
+        time.sleep(parameters.period_s)
+        is_over = driver.step(time.monotonic_ns()).is_over
+        is_braking = driver.is_braking and not is_over
 
 
 def _is_news(report: DriverReport, said: DriverReport | None) -> bool:
