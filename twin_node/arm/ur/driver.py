@@ -16,18 +16,9 @@ from twin_node.arm.ur.link import UrLink
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, LeavePath, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
+from twin_node.arm.ur.slider import Slider
 from twin_node.scene import NO_EVIDENCE, JointPath, Separation
 
-_RESEND_S = 0.1
-"""The slider is set again this often, so that nobody else's setting stays."""
-_OBEY_S = 0.2
-"""The controller's slider must show what it was set to within this time: a hundred of its periods."""
-_OBEY_TOLERANCE = 0.02
-"""How far it may be above: the pendant rounds to per cent."""
-_HELD_S = 1.0
-"""A slider that is lower than it was set to for so long is held there: it was set ten times meanwhile."""
-_STEP = 0.005
-"""Smallest change of the speed that is worth a package."""
 _FOLLOW_RAD = 0.2
 """How far the arm may be behind servoJ's target beside what it lags by the look-ahead at its fastest joint's speed."""
 _SETTLE_S = 0.5
@@ -61,12 +52,8 @@ class UrDriver:
         self._well_since: int | None = None
         self._sample: UrSample | None = None
         self._sample_stamp = 0
-        self._set_fraction: float | None = None
-        self._set_stamp = 0
-        self._disobedient_since: int | None = None
-        self._held_since: int | None = None
+        self._slider = Slider(link) if self._mode is DriverMode.SLIDER else None
         self._follower: PathFollower | None = None
-        self._beats = 0
         self._stepped = now
         if self._mode is DriverMode.SERVO and halt is None:
             link.prepare_servo()
@@ -106,7 +93,7 @@ class UrDriver:
         """
         if self._halt is None:
             self._stop_for(reason)
-        if self._mode is DriverMode.SLIDER:
+        if self._slider is not None:
             with contextlib.suppress(ArmError):  # the link is gone, the heartbeat too: the robot's program pauses
                 self._link.set_speed(0.0)
         return self.is_braking
@@ -137,14 +124,7 @@ class UrDriver:
                 return f"the arm is {behind:.2f} rad from where it was sent"
             if not sample.is_playing:
                 return "the control script has stopped"
-        told = self._set_fraction
-        if told is None or sample.speed_slider <= told + _OBEY_TOLERANCE:
-            self._disobedient_since = None
-            return None
-        self._disobedient_since = self._disobedient_since or now
-        if (now - self._disobedient_since) * 1e-9 <= _OBEY_S:
-            return None
-        return f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}: somebody else moves it"
+        return None if self._slider is None else self._slider.disobedience(sample, now)
 
     def _hunger(self, now: int) -> str | None:
         """Whether forecasts have stopped coming, in words; a driver that may resume only stands, without a halt."""
@@ -261,23 +241,15 @@ class UrDriver:
 
     def _tell(self, now: int, dt: float) -> None:
         """Slider and heartbeat, or the next angles, as the mode has it."""
-        if self._mode is DriverMode.SLIDER:
-            self._move_slider(self._fraction(), now)
+        if self._slider is not None:
+            self._slider.move(self._fraction(), now)
             if self._halt is None:
-                self._beats = (self._beats + 1) % 2**31
-                self._link.beat(self._beats)
+                self._slider.beat()
         elif self._mode is DriverMode.SERVO:
             self._servo(self._fraction(), now, dt)
 
     def _fraction(self) -> float:
         return 0.0 if self._halt is not None or self._told is None else self._told.speed_fraction
-
-    def _move_slider(self, fraction: float, now: int) -> None:
-        before = self._set_fraction
-        is_new = before is None or fraction == 0 < before or abs(fraction - before) >= _STEP
-        if is_new or (now - self._set_stamp) * 1e-9 >= _RESEND_S:
-            self._link.set_speed(fraction)
-            self._set_fraction, self._set_stamp = fraction, now
 
     def _servo(self, fraction: float, now: int, dt: float) -> None:
         """The next angles; halted, the arm is braked along its path, then the script is left to its watchdog."""
@@ -296,25 +268,11 @@ class UrDriver:
             if self._halt is None:
                 self._stop_for("the control script does not run: it refused a command")
 
-    def _idleness(self, now: int) -> str:
-        """Why an arm that may go does not all the same, in words after those of the decision; empty where it does."""
-        sample, told = self._sample, self._set_fraction
-        if self._mode is not DriverMode.SLIDER or sample is None or told is None or told <= _OBEY_TOLERANCE:
-            self._held_since = None
-            return ""
-        if not sample.is_playing:
-            state = "the robot's program is paused" if sample.is_paused else "no program runs on the robot"
-            return f"; but {state}; press play"
-        if sample.speed_slider >= told - _OBEY_TOLERANCE:
-            self._held_since = None
-            return ""
-        self._held_since = self._held_since or now
-        is_held = (now - self._held_since) * 1e-9 > _HELD_S
-        return f"; but the speed slider stays at {sample.speed_slider:.0%}" if is_held else ""
-
     def _report(self, now: int, is_over: bool) -> DriverReport:
         is_deaf = self._mode is DriverMode.READ_ONLY
-        reason = "read only" if is_deaf or self._told is None else self._told.reason + self._idleness(now)
+        reason = "read only" if is_deaf or self._told is None else self._told.reason
+        if self._slider is not None:
+            reason += self._slider.idleness(self._sample, now)
         report = DriverReport(
             stamp=now,
             state=DriverState.READY if self._halt is None else DriverState.HALTED,

@@ -1,0 +1,69 @@
+"""Slider mode's hand on the arm: the robot runs its own program, which the speed slider and the heartbeat hold back."""
+
+from __future__ import annotations
+
+from twin_node.arm.ur.link import UrLink
+from twin_node.arm.ur.sample import UrSample
+
+_RESEND_S = 0.1
+"""The slider is set again this often, so that nobody else's setting stays."""
+_OBEY_S = 0.2
+"""The controller's slider must show what it was set to within this time: a hundred of its periods."""
+_OBEY_TOLERANCE = 0.02
+"""How far it may be above: the pendant rounds to per cent."""
+_HELD_S = 1.0
+"""A slider that is lower than it was set to for so long is held there: it was set ten times meanwhile."""
+_STEP = 0.005
+"""Smallest change of the speed that is worth a package."""
+
+
+class Slider:
+    """Moves the speed slider, beats for the program's watchdog, and sees whether the controller obeys. Times are ns."""
+
+    def __init__(self, link: UrLink) -> None:
+        self._link = link
+        self._fraction: float | None = None
+        self._stamp = 0
+        self._beats = 0
+        self._disobedient_since: int | None = None
+        self._held_since: int | None = None
+
+    def move(self, fraction: float, now: int) -> None:
+        """Set the slider (0 to 1) where that is news, or was done a while ago. Raises `ArmError`: the link is lost."""
+        before = self._fraction
+        is_new = before is None or fraction == 0 < before or abs(fraction - before) >= _STEP
+        if is_new or (now - self._stamp) * 1e-9 >= _RESEND_S:
+            self._link.set_speed(fraction)
+            self._fraction, self._stamp = fraction, now
+
+    def beat(self) -> None:
+        """Tell the program's watchdog that the driver lives. Raises `ArmError`: the link is lost."""
+        self._beats = (self._beats + 1) % 2**31
+        self._link.beat(self._beats)
+
+    def disobedience(self, sample: UrSample, now: int) -> str | None:
+        """Why the slider is not where it was set to, in words; None where it is, or lower."""
+        told = self._fraction
+        if told is None or sample.speed_slider <= told + _OBEY_TOLERANCE:
+            self._disobedient_since = None
+            return None
+        self._disobedient_since = self._disobedient_since or now
+        if (now - self._disobedient_since) * 1e-9 <= _OBEY_S:
+            return None
+        return f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}: somebody else moves it"
+
+    def idleness(self, sample: UrSample | None, now: int) -> str:
+        """Why an arm that may go does not all the same, in words after those of the decision; empty where it does."""
+        told = self._fraction
+        if sample is None or told is None or told <= _OBEY_TOLERANCE:
+            self._held_since = None
+            return ""
+        if not sample.is_playing:
+            state = "the robot's program is paused" if sample.is_paused else "no program runs on the robot"
+            return f"; but {state}; press play"
+        if sample.speed_slider >= told - _OBEY_TOLERANCE:
+            self._held_since = None
+            return ""
+        self._held_since = self._held_since or now
+        is_held = (now - self._held_since) * 1e-9 > _HELD_S
+        return f"; but the speed slider stays at {sample.speed_slider:.0%}" if is_held else ""
