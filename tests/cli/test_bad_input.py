@@ -247,3 +247,12 @@ def test_a_queue_that_holds_nothing(number: str, capsys: pytest.CaptureFixture[s
         main(["play", "no.mcap", "--read-ahead-queue-size", number])
     assert exit_.value.code == 2
     assert f"argument --read-ahead-queue-size: {number}: expected a" in capsys.readouterr().err
+
+
+def test_a_full_disk_that_takes_no_more_output_is_named() -> None:
+    """A driver whose log filled the disk ended with a traceback."""
+    with Path("/dev/full").open("w") as full:
+        words = [sys.executable, "-c", "from twin_node.cli import main; raise SystemExit(main())", "ur-sim"]
+        done = subprocess.run([*words, "--list-faults"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "twin_node: error: no room for what it writes: No space left on device; free some\n"

@@ -30,6 +30,8 @@ from twin_node.errors import TwinError
 
 _UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
 """Why nobody can tell whether there is something at a path, which is then asked for anywhere."""
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Why what a command prints cannot be kept where the user sends it."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -53,6 +55,10 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         return 141
     except OSError as error:
+        if error.errno in _FULL and error.filename is None:
+            _throw_output_away()
+            print(f"twin_node: error: no room for what it writes: {error.strerror}; free some", file=sys.stderr)
+            return 2
         if error.errno not in _UNREACHABLE or error.filename is None:
             raise
         print(f"twin_node: error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
@@ -66,8 +72,13 @@ def _is_unread() -> bool:
     poll.register(output, 0)
     if not any(event & select.POLLERR for _, event in poll.poll(0)):
         return False
-    os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+    _throw_output_away()
     return True
+
+
+def _throw_output_away() -> None:
+    """What waits to be printed goes nowhere: it could not be written, and would not be at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parser() -> argparse.ArgumentParser:
