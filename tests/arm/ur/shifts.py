@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -70,6 +71,12 @@ class Shift:
         """Somebody looks, acknowledges, and presses play."""
         self.until(lambda: self.driver.acknowledge() and self.driver.latest.state is DriverState.READY)
         self.play()
+
+    @contextmanager
+    def supervisor_held_up(self) -> Iterator[None]:
+        """While this lasts, the thread that hears reports is in the middle of one."""
+        with self._heard:
+            yield
 
     def play(self) -> None:
         with_dashboard(self.stand_in.host, lambda dashboard: dashboard.play())

@@ -135,9 +135,13 @@ def test_a_hanging_driver_is_replaced_while_somebody_hands_it_more_than_it_has_r
     names, count = ur_model("ur5e").joint_names, 100_000
     path = JointPath(names, np.arange(count, dtype=np.int64) * 1_000_000, np.zeros((count, 6)))
     taken: list[bool] = []
-    os.kill(hanging, signal.SIGSTOP)
     sender = threading.Thread(target=lambda: taken.append(shift.driver.follow(path)), daemon=True)
-    sender.start()
+    with shift.supervisor_held_up():  # reports wait for it, as on a busy computer: it reads them before it finds out
+        begun = shift.stand_in.status().clock
+        wait_for(lambda: shift.stand_in.status().clock > begun + 0.2, threading.Event())
+        os.kill(hanging, signal.SIGSTOP)
+        sender.start()
+        wait_for(shift.driver._handing.locked, threading.Event())
     try:
         wait_for(lambda: shift.driver.pid not in (hanging, None), threading.Event())
     finally:

@@ -43,6 +43,8 @@ class SupervisedDriver:
         self._parameters = parameters
         self._on_report = on_report
         self._lock = threading.Lock()
+        self._handing = threading.Lock()
+        """One order after another. A process that hangs keeps who hands it a long one waiting, and nobody else."""
         self._latest = DriverReport(time.monotonic_ns(), DriverState.CONNECTING, "connecting", speed_fraction=None)
         self._process: DriverProcess | None = None
         self._spare: DriverProcess | None = None
@@ -99,8 +101,8 @@ class SupervisedDriver:
         self.close()
 
     def _give(self, order: Order) -> bool:
-        with self._lock:
-            process = self._process if self._latest.state in _CONNECTED else None
+        with self._handing:
+            process = self._process if self.latest.state in _CONNECTED else None
             return process is not None and process.give(order)
 
     def _watch(self) -> None:
@@ -127,11 +129,11 @@ class SupervisedDriver:
             return False
         self._spare, self._wants_spare = None, True
         process.begin(self._halt)
-        with self._lock:
+        with self._handing:
             self._process = process
         reason = self._listen(process)
-        process.hang_up()  # first: an order that a hanging process does not take is handed over under the lock
-        with self._lock:
+        process.hang_up()  # first: who hands it an order that it does not take is let go
+        with self._handing:
             self._process = None
         how = process.end(hangs=not self._closing.is_set())
         was_connected = self._latest.state in _CONNECTED
